@@ -1,0 +1,128 @@
+"""bayescal: Bayesian calibration of inertial and tilt sensors.
+
+Read readings, compose a model, fit it, see where it fails, find the effect that is missing, add it:
+
+    import bayescal as bc
+    from bayescal_models import mems_gyro
+
+    readings = bc.read("table.csv", mems_gyro.INSTRUMENT)
+    calibration = bc.fit(mems_gyro.INSTRUMENT.baseline(), readings)
+    found = bc.discover(calibration)
+
+The names below load on first use, so that `import bayescal` and `bayescal --help` cost nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from bayescal import _startup as _startup  # before JAX: see the comment there
+
+if TYPE_CHECKING:
+    # at the door
+    # what did it find, and was it right
+    from bayescal._calibrate import Trail as Trail
+    from bayescal._calibrate import calibrate as calibrate
+    from bayescal._calibration import Calibration as Calibration
+    from bayescal._calibration import Verdict as Verdict
+    from bayescal._check import Check as Check
+    from bayescal._check import check as check
+
+    # what a model is made of
+    from bayescal._coefficient import Coefficient as Coefficient
+    from bayescal._coefficient import Shape as Shape
+    from bayescal._compare import Comparison as Comparison
+    from bayescal._compare import compare as compare
+    from bayescal._discover import Discovery as Discovery
+    from bayescal._discover import discover as discover
+    from bayescal._effect import Effect as Effect
+    from bayescal._errors import BayescalError as BayescalError
+    from bayescal._errors import InputError as InputError
+    from bayescal._errors import ModelError as ModelError
+    from bayescal._errors import NotConverged as NotConverged
+
+    # fits
+    from bayescal._fit import fit as fit
+    from bayescal._fit import fit_batch as fit_batch
+    from bayescal._fit import load as load
+    from bayescal._frame import Frame as Frame
+    from bayescal._instrument import Instrument as Instrument
+    from bayescal._instrument import Slot as Slot
+    from bayescal._least_squares import LeastSquares as LeastSquares
+    from bayescal._marginal import Marginal as Marginal
+    from bayescal._measurements import Column as Column
+    from bayescal._measurements import Measurements as Measurements
+    from bayescal._measurements import NominalScale as NominalScale
+    from bayescal._model import Model as Model
+    from bayescal._noise import Noise as Noise
+    from bayescal._noise import Quantised as Quantised
+    from bayescal._noise import StudentT as StudentT
+    from bayescal._noise import White as White
+    from bayescal._nuts import NUTS as NUTS
+    from bayescal._predict import predict as predict
+    from bayescal._prior import Flat as Flat
+    from bayescal._prior import HalfCauchy as HalfCauchy
+    from bayescal._prior import HalfNormal as HalfNormal
+    from bayescal._prior import Normal as Normal
+    from bayescal._read import read as read
+
+_HOMES = {
+    "BayescalError": "_errors",
+    "Calibration": "_calibration",
+    "Check": "_check",
+    "Coefficient": "_coefficient",
+    "Column": "_measurements",
+    "Comparison": "_compare",
+    "Discovery": "_discover",
+    "Effect": "_effect",
+    "Flat": "_prior",
+    "Frame": "_frame",
+    "HalfCauchy": "_prior",
+    "HalfNormal": "_prior",
+    "InputError": "_errors",
+    "Instrument": "_instrument",
+    "LeastSquares": "_least_squares",
+    "Marginal": "_marginal",
+    "Measurements": "_measurements",
+    "Model": "_model",
+    "ModelError": "_errors",
+    "NUTS": "_nuts",
+    "Noise": "_noise",
+    "NominalScale": "_measurements",
+    "Normal": "_prior",
+    "NotConverged": "_errors",
+    "Quantised": "_noise",
+    "Shape": "_coefficient",
+    "Slot": "_instrument",
+    "StudentT": "_noise",
+    "Trail": "_calibrate",
+    "Verdict": "_calibration",
+    "White": "_noise",
+    "calibrate": "_calibrate",
+    "check": "_check",
+    "compare": "_compare",
+    "discover": "_discover",
+    "fit": "_fit",
+    "fit_batch": "_fit",
+    "load": "_fit",
+    "predict": "_predict",
+    "read": "_read",
+}
+
+__all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
+__version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its home module on first use."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'bayescal' has no public name {name!r}")
+    from importlib import import_module
+
+    value = getattr(import_module(f"bayescal.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -1,0 +1,133 @@
+"""Candidate effects as columns: shapes and spreads laid out on a grid of their priors, priors scaled to one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from bayescal import _composition as composition
+from bayescal._calibration import Calibration
+from bayescal._coefficient import Coefficient
+from bayescal._effect import Effect
+from bayescal._susie import Item
+
+SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
+SEVERAL_SHAPES = 32  # of several at once, a Sobol sequence
+SPREAD_POINTS = 5  # of a learned spread
+
+
+@dataclass(frozen=True)
+class GridPoint:
+    """One candidate at one point of its shapes and spreads: where its columns stand."""
+
+    shapes: dict[str, float]
+    spread: float | None
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """All candidates' columns side by side, in output units per prior standard deviation.
+
+    Attributes:
+        matrix: (n, P).
+        items: for the sum of single effects.
+        points: for each item, what it stands for.
+        effects: the candidates, in order.
+    """
+
+    matrix: np.ndarray
+    items: tuple[Item, ...]
+    points: tuple[GridPoint, ...]
+    effects: tuple[Effect, ...]
+
+    def of(self, candidate: int) -> list[int]:
+        """Positions of a candidate's items."""
+        return [i for i, item in enumerate(self.items) if item.candidate == candidate]
+
+
+def lay_out(calibration: Calibration, effects: Sequence[Effect]) -> Columns:
+    """The columns ∂μ/∂θ of effects that are not in the model, at the fitted model."""
+    grids = [_shape_grid(effect) for effect in effects]
+    stacks = _all_columns(
+        calibration.layout,
+        calibration.frame,
+        calibration.mode,
+        tuple(effects),
+        tuple(jnp.asarray(g) for g in grids),
+    )
+    matrix, items, points = [], [], []
+    width = 0
+    for candidate, (effect, grid, stack) in enumerate(zip(effects, grids, stacks, strict=True)):
+        spreads = _spread_grid(effect)
+        weight = 1 / (len(grid) * len(spreads))
+        for (i, shape), spread in product(enumerate(grid), spreads):
+            parts = [
+                np.asarray(columns[i]) * (size if spread is None or c.spread is None else spread)
+                for (columns, size), c in zip(stack, effect.coefficients, strict=True)
+            ]
+            block = np.concatenate(parts, axis=1)
+            at = tuple(range(width, width + block.shape[1]))
+            width += block.shape[1]
+            matrix.append(block)
+            items.append(Item(candidate, weight, at))
+            named = {s.name: float(v) for s, v in zip(effect.shapes, shape, strict=True)}
+            points.append(GridPoint(named, spread, at))
+    rows = len(calibration.readings)
+    whole = np.concatenate(matrix, axis=1) if matrix else np.zeros((rows, 0))
+    return Columns(whole, tuple(items), tuple(points), tuple(effects))
+
+
+@eqx.filter_jit
+def _all_columns(layout, frame, mode, effects: tuple[Effect, ...], grids: tuple[Array, ...]):
+    hyper = composition.hyper_values(layout, mode.v)
+    values = composition.coefficients(layout, mode.point.x, mode.point.rows, hyper)
+    found = []
+    for effect, grid in zip(effects, grids, strict=True):
+
+        def at(shape, effect=effect):
+            named = {s.name: shape[i] for i, s in enumerate(effect.shapes)}
+            return composition.effect_columns(layout, frame, values, hyper, effect, named)
+
+        found.append(jax.vmap(at)(grid) if grid.shape[1] else [(c[None], s) for c, s in at(grid[0])])
+    return [[(c, s if not hasattr(s, "shape") or s.ndim == 0 else s[0]) for c, s in f] for f in found]
+
+
+def _shape_grid(effect: Effect) -> np.ndarray:
+    """Values of the shapes (points, shapes), equally probable under their priors."""
+    count = len(effect.shapes)
+    if count == 0:
+        return np.zeros((1, 0))
+    if count == 1:
+        levels = ((np.arange(SHAPE_POINTS) + 0.5) / SHAPE_POINTS)[:, None]
+    else:
+        levels = qmc.Sobol(count, scramble=True, rng=0).random(SEVERAL_SHAPES)
+    v = ndtri(levels)
+    return np.stack(
+        [np.asarray(s.prior.value(jnp.asarray(v[:, i]))) for i, s in enumerate(effect.shapes)], axis=1
+    )
+
+
+def _spread_grid(effect: Effect) -> list[float | None]:
+    """Values of a learned spread, equally probable under its prior; None where there is none."""
+    spreads = [c.spread for c in effect.coefficients if c.spread is not None]
+    if not spreads:
+        return [None]
+    levels = (np.arange(SPREAD_POINTS) + 0.5) / SPREAD_POINTS
+    # A half-normal's quantile; the other spread priors are treated as if of the same scale.
+    return [float(spreads[0].scale * ndtri(0.5 + 0.5 * q)) for q in levels]
+
+
+def reported(effect: Effect) -> tuple[Coefficient, str]:
+    """The coefficient that speaks for an effect, and its unit."""
+    first = effect.coefficients[0]
+    return first, first.unit

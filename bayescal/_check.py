@@ -1,0 +1,283 @@
+"""Where the model fails: residuals against every covariate, with evidence and the worst region in physical units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import stats
+
+from bayescal import _blocks as blocks
+from bayescal import _score as scores
+from bayescal._calibration import Calibration
+from bayescal._fit import fit
+from bayescal._least_squares import LeastSquares
+
+BINS = 12  # of a covariate, for the worst region
+OUTLIER = 4.0  # leave-one-out standard deviations
+SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
+
+
+@dataclass(frozen=True)
+class Region:
+    """A stretch of a covariate where the residuals lean one way.
+
+    Attributes:
+        low, high: of the covariate, in `covariate_unit`.
+        group: the run, where it is one run's alone.
+        size: mean residual there, output unit.
+        z: size over its standard uncertainty.
+    """
+
+    low: float
+    high: float
+    group: str | None
+    size: float
+    z: float
+    covariate_unit: str
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One covariate."""
+
+    against: str
+    log_bayes_factor: float
+    worst: Region
+
+
+@dataclass(frozen=True)
+class FixedComparison:
+    """Residuals of a model with fixed coefficients, and the noise that they are judged against, output unit.
+
+    Attributes:
+        noise: standard deviation used as the measure.
+        free_fit: noise of the same model with its coefficients set free.
+        known: contributions known before any fit, by name.
+        mean, low, high, rms: of the residuals.
+        positive, count: residuals above zero, and all of them.
+    """
+
+    noise: float
+    free_fit: float
+    known: dict[str, float]
+    mean: float
+    low: float
+    high: float
+    rms: float
+    positive: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Check:
+    """Where a model fails.
+
+    Attributes:
+        entries: a covariate each, the strongest evidence first.
+        unit: of the output.
+        rms: of the residuals, output unit.
+        noise: standard deviation that they are judged against.
+        autocorrelation: (lag-1 coefficient within runs, its z).
+        spread_with: covariates with which the scatter changes, and the p-value of each.
+        outliers: (row, leave-one-out standard deviations).
+        pit_p: p-value of uniform leave-one-out probability integral transforms.
+        fixed: only for models with fixed coefficients.
+        residuals: (n,), output unit.
+    """
+
+    entries: tuple[Entry, ...]
+    unit: str
+    rms: float
+    noise: float
+    autocorrelation: tuple[float, float]
+    spread_with: dict[str, float]
+    outliers: tuple[tuple[int, float], ...]
+    pit_p: float
+    fixed: FixedComparison | None
+    residuals: np.ndarray = field(repr=False)
+
+    def __str__(self) -> str:
+        from bayescal._text import check_text  # tables for people stand above this floor
+
+        return check_text(self)
+
+
+def check(calibration: Calibration) -> Check:
+    """Where a fitted model fails.
+
+    A model with fixed coefficients is judged against the noise of the same model set free (and that is set beside
+    the noise known before any fit), not against a noise inflated to cover its misfit.
+    """
+    judged, free_noise = _judged(calibration)
+    residual, sd = scores.residuals(judged)
+    noise = float(np.sqrt(np.mean(sd**2)))
+    covariates = covariates_of(judged)
+    factors = blocks.log_bayes_factors(judged, covariates, noise)
+    entries = [
+        Entry(b.name, f, _worst(b, residual, sd, calibration))
+        for b, f in zip(covariates, factors, strict=True)
+    ]
+    entries.sort(key=lambda e: -e.log_bayes_factor)
+    loo = _leave_one_out(judged, residual)
+    return Check(
+        tuple(entries),
+        calibration.unit,
+        float(np.sqrt(np.mean(residual**2))),
+        noise,
+        autocorrelation(judged, residual / sd),
+        _spread_with(covariates, residual / sd),
+        tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
+        float(stats.kstest(stats.norm.cdf(loo), "uniform").pvalue),
+        None if free_noise is None else _compare_fixed(calibration, residual, noise, free_noise),
+        residual,
+    )
+
+
+def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
+    """The calibration with the noise to judge by; and the free fit's noise, if coefficients are fixed."""
+    held = {b.name for b in calibration.layout.blocks if b.place == "fixed"}
+    if not held:
+        return calibration, None
+    free = fit(
+        calibration.model.free(*held),
+        calibration.readings,
+        LeastSquares(draws=400),
+        reference=calibration.reference,
+        strict=False,
+    )
+    _, sd = scores.residuals(free)
+    names = {h.name: i for i, h in enumerate(calibration.layout.hypers) if h.kind == "noise"}
+    v = np.array(calibration.mode.v)
+    for i, h in enumerate(free.layout.hypers):
+        if h.name in names:
+            v[names[h.name]] = free.mode.v[i]
+    mode = calibration.mode._replace(v=jnp.asarray(v))
+    judged = Calibration(**{**calibration.__dict__, "mode": mode}) if names else calibration
+    return judged, float(np.sqrt(np.mean(sd**2)))
+
+
+def _compare_fixed(
+    calibration: Calibration, residual: np.ndarray, noise: float, free: float
+) -> FixedComparison:
+    known = calibration.model.instrument.known_noise
+    slope = 0.0
+    if calibration.readings.has("temperature"):
+        t = calibration.readings["temperature"]
+        slope = float(np.polyfit(t, calibration.readings["output"], 1)[0]) if np.ptp(t) > 0 else 0.0
+    return FixedComparison(
+        noise,
+        free,
+        known(slope) if known else {},
+        float(residual.mean()),
+        float(residual.min()),
+        float(residual.max()),
+        float(np.sqrt(np.mean(residual**2))),
+        int((residual > 0).sum()),
+        residual.size,
+    )
+
+
+def covariates_of(calibration: Calibration) -> list[blocks.Block]:
+    """Everything recorded or derived that residuals can be laid against."""
+    readings, frame = calibration.readings, calibration.frame
+    found = []
+    for name in readings.columns:
+        unit = readings.unit(name)
+        skip = name in ("output", "output_uncertainty", "temperature_point") or unit is None
+        if not skip and np.ptp(readings[name]) > 0:
+            found.append(blocks.smooth(name, readings[name], unit or ""))
+    if "temperature" in frame.rates and np.ptp(np.asarray(frame.rates["temperature"])) > 0:
+        rate = np.asarray(frame.rates["temperature"]) * 60
+        found.append(blocks.smooth("temperature rate", rate, "degC/min"))
+    levels, codes = readings.groups("run")
+    if len(levels) > 1:
+        if "elapsed" in frame.columns:
+            found.append(blocks.smooth("elapsed", np.asarray(frame.columns["elapsed"]), "s"))
+        found.append(blocks.members("run", codes))
+    if not readings.has("time"):
+        found.append(blocks.smooth("order", np.arange(1.0, len(readings) + 1), "row"))
+    return found
+
+
+def _worst(block: blocks.Block, residual: np.ndarray, sd: np.ndarray, calibration: Calibration) -> Region:
+    """The stretch of a covariate with the largest mean residual against its uncertainty."""
+    levels, codes = calibration.readings.groups("run")
+    if block.name == "run":
+        best = _stretch(codes.astype(float), residual, sd, single=True)
+        return Region(best[0], best[1], levels[int(best[0])], best[2], best[3], "")
+    found = [(_stretch(block.values, residual, sd), None)]
+    if len(levels) > 1:
+        for i, level in enumerate(levels):
+            own = codes == i
+            if own.sum() >= 8:
+                found.append((_stretch(block.values[own], residual[own], sd[own]), level))
+    # One run's own region must be clearly worse than the common one to be named.
+    best, group = max(found, key=lambda f: abs(f[0][3]) - (1.0 if f[1] is not None else 0.0))
+    return Region(best[0], best[1], group, best[2], best[3], block.unit)
+
+
+def _stretch(
+    values: np.ndarray, residual: np.ndarray, sd: np.ndarray, single: bool = False
+) -> tuple[float, float, float, float]:
+    """(from, to, mean residual, z) of the worst run of neighbouring bins, at most two thirds of them."""
+    distinct = np.unique(values)
+    if single or len(distinct) <= BINS:
+        bin_of = np.searchsorted(distinct, values)
+        count = len(distinct)
+    else:
+        edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
+        bin_of, count = np.searchsorted(edges, values, side="right"), BINS
+    weight = np.bincount(bin_of, 1 / sd**2, count)
+    pull = np.bincount(bin_of, residual / sd**2, count)
+    longest = 1 if single else max(1, (2 * count) // 3)
+    best = (0.0, 0, 0)
+    for i in range(count):
+        for j in range(i + 1, min(i + longest, count) + 1):
+            w = weight[i:j].sum()
+            z = pull[i:j].sum() / np.sqrt(w) if w > 0 else 0.0
+            if abs(z) > abs(best[0]):
+                best = (float(z), i, j)
+    z, i, j = best
+    inside = (bin_of >= i) & (bin_of < max(j, i + 1))
+    return float(values[inside].min()), float(values[inside].max()), float(residual[inside].mean()), z
+
+
+def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
+    """Lag-1 autocorrelation of neighbours in time within runs, and its z under independence."""
+    frame = calibration.frame
+    order = np.asarray(frame.order)
+    ordered = standardised[order]
+    linked = np.asarray(frame.step)[1:] > 0
+    if not calibration.readings.has("time"):
+        linked = np.ones(len(ordered) - 1, bool)
+    pairs = (ordered[1:] * ordered[:-1])[linked]
+    if not pairs.size:
+        return 0.0, 0.0
+    coefficient = float(pairs.mean() / np.mean(ordered**2))
+    return coefficient, coefficient * float(np.sqrt(pairs.size))
+
+
+def _spread_with(covariates: list[blocks.Block], standardised: np.ndarray) -> dict[str, float]:
+    """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
+    found = {}
+    for block in covariates:
+        if block.name != "run":
+            p = float(stats.spearmanr(np.abs(standardised), block.values).pvalue)
+            if p < SIGNIFICANT:
+                found[block.name] = p
+    return found
+
+
+def _leave_one_out(calibration: Calibration, residual: np.ndarray) -> np.ndarray:
+    """Residual of each reading predicted from the others, in standard deviations of that prediction."""
+    y = jnp.asarray(calibration.readings["output"])
+    null = scores.null_model(calibration.layout, calibration.frame, y, calibration.mode)
+    noise = calibration.model.noise.variance(null.hyper, calibration.frame) + null.extra
+    variance = np.asarray(noise)
+    scaled = np.asarray(null.nuisance * null.prior.sd) / np.sqrt(variance)[:, None]
+    inner = scaled.T @ scaled + np.diag(np.asarray(null.prior.weight))
+    leverage = np.einsum("ij,ij->i", scaled, np.linalg.solve(inner, scaled.T).T)
+    # V⁻¹r over the root of V⁻¹'s diagonal, both from the leverages.
+    return residual / np.sqrt(variance * np.maximum(1 - leverage, 1e-12))

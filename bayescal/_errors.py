@@ -1,0 +1,35 @@
+"""Every error that bayescal raises on purpose.
+
+    BayescalError
+    ├── InputError      a file, a column, a unit or an option cannot be used as it is   (exit status 2)
+    ├── ModelError      a model cannot be composed, or not with these readings          (exit status 2)
+    └── NotConverged    a fit ended without a result to trust; carries the calibration  (exit status 1)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class BayescalError(Exception):
+    """The root: catching it catches everything that bayescal refuses."""
+
+
+class InputError(BayescalError):
+    """What came in at the door cannot be used; the message says where, what and what to do."""
+
+
+class ModelError(BayescalError):
+    """An instrument, effects and a noise law do not go together, or not with these readings."""
+
+
+class NotConverged(BayescalError):
+    """A fit ended without converging.
+
+    Attributes:
+        calibration: what was reached, with its verdict; use it at your own risk.
+    """
+
+    def __init__(self, message: str, calibration: Any = None) -> None:
+        super().__init__(message)
+        self.calibration = calibration

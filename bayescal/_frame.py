@@ -1,0 +1,196 @@
+"""Readings as JAX sees them: columns, group codes, and what is derived from time.
+
+A frame is built once from measurements and a reference. The reference holds the constants of the bases (T0,
+the mean time, the span, the start of every run): stored at the fit and never recomputed on new readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bayescal._measurements import Measurements
+from bayescal._startup import configure_jax
+
+configure_jax()
+
+RATE_WINDOW = 60.0  # s, of the causal least-squares slope
+Reference = dict[str, float | dict[str, float]]
+
+
+class Frame(eqx.Module):
+    """The readings that a basis is a function of. All columns in the instrument's fixed units.
+
+    Attributes:
+        columns: measured columns, (n,) each.
+        rates: causal slope of each column that has one, unit per second, (n,) each.
+        codes: index of each reading's group member, −1 where it belongs to none.
+        reference: scalars such as T0.
+        order: permutation that sorts the readings by run and time.
+        step: time since the previous reading of the same run, in sorted order, 0 at a run's first, s.
+    """
+
+    columns: dict[str, Float[Array, "n"]]
+    rates: dict[str, Float[Array, "n"]]
+    codes: dict[str, Int[Array, "n"]]
+    reference: dict[str, Float[Array, ""]]
+    order: Int[Array, "n"]
+    step: Float[Array, "n"]
+
+    @property
+    def size(self) -> int:
+        return self.order.shape[-1]
+
+    def __getitem__(self, name: str) -> Float[Array, "n"]:
+        return self.columns[name]
+
+    def centred(self, name: str = "temperature") -> Float[Array, "n"]:
+        """A column minus its reference value, such as T − T0, °C."""
+        return self.columns[name] - self.reference[reference_name(name)]
+
+    def rate(self, name: str = "temperature") -> Float[Array, "n"]:
+        """dT/dt, causal least-squares slope within the run, °C/s."""
+        return self.rates[name]
+
+    @property
+    def elapsed(self) -> Float[Array, "n"]:
+        """Time since the start of the run, s."""
+        return self.columns["elapsed"]
+
+    @property
+    def progress(self) -> Float[Array, "n"]:
+        """(t − t̄)/(tmax − tmin) over the data set of the fit."""
+        return (self.columns["time"] - self.reference["time_mean"]) / self.reference["time_span"]
+
+    def lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
+        """T̃ − T, where τ·dT̃/dt = T − T̃ and T̃ starts each run at the run's first reading, °C.
+
+        T is taken as linear between readings, for which the recursion below is exact.
+        """
+        values = self.columns[name][self.order]
+        first = self.step <= 0
+        h = jnp.where(first, 1.0, self.step / tau)
+        decay = jnp.where(first, 0.0, jnp.exp(-h))
+        change = jnp.diff(values, prepend=values[:1])
+        drive = jnp.where(first, 0.0, change * jnp.expm1(-h) / h)
+
+        def join(a, b):
+            return a[0] * b[0], a[1] * b[0] + b[1]
+
+        _, lagged = jax.lax.associative_scan(join, (decay, drive))
+        return jnp.zeros_like(lagged).at[self.order].set(lagged)
+
+    def with_column(self, name: str, values: Float[Array, "n"]) -> Frame:
+        """The same readings with one measured column replaced (its rate stays that of the record)."""
+        return eqx.tree_at(lambda f: f.columns[name], self, values)
+
+
+def reference_name(column: str) -> str:
+    return {"temperature": "T0", "lab_temperature": "L0"}.get(column, f"{column}_0")
+
+
+def reference_of(readings: Measurements) -> Reference:
+    """The constants of the bases for these readings: T0, L0, mean time and span, run starts."""
+    found: Reference = {}
+    for name in readings.columns:
+        if readings.unit(name) == "degC" and name != "temperature_point":
+            found[reference_name(name)] = float(np.round(np.mean(readings[name])))
+    if readings.has("time"):
+        time = readings["time"]
+        found["time_mean"] = float(np.mean(time))
+        found["time_span"] = float(np.ptp(time)) or 1.0
+        levels, codes = run_codes(readings)
+        found["run_starts"] = {
+            level: float(np.min(time[codes == i])) for i, level in enumerate(levels)
+        }
+    return found
+
+
+def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
+    """Runs as records in time: one for each run of each device."""
+    levels, codes = readings.groups("run")
+    if not readings.has("device"):
+        return levels, codes
+    devices, device_codes = readings.groups("device")
+    pairs, joint = np.unique(device_codes * len(levels) + codes, return_inverse=True)
+    names = tuple(f"{devices[p // len(levels)]}|{levels[p % len(levels)]}" for p in pairs)
+    return names, joint
+
+
+def build_frame(
+    readings: Measurements,
+    reference: Reference,
+    levels: Mapping[str, tuple[str, ...]] | None = None,
+) -> Frame:
+    """A frame of readings under a stored reference.
+
+    Args:
+        readings: the measurements.
+        reference: constants stored at the fit.
+        levels: group members known to the fit; members that are not among them get the code −1. None (at
+            the fit itself) takes the readings' own.
+    """
+    columns = {
+        name: jnp.asarray(readings[name])
+        for name in readings.columns
+        if readings.unit(name) is not None and name != "temperature_point"
+    }
+    rates: dict[str, Array] = {}
+    order, step = np.arange(len(readings)), np.zeros(len(readings))
+    if readings.has("time"):
+        time = readings["time"]
+        names, codes = run_codes(readings)
+        starts = reference["run_starts"]
+        assert isinstance(starts, dict)
+        own = {name: float(np.min(time[codes == i])) for i, name in enumerate(names)}
+        start = np.array([starts.get(n, own[n]) if starts.get(n, own[n]) <= own[n] else own[n] for n in names])
+        columns["elapsed"] = jnp.asarray(time - start[codes])
+        order = np.lexsort((time, codes))
+        step = np.diff(time[order], prepend=time[order][:1])
+        step[np.diff(codes[order], prepend=-1) != 0] = 0.0
+        for name in readings.columns:
+            if readings.unit(name) == "degC" and name != "temperature_point":
+                rates[name] = jnp.asarray(causal_slope(time, readings[name], order, step))
+    group_codes = {}
+    for group in ("run", "cell", "axis", "device"):
+        own_levels, own_codes = readings.groups(group)
+        if levels is not None:
+            known = {level: i for i, level in enumerate(levels.get(group, ()))}
+            table = np.array([known.get(level, -1) for level in own_levels] + [-1])
+            own_codes = table[own_codes]
+        group_codes[group] = jnp.asarray(own_codes)
+    scalars = {k: jnp.asarray(v) for k, v in reference.items() if not isinstance(v, dict)}
+    return Frame(columns, rates, group_codes, scalars, jnp.asarray(order), jnp.asarray(step))
+
+
+def causal_slope(
+    time: np.ndarray, values: np.ndarray, order: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """Least-squares slope over the last minute (or the last step, if longer) within each run, unit/s.
+
+    The first reading of a run has no past and gets 0.
+    """
+    t, y = time[order], values[order]
+    steps = step[step > 0]
+    window = max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0) * (1 + 1e-9)
+    begins = np.flatnonzero(step <= 0)
+    run_begin = begins[np.searchsorted(begins, np.arange(t.size), side="right") - 1]
+    slopes = np.zeros_like(y)
+    left = 0
+    for i in range(t.size):
+        left = max(left, run_begin[i])
+        while t[left] < t[i] - window:
+            left += 1
+        past = slice(min(left, max(i - 1, run_begin[i])), i + 1)
+        dt = t[past] - t[past].mean()
+        scatter = dt @ dt
+        if scatter > 0:
+            slopes[i] = dt @ (y[past] - y[past].mean()) / scatter
+    result = np.zeros_like(slopes)
+    result[order] = slopes
+    return result

@@ -1,0 +1,120 @@
+"""An instrument: a value that says what is measured and by which equation.
+
+Instruments are not subclasses. A new one is a set of columns, slots and one function of slots and readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from bayescal._effect import Effect
+from bayescal._errors import ModelError
+from bayescal._frame import Frame
+from bayescal._measurements import Column, NominalScale
+from bayescal._noise import Noise, White
+
+if TYPE_CHECKING:
+    from bayescal._model import Model
+
+Slots = Mapping[str, Float[Array, "n"]]
+
+
+class Slot(eqx.Module):
+    """A quantity in a measurement equation that effects add to; zero where none does."""
+
+    name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    meaning: str = eqx.field(static=True, default="")
+
+
+class Instrument(eqx.Module):
+    """What is measured, by which equation, and which effects may play a part.
+
+    Attributes:
+        name: folder and command-line name, such as "mems_gyro".
+        title: one line for people.
+        columns: what a file of readings holds; "output" among them.
+        slots: what effects add to.
+        response: expected output from slots and readings, each reading from its own slots alone.
+        effects: of the baseline model.
+        candidates: further effects that `discover` considers.
+        noise: law of the baseline.
+        nominal_scale: how raw outputs (V, Hz) become input units.
+        known_noise: name and standard deviation (output unit) of contributions known before any fit, or a
+            function of a temperature slope (output unit per °C) that gives them.
+        structures: further models to compare, by name.
+        simulate: `simulate(effects, seed=…, **options)` gives measurements of a simulated campaign.
+        source: document that the equations come from.
+    """
+
+    name: str = eqx.field(static=True)
+    title: str = eqx.field(static=True)
+    columns: tuple[Column, ...] = eqx.field(static=True)
+    slots: tuple[Slot, ...] = eqx.field(static=True)
+    response: Callable[[Slots, Frame], Float[Array, "n"]] = eqx.field(static=True)
+    effects: tuple[Effect, ...]
+    candidates: tuple[Effect, ...] = ()
+    noise: Noise = eqx.field(default_factory=White)
+    nominal_scale: NominalScale | None = eqx.field(static=True, default=None)
+    known_noise: Callable[[float], dict[str, float]] | None = eqx.field(static=True, default=None)
+    structures: tuple[tuple[str, Callable[[], Model]], ...] = eqx.field(static=True, default=())
+    simulate: Callable[..., Any] | None = eqx.field(static=True, default=None)
+    source: str = eqx.field(static=True, default="")
+
+    def baseline(self) -> Model:
+        """The instrument with its baseline effects and noise law."""
+        from bayescal._model import Model  # here, because a model is made of an instrument
+
+        return Model(self, self.effects, self.noise)
+
+    @property
+    def unit(self) -> str:
+        """The fixed unit of the output."""
+        unit = self.column("output").unit
+        assert unit is not None
+        return unit
+
+    def column(self, name: str) -> Column:
+        for column in self.columns:
+            if column.name == name:
+                return column
+        raise ModelError(
+            f"instrument {self.name!r} has no column {name!r}; it has "
+            f"{', '.join(c.name for c in self.columns)}"
+        )
+
+    def slot(self, name: str) -> Slot:
+        """A slot by name; a numeric column is one too, in its own unit.
+
+        Raises:
+            ModelError: there is no such slot.
+        """
+        for slot in self.slots:
+            if slot.name == name:
+                return slot
+        for column in self.columns:
+            if column.name == name and column.unit is not None and name != "output":
+                return Slot(name, "delta_degC" if column.unit == "degC" else column.unit, column.meaning)
+        raise ModelError(
+            f"instrument {self.name!r} has no slot {name!r}; an effect can add to "
+            f"{', '.join(s.name for s in self.slots)}, or correct a numeric column"
+        )
+
+    def effect(self, name: str) -> Effect:
+        """One of the instrument's own effects, by canonical name.
+
+        Raises:
+            ModelError: it has none of that name.
+        """
+        for effect in (*self.effects, *self.candidates):
+            if effect.name == name:
+                return effect
+        raise ModelError(
+            f"instrument {self.name!r} knows no effect {name!r}; it knows "
+            f"{', '.join(e.name for e in (*self.effects, *self.candidates))}. "
+            "Give a bayescal.Effect of your own, or load one with --effects"
+        )

@@ -1,0 +1,157 @@
+"""The mode of a model: x̂ given φ̂ by Levenberg–Marquardt, φ̂ by marginal likelihood, in turn.
+
+The joint mode of coefficients and spreads would run to a spread of zero; the mode of φ with x integrated out
+does not. Both optimisers are optimistix's.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from bayescal import _composition as composition
+from bayescal import _linear as linear
+from bayescal._batches import over
+from bayescal._frame import Frame
+from bayescal._layout import Layout
+
+ROUNDS = 12  # alternations of x̂ and φ̂ at most
+STARTS = 64  # prior draws of φ among which the start is chosen
+
+
+class Mode(NamedTuple):
+    """φ̂ with x̂ at it, and the Gaussian fit of φ's coordinates there."""
+
+    point: linear.Point
+    v: Float[Array, "d"]
+    covariance: Float[Array, "d d"]
+    log_density: Float[Array, ""]  # log p(y, φ̂), x integrated out
+    log_evidence: Float[Array, ""]  # Laplace
+    change: Float[Array, ""]  # of the last round, in standard deviations
+    flat: Float[Array, "p"]
+    indefinite: Array  # whether the curvature had to be mended
+
+
+def column_scale(jacobian: Float[Array, "n p"]) -> Float[Array, "p"]:
+    """A scale for coefficients with a flat prior: the change that moves the output by one unit."""
+    norm = jnp.sqrt(jnp.mean(jacobian**2, axis=0))
+    return jnp.where(norm > 0, 1 / jnp.where(norm > 0, norm, 1.0), 1.0)
+
+
+def density_of_phi(layout: Layout, frame: Frame, y: Array, point: linear.Point, flat: Array):
+    """log p(y, φ) as a function of φ's coordinates, x integrated out of the model linearised at `point`."""
+    grams = linear.gram_function(layout, frame, y, point)
+
+    def density(v: Float[Array, "d"]) -> tuple[Float[Array, ""], linear.Conditional]:
+        hyper = composition.hyper_values(layout, v)
+        prior = linear.prior_of(layout, hyper, flat)
+        found = linear.condition(grams(hyper), frame.size, prior, point.x)
+        total = found.log_marginal + composition.hyper_log_prior(layout, v)
+        return jnp.where(jnp.isfinite(total), total, -1e300), found
+
+    return density
+
+
+def mode_of_x(
+    layout: Layout, frame: Frame, y: Array, point: linear.Point, v: Array, flat: Array
+) -> linear.Point:
+    """x̂ given φ: least squares of the residuals augmented by the prior; then the per-reading coefficients."""
+    hyper = composition.hyper_values(layout, v)
+    prior = linear.prior_of(layout, hyper, flat)
+    line = composition.linearise(layout, frame, point.x, point.rows, hyper)
+    noise_variance = layout.model.noise.variance(hyper, frame)
+    sd = jnp.sqrt(noise_variance + linear.row_variance(layout, line))
+    back = jnp.sum(line.rows * point.rows, axis=1)
+    centre = jnp.where(prior.weight > 0, prior.mean, point.x)
+
+    def residuals(z: Array, _: None) -> Array:
+        expected = composition.mean(layout, frame, centre + prior.sd * z, point.rows, hyper)
+        return jnp.concatenate([(y - expected + back) / sd, prior.weight * z])
+
+    solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10)
+    start = (point.x - centre) / jnp.where(prior.sd > 0, prior.sd, 1.0)
+    if layout.size:
+        start = optx.least_squares(residuals, solver, start, max_steps=100, throw=False).value
+    x = centre + prior.sd * start
+    if not layout.row_blocks:
+        return linear.Point(x, point.rows)
+    line = composition.linearise(layout, frame, x, point.rows, hyper)
+    rest = y - line.mean + jnp.sum(line.rows * point.rows, axis=1)
+    zero = jnp.zeros_like(point.rows)
+    return linear.Point(x, linear.draw_rows(layout, line, rest, noise_variance, zero)[0])
+
+
+def start_point(layout: Layout, frame: Frame) -> linear.Point:
+    return linear.Point(
+        composition.prior_mean(layout), jnp.zeros((frame.size, len(layout.row_blocks)))
+    )
+
+
+def find_mode(layout: Layout, frame: Frame, y: Float[Array, "n"]) -> Mode:
+    """The mode, from the best of some prior draws of φ. Deterministic; traceable; can be mapped over data."""
+    point = start_point(layout, frame)
+    dim = len(layout.hypers)
+    zero = jnp.zeros(dim)
+    line = composition.linearise(
+        layout, frame, point.x, point.rows, composition.hyper_values(layout, zero)
+    )
+    flat = column_scale(line.jacobian)
+    v = _best_start(layout, frame, y, point, flat)
+
+    def one_round(state):
+        point, v, _, count = state
+        new = mode_of_x(layout, frame, y, point, v, flat)
+        density = density_of_phi(layout, frame, y, new, flat)
+        best, found = v, None
+        if dim:
+            solver = optx.BFGS(rtol=1e-8, atol=1e-8)
+            best = optx.minimise(
+                lambda v, _: -density(v)[0], solver, v, max_steps=256, throw=False
+            ).value
+        found = density(best)[1]
+        moved = jnp.max(jnp.abs((found.mean - new.x) / _width(found)), initial=0.0)
+        change = jnp.maximum(moved, jnp.max(jnp.abs(best - v), initial=0.0))
+        return linear.Point(found.mean, new.rows), best, change, count + 1
+
+    def going(state):
+        return (state[2] > 1e-5) & (state[3] < ROUNDS)
+
+    first = one_round((point, v, jnp.inf, 0))
+    point, v, change, _ = jax.lax.while_loop(going, one_round, first)
+    return _at_mode(layout, frame, y, mode_of_x(layout, frame, y, point, v, flat), v, change, flat)
+
+
+def _width(found: linear.Conditional) -> Float[Array, "p"]:
+    return jnp.sqrt(jnp.diag(found.covariance)) + 1e-300
+
+
+def _best_start(layout: Layout, frame: Frame, y: Array, point: linear.Point, flat: Array) -> Array:
+    """The prior draw of φ under which the readings are most probable; proper or not, v = 0 is among them."""
+    dim = len(layout.hypers)
+    if not dim:
+        return jnp.zeros(0)
+    draws = 1.5 * jax.random.normal(jax.random.key(0), (STARTS, dim))
+    density = density_of_phi(layout, frame, y, point, flat)
+    starts = jnp.concatenate([jnp.zeros((1, dim)), draws])
+    values = over(lambda v: density(v)[0], starts, 16)
+    return starts[jnp.argmax(values)]
+
+
+def _at_mode(layout, frame, y, point, v, change, flat) -> Mode:
+    density = density_of_phi(layout, frame, y, point, flat)
+    dim = len(layout.hypers)
+    value = density(v)[0]
+    if not dim:
+        none = jnp.zeros((0, 0))
+        return Mode(point, v, none, value, value, change, flat, jnp.zeros((), bool))
+    precision = jax.hessian(lambda v: -density(v)[0])(v)
+    weights, vectors = jnp.linalg.eigh(0.5 * (precision + precision.T))
+    # A coordinate is never known worse than a few units before its prior takes over.
+    mended = jnp.maximum(weights, 0.05)
+    covariance = (vectors / mended) @ vectors.T
+    evidence = value + 0.5 * dim * jnp.log(2 * jnp.pi) - 0.5 * jnp.sum(jnp.log(mended))
+    return Mode(point, v, covariance, value, evidence, change, flat, jnp.any(weights < 0.05))

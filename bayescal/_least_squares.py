@@ -1,0 +1,214 @@
+"""Least squares: the maximum a posteriori point by Levenberg–Marquardt, its covariance by Laplace.
+
+Shapes are estimated together with the coefficients, in their standard-normal coordinates. Noise and learned
+spreads are set by marginal (restricted) likelihood with everything else integrated out, so that the noise is
+divided by the degrees of freedom that the coefficients leave.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from bayescal import _composition as composition
+from bayescal import _laplace as laplace
+from bayescal import _linear as linear
+from bayescal._calibration import Draws, Verdict
+from bayescal._frame import Frame
+from bayescal._layout import Layout
+from bayescal._method import Method, Outcome
+from bayescal._noise import Gram
+from bayescal._progress import stage
+
+CHAINS = 4
+
+
+class Solution(NamedTuple):
+    """x̂ and shapes at the maximum, scales by restricted likelihood, and the covariance of (x, shapes)."""
+
+    mode: laplace.Mode
+    covariance: Float[Array, "q q"]
+    converged: Array
+
+
+class LeastSquares(Method):
+    """Maximum a posteriori by optimistix, with a Laplace covariance.
+
+    Attributes:
+        curvature: "gauss-newton" leaves out second derivatives of the expected output; "hessian" keeps them.
+        draws: from the Gaussian approximation, for the data tree.
+    """
+
+    curvature: Literal["gauss-newton", "hessian"] = "gauss-newton"
+    draws: int = 4000
+    name: ClassVar[str] = "least-squares"
+
+    def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
+        with stage("least squares"):
+            found = jax.tree.map(
+                np.asarray, solve(layout, frame, y, self.curvature == "hessian")
+            )
+        reasons = []
+        if not bool(found.converged):
+            reasons.append("Levenberg–Marquardt stopped before its tolerance was met.")
+        if not np.all(np.isfinite(found.covariance)):
+            reasons.append("The curvature is singular: some direction is not determined by readings or priors.")
+        kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
+        notes = [
+            f"Covariance is the {kind} Laplace approximation; noise and spreads by restricted likelihood, "
+            "held at their estimate (so intervals do not carry the uncertainty of the noise)."
+        ]
+        if not layout.model.noise.gaussian:
+            notes.append(
+                f"{layout.model.noise.law} noise was taken as Gaussian of the same variance: "
+                "use Marginal() for its own likelihood."
+            )
+        draws = _gaussian_draws(layout, found, self.draws, seed)
+        verdict = Verdict(not reasons, tuple(reasons), tuple(notes), "least squares")
+        evidence = None if layout.improper else (float(found.mode.log_evidence), None)
+        return Outcome(layout, draws, found.mode, verdict, evidence)
+
+
+def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:
+    """Positions in φ of scales (noise, spreads) and of locations (shapes, promoted coefficients)."""
+    kinds = [h.kind for h in layout.hypers]
+    scales = [i for i, k in enumerate(kinds) if k in ("noise", "spread")]
+    return scales, [i for i in range(len(kinds)) if i not in scales]
+
+
+@eqx.filter_jit
+def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool) -> Solution:
+    """Alternate (x, shapes) by least squares and scales by restricted likelihood until both rest."""
+    scales, places = split_hypers(layout)
+    mode = laplace.find_mode(layout, frame, y)
+    scale_at, place_at = jnp.asarray(scales, int), jnp.asarray(places, int)
+    rows = mode.point.rows
+    prior_weight = jnp.concatenate([composition.prior_weight(layout), jnp.ones(len(places))])
+
+    def joined(v):
+        hyper = composition.hyper_values(layout, v)
+        p = linear.prior_of(layout, hyper, mode.flat)
+        pad = len(places)
+        return linear.Prior(
+            jnp.concatenate([p.mean, jnp.zeros(pad)]), jnp.concatenate([p.sd, jnp.ones(pad)]), prior_weight
+        )
+
+    def output(theta, v):
+        x, w = theta[: layout.size], theta[layout.size :]
+        hyper = composition.hyper_values(layout, v.at[place_at].set(w))
+        return composition.mean(layout, frame, x, rows, hyper)
+
+    def spread(theta, v):
+        hyper = composition.hyper_values(layout, v.at[place_at].set(theta[layout.size :]))
+        line = composition.linearise(layout, frame, theta[: layout.size], rows, hyper)
+        back = jnp.sum(line.rows * rows, axis=1)
+        return layout.model.noise.variance(hyper, frame), linear.row_variance(layout, line), back
+
+    def fit_places(theta, v):
+        prior = joined(v)
+        variance, extra, back = spread(theta, v)
+        sd = jnp.sqrt(variance + extra)
+        centre = jnp.where(prior.weight > 0, prior.mean, theta)
+
+        def residuals(z, _):
+            bent = output(centre + prior.sd * z, v)
+            return jnp.concatenate([(y - bent + back) / sd, prior.weight * z])
+
+        start = (theta - centre) / jnp.where(prior.sd > 0, prior.sd, 1.0)
+        solver = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
+        found = optx.least_squares(residuals, solver, start, max_steps=500, throw=False)
+        return centre + prior.sd * found.value, found.result == optx.RESULTS.successful
+
+    def gram_at(theta, v):
+        jacobian = jax.jacfwd(output)(theta, v)
+        _, extra, back = spread(theta, v)
+        residual = y - output(theta, v) + back
+
+        def gram(v) -> Gram:
+            hyper = composition.hyper_values(layout, v)
+            return layout.model.noise.gram(jacobian, residual, extra, hyper, frame)
+
+        return gram
+
+    def restricted(theta, v):
+        gram = gram_at(theta, v)
+
+        def negative(s, _):
+            full = v.at[scale_at].set(s)
+            found = linear.condition(gram(full), frame.size, joined(full), theta)
+            prior = [
+                h.prior.log_density(full[i])
+                for i, h in enumerate(layout.hypers)
+                if h.kind == "spread"
+            ]
+            return -(found.log_marginal + sum(prior, jnp.zeros(())))
+
+        if not scales:
+            return v
+        solver = optx.BFGS(rtol=1e-11, atol=1e-11)
+        best = optx.minimise(negative, solver, v[scale_at], max_steps=256, throw=False).value
+        return v.at[scale_at].set(best)
+
+    def one_round(state):
+        theta, v, _, _, count = state
+        new, converged = fit_places(theta, v)
+        new_v = restricted(new, v.at[place_at].set(new[layout.size :]))
+        change = jnp.max(jnp.abs(new_v - v), initial=0.0)
+        return new, new_v, change, converged, count + 1
+
+    def going(state):
+        return (state[2] > 1e-9) & (state[4] < 30)
+
+    theta = jnp.concatenate([mode.point.x, mode.v[place_at]])
+    state = (theta, mode.v, jnp.asarray(jnp.inf), jnp.asarray(False), jnp.asarray(0))
+    theta, v, change, converged, _ = jax.lax.while_loop(going, one_round, state)
+
+    found = linear.condition(gram_at(theta, v)(v), frame.size, joined(v), theta)
+    covariance = found.covariance
+    if full_hessian:
+        prior = joined(v)
+
+        def negative_log(theta):
+            variance, extra, back = spread(theta, v)
+            r = (y - output(theta, v) + back) ** 2 / (variance + extra)
+            z = (theta - prior.mean) / prior.sd
+            return 0.5 * (jnp.sum(r) + jnp.sum(prior.weight * z**2))
+
+        covariance = jnp.linalg.inv(jax.hessian(negative_log)(theta))
+    point = linear.Point(theta[: layout.size], rows)
+    return Solution(mode._replace(point=point, v=v), covariance, converged)
+
+
+def _gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Draws:
+    _, places = split_hypers(layout)
+    random = np.random.default_rng(seed)
+    covariance = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    centre = np.concatenate([found.mode.point.x, found.mode.v[places]])
+    theta = centre + random.standard_normal((count, len(centre))) @ root.T
+    # So that means and covariances read from the draws are those of the fit, not of the draws' luck:
+    if count > 4 * len(centre) and len(centre):
+        theta = _exact_moments(theta, centre, root)
+    v = np.tile(found.mode.v, (count, 1))
+    v[:, places] = theta[:, layout.size :]
+    rows = np.broadcast_to(found.mode.point.rows, (count, *found.mode.point.rows.shape))
+
+    def shaped(a: np.ndarray) -> np.ndarray:
+        return a.reshape(CHAINS, len(a) // CHAINS, *a.shape[1:])
+
+    return Draws(shaped(theta[:, : layout.size]), shaped(rows), shaped(v))
+
+
+def _exact_moments(theta: np.ndarray, centre: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """Draws moved linearly so that their mean and covariance are exactly those asked for."""
+    random = theta - theta.mean(axis=0)
+    own = np.linalg.svd(random, full_matrices=False)
+    white = own.U * np.sqrt(len(theta) - 1)
+    return centre + white @ own.Vh @ root.T

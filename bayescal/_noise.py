@@ -1,0 +1,189 @@
+"""Noise laws: how readings scatter about the expected output.
+
+A law that is Gaussian given its parameters offers `gram`, through which coefficients are integrated out in
+closed form. The others (Student-t, rounding) offer a density alone, and are sampled with their coefficients.
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.special import gammaln
+from jaxtyping import Array, Float
+
+from bayescal._frame import Frame
+from bayescal._prior import HalfCauchy, LogNormal, Positive
+
+Parameters = dict[str, Float[Array, ""]]
+UNCERTAINTY = "output_uncertainty"  # column: known standard uncertainty per reading
+_LOG_2PI = math.log(2 * math.pi)
+
+
+class Gram(eqx.Module):
+    """Weighted products of a matrix J and a vector r: all that a Gaussian likelihood needs of the readings."""
+
+    jtj: Float[Array, "p p"]
+    jtr: Float[Array, "p"]
+    rtr: Float[Array, ""]
+    logdet: Float[Array, ""]
+
+
+class Noise(eqx.Module):
+    """A noise law. `gaussian` says whether coefficients can be integrated out in closed form."""
+
+    gaussian: ClassVar[bool]
+    law: ClassVar[str]
+
+    @abc.abstractmethod
+    def parameters(self) -> dict[str, Positive]:
+        """Names and priors of its unknowns; `noise.white` is in the unit of the output."""
+
+    @abc.abstractmethod
+    def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+        """Variance of each reading about the expected output, output unit squared."""
+
+    @abc.abstractmethod
+    def log_density(
+        self, y: Float[Array, "n"], mean: Float[Array, "n"], parameters: Parameters, frame: Frame
+    ) -> Float[Array, "n"]:
+        """Log density of each reading."""
+
+    @abc.abstractmethod
+    def sample(
+        self, key: Array, mean: Float[Array, "n"], parameters: Parameters, frame: Frame
+    ) -> Float[Array, "n"]:
+        """Readings drawn about the expected output."""
+
+    def constant(self, frame: Frame) -> bool:
+        """Whether all readings share one variance, so that products over the readings are needed only once."""
+        return UNCERTAINTY not in frame.columns
+
+    def gram(
+        self,
+        jacobian: Float[Array, "n p"],
+        residual: Float[Array, "n"],
+        extra: Float[Array, "n"] | float,
+        parameters: Parameters,
+        frame: Frame,
+    ) -> Gram:
+        """JᵀΣ⁻¹J, JᵀΣ⁻¹r, rᵀΣ⁻¹r and log|Σ|, with Σ widened by the variance `extra` of each reading."""
+        variance = self.variance(parameters, frame) + extra
+        weighted = jacobian / variance[:, None]
+        return Gram(
+            weighted.T @ jacobian,
+            weighted.T @ residual,
+            residual @ (residual / variance),
+            jnp.sum(jnp.log(variance)),
+        )
+
+
+def _known(frame: Frame) -> Float[Array, ""] | Float[Array, "n"]:
+    if UNCERTAINTY in frame.columns:
+        return frame.columns[UNCERTAINTY] ** 2
+    return jnp.zeros(frame.size)
+
+
+class White(Noise):
+    """Independent Gaussian noise of one unknown standard deviation, beside each reading's known uncertainty.
+
+    Attributes:
+        scale: prior of the standard deviation, output unit.
+    """
+
+    scale: Positive = HalfCauchy(1.0)
+    gaussian: ClassVar[bool] = True
+    law: ClassVar[str] = "white"
+
+    def parameters(self) -> dict[str, Positive]:
+        return {"noise.white": self.scale}
+
+    def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+        return parameters["noise.white"] ** 2 + _known(frame)
+
+    def log_density(self, y, mean, parameters, frame):
+        variance = self.variance(parameters, frame)
+        return -0.5 * ((y - mean) ** 2 / variance + jnp.log(variance) + _LOG_2PI)
+
+    def sample(self, key, mean, parameters, frame):
+        return mean + jnp.sqrt(self.variance(parameters, frame)) * jax.random.normal(key, mean.shape)
+
+
+class StudentT(Noise):
+    """Independent Student-t noise: readings with outliers.
+
+    Attributes:
+        scale: prior of the scale, output unit.
+        freedom: prior of the degrees of freedom; below 2 the variance does not exist, and 2.1 is used
+            where a variance is asked for.
+    """
+
+    scale: Positive = HalfCauchy(1.0)
+    freedom: Positive = LogNormal(8.0, 0.8)
+    gaussian: ClassVar[bool] = False
+    law: ClassVar[str] = "student_t"
+
+    def parameters(self) -> dict[str, Positive]:
+        return {"noise.white": self.scale, "noise.freedom": self.freedom}
+
+    def _squared_scale(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+        return parameters["noise.white"] ** 2 + _known(frame)
+
+    def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+        freedom = jnp.maximum(parameters["noise.freedom"], 2.1)
+        return self._squared_scale(parameters, frame) * freedom / (freedom - 2)
+
+    def log_density(self, y, mean, parameters, frame):
+        freedom, squared = parameters["noise.freedom"], self._squared_scale(parameters, frame)
+        half = 0.5 * (freedom + 1)
+        norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * jnp.log(jnp.pi * freedom * squared)
+        return norm - half * jnp.log1p((y - mean) ** 2 / (freedom * squared))
+
+    def sample(self, key, mean, parameters, frame):
+        draws = jax.random.t(key, parameters["noise.freedom"], mean.shape)
+        return mean + jnp.sqrt(self._squared_scale(parameters, frame)) * draws
+
+
+class Quantised(Noise):
+    """White noise seen through a converter or a printed table that rounds to `step`.
+
+    The likelihood of a printed value is the probability of the interval that rounds to it.
+
+    Attributes:
+        step: rounding step, output unit.
+        scale: prior of the standard deviation before rounding, output unit.
+    """
+
+    step: float = eqx.field(static=True)
+    scale: Positive = HalfCauchy(1.0)
+    gaussian: ClassVar[bool] = False
+    law: ClassVar[str] = "quantised"
+
+    def __check_init__(self) -> None:
+        if not self.step > 0:
+            raise ValueError(f"a rounding step must be positive, not {self.step}")
+
+    def parameters(self) -> dict[str, Positive]:
+        return {"noise.white": self.scale}
+
+    def _before(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+        return parameters["noise.white"] ** 2 + _known(frame)
+
+    def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+        return self._before(parameters, frame) + self.step**2 / 12
+
+    def log_density(self, y, mean, parameters, frame):
+        sd = jnp.sqrt(self._before(parameters, frame))
+        # On the side of the mean where both tails are small, so that the difference keeps its digits.
+        centre = -jnp.abs(y - mean) / sd
+        half = 0.5 * self.step / sd
+        upper, lower = jax.scipy.stats.norm.logcdf(centre + half), jax.scipy.stats.norm.logcdf(centre - half)
+        return upper + jnp.log(-jnp.expm1(jnp.minimum(lower - upper, -1e-300))) - math.log(self.step)
+
+    def sample(self, key, mean, parameters, frame):
+        exact = mean + jnp.sqrt(self._before(parameters, frame)) * jax.random.normal(key, mean.shape)
+        return jnp.round(exact / self.step) * self.step

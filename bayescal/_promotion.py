@@ -1,0 +1,105 @@
+"""Products of unknowns: which coefficients to sample with φ.
+
+Where the product of two unknowns matters against the noise, the expected output is not linear in both, but it is
+linear in either one given the other. One of them then belongs to φ. It is chosen by the size of the
+second-order term: the change of the Jacobian over one posterior standard deviation of a coefficient, carried by
+the posterior of the others, in units of the noise.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayescal import _composition as composition
+from bayescal import _laplace as laplace
+from bayescal._frame import Frame
+from bayescal._layout import Layout
+
+THRESHOLD = 0.3  # root-sum-square over the readings, noise standard deviations
+MOST = 6  # entries of φ that promotion may add
+MEMBERS = 12  # a group coefficient with more members than this is not promoted
+
+
+def choose(
+    layout: Layout, frame: Frame, y: Float[Array, "n"], asked: tuple[str, ...] | None
+) -> tuple[Layout, tuple[str, ...]]:
+    """The layout with what must be promoted, and what to say about it."""
+    if asked is not None:
+        return layout.promote(*asked), ()
+    if not bends(layout, frame):
+        return layout, ()
+    notes: tuple[str, ...] = ()
+    while True:
+        candidates = [
+            b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MEMBERS
+        ]
+        free = MOST - sum(h.kind == "promoted" for h in layout.hypers)
+        candidates = [b for b in candidates if b.size <= free]
+        if not candidates:
+            return layout, notes
+        sizes = np.asarray(_second_order(layout, frame, y))
+        strength = [float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in candidates]
+        best = int(np.argmax(strength))
+        if strength[best] < THRESHOLD:
+            return layout, notes
+        name = candidates[best].name
+        layout = layout.promote(name)
+        notes = (
+            *notes,
+            f"{name} is sampled with the hyper-parameters: its product with other unknowns amounts to "
+            f"{strength[best]:.2g} noise standard deviations.",
+        )
+
+
+def bends(layout: Layout, frame: Frame) -> bool:
+    """Whether the expected output is anything but affine in the coefficients, tried at random points."""
+    if not layout.size:
+        return False
+    return bool(_bend(layout, frame) > 1e-9)
+
+
+@eqx.filter_jit
+def _bend(layout: Layout, frame: Frame) -> Float[Array, ""]:
+    keys = jax.random.split(jax.random.key(1), 3)
+    hyper = composition.hyper_values(layout, jnp.zeros(len(layout.hypers)))
+    sd = composition.prior_sd(layout, hyper)
+    middle = composition.prior_mean(layout)
+    rows = composition.row_sd(layout) * jax.random.normal(keys[0], (frame.size, len(layout.row_blocks)))
+
+    def output(z, share):
+        return composition.mean(layout, frame, middle + sd * z, share * rows, hyper)
+
+    one, two = jax.random.normal(keys[1], sd.shape), jax.random.normal(keys[2], sd.shape)
+    base, a, b = output(0 * one, 0.0), output(one, 1.0), output(two, 0.0)
+    both = output(one + two, 1.0)
+    scale = jnp.max(jnp.abs(a - base)) + jnp.max(jnp.abs(b - base)) + 1e-300
+    return jnp.max(jnp.abs((both - base) - (a - base) - (b - base))) / scale
+
+
+@eqx.filter_jit
+def _second_order(layout: Layout, frame: Frame, y: Array) -> Float[Array, "p"]:
+    """For each entry of x the size of its products with the others, in noise standard deviations."""
+    mode = laplace.find_mode(layout, frame, y)
+    hyper = composition.hyper_values(layout, mode.v)
+    found = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)(mode.v)[1]
+    covariance = found.covariance
+    root = jnp.linalg.cholesky(covariance + 1e-12 * jnp.diag(jnp.diag(covariance)))
+    noise = jnp.sqrt(layout.model.noise.variance(hyper, frame))
+    sd = jnp.sqrt(jnp.diag(covariance))
+
+    def jacobians(x):
+        line = composition.linearise(layout, frame, x, mode.point.rows, hyper)
+        return line.jacobian, line.rows
+
+    def size(direction):
+        (d_x, d_rows) = jax.jvp(jacobians, (mode.point.x,), (direction,))[1]
+        in_x = (d_x @ root) / noise[:, None]
+        in_rows = d_rows * composition.row_sd(layout) / noise[:, None]
+        return jnp.sqrt(jnp.sum(in_x**2) + jnp.sum(in_rows**2))
+
+    return jax.lax.map(size, jnp.diag(sd))
+

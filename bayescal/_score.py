@@ -1,0 +1,121 @@
+"""The efficient score: what the readings say of a column that is not in the model.
+
+At the fitted model, with every nuisance marginalised under its prior (V = Σ + J·D·Jᵀ, spreads and noise at their
+marginal-likelihood estimates), a column X has the score u = XᵀV⁻¹r and the information I = XᵀV⁻¹X. No refit per
+candidate. Columns are scaled by their prior standard deviation, so that every prior here is standard normal.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayescal import _composition as composition
+from bayescal import _linear as linear
+from bayescal._calibration import Calibration
+from bayescal._frame import Frame
+from bayescal._layout import Layout
+
+
+class Score(NamedTuple):
+    """Score and information of P columns.
+
+    u (P,), information (P, P) after the nuisances; `before` (P,): information with every nuisance known.
+    """
+
+    u: np.ndarray
+    information: np.ndarray
+    before: np.ndarray
+
+    def part(self, columns: list[int]) -> Score:
+        at = np.ix_(columns, columns)
+        return Score(self.u[columns], self.information[at], self.before[columns])
+
+
+class Null(NamedTuple):
+    """The fitted model as a linear one: residual at the prior mean, and all nuisance columns."""
+
+    residual: Float[Array, "n"]
+    nuisance: Float[Array, "n q"]
+    prior: linear.Prior
+    extra: Float[Array, "n"]
+    hyper: composition.Values
+
+
+def null_model(layout: Layout, frame: Frame, y: Float[Array, "n"], mode) -> Null:
+    """Linearise the fitted model; shapes and promoted coefficients are nuisances too."""
+    hyper = composition.hyper_values(layout, mode.v)
+    point = mode.point
+    line = composition.linearise(layout, frame, point.x, point.rows, hyper)
+    moving = [i for i, h in enumerate(layout.hypers) if h.kind in ("shape", "promoted")]
+    nuisance, prior = line.jacobian, linear.prior_of(layout, hyper, mode.flat)
+    at = point.x
+    if moving:
+        places = jnp.asarray(moving)
+
+        def output(w):
+            values = composition.hyper_values(layout, mode.v.at[places].set(w))
+            return composition.mean(layout, frame, point.x, point.rows, values)
+
+        nuisance = jnp.concatenate([nuisance, jax.jacfwd(output)(mode.v[places])], axis=1)
+        ones = jnp.ones(len(moving))
+        prior = linear.Prior(
+            jnp.concatenate([prior.mean, 0 * ones]),
+            jnp.concatenate([prior.sd, ones]),
+            jnp.concatenate([prior.weight, ones]),
+        )
+        at = jnp.concatenate([at, mode.v[places]])
+    back = jnp.sum(line.rows * point.rows, axis=1)
+    offset = jnp.where(prior.weight > 0, prior.mean - at, 0.0)
+    residual = y - line.mean + back - nuisance @ offset
+    return Null(residual, nuisance, prior, linear.row_variance(layout, line), hyper)
+
+
+@eqx.filter_jit
+def _score(layout: Layout, frame: Frame, y: Array, mode, columns: Float[Array, "n m"]):
+    null = null_model(layout, frame, y, mode)
+    q = null.nuisance.shape[1]
+    stacked = jnp.concatenate([null.nuisance * null.prior.sd, columns], axis=1)
+    gram = layout.model.noise.gram(stacked, null.residual, null.extra, null.hyper, frame)
+    inner = gram.jtj[:q, :q] + jnp.diag(null.prior.weight)
+    cross, own = gram.jtj[:q, q:], gram.jtj[q:, q:]
+    solved = jnp.linalg.solve(inner, jnp.concatenate([cross, gram.jtr[:q, None]], axis=1)) if q else 0.0
+    if q == 0:
+        return gram.jtr, own, jnp.diag(own)
+    u = gram.jtr[q:] - cross.T @ solved[:, -1]
+    return u, own - cross.T @ solved[:, :-1], jnp.diag(own)
+
+
+def score(calibration: Calibration, columns: np.ndarray) -> Score:
+    """Score and information of columns (n, P) at a fitted model, output unit per prior sd."""
+    y = jnp.asarray(calibration.readings["output"])
+    found = _score(calibration.layout, calibration.frame, y, calibration.mode, jnp.asarray(columns))
+    u, information, before = (np.asarray(a) for a in found)
+    return Score(u, 0.5 * (information + information.T), before)
+
+
+@eqx.filter_jit
+def _residuals(layout: Layout, frame: Frame, y: Array, mode):
+    null = null_model(layout, frame, y, mode)
+    q = null.nuisance.shape[1]
+    scaled = null.nuisance * null.prior.sd
+    gram = layout.model.noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
+    if q:
+        z = jnp.linalg.solve(gram.jtj + jnp.diag(null.prior.weight), gram.jtr)
+        fitted = scaled @ z
+    else:
+        fitted = jnp.zeros(frame.size)
+    variance = layout.model.noise.variance(null.hyper, frame) + null.extra
+    return null.residual - fitted, jnp.sqrt(variance)
+
+
+def residuals(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals at the fit, and the standard deviation of the noise of each reading, output unit."""
+    y = jnp.asarray(calibration.readings["output"])
+    found = _residuals(calibration.layout, calibration.frame, y, calibration.mode)
+    return np.asarray(found[0]), np.asarray(found[1])

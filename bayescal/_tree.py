@@ -1,0 +1,145 @@
+"""Names and units put to draws: the ArviZ DataTree of a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from bayescal import _composition as composition
+from bayescal._batches import over
+from bayescal._calibration import PREDICTIVE_CELLS, Draws, flat
+from bayescal._frame import Frame
+from bayescal._layout import Block, Layout
+from bayescal._measurements import Measurements
+
+PRIOR_DRAWS = 1000
+Levels = Mapping[str, tuple[str, ...]]
+
+
+def build_tree(
+    layout: Layout, frame: Frame, readings: Measurements, levels: Levels, draws: Draws, seed: int
+) -> xr.DataTree:
+    """All groups of a calibration's tree.
+
+    `draws` beside ArviZ's own groups holds the same joint draws as plain vectors x, rows and v, from which
+    everything else can be computed again.
+    """
+    vectors = xr.Dataset(
+        {
+            "x": (("chain", "draw", "x_entry"), draws.x),
+            "rows": (("chain", "draw", "reading", "row_entry"), draws.rows),
+            "v": (("chain", "draw", "v_entry"), draws.v),
+        }
+    )
+    posterior = named(layout, levels, draws.x, draws.rows, draws.v)
+    predictive = _predictive(layout, frame, draws, seed)
+    groups = {
+        "posterior": posterior,
+        "log_prior": _log_prior(layout, levels, posterior, draws),
+        "posterior_predictive": _output(readings, predictive),
+        "sample_stats": xr.Dataset(
+            {name: (("chain", "draw"), values) for name, values in draws.stats.items()}
+        ),
+        "observed_data": xr.Dataset(
+            {"output": ("reading", readings["output"], {"units": readings.unit("output")})}
+        ),
+        "constant_data": readings.data.drop_vars("output"),
+        "draws": vectors,
+    }
+    prior = _prior_draws(layout, frame, seed)
+    if prior is not None:
+        groups["prior"] = named(layout, levels, *prior)
+    return xr.DataTree.from_dict(groups)
+
+
+def named(layout: Layout, levels: Levels, x: np.ndarray, rows: np.ndarray, v: np.ndarray) -> xr.Dataset:
+    """Draws (chains, draws, …) as one variable per unknown, in its reported unit."""
+
+    def one(x, rows, v):
+        return composition.coefficients(layout, x, rows, composition.hyper_values(layout, v))
+
+    x, rows, v = jnp.asarray(x), jnp.asarray(rows), jnp.asarray(v)
+    values = jax.vmap(jax.vmap(one))(x, rows, v)
+    found: dict[str, tuple] = {}
+    coordinates: dict[str, list[str]] = {}
+    for b in layout.blocks:
+        if b.place == "fixed":
+            continue
+        value, dims = np.asarray(values[b.name]), ("chain", "draw")
+        if b.coefficient.per is None:
+            value = value[..., 0]
+        else:
+            dims = (*dims, b.coefficient.per)
+            if b.coefficient.per != "reading":
+                coordinates[b.coefficient.per] = list(levels[b.coefficient.per])
+        found[b.name] = (dims, value, {"units": b.coefficient.unit, "effect": b.effect.name})
+    for i, h in enumerate(layout.hypers):
+        if h.kind != "promoted":
+            value = np.asarray(h.prior.value(v[..., i]))
+            found[h.name] = (("chain", "draw"), value, {"units": h.unit, "kind": h.kind})
+    return xr.Dataset(found, coords=coordinates)
+
+
+def _log_prior(layout: Layout, levels: Levels, posterior: xr.Dataset, draws: Draws) -> xr.Dataset:
+    """Log prior density of each unknown given the hyper-parameters, per draw; flat ones are left out."""
+    found: dict[str, tuple] = {}
+    for i, h in enumerate(layout.hypers):
+        if h.kind == "promoted" or h.name not in posterior:
+            continue
+        found[h.name] = (("chain", "draw"), np.asarray(h.prior.log_density(jnp.asarray(draws.v[..., i]))))
+    for b in layout.blocks:
+        if b.place == "fixed" or b.coefficient.flat or b.name not in posterior:
+            continue
+        spread = posterior[b.spread_name] if b.spread_name in posterior else b.coefficient.size
+        z = (posterior[b.name] - b.coefficient.mean) / spread
+        density = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
+        found[b.name] = (posterior[b.name].dims, density.transpose(*posterior[b.name].dims).values)
+    return xr.Dataset(found)
+
+
+@eqx.filter_jit
+def _replicate(layout: Layout, frame: Frame, draws, keys):
+    def one(args):
+        (x, rows, v), key = args
+        return composition.draw_readings(layout, frame, x, rows, v, key)
+
+    return over(one, (draws, keys), 64)
+
+
+def _predictive(layout: Layout, frame: Frame, draws: Draws, seed: int) -> np.ndarray:
+    """Replicated readings, draws thinned so that they stay within a stated size."""
+    chains, count = draws.x.shape[:2]
+    keep = max(1, min(count, PREDICTIVE_CELLS // (chains * frame.size)))
+    step = max(1, count // keep)
+    thin = tuple(
+        jnp.asarray(flat(a[:, ::step])) for a in (draws.x, draws.rows, draws.v)
+    )
+    keys = jax.random.split(jax.random.key(seed + 1), len(thin[0]))
+    made = np.asarray(_replicate(layout, frame, thin, keys))
+    return made.reshape(chains, -1, frame.size)
+
+
+def _output(readings: Measurements, values: np.ndarray) -> xr.Dataset:
+    attributes = {"units": readings.unit("output")}
+    return xr.Dataset({"output": (("chain", "draw", "reading"), values, attributes)})
+
+
+@eqx.filter_jit
+def _draw_priors(layout: Layout, frame: Frame, keys):
+    return over(lambda k: composition.draw_prior(layout, frame, k), keys, 64)
+
+
+def _prior_draws(layout: Layout, frame: Frame, seed: int) -> tuple | None:
+    if layout.improper:
+        return None
+    keys = jax.random.split(jax.random.key(seed + 2), PRIOR_DRAWS)
+    return tuple(np.asarray(a)[None] for a in _draw_priors(layout, frame, keys))
+
+
+def block_of(layout: Layout, name: str) -> Block | None:
+    return next((b for b in layout.blocks if b.name == name), None)

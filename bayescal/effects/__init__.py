@@ -1,0 +1,16 @@
+"""The catalogue of general effects: one small file per family.
+
+Each function returns an `Effect` for a slot, a size and a unit; an instrument picks those that its physics
+allows, under their canonical names.
+"""
+
+from bayescal.effects.constant import constant as constant
+from bayescal.effects.constant import deviation as deviation
+from bayescal.effects.temperature import cubic as cubic
+from bayescal.effects.temperature import linear as linear
+from bayescal.effects.temperature import quadratic as quadratic
+from bayescal.effects.thermal import rate as rate
+from bayescal.effects.thermal import thermal_lag as thermal_lag
+from bayescal.effects.thermometer import thermometer as thermometer
+from bayescal.effects.time import drift as drift
+from bayescal.effects.time import warm_up as warm_up

@@ -1,0 +1,34 @@
+"""Constants, and deviations of a run, a cell, an axis or a device from them."""
+
+from __future__ import annotations
+
+from bayescal._coefficient import Coefficient, Group
+from bayescal._effect import Effect
+from bayescal._prior import Flat, HalfNormal, Normal
+
+
+def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect:
+    """A constant; `size` its prior standard deviation, None for a flat prior."""
+    prior = Flat() if size is None else Normal(0.0, size)
+    return Effect(
+        f"{slot}.constant",
+        slot,
+        basis=lambda r: 1.0,
+        coefficients=(Coefficient(unit, prior),),
+        equation="c",
+        source=source,
+    )
+
+
+def deviation(slot: str, per: Group, size: float, unit: str, *, source: str) -> Effect:
+    """One deviation for each member of a group, their spread learned; `size` scales the spread's prior."""
+    column = {"cell": ("temperature_point",)}.get(per, (per,))
+    return Effect(
+        f"{slot}.{per}",
+        slot,
+        basis=lambda r: 1.0,
+        coefficients=(Coefficient(unit, Normal(0.0, size), per=per, spread=HalfNormal(size)),),
+        columns=column,
+        equation=f"d[{per}],  d ~ N(0, s²)",
+        source=source,
+    )

@@ -1,0 +1,24 @@
+"""Errors in variables: the true temperature of each reading is unknown."""
+
+from __future__ import annotations
+
+from bayescal._coefficient import Coefficient
+from bayescal._effect import Effect
+from bayescal._prior import Normal
+
+
+def thermometer(sd: float, *, source: str, column: str = "temperature") -> Effect:
+    """One thermometer error per reading, of known standard deviation `sd`, °C.
+
+    It corrects the column before any other effect sees it. (An error shared by all readings would be part of
+    the bias constant, and is left there.)
+    """
+    return Effect(
+        f"{column}.reading",
+        column,
+        basis=lambda r: 1.0,
+        coefficients=(Coefficient("delta_degC", Normal(0.0, sd), per="reading"),),
+        columns=(column,),
+        equation="T_true = T + e,  e ~ N(0, s²)",
+        source=source,
+    )

@@ -1,0 +1,163 @@
+"""The simulated gyro campaigns keep their promises, and the resonance its physics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayescal_models.mems_gyro import campaign as campaign_file
+from bayescal_models.mems_gyro.campaign import (
+    Campaign,
+    Resonance,
+    SimulatedCampaign,
+    resonance_denominator,
+    simulate_arrays,
+)
+
+DEFAULT = Campaign()
+RATES = (0.0, 100.0, -100.0)
+
+
+def in_run(sim: SimulatedCampaign, run: str, values: np.ndarray) -> np.ndarray:
+    """The values of one run."""
+    return values[sim.columns["run"] == run]
+
+
+# What every campaign keeps.
+
+
+@pytest.mark.parametrize("noise_law", campaign_file.NOISE_LAWS)
+def test_same_seed_same_readings(noise_law: str) -> None:
+    effects = {"bias.run": 0.05, "unlisted.humidity": 0.02}
+    first = simulate_arrays(DEFAULT, effects, seed=7, noise_law=noise_law)
+    again = simulate_arrays(DEFAULT, effects, seed=7, noise_law=noise_law)
+    other = simulate_arrays(DEFAULT, effects, seed=8, noise_law=noise_law)
+    for name, values in first.columns.items():
+        np.testing.assert_array_equal(values, again.columns[name])
+        assert values.shape == other.columns[name].shape == (DEFAULT.readings,)
+    assert not np.allclose(first.columns["output"], other.columns["output"])
+
+
+def test_default_campaign_goes_up_down_up_in_330_readings() -> None:
+    sim = simulate_arrays(DEFAULT, seed=0)
+    assert len(sim.columns["output"]) == DEFAULT.readings == 330
+    assert list(sim.columns) == ["run", "time", "temperature", "board_temperature", "output"]
+    assert list(sim.units) == list(sim.columns)
+    for run, first, last in (("1", 30, 80), ("2", 80, 30), ("3", 30, 80)):
+        temperature = in_run(sim, run, sim.columns["temperature"])
+        np.testing.assert_allclose(temperature[[0, -1]], [first, last], atol=0.1)
+    time = sim.columns["time"]
+    assert (np.diff(time) >= DEFAULT.average).all()
+    assert in_run(sim, "2", time)[0] - in_run(sim, "1", time)[-1] == 3600 + DEFAULT.average
+
+
+def test_without_effects_the_output_is_the_line_and_noise() -> None:
+    sim = simulate_arrays(DEFAULT, seed=4)
+    line = 21.5 + 0.0535 * (sim.columns["temperature"] - 55.0)
+    np.testing.assert_allclose(sim.noise_free, line, atol=1e-10)
+    noise = sim.columns["output"] - line
+    assert noise.std() == pytest.approx(0.05, rel=0.15)
+    assert sim.truth["coefficients"] == {"bias.constant": 21.5, "bias.temperature": 0.0535}
+
+
+# Averages, noise, converter, thermometer.
+
+
+def test_readings_are_averages_of_the_logger_samples() -> None:
+    effects = {"bias.rate": 0.1, "bias.thermal_lag": 0.05, "unlisted.periodic": 0.1}
+    short = simulate_arrays(DEFAULT, effects, seed=2)
+    long = simulate_arrays(replace(DEFAULT, average=60.0), effects, seed=2)
+    for values, longer in (
+        (short.noise_free, long.noise_free),
+        (short.columns["time"], long.columns["time"]),
+        (short.columns["board_temperature"], long.columns["board_temperature"]),
+    ):
+        np.testing.assert_allclose(values.reshape(-1, 2).mean(axis=1), longer)
+    assert short.columns["time"][0] == 17.5  # samples at 5, 10 … 30 s
+
+
+def test_noise_laws() -> None:
+    many = replace(DEFAULT, runs=12)
+    noise = {}
+    for law in campaign_file.NOISE_LAWS:
+        sim = simulate_arrays(many, seed=3, noise_law=law)
+        noise[law] = sim.columns["output"] - sim.noise_free
+
+    def follow(values: np.ndarray) -> float:
+        return float(np.corrcoef(values[1:], values[:-1])[0, 1])
+
+    def kurtosis(values: np.ndarray) -> float:
+        return float(np.mean(values**4) / np.mean(values**2) ** 2)
+
+    assert noise["white"].std() == pytest.approx(0.05, rel=0.1)
+    assert noise["student_t"].std() == pytest.approx(0.05, rel=0.2)
+    assert noise["ornstein_uhlenbeck"].std() == pytest.approx(0.05 * np.sqrt(2), rel=0.2)
+    assert kurtosis(noise["student_t"]) > 4.5 > 3.5 > kurtosis(noise["white"])
+    assert abs(follow(noise["white"])) < 0.1 and follow(noise["ornstein_uhlenbeck"]) > 0.3
+
+
+def test_converter_rounds_the_voltage() -> None:
+    sim = simulate_arrays(replace(DEFAULT, converter_step=0.1e-3), seed=1)
+    steps = (1.2 + 0.83e-3 * sim.columns["output"]) / 0.1e-3
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+    assert len(np.unique(steps.round())) < 40
+
+
+def test_thermometer_errs_without_touching_the_gyro() -> None:
+    good = simulate_arrays(DEFAULT, seed=1)
+    bad = simulate_arrays(replace(DEFAULT, thermometer_noise=0.29, thermometer_offset=0.4), seed=1)
+    error = bad.columns["temperature"] - good.columns["temperature"]
+    assert error.mean() == pytest.approx(0.4, abs=0.06)
+    assert error.std() == pytest.approx(0.29, rel=0.15)
+    np.testing.assert_array_equal(bad.columns["output"], good.columns["output"])
+
+
+# The resonance.
+
+
+def test_resonance_denominator_at_match_is_the_damping() -> None:
+    assert resonance_denominator(55.0, 8e-5, 8e-5, 1.0, 250.0, 55.0) == pytest.approx(1 / 250)
+    apart = resonance_denominator(np.array([30.0, 80.0]), 8e-5, 8e-5, 1.1, 1e9, 55.0)
+    np.testing.assert_allclose(apart, 0.21 * np.array([1.002, 0.998]))
+
+
+@pytest.mark.parametrize("held", ["amplitude", "force"])
+@pytest.mark.parametrize("ratio", [1.0, 1.001, 1.05])
+def test_all_of_the_offset_as_quadrature_is_17_times_too_flat(held: str, ratio: float) -> None:
+    world = Resonance(quadrature=21.4, k_drive=1e-4, k_sense=1e-4, ratio=ratio, held=held)
+    slope = np.polyfit([30.0, 80.0], world.zero_rate([30.0, 80.0], 55.0, 21.5), 1)[0]
+    assert 0.001 < slope < 0.00325
+
+
+def test_resonance_of_the_table_s_slope_is_nearly_straight() -> None:
+    sim = simulate_arrays(replace(DEFAULT, law="resonance"), seed=1)
+    temperature = sim.columns["temperature"]
+    slope, middle = np.polyfit(temperature - 55.0, sim.noise_free, 1)
+    assert slope == pytest.approx(0.0535, rel=0.01) and middle == pytest.approx(21.5, abs=0.01)
+    bend = sim.noise_free - np.polyval([slope, middle], temperature - 55.0)
+    assert 1e-4 < np.abs(bend).max() < 0.003
+    assert "bias.temperature" not in sim.truth["coefficients"]
+
+
+# Refusals.
+
+
+def test_refusals_say_what_to_do() -> None:
+    with pytest.raises(ValueError, match=r"'bias\.lag'.*choose among bias\.temperature_quadratic"):
+        simulate_arrays(DEFAULT, {"bias.lag": 0.1}, seed=1)
+    with pytest.raises(ValueError, match=r"set Campaign\(slope"):
+        simulate_arrays(DEFAULT, {"bias.temperature": 0.1}, seed=1)
+    with pytest.raises(ValueError, match=r"'bias\.drift' is nan"):
+        simulate_arrays(DEFAULT, {"bias.drift": float("nan")}, seed=1)
+    with pytest.raises(ValueError, match="white, student_t, ornstein_uhlenbeck"):
+        simulate_arrays(DEFAULT, seed=1, noise_law="pink")
+    with pytest.raises(ValueError, match=r"average=45\.0.*dwell|dwell=300\.0.*average"):
+        Campaign(average=45.0)
+    with pytest.raises(ValueError, match=r"lag_time=0.*above 0"):
+        Campaign(lag_time=0)
+    with pytest.raises(ValueError, match=r"rate_input=None"):
+        Campaign(rate_input=())
+    with pytest.raises(ValueError, match="'amplitude' or 'force'"):
+        Resonance(held="phase")
