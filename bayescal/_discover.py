@@ -139,9 +139,9 @@ def discover(
             verified = _verify(calibration, [tested[m] for m in leading])
             nothing = _nothing_after(judged, verified, nothing)
             judged = [_with_refit(c, verified) for c in judged]
-        order = sorted(leading, key=lambda m: -verified.get(tested[m].name, 0.0)) if verified else leading
+            sets = (_reweighed(sets[0], verified), *sets[1:])
         if nothing <= FINDING:
-            best = (tested[order[0]],)
+            best = (known[sets[0].effects[0]],)
     if not best:
         sets = tuple(s for s in sets if nothing <= FINDING)
     in_sets = {name for s in sets for name in s.effects}
@@ -319,6 +319,20 @@ def _nothing_after(judged: list[Candidate], verified: dict[str, float], by_score
     change = float(logsumexp(refit) - logsumexp(factors))
     log_odds = np.log1p(-by_score) - np.log(max(by_score, 1e-300)) + change
     return float(1 / (1 + np.exp(np.clip(log_odds, -700, 700))))
+
+
+def _reweighed(found: Found, verified: dict[str, float]) -> Found:
+    """The leading set with its members' shares by refitted evidence, the most probable first.
+
+    The score is taken where noise still has to cover what is missing, which makes rivals look more alike than
+    they are; a refit does not.
+    """
+    names = [n for n in found.effects if n in verified]
+    factor = np.array([verified[n] for n in names])
+    share = np.exp(factor - logsumexp(factor))
+    order = np.argsort(-share)
+    kept = order[: int(np.searchsorted(np.cumsum(share[order]), susie.COVERAGE)) + 1]
+    return Found(tuple(names[i] for i in kept), found.probability)
 
 
 def _with_refit(candidate: Candidate, verified: dict[str, float]) -> Candidate:

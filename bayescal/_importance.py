@@ -71,18 +71,25 @@ class _Proposal(NamedTuple):
 
 
 def sample(
-    layout: Layout, frame: Frame, y: Float[Array, "n"], key: Array, proposals: int, rounds: int
+    layout: Layout,
+    frame: Frame,
+    y: Float[Array, "n"],
+    mode: laplace.Mode,
+    key: Array,
+    proposals: int,
+    rounds: int,
 ) -> Weighted:
-    """Find the mode, adapt, sample. Traceable as a whole, so that it can be mapped over data sets."""
-    mode = laplace.find_mode(layout, frame, y)
+    """Adapt, then sample. Traceable as a whole, so that it can be mapped over data sets."""
     density = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)
-    keys = jax.random.split(key, rounds + 2)
-    proposal = _around_mode(mode)
-    for i in range(rounds):
-        v = proposal.draw(keys[i], proposals // 2)
-        log_weight = over(lambda one: density(one)[0], v, BATCH)
-        proposal = _match(mode, v, log_weight - proposal.log_density(v))
-    v = proposal.draw(keys[-2], proposals)
+    adapt_key, draw_key, place_key = jax.random.split(key, 3)
+
+    def adapt(proposal, key):
+        v = proposal.draw(key, proposals // 2)
+        log_phi = over(lambda one: density(one)[0], v, BATCH)
+        return _match(mode, v, log_phi - proposal.log_density(v)), None
+
+    proposal, _ = jax.lax.scan(adapt, _around_mode(mode), jax.random.split(adapt_key, rounds))
+    v = proposal.draw(draw_key, proposals)
     log_proposal = proposal.log_density(v)
 
     def finish(args):
@@ -91,7 +98,7 @@ def sample(
         x, rows, correction = draw_coefficients(layout, frame, y, mode.point, one, found, key)
         return log_phi, correction, x, rows
 
-    extra_keys = jax.random.split(keys[-1], proposals)
+    extra_keys = jax.random.split(place_key, proposals)
     log_phi, correction, x, rows = over(finish, (v, extra_keys), BATCH)
     log_weight_phi = log_phi - log_proposal
     log_weight = log_weight_phi + jnp.where(jnp.isfinite(correction), correction, -1e300)
@@ -108,8 +115,13 @@ sample_jit = eqx.filter_jit(sample)
 def sample_batch(
     layout: Layout, frames: Frame, ys: Float[Array, "b n"], keys: Array, proposals: int, rounds: int
 ) -> Weighted:
-    """`sample` over data sets of one shape, in one compiled program."""
-    return jax.vmap(lambda f, y, k: sample(layout, f, y, k, proposals, rounds))(frames, ys, keys)
+    """Mode and `sample` over data sets of one shape, in one compiled program."""
+
+    def one(frame, y, key):
+        mode = laplace.find_mode(layout, frame, y)
+        return sample(layout, frame, y, mode, key, proposals, rounds)
+
+    return jax.vmap(one)(frames, ys, keys)
 
 
 def draw_coefficients(layout, frame, y, point, v, found: linear.Conditional, key):

@@ -120,9 +120,9 @@ def find_mode(layout: Layout, frame: Frame, y: Float[Array, "n"]) -> Mode:
     def going(state):
         return (state[2] > 1e-5) & (state[3] < ROUNDS)
 
-    first = one_round((point, v, jnp.inf, 0))
+    first = (point, v, jnp.asarray(jnp.inf), jnp.asarray(0))
     point, v, change, _ = jax.lax.while_loop(going, one_round, first)
-    return _at_mode(layout, frame, y, mode_of_x(layout, frame, y, point, v, flat), v, change, flat)
+    return _at_mode(layout, frame, y, point, v, change, flat)
 
 
 def _width(found: linear.Conditional) -> Float[Array, "p"]:
@@ -148,10 +148,17 @@ def _at_mode(layout, frame, y, point, v, change, flat) -> Mode:
     if not dim:
         none = jnp.zeros((0, 0))
         return Mode(point, v, none, value, value, change, flat, jnp.zeros((), bool))
-    precision = jax.hessian(lambda v: -density(v)[0])(v)
+    precision = _curvature(lambda v: -density(v)[0], v)
     weights, vectors = jnp.linalg.eigh(0.5 * (precision + precision.T))
     # A coordinate is never known worse than a few units before its prior takes over.
     mended = jnp.maximum(weights, 0.05)
     covariance = (vectors / mended) @ vectors.T
     evidence = value + 0.5 * dim * jnp.log(2 * jnp.pi) - 0.5 * jnp.sum(jnp.log(mended))
     return Mode(point, v, covariance, value, evidence, change, flat, jnp.any(weights < 0.05))
+
+
+def _curvature(function, v: Float[Array, "d"], step: float = 1e-4) -> Float[Array, "d d"]:
+    """Hessian by central differences of the gradient: as good as needed here, and far quicker to compile."""
+    shifts = step * jnp.concatenate([jnp.eye(v.size), -jnp.eye(v.size)])
+    slopes = jax.lax.map(jax.grad(function), v + shifts)
+    return (slopes[: v.size] - slopes[v.size :]) / (2 * step)

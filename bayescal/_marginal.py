@@ -54,7 +54,8 @@ class Marginal(Method):
         if self.sampler == "nuts":
             return self._nuts_on_phi(layout, frame, y, key, notes)
         with stage("sampling"):
-            found = importance.sample_jit(layout, frame, y, key, self.proposals, self.rounds)
+            mode = laplace_of(layout, frame, y)
+            found = importance.sample_jit(layout, frame, y, mode, key, self.proposals, self.rounds)
             found = jax.tree.map(np.asarray, found)
         weights, k_hat = smoothed(found.log_weight)
         if k_hat <= K_HAT:

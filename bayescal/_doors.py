@@ -1,0 +1,208 @@
+"""What comes through the command line turned into instruments, models, readings and methods; what goes out, written."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from bayescal._calibrate import Trail
+from bayescal._effect import Effect
+from bayescal._errors import InputError
+from bayescal._frame import Reference
+from bayescal._instrument import Instrument
+from bayescal._least_squares import LeastSquares
+from bayescal._marginal import Marginal
+from bayescal._measurements import Measurements
+from bayescal._method import Method
+from bayescal._model import Model
+from bayescal._nuts import NUTS
+from bayescal._predict import Prediction
+from bayescal._read import read
+from bayescal._result import write_json
+from bayescal._store import installed_instruments
+
+METHODS: dict[str, type[Method]] = {"marginal": Marginal, "least-squares": LeastSquares, "nuts": NUTS}
+
+
+@dataclass(frozen=True)
+class Request:
+    """The options that say which model and which readings."""
+
+    instrument: str
+    columns: list[str] | None
+    units: list[str] | None
+    local_gravity: float
+    fix: list[str] | None
+    reference: list[str] | None
+    add: list[str] | None
+    structure: str | None
+    effects: Path | None
+
+
+def open_up(asked: Request, files: Sequence[Path]) -> tuple[Instrument, Model, Measurements]:
+    """Instrument, model and readings of a request.
+
+    Raises:
+        InputError, ModelError: something in it cannot be used; says what.
+    """
+    instrument = instrument_named(asked.instrument)
+    model = structure_named(instrument, asked.structure) if asked.structure else instrument.baseline()
+    own = {e.name: e for e in user_effects(asked.effects)}
+    for name in asked.add or []:
+        model = model + own.get(name, name)
+    readings = read_files(instrument, files, asked.columns, asked.units, asked.local_gravity)
+    return instrument, model.fix(numbers(asked.fix, "--fix")), readings
+
+
+def read_files(
+    instrument: Instrument,
+    files: Sequence[Path],
+    columns: list[str] | None,
+    units: list[str] | None,
+    local_gravity: float,
+) -> Measurements:
+    return read(
+        list(files),
+        instrument,
+        columns=pairs(columns, "--columns"),
+        units=pairs(units, "--unit"),
+        local_gravity=local_gravity,
+    )
+
+
+def instrument_named(name: str) -> Instrument:
+    """An installed instrument, or one in a file: my.py:INSTRUMENT.
+
+    Raises:
+        InputError: there is none.
+    """
+    file, colon, attribute = name.rpartition(":")
+    if colon and file.endswith(".py"):
+        found = getattr(_module(Path(file)), attribute, None)
+        if not isinstance(found, Instrument):
+            raise InputError(f"{file} defines no instrument called {attribute!r}: give FILE.py:NAME")
+        return found
+    known = installed_instruments()
+    if name not in known:
+        raise InputError(
+            f"no instrument is called {name!r}; installed: {', '.join(known)}. For one of your own give "
+            "my.py:INSTRUMENT"
+        )
+    return known[name]
+
+
+def structure_named(instrument: Instrument, name: str) -> Model:
+    structures = dict(instrument.structures)
+    if name not in structures:
+        raise InputError(
+            f"instrument {instrument.name!r} has no structure {name!r}; it has: {', '.join(structures)}"
+        )
+    return structures[name]()
+
+
+def user_effects(path: Path | None) -> tuple[Effect, ...]:
+    """The effects that a user's file defines: its EFFECTS, or every Effect in it.
+
+    Raises:
+        InputError: no such file, it fails, or it defines none.
+    """
+    if path is None:
+        return ()
+    module = _module(path)
+    found = getattr(module, "EFFECTS", None)
+    if found is None:
+        found = tuple(v for v in vars(module).values() if isinstance(v, Effect))
+    if isinstance(found, Effect):
+        found = (found,)
+    if not found or not all(isinstance(e, Effect) for e in found):
+        raise InputError(f"{path} defines no effect: write EFFECTS = (bayescal.Effect(…),)")
+    return tuple(found)
+
+
+def _module(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise InputError(f"there is no file {path}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules.setdefault(path.stem, module)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a user's file does wrong is said in one line
+        raise InputError(f"{path} could not be run: {type(error).__name__}: {error}") from None
+    return module
+
+
+def method_named(name: str) -> Method:
+    if name not in METHODS:
+        raise InputError(f"--method {name!r} is not one of {', '.join(METHODS)}")
+    return METHODS[name]()
+
+
+def reference_of(asked: Request) -> Reference:
+    return dict(numbers(asked.reference, "--reference"))
+
+
+def pairs(given: list[str] | None, option: str) -> dict[str, str]:
+    """name=value options as a dictionary."""
+    found = {}
+    for one in given or []:
+        name, equals, value = one.partition("=")
+        if not (name and equals and value):
+            raise InputError(f"{option} {one!r} is not of the form name=value")
+        found[name.strip()] = value.strip()
+    return found
+
+
+def numbers(given: list[str] | None, option: str) -> dict[str, float]:
+    found = {}
+    for name, value in pairs(given, option).items():
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise InputError(f"{option} {name}={value}: {value!r} is not a number") from None
+    return found
+
+
+def folder(path: Path) -> Path:
+    """A folder to write to, made if need be.
+
+    Raises:
+        InputError: it cannot be made, or is a file.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to the folder {path}: {error.strerror}") from None
+    return path
+
+
+def write_results(trail: Trail, found: dict[str, Any], out: Path) -> None:
+    """result.json, calibration.nc and the picture of the loop."""
+    from bayescal._plot import loop, save  # matplotlib only where a picture is written
+
+    write_json(found, out / "result.json")
+    trail.final.calibration.save(out / "calibration.nc")
+    save(loop(trail), out / "loop.png")
+
+
+def write_prediction(found: Prediction, readings: Measurements, path: Path) -> None:
+    """The readings with columns predicted, predicted_uncertainty and residual beside them.
+
+    Raises:
+        InputError: the file type is not known or the folder is not there.
+    """
+    unit = {"units": readings.unit("output")}
+    added = {
+        "predicted": ("reading", np.asarray(found.mean), unit),
+        "predicted_uncertainty": ("reading", np.asarray(found.sd), unit),
+        "residual": ("reading", np.asarray(found.residual), unit),
+    }
+    Measurements(data=readings.data.assign(added), sources=readings.sources).write(path)

@@ -1,0 +1,158 @@
+"""Which column of a file is which column of an instrument, and in which unit.
+
+A file may call its columns otherwise (`columns=`) and leave their units out or get them wrong (`units=`).
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from bayescal import _units
+from bayescal._column import Column, NominalScale
+from bayescal._errors import InputError
+from bayescal._table import Header, Table
+
+
+class Expects(Protocol):
+    """What the door asks of an instrument. (It may also name its `output`.)"""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def columns(self) -> tuple[Column, ...]: ...
+    @property
+    def nominal_scale(self) -> NominalScale | None: ...
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the user says beside the file.
+
+    Attributes:
+        columns: our name → the file's.
+        units: the file's name, or ours → unit.
+        local_gravity: m/s².
+        nominal_scale: in place of the instrument's.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    local_gravity: float = _units.STANDARD_GRAVITY
+    nominal_scale: NominalScale | None = None
+
+
+def output_name(instrument: Expects) -> str:
+    """Name of the instrument's output column."""
+    return getattr(instrument, "output", "output")
+
+
+def expected_columns(instrument: Expects) -> dict[str, Column]:
+    """The instrument's columns, and those that every instrument may have."""
+    found = {column.name: column for column in instrument.columns}
+    output = found.get(output_name(instrument))
+    for name in ("run", "device", "axis"):
+        found.setdefault(name, Column(name, None, required=False))
+    if output is not None:
+        meaning = "known standard uncertainty of each output"
+        uncertainty = Column("output_uncertainty", output.unit, meaning, required=False, low=0.0)
+        found.setdefault("output_uncertainty", uncertainty)
+    return found
+
+
+def match(table: Table, expected: Mapping[str, Column], wishes: Wishes) -> dict[str, int]:
+    """Our name of every column → its position in the file.
+
+    Raises:
+        InputError: `columns=` names what the file lacks, two columns would be one, or a label carries a unit.
+    """
+    places: dict[str, int] = {}
+    for ours, theirs in wishes.columns.items():
+        found = [i for i, h in enumerate(table.headers) if theirs.strip() in (h.name, h.raw)]
+        if not found:
+            raise InputError(
+                f"columns={{{ours!r}: {theirs!r}}}: {table.file!r} has no column {theirs!r}{_near(theirs, table)}. "
+                f"It has: {_names(table)}"
+            )
+        if found[0] in places.values():
+            other = next(name for name, place in places.items() if place == found[0])
+            raise InputError(
+                f"columns= gives {table.file!r}'s column {theirs!r} to both {other!r} and {ours!r}: name one for each"
+            )
+        places[ours] = found[0]
+    for position, header in enumerate(table.headers):
+        if position in places.values() or not header.name:
+            continue
+        if header.name in places:
+            chosen = table.headers[places[header.name]]
+            raise InputError(
+                f"{table.file!r} has two columns for {header.name!r}: {header.raw!r}, and {chosen.raw!r} by "
+                f"columns=. Rename {header.raw!r} in the file, or leave {header.name!r} out of columns="
+            )
+        places[header.name] = position
+    for name, column in expected.items():
+        if (
+            column.unit is None
+            and name in places
+            and table.headers[places[name]].unit not in (None, "", "1", "-")
+        ):
+            raise InputError(
+                f"{table.file!r}: column {table.headers[places[name]].raw!r} carries a unit, but {name!r} is a "
+                "label (text). Remove the unit, or rename the column"
+            )
+    return places
+
+
+def refuse_missing(
+    table: Table, expected: Mapping[str, Column], places: Mapping[str, int], instrument: str
+) -> None:
+    """Refuse a file without a column that the instrument needs.
+
+    Raises:
+        InputError: it lacks one.
+    """
+    for name, column in expected.items():
+        if column.required and name not in places and column.default is None:
+            asked = f"{name} [{column.unit}]" if column.unit else name
+            meaning = f" ({column.meaning})" if column.meaning else ""
+            raise InputError(
+                f"{table.file!r} lacks the column {name!r}{meaning} that {instrument!r} needs; it has: "
+                f"{_names(table)}{_near(name, table)}. Add a column {asked!r}, or say which one it is with "
+                f"columns={{{name!r}: …}} (--columns {name}=…)"
+            )
+
+
+def _names(table: Table) -> str:
+    return ", ".join(header.raw or "(no name)" for header in table.headers)
+
+
+def _near(name: str, table: Table) -> str:
+    names = {header.name.lower(): header.raw for header in table.headers if header.name}
+    near = difflib.get_close_matches(name.lower(), names, 1)
+    return f" (is {names[near[0]]!r} meant?)" if near else ""
+
+
+def unit_of(header: Header, ours: str, wishes: Wishes) -> str | None:
+    """The unit of a column: what the user says, else its header; None if neither."""
+    for name in (header.raw, header.name, ours):
+        if name in wishes.units:
+            return wishes.units[name]
+    return header.unit or None
+
+
+def refuse_unused_units(tables: Sequence[Table], wishes: Wishes) -> None:
+    """Refuse a unit for a column that no file has: it was meant for one.
+
+    Raises:
+        InputError: there is such a unit.
+    """
+    known = {name for table in tables for h in table.headers for name in (h.raw, h.name)}
+    known |= set(wishes.columns)
+    for name, unit in wishes.units.items():
+        if name not in known:
+            raise InputError(
+                f"units={{{name!r}: {unit!r}}}: {' and '.join(repr(t.file) for t in tables)} has no column "
+                f"{name!r}{_near(name, tables[0])}. It has: {_names(tables[0])}"
+            )

@@ -1,0 +1,127 @@
+"""Parquet and NetCDF as tables. Neither is ever trusted to say how it is to be evaluated: numbers and text only."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import xarray as xr
+
+from bayescal._errors import InputError
+from bayescal._table import Cells, Header, Table, cells_of
+
+ROW = "reading"  # the one dimension
+
+
+def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
+    """Look at a Parquet file: units stand in the column names or in the fields' metadata.
+
+    Args:
+        path: where it is.
+        file: its name in messages.
+        max_bytes: most that its numbers may take in memory.
+
+    Raises:
+        InputError: it is not Parquet, or too large once unpacked.
+    """
+    try:
+        with pq.ParquetFile(path) as opened:
+            schema, rows = opened.schema_arrow, opened.metadata.num_rows
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{file!r} cannot be read as Parquet: {_first_line(error)}") from error
+    _refuse_large(file, rows, len(schema), max_bytes)
+    fields = [schema.field(position) for position in range(len(schema))]
+    headers = tuple(Header.parse(f.name, _field_unit(f)) for f in fields)
+
+    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        found = {}
+        with pq.ParquetFile(path) as opened:
+            for position, number in wanted.items():
+                column = opened.read(columns=[fields[position].name]).column(0)
+                found[position] = _arrow_cells(column, number)
+        return found
+
+    return Table(file, headers, rows, sha256_of(path), load, _place)
+
+
+def _field_unit(field: pa.Field) -> str | None:
+    unit = (field.metadata or {}).get(b"units")
+    return None if unit is None else unit.decode("utf-8", "replace")
+
+
+def _arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
+    kind = column.type
+    if number and (
+        pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)
+    ):
+        return cells_of(column.cast(pa.float64()).to_numpy(), number)
+    return cells_of(column.to_pandas().to_numpy(object), number)
+
+
+def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
+    """Look at a NetCDF-4 file: variables along one dimension, units in the attribute `units`.
+
+    Args:
+        path: where it is.
+        file: its name in messages.
+        max_bytes: most that its numbers may take in memory.
+
+    Raises:
+        InputError: it is not NetCDF-4, has several dimensions to choose from, or is too large once unpacked.
+    """
+    try:
+        with _dataset(path) as dataset:
+            lines = {str(n): v for n, v in dataset.variables.items() if v.ndim == 1 and n != ROW}
+            dimensions = {str(v.dims[0]) for v in lines.values()}
+            if ROW not in dimensions and len(dimensions) > 1:
+                raise InputError(
+                    f"{file!r} has variables along {', '.join(sorted(dimensions))}: which are the readings "
+                    f"cannot be told. Give its variables one dimension, best called {ROW!r}"
+                )
+            chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
+            names = [name for name, variable in lines.items() if variable.dims[0] == chosen]
+            rows = dataset.sizes.get(chosen, 0)
+            units = {name: lines[name].attrs.get("units") for name in names}
+    except InputError:
+        raise
+    except Exception as error:  # HDF5 raises whatever a broken file makes it raise
+        raise InputError(
+            f"{file!r} cannot be read as NetCDF-4: {_first_line(error)}. Save older NetCDF as NetCDF-4"
+        ) from error
+    _refuse_large(file, rows, len(names), max_bytes)
+    headers = tuple(Header.parse(n, None if units[n] is None else str(units[n])) for n in names)
+
+    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        with _dataset(path) as dataset:
+            return {p: cells_of(dataset[names[p]].values, number) for p, number in wanted.items()}
+
+    return Table(file, headers, rows, sha256_of(path), load, _place)
+
+
+def _dataset(path: Path) -> xr.Dataset:
+    return xr.open_dataset(path, engine="h5netcdf", decode_times=False)
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file's bytes, read in pieces."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def _place(index: int) -> str:
+    return f"row {index + 1}"
+
+
+def _refuse_large(file: str, rows: int, columns: int, max_bytes: int) -> None:
+    if (size := 8 * rows * columns) > max_bytes:
+        raise InputError(
+            f"{file!r} holds {rows} rows of {columns} columns, {size / 1e9:.3g} GB in memory; the limit is "
+            f"{max_bytes / 1e9:.3g} GB. Average or split it, or raise max_bytes"
+        )
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
