@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING, Any
 from bayescal import _startup as _startup  # before JAX: see the comment there
 
 if TYPE_CHECKING:
-    # at the door
+    # pictures
+    from bayescal import _plot as plot
+
     # what did it find, and was it right
     from bayescal._calibrate import Trail as Trail
     from bayescal._calibrate import calibrate as calibrate
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from bayescal._errors import NotConverged as NotConverged
 
     # fits
+    from bayescal._fit import Batch as Batch
     from bayescal._fit import fit as fit
     from bayescal._fit import fit_batch as fit_batch
     from bayescal._fit import load as load
@@ -68,6 +71,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "BayescalError": "_errors",
+    "Batch": "_fit",
     "Calibration": "_calibration",
     "Check": "_check",
     "Coefficient": "_coefficient",
@@ -105,6 +109,7 @@ _HOMES = {
     "fit": "_fit",
     "fit_batch": "_fit",
     "load": "_fit",
+    "plot": "_plot",
     "predict": "_predict",
     "read": "_read",
 }
@@ -119,7 +124,8 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'bayescal' has no public name {name!r}")
     from importlib import import_module
 
-    value = getattr(import_module(f"bayescal.{_HOMES[name]}"), name)
+    module = import_module(f"bayescal.{_HOMES[name]}")
+    value = module if name == "plot" else getattr(module, name)
     globals()[name] = value
     return value
 

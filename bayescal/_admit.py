@@ -1,8 +1,8 @@
 """From a file's columns to an instrument's numbers: conversion, and what cannot be let in.
 
-Columns of the instrument are refused with the row and the reason. A column that no instrument asked for is
-never a reason to refuse a file: it is kept if it is sound, because a user's own effect may need it, and
-otherwise left out with a flag that says why.
+Columns of the instrument are refused with the row and the reason. A column that no instrument asked
+for is never a reason to refuse a file: it is kept if it is sound, because a user's own effect may
+need it, and otherwise left out with a flag that says why.
 """
 
 from __future__ import annotations
@@ -38,7 +38,14 @@ _LIKELY_UNITS = (
 
 @dataclass
 class Admitted:
-    """One file's columns as ours; `units` of text is None; `filled` names those that hold a default."""
+    """One file's columns as ours.
+
+    Attributes:
+        values: name → one entry per reading.
+        units: name → unit; None for labels.
+        flags: what was odd.
+        filled: names of columns that hold a default.
+    """
 
     values: dict[str, np.ndarray] = field(default_factory=dict)
     units: dict[str, str | None] = field(default_factory=dict)
@@ -58,7 +65,8 @@ def admit(table: Table, instrument: Expects, wishes: Wishes) -> Admitted:
         Columns in the instrument's units, in its order, then what else was kept.
 
     Raises:
-        InputError: a column, a unit or a cell cannot be used; the message names file, row and column.
+        InputError: a column, a unit or a cell cannot be used; the message names file, row and
+            column.
     """
     expected = expected_columns(instrument)
     places = match(table, expected, wishes)
@@ -96,7 +104,7 @@ def _extras(
     wishes: Wishes,
     result: Admitted,
 ) -> dict[str, str]:
-    """Columns beyond the instrument's that have a unit, by name; the others are flagged and left out."""
+    """Name → unit of columns beyond the instrument's; those without one are flagged."""
     kept: dict[str, str] = {}
     without: list[str] = []
     for name in (n for n in places if n not in expected):
@@ -111,8 +119,10 @@ def _extras(
         else:
             try:
                 _units.check_unit(unit)
-            except InputError as error:
-                result.flags.append(f"{table.file}: column {header.raw!r} ignored: {error}")
+            except InputError:
+                result.flags.append(
+                    f"{table.file}: column {header.raw!r} ignored: [{unit}] is no unit known here"
+                )
             else:
                 kept[name] = unit
     without += [
@@ -120,8 +130,8 @@ def _extras(
     ]
     if without:
         result.flags.append(
-            f"{table.file}: ignored, because they have no unit: {', '.join(without)} (to keep one, write "
-            "'name [unit]' or give units=)"
+            f"{table.file}: ignored, because they have no unit: {', '.join(without)} (to keep one, "
+            "write 'name [unit]' or give units=)"
         )
     return kept
 
@@ -206,8 +216,9 @@ class _Door:
         where = f"{self.table.file!r}, column {self.header.raw!r}:"
         if unit is None:
             raise InputError(
-                f"{where} the header has no unit. Write '{self.header.name} [{self.column.unit}]' (or the unit "
-                f"that the numbers are in), or give units={{{self.header.name!r}: …}} (--unit {self.header.name}=…)"
+                f"{where} the header has no unit. Write '{self.header.name} [{self.column.unit}]' "
+                f"(or the unit that the numbers are in), or give units={{{self.header.name!r}: …}} "
+                f"(--unit {self.header.name}=…)"
             )
         try:
             _units.check_unit(unit)
@@ -225,7 +236,8 @@ class _Door:
             index = int(np.argmax(codes == code))
             if not label:
                 raise InputError(
-                    f"{self._at(index)} is empty, a label was expected. Fill it in, or remove the row"
+                    f"{self._at(index)} is empty, a label was expected. Fill it in, or remove the "
+                    "row"
                 )
             if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
                 raise InputError(
@@ -243,11 +255,12 @@ class _Door:
         if re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text):
             hint = "If that is a decimal comma, export the file with decimal points"
         raise InputError(
-            f"{self._at(index)} reads {text[:60]!r}, a number in {_units.pretty(unit)} was expected. {hint}"
+            f"{self._at(index)} reads {text[:60]!r}, a number in {_units.pretty(unit)} was "
+            f"expected. {hint}"
         )
 
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray:
-        """Numbers in `unit` as numbers in the column's, by the nominal scale if it is a raw output."""
+        """Numbers in `unit` in the column's, by the nominal scale if it is a raw output."""
         target, gravity = self.column.unit or "1", self.wishes.local_gravity
         output = output_name(self.instrument)
         difference = self.column.name == "output_uncertainty"
@@ -261,10 +274,11 @@ class _Door:
             )
         raw_output = self.column.name == output or difference
         if raw_output and scale is not None and _units.same_dimension(unit, scale.unit):
-            shift = f" − {scale.offset:g}" if scale.offset and not difference else ""
+            shifted = scale.offset and not difference
+            reading = f"(reading − {scale.offset:g})" if shifted else "reading"
             self.result.flags.append(
-                f"{flag} turned into {_units.pretty(target)} by the nominal scale: (reading{shift})/{scale.gain:g}, "
-                f"reading in {_units.pretty(scale.unit)}"
+                f"{flag} turned into {_units.pretty(target)} by the nominal scale: "
+                f"{reading}/{scale.gain:g}, reading in {_units.pretty(scale.unit)}"
             )
             raw = _units.convert(
                 values, unit, scale.unit, local_gravity=gravity, difference=difference
@@ -275,8 +289,9 @@ class _Door:
         )
         hint = " Or give a nominal_scale." if raw_output and scale is None else ""
         raise InputError(
-            f"{self.table.file!r}, column {self.header.raw!r}: its unit is [{unit}], expected is one that "
-            f"converts to {target}{also}. Correct the header, or give units={{{self.header.name!r}: …}}.{hint}"
+            f"{self.table.file!r}, column {self.header.raw!r}: its unit is [{unit}], expected is "
+            f"one that converts to {target}{also}. Correct the header, or give "
+            f"units={{{self.header.name!r}: …}}.{hint}"
         )
 
     def _refuse_not_finite(self, raw: np.ndarray, values: np.ndarray, unit: str) -> None:
@@ -298,6 +313,8 @@ class _Door:
         index, shown = int(np.argmax(wrong)), _units.pretty(self.column.unit or "1")
         limits = f"at least {low:g}" if high == np.inf else f"at most {high:g}"
         limits = f"{low:g} … {high:g}" if low > -np.inf and high < np.inf else limits
+        same = _units.pretty(unit) == shown
+        internal = "" if same else f", that is {values[index]:.6g} {shown}"
         better = [u for u in _LIKELY_UNITS if u != unit and self._plausible_in(u, raw, low, high)]
         hint = (
             f"Are the numbers in {better[0]}? Then write '{self.header.name} [{better[0]}]'"
@@ -305,7 +322,7 @@ class _Door:
             else "Check the unit and the number"
         )
         raise InputError(
-            f"{self._at(index)} reads {raw[index]:.6g} {_units.pretty(unit)}, that is {values[index]:.6g} {shown}; "
+            f"{self._at(index)} reads {raw[index]:.6g} {_units.pretty(unit)}{internal}; "
             f"plausible is {limits} {shown}. {hint}"
         )
 

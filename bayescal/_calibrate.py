@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -82,6 +83,15 @@ class Trail:
     @property
     def ok(self) -> bool:
         return self.gate.ok and self.final.calibration.verdict.ok
+
+    def save(self, folder: Path) -> None:
+        """Write result.json, calibration.nc (of the last step) and loop.png to an existing folder."""
+        from bayescal._plot import loop, save  # matplotlib only where a picture is written
+        from bayescal._result import result, write_json
+
+        write_json(result(self), Path(folder) / "result.json")
+        self.final.calibration.save(Path(folder) / "calibration.nc")
+        save(loop(self), Path(folder) / "loop.png")
 
     def __str__(self) -> str:
         from bayescal._text import trail_text  # tables for people stand above this floor

@@ -94,6 +94,11 @@ class Calibration:
     mode: Mode
     log_evidence: tuple[float, float | None] | None
 
+    def __str__(self) -> str:
+        from bayescal._text import calibration_text  # tables for people stand above this floor
+
+        return calibration_text(self)
+
     @cached_property
     def frame(self) -> Frame:
         return build_frame(self.readings, self.reference)

@@ -197,7 +197,7 @@ def covariates_of(calibration: Calibration) -> list[blocks.Block]:
             found.append(blocks.smooth("elapsed", np.asarray(frame.columns["elapsed"]), "s"))
         found.append(blocks.members("run", codes))
     if not readings.has("time"):
-        found.append(blocks.smooth("order", np.arange(1.0, len(readings) + 1), "row"))
+        found.append(blocks.smooth("order", np.arange(1.0, len(readings) + 1)))
     return found
 
 

@@ -148,7 +148,6 @@ def fit(
     from bayescal import _doors as doors
     from bayescal._result import clean
     from bayescal._summary import null_directions, summary
-    from bayescal._text import coefficients_text
 
     asked = doors.Request(instrument, columns, unit, local_gravity, fix, reference, add, structure, effects_file)
     _, model, readings = doors.open_up(asked, files)
@@ -163,9 +162,7 @@ def fit(
                            "log_evidence": found.log_evidence, "verdict": vars(found.verdict),
                            "identifiability": {"null_directions": null_directions(found)}}))
     else:
-        print(coefficients_text(found))
-        _print_reference(found)
-        print(found.verdict)
+        print(found)
     _leave(found.verdict.ok)
 
 
@@ -265,11 +262,10 @@ def calibrate(
         method=doors.method_named(method), max_effects=max_effects, seed=seed,
         reference=doors.reference_of(asked),
     )
-    found = result(trail)
     if folder is not None:
-        doors.write_results(trail, found, folder)
+        trail.save(folder)
     if json_:
-        _print_json(found)
+        _print_json(result(trail))
     else:
         _print_trail(trail)
         if folder is not None:
@@ -278,18 +274,21 @@ def calibrate(
 
 
 @app.command(epilog="Example: bayescal demo --out demo_output")
-def demo(out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("demo_output"),
-         seed: Seed = 0) -> None:
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("demo_output"),
+    instrument: Annotated[str, typer.Option("--instrument", help="Whose demonstration.")] = "mems_gyro",
+    seed: Seed = 0,
+) -> None:
     """A gyroscope's table against its published line, then a hidden effect found and added."""
     from bayescal import _doors as doors
-    from bayescal._demo import run
 
-    run(doors.folder(out), seed)
+    chosen = doors.instrument_named(instrument)
+    if chosen.demo is None:
+        raise InputError(f"instrument {chosen.name!r} has no demonstration")
+    chosen.demo(doors.folder(out), seed)
 
 
 def _print_trail(trail: Any) -> None:
-    from bayescal._text import coefficients_text
-
     first, final = trail.steps[0], trail.final
     print("WHERE THE FIRST MODEL FAILS\n")
     print(first.check)
@@ -299,15 +298,8 @@ def _print_trail(trail: Any) -> None:
     print("\nTHE ERROR, STEP BY STEP\n")
     print(trail)
     print("\nCOEFFICIENTS\n")
-    print(coefficients_text(final.calibration))
-    _print_reference(final.calibration)
-    print(f"\n{final.calibration.verdict}\n{'gate: ' + trail.gate.reason}")
-
-
-def _print_reference(calibration: Any) -> None:
-    shown = ", ".join(f"{k} = {v:g} °C" for k, v in calibration.reference.items() if str(k).endswith("0"))
-    if shown:
-        print(f"constants hold at {shown}")
+    print(final.calibration)
+    print(f"\ngate: {trail.gate.reason}")
 
 
 def _say_flags(readings: Measurements) -> None:

@@ -19,10 +19,12 @@ class Column:
 
     Attributes:
         name: ours; files may call it otherwise (`columns=`).
-        unit: fixed unit inside the library; None for a text label (run, device, axis, group, direction).
+        unit: fixed unit inside the library; None for a text label (run, device, axis, group,
+            direction).
         meaning: one line for people.
         required: whether a file without it is refused.
-        default: value of every reading where the file lacks the column, in `unit`; None leaves it out.
+        default: value of every reading where the file lacks the column, in `unit`; None leaves it
+            out.
         low: least plausible value, in `unit`; what lies below is refused.
         high: greatest plausible value, in `unit`.
         allowed: the labels that are known; empty allows any.
@@ -41,8 +43,8 @@ class Column:
         """Refuse a column that contradicts itself.
 
         Raises:
-            InputError: the name is taken or empty, labels are allowed of a number, limits are set on a label
-                or the wrong way round.
+            InputError: the name is taken or empty, labels are allowed of a number, limits are set
+                on a label or the wrong way round.
         """
         if not self.name.strip() or self.name in TAKEN:
             raise InputError(f"a column cannot be called {self.name!r}: choose a name of its own")
@@ -80,12 +82,12 @@ class NominalScale:
         """
         if not (math.isfinite(self.gain) and self.gain != 0 and math.isfinite(self.offset)):
             raise InputError(
-                f"nominal scale {self.gain:g} {self.unit} with offset {self.offset:g}: the gain must be finite "
-                "and not zero, the offset finite"
+                f"nominal scale {self.gain:g} {self.unit} with offset {self.offset:g}: the gain "
+                "must be finite and not zero, the offset finite"
             )
 
     def apply(self, raw: ArrayLike, *, difference: bool = False) -> np.ndarray:
-        """Raw outputs in `unit` as outputs; a `difference` (an uncertainty) has no offset and no sign."""
+        """Raw outputs, in `unit`, as outputs; a difference (an uncertainty) has no offset or sign."""
         raw = np.asarray(raw, dtype=np.float64)
         return raw / abs(self.gain) if difference else (raw - self.offset) / self.gain
 

@@ -8,11 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
-
 import numpy as np
 
-from bayescal._calibrate import Trail
 from bayescal._effect import Effect
 from bayescal._errors import InputError
 from bayescal._frame import Reference
@@ -25,7 +22,6 @@ from bayescal._model import Model
 from bayescal._nuts import NUTS
 from bayescal._predict import Prediction
 from bayescal._read import read
-from bayescal._result import write_json
 from bayescal._store import installed_instruments
 
 METHODS: dict[str, type[Method]] = {"marginal": Marginal, "least-squares": LeastSquares, "nuts": NUTS}
@@ -182,15 +178,6 @@ def folder(path: Path) -> Path:
     except OSError as error:
         raise InputError(f"cannot write to the folder {path}: {error.strerror}") from None
     return path
-
-
-def write_results(trail: Trail, found: dict[str, Any], out: Path) -> None:
-    """result.json, calibration.nc and the picture of the loop."""
-    from bayescal._plot import loop, save  # matplotlib only where a picture is written
-
-    write_json(found, out / "result.json")
-    trail.final.calibration.save(out / "calibration.nc")
-    save(loop(trail), out / "loop.png")
 
 
 def write_prediction(found: Prediction, readings: Measurements, path: Path) -> None:

@@ -6,6 +6,7 @@ Instruments are not subclasses. A new one is a set of columns, slots and one fun
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -48,6 +49,7 @@ class Instrument(eqx.Module):
             function of a temperature slope (output unit per °C) that gives them.
         structures: further models to compare, by name.
         simulate: `simulate(effects, seed=…, **options)` gives measurements of a simulated campaign.
+        demo: writes a demonstration to a folder, under a seed.
         source: document that the equations come from.
     """
 
@@ -63,6 +65,7 @@ class Instrument(eqx.Module):
     known_noise: Callable[[float], dict[str, float]] | None = eqx.field(static=True, default=None)
     structures: tuple[tuple[str, Callable[[], Model]], ...] = eqx.field(static=True, default=())
     simulate: Callable[..., Any] | None = eqx.field(static=True, default=None)
+    demo: Callable[[Path, int], None] | None = eqx.field(static=True, default=None)
     source: str = eqx.field(static=True, default="")
 
     def baseline(self) -> Model:

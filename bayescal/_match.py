@@ -1,6 +1,7 @@
 """Which column of a file is which column of an instrument, and in which unit.
 
-A file may call its columns otherwise (`columns=`) and leave their units out or get them wrong (`units=`).
+A file may call its columns otherwise (`columns=`), and leave their units out or get them wrong
+(`units=`).
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ class Wishes:
 
 def output_name(instrument: Expects) -> str:
     """Name of the instrument's output column."""
-    return getattr(instrument, "output", "output")
+    name = getattr(instrument, "output", "output")
+    return name if isinstance(name, str) else "output"
 
 
 def expected_columns(instrument: Expects) -> dict[str, Column]:
@@ -66,20 +68,22 @@ def match(table: Table, expected: Mapping[str, Column], wishes: Wishes) -> dict[
     """Our name of every column → its position in the file.
 
     Raises:
-        InputError: `columns=` names what the file lacks, two columns would be one, or a label carries a unit.
+        InputError: `columns=` names what the file lacks, two columns would be one, or a label
+            carries a unit.
     """
     places: dict[str, int] = {}
     for ours, theirs in wishes.columns.items():
         found = [i for i, h in enumerate(table.headers) if theirs.strip() in (h.name, h.raw)]
         if not found:
             raise InputError(
-                f"columns={{{ours!r}: {theirs!r}}}: {table.file!r} has no column {theirs!r}{_near(theirs, table)}. "
-                f"It has: {_names(table)}"
+                f"columns={{{ours!r}: {theirs!r}}}: {table.file!r} has no column "
+                f"{theirs!r}{_near(theirs, table)}. It has: {_names(table)}"
             )
         if found[0] in places.values():
             other = next(name for name, place in places.items() if place == found[0])
             raise InputError(
-                f"columns= gives {table.file!r}'s column {theirs!r} to both {other!r} and {ours!r}: name one for each"
+                f"columns= gives {table.file!r}'s column {theirs!r} to both {other!r} and "
+                f"{ours!r}: name one for each"
             )
         places[ours] = found[0]
     for position, header in enumerate(table.headers):
@@ -88,8 +92,9 @@ def match(table: Table, expected: Mapping[str, Column], wishes: Wishes) -> dict[
         if header.name in places:
             chosen = table.headers[places[header.name]]
             raise InputError(
-                f"{table.file!r} has two columns for {header.name!r}: {header.raw!r}, and {chosen.raw!r} by "
-                f"columns=. Rename {header.raw!r} in the file, or leave {header.name!r} out of columns="
+                f"{table.file!r} has two columns for {header.name!r}: {header.raw!r}, and "
+                f"{chosen.raw!r} by columns=. Rename {header.raw!r} in the file, or leave "
+                f"{header.name!r} out of columns="
             )
         places[header.name] = position
     for name, column in expected.items():
@@ -99,8 +104,8 @@ def match(table: Table, expected: Mapping[str, Column], wishes: Wishes) -> dict[
             and table.headers[places[name]].unit not in (None, "", "1", "-")
         ):
             raise InputError(
-                f"{table.file!r}: column {table.headers[places[name]].raw!r} carries a unit, but {name!r} is a "
-                "label (text). Remove the unit, or rename the column"
+                f"{table.file!r}: column {table.headers[places[name]].raw!r} carries a unit, but "
+                f"{name!r} is a label (text). Remove the unit, or rename the column"
             )
     return places
 
@@ -118,9 +123,9 @@ def refuse_missing(
             asked = f"{name} [{column.unit}]" if column.unit else name
             meaning = f" ({column.meaning})" if column.meaning else ""
             raise InputError(
-                f"{table.file!r} lacks the column {name!r}{meaning} that {instrument!r} needs; it has: "
-                f"{_names(table)}{_near(name, table)}. Add a column {asked!r}, or say which one it is with "
-                f"columns={{{name!r}: …}} (--columns {name}=…)"
+                f"{table.file!r} lacks the column {name!r}{meaning} that {instrument!r} needs; it "
+                f"has: {_names(table)}{_near(name, table)}. Add a column {asked!r}, or say which "
+                f"one it is with columns={{{name!r}: …}} (--columns {name}=…)"
             )
 
 
@@ -153,6 +158,6 @@ def refuse_unused_units(tables: Sequence[Table], wishes: Wishes) -> None:
     for name, unit in wishes.units.items():
         if name not in known:
             raise InputError(
-                f"units={{{name!r}: {unit!r}}}: {' and '.join(repr(t.file) for t in tables)} has no column "
-                f"{name!r}{_near(name, tables[0])}. It has: {_names(tables[0])}"
+                f"units={{{name!r}: {unit!r}}}: {' and '.join(repr(t.file) for t in tables)} has "
+                f"no column {name!r}{_near(name, tables[0])}. It has: {_names(tables[0])}"
             )

@@ -33,7 +33,8 @@ class Measurements:
     Made by `read` or `from_arrays`, which check them. The arrays are read-only.
 
     Attributes:
-        data: one dimension, `reading`; numbers are float64 with the attribute `units`, labels are text.
+        data: one dimension, `reading`; numbers are float64 with the attribute `units`, labels are
+            text.
         sources: the files they came from.
         flags: what was odd but no reason to refuse them, a sentence each.
         output: name of the output column.
@@ -52,7 +53,8 @@ class Measurements:
         """
         if set(self.data.sizes) != {ROW}:
             raise InputError(
-                f"measurements have the one dimension {ROW!r}, these have {', '.join(map(str, self.data.sizes))}"
+                f"measurements have the one dimension {ROW!r}, these have "
+                f"{', '.join(map(str, self.data.sizes))}"
             )
         for variable in self.data.data_vars.values():
             variable.values.flags.writeable = False
@@ -73,12 +75,13 @@ class Measurements:
 
         Args:
             instrument: whose columns these are.
-            units: unit of a column that is not in the instrument's own, and of further columns to keep.
+            units: unit of a column that is not in the instrument's own, and of further columns to
+                keep.
             local_gravity: m/s², for columns in m/s².
             nominal_scale: in place of the instrument's.
             allow_one_temperature: accept one temperature, as for a prediction.
-            **columns: one entry per reading, or one for all; in the instrument's units unless `units` says
-                otherwise.
+            **columns: one entry per reading, or one for all; in the instrument's units unless
+                `units` says otherwise.
 
         Raises:
             InputError: what `read` refuses, and columns of unequal length.
@@ -148,12 +151,12 @@ class Measurements:
         return self.data[name].attrs.get("units")
 
     def groups(self, name: str) -> tuple[tuple[str, ...], np.ndarray]:
-        """The members of a grouping, in order of first appearance, and each reading's index among them.
+        """The members of a grouping, in order of appearance, and each reading's index among them.
 
         Args:
-            name: "run", "device", "axis" (a single "1" where there is no such column), another column of
-                labels, "reading" (each its own member), or "cell": run × temperature point, −1 for readings
-                without one.
+            name: "run", "device", "axis" (a single "1" where there is no such column), another
+                column of labels, "reading" (each its own member), or "cell": run × temperature
+                point, −1 for readings without one.
 
         Raises:
             InputError: there is no such grouping.
@@ -193,8 +196,8 @@ class Measurements:
         index = np.asarray(chosen)
         if index.dtype == bool and index.shape != (len(self),):
             raise InputError(
-                f"a mask of shape {index.shape} cannot choose among the {len(self)} readings of {self.file}: "
-                "give one entry per reading"
+                f"a mask of shape {index.shape} cannot choose among the {len(self)} readings of "
+                f"{self.file}: give one entry per reading"
             )
         index = np.flatnonzero(index) if index.dtype == bool else index
         if not index.size:

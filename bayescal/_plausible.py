@@ -1,7 +1,7 @@
 """Checks of a whole data set: what makes it unusable, and what its owner should know of.
 
-Refused: one temperature only, time running backwards. Flagged: repeated rows, a saturated output, a constant
-column.
+Refused: one temperature only, time running backwards. Flagged: repeated rows, a saturated output, a
+constant column.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ def refuse_one_temperature(columns: Columns, names: str) -> None:
     temperature = columns["temperature"]
     low, high = float(temperature.min()), float(temperature.max())
     if high - low < LEAST_TEMPERATURE_SPAN:
+        seen = f"{low:g}" if low == high else f"{low:g} … {high:g}"
         raise InputError(
-            f"{names}, column 'temperature': reads {low:g} … {high:g} °C, one temperature only; at least two were "
-            "expected, or nothing that depends on temperature can be calibrated. Add readings at another "
-            "temperature (files given together are read together)"
+            f"{names}, column 'temperature': reads {seen} °C, one temperature only; at least two "
+            "were expected, or nothing that depends on temperature can be calibrated. Add readings "
+            "at another temperature (files given together are read together)"
         )
 
 
@@ -71,9 +72,9 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
         labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
         inside = f" within {', '.join(labels)}" if labels else ""
         raise InputError(
-            f"{where(index)}, column 'time': reads {time[index]:.12g} s after {time[before]:.12g} s in "
-            f"{where(before)}: time runs backwards{inside}. Put the rows in the order in which they were taken, "
-            "or give each record its own label in a column 'run'"
+            f"{where(index)}, column 'time': reads {time[index]:.12g} s after {time[before]:.12g} "
+            f"s in {where(before)}: time runs backwards{inside}. Put the rows in the order in "
+            "which they were taken, or give each record its own label in a column 'run'"
         )
 
 
@@ -95,13 +96,13 @@ def flags_of(
         first = int(np.argmax(repeated))
         count = int(repeated.sum())
         flags.append(
-            f"{count} row{'s repeat' if count > 1 else ' repeats'} an earlier one in every column, first "
-            f"{where(first)}"
+            f"{count} row{'s repeat' if count > 1 else ' repeats'} an earlier one in every column, "
+            f"first at {where(first)}"
         )
     if output in columns and (saturated := _saturated(columns[output])):
         flags.append(
-            f"{names}: column {output!r} may be saturated: {saturated[0]} readings stand exactly at its "
-            f"{saturated[1]} {saturated[2]:g}"
+            f"{names}: column {output!r} may be saturated: {saturated[0]} readings stand exactly "
+            f"at its {saturated[1]} {saturated[2]:g}"
         )
     for name, values in columns.items():
         number = values.dtype.kind == "f" and name not in unchecked
@@ -111,7 +112,7 @@ def flags_of(
 
 
 def _saturated(values: np.ndarray) -> tuple[int, str, float] | None:
-    """How many readings stand at an end of the range, which end, and where; None if that looks natural."""
+    """Count of readings at an end of the range, which end, and where; None if it looks natural."""
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < 3:
         return None

@@ -14,7 +14,7 @@ from bayescal._calibrate import Trail
 from bayescal._calibration import Calibration
 from bayescal._check import Check, check
 from bayescal._discover import Discovery
-from bayescal._units import pretty
+from bayescal._text import pretty
 
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#666666"
 

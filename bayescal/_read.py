@@ -16,7 +16,7 @@ from bayescal._match import Expects, Wishes, refuse_unused_units
 from bayescal._measurements import Measurements, assemble
 from bayescal._read_binary import open_netcdf, open_parquet
 from bayescal._read_csv import open_csv
-from bayescal._table import Table
+from bayescal._table import Table, bytes_text
 from bayescal._units import STANDARD_GRAVITY
 from bayescal._write import FORMATS
 
@@ -37,10 +37,10 @@ def read(
 ) -> Measurements:
     """Read readings of an instrument from one file or several: CSV, Parquet or NetCDF.
 
-    Headers read `name [unit]`; lines that begin with # may stand above a CSV's header. Columns are converted
-    to the instrument's units, and rows keep their order. Where several files have no column `run`, each is a
-    run named after its file. A column that the instrument does not know is kept in base units if it has a
-    unit, and otherwise left out with a flag.
+    Headers read `name [unit]`; lines that begin with # may stand above a CSV's header. Columns are
+    converted to the instrument's units, and rows keep their order. Where several files have no
+    column `run`, each is a run named after its file. A column that the instrument does not know is
+    kept in base units if it has a unit, and otherwise left out with a flag.
 
     Args:
         path_or_paths: the files.
@@ -53,8 +53,8 @@ def read(
         max_bytes: most that all files together may hold.
 
     Raises:
-        InputError: a file, a column, a unit or a cell cannot be used; the message names file, row and column,
-            what was read, what was expected, and what to do.
+        InputError: a file, a column, a unit or a cell cannot be used; the message names file, row
+            and column, what was read, what was expected, and what to do.
     """
     paths = [path_or_paths] if isinstance(path_or_paths, str | Path) else list(path_or_paths)
     paths = [Path(path) for path in paths]
@@ -99,7 +99,8 @@ def _refuse_large(paths: Sequence[Path], names: Sequence[str], max_bytes: int) -
             size = path.stat().st_size
         except OSError as error:
             raise InputError(
-                f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the folder"
+                f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the "
+                "folder"
             ) from error
         if not path.is_file():
             raise InputError(
@@ -108,13 +109,13 @@ def _refuse_large(paths: Sequence[Path], names: Sequence[str], max_bytes: int) -
         total += size
         if total > max_bytes:
             held = (
-                f"holds {size / 1e9:.3g} GB"
+                f"holds {bytes_text(size)}"
                 if size > max_bytes
-                else f"brings the files to {total / 1e9:.3g} GB"
+                else f"brings the files to {bytes_text(total)}"
             )
             raise InputError(
-                f"{name!r} {held}, the limit is {max_bytes / 1e9:.3g} GB, and nothing was loaded. Average the "
-                "readings, read fewer files, or raise max_bytes"
+                f"{name!r} {held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded. "
+                "Average the readings, read fewer files, or raise max_bytes"
             )
 
 
@@ -150,7 +151,7 @@ def _open(path: Path, name: str, max_bytes: int) -> Table:
 
 
 def _runs(paths: Sequence[Path]) -> list[str]:
-    """A run's label for each file: its stem, with the folder or a number where that is not enough."""
+    """A run's label for each file: its stem, with folder or number where that is not enough."""
     stems = [path.stem for path in paths]
     if len(set(stems)) < len(stems):
         with_folder = [f"{path.resolve().parent.name}/{path.stem}" for path in paths]
@@ -202,14 +203,17 @@ def _join(tables: Sequence[Table], parts: Sequence[Admitted]) -> Admitted:
         for table, part in zip(tables, parts, strict=True):
             if part.units.get(name, unit) != unit:
                 raise InputError(
-                    f"column {name!r} is in {part.units[name]} in {table.file!r} and in {unit} in another file: "
-                    "give it one kind of unit, or rename one"
+                    f"column {name!r} is in {part.units[name]} in {table.file!r} and in {unit} in "
+                    "another file: give it one kind of unit, or rename one"
                 )
         if without and unit is None:
             raise InputError(
-                f"{without!r} lacks the column {name!r} that {with_it!r} has: label every file, or none"
+                f"{without!r} lacks the column {name!r} that {with_it!r} has: label every file, or "
+                "none"
             )
-        if without and name != MAY_BE_EMPTY:
+        if without and name == MAY_BE_EMPTY:
+            joined.flags.append(f"{without}: no {name!r}: its readings belong to no cell (a ramp)")
+        elif without:
             joined.flags.append(f"column {name!r} left out: {with_it} has it, {without} has not")
             continue
         empty = [np.full(table.rows, np.nan) for table in tables]
@@ -226,7 +230,8 @@ def _equal_contents(tables: Sequence[Table]) -> list[str]:
     for table in tables:
         if table.sha256 in first:
             found.append(
-                f"{table.file} has the same content as {first[table.sha256]}: the same readings twice?"
+                f"{table.file} has the same content as {first[table.sha256]}: the same readings "
+                "twice?"
             )
         first.setdefault(table.sha256, table.file)
     return found

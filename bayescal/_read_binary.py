@@ -1,9 +1,10 @@
-"""Parquet and NetCDF as tables. Neither is ever trusted to say how it is to be evaluated: numbers and text only."""
+"""Parquet and NetCDF as tables: numbers and text only, nothing that a file could have evaluated."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import pyarrow as pa
@@ -11,7 +12,7 @@ import pyarrow.parquet as pq
 import xarray as xr
 
 from bayescal._errors import InputError
-from bayescal._table import Cells, Header, Table, cells_of
+from bayescal._table import Cells, Header, Table, bytes_text, cells_of
 
 ROW = "reading"  # the one dimension
 
@@ -27,21 +28,18 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
     Raises:
         InputError: it is not Parquet, or too large once unpacked.
     """
-    try:
-        with pq.ParquetFile(path) as opened:
-            schema, rows = opened.schema_arrow, opened.metadata.num_rows
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(f"{file!r} cannot be read as Parquet: {_first_line(error)}") from error
+    with _as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
+        schema, rows = opened.schema_arrow, opened.metadata.num_rows
     _refuse_large(file, rows, len(schema), max_bytes)
     fields = [schema.field(position) for position in range(len(schema))]
     headers = tuple(Header.parse(f.name, _field_unit(f)) for f in fields)
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
         found = {}
-        with pq.ParquetFile(path) as opened:
+        with _as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
             for position, number in wanted.items():
-                column = opened.read(columns=[fields[position].name]).column(0)
-                found[position] = _arrow_cells(column, number)
+                name = fields[position].name
+                found[position] = _arrow_cells(opened.read(columns=[name]).column(name), number)
         return found
 
     return Table(file, headers, rows, sha256_of(path), load, _place)
@@ -70,32 +68,26 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
         max_bytes: most that its numbers may take in memory.
 
     Raises:
-        InputError: it is not NetCDF-4, has several dimensions to choose from, or is too large once unpacked.
+        InputError: it is not NetCDF-4, has several dimensions to choose from, or is too large once
+            unpacked.
     """
-    try:
-        with _dataset(path) as dataset:
-            lines = {str(n): v for n, v in dataset.variables.items() if v.ndim == 1 and n != ROW}
-            dimensions = {str(v.dims[0]) for v in lines.values()}
-            if ROW not in dimensions and len(dimensions) > 1:
-                raise InputError(
-                    f"{file!r} has variables along {', '.join(sorted(dimensions))}: which are the readings "
-                    f"cannot be told. Give its variables one dimension, best called {ROW!r}"
-                )
-            chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
-            names = [name for name, variable in lines.items() if variable.dims[0] == chosen]
-            rows = dataset.sizes.get(chosen, 0)
-            units = {name: lines[name].attrs.get("units") for name in names}
-    except InputError:
-        raise
-    except Exception as error:  # HDF5 raises whatever a broken file makes it raise
-        raise InputError(
-            f"{file!r} cannot be read as NetCDF-4: {_first_line(error)}. Save older NetCDF as NetCDF-4"
-        ) from error
+    with _as_format(file, "NetCDF-4"), _dataset(path) as dataset:
+        lines = {str(n): v for n, v in dataset.variables.items() if v.ndim == 1 and n != ROW}
+        dimensions = {str(v.dims[0]) for v in lines.values()}
+        if ROW not in dimensions and len(dimensions) > 1:
+            raise InputError(
+                f"{file!r} has variables along {', '.join(sorted(dimensions))}: which are the "
+                f"readings cannot be told. Give its variables one dimension, best called {ROW!r}"
+            )
+        chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
+        names = [name for name, variable in lines.items() if variable.dims[0] == chosen]
+        rows = dataset.sizes.get(chosen, 0)
+        units = {name: lines[name].attrs.get("units") for name in names}
     _refuse_large(file, rows, len(names), max_bytes)
     headers = tuple(Header.parse(n, None if units[n] is None else str(units[n])) for n in names)
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        with _dataset(path) as dataset:
+        with _as_format(file, "NetCDF-4"), _dataset(path) as dataset:
             return {p: cells_of(dataset[names[p]].values, number) for p, number in wanted.items()}
 
     return Table(file, headers, rows, sha256_of(path), load, _place)
@@ -118,9 +110,27 @@ def _place(index: int) -> str:
 def _refuse_large(file: str, rows: int, columns: int, max_bytes: int) -> None:
     if (size := 8 * rows * columns) > max_bytes:
         raise InputError(
-            f"{file!r} holds {rows} rows of {columns} columns, {size / 1e9:.3g} GB in memory; the limit is "
-            f"{max_bytes / 1e9:.3g} GB. Average or split it, or raise max_bytes"
+            f"{file!r} holds {rows} rows of {columns} columns, {bytes_text(size)} in memory; the "
+            f"limit is {bytes_text(max_bytes)}. Average or split it, or raise max_bytes"
         )
+
+
+@contextmanager
+def _as_format(file: str, name: str) -> Iterator[None]:
+    """Turn whatever a broken file makes its library raise into a refusal.
+
+    Raises:
+        InputError: the file is not what its suffix says.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{file!r} cannot be read as {name}: {_first_line(error)}. Is it what its suffix says, "
+            "and whole?"
+        ) from error
 
 
 def _first_line(error: Exception) -> str:

@@ -1,7 +1,7 @@
-"""CSV as a table: one pass over the bytes finds what is wrong and on which line, a second reads the numbers.
+"""CSV as a table: a pass over the bytes finds what is wrong and on which line, a second reads.
 
-The first pass keeps nothing but counts, so a file is refused before it takes memory. Line numbers in messages
-are those an editor shows, the first line being row 1.
+The first pass keeps nothing but counts, so a file is refused before it takes memory. Line numbers
+in messages are those an editor shows, the first line being row 1.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def open_csv(path: Path, file: str) -> Table:
         file: its name in messages.
 
     Raises:
-        InputError: it is empty, not UTF-8, has rows of unequal length, or ends lines in a way that cannot be
-            counted; the message names the row.
+        InputError: it is empty, not UTF-8, has rows of unequal length, or ends lines in a way that
+            cannot be counted; the message names the row.
     """
     with path.open("rb") as handle:
         scan = _scan(handle, file)
@@ -82,7 +82,8 @@ def _scan(handle: BinaryIO, file: str) -> _Scan:
         end = block.rfind(b"\n") + 1
         if not end and len(block) > _BLOCK:
             raise InputError(
-                f"row {scan.first + scan.lines} of {file!r} is longer than {_BLOCK} bytes: is it a CSV file?"
+                f"row {scan.first + scan.lines} of {file!r} is longer than {_BLOCK} bytes: is it a "
+                "CSV file?"
             )
         rest = block[end:]
         _scan_lines(scan, block[:end])
@@ -120,8 +121,8 @@ def _split_header(scan: _Scan, row: int, line: str) -> None:
         scan.header = next(csv.reader([line], delimiter=scan.separator, strict=True))
     except csv.Error as error:
         raise InputError(
-            f"row {row} of {scan.file!r}, the header, has a quotation mark without its pair: {line[:80]!r}. "
-            "Close or remove it"
+            f"row {row} of {scan.file!r}, the header, has a quotation mark without its pair: "
+            f"{line[:80]!r}. Close or remove it"
         ) from error
 
 
@@ -140,8 +141,8 @@ def _decode(data: bytes, file: str, row: int) -> str:
     if (lone := unix.find(b"\r")) >= 0:
         row += unix.count(b"\n", 0, lone)
         raise InputError(
-            f"row {row} of {file!r} holds a carriage return that ends no line: lines must end in LF or CR LF. "
-            f"{_SAVE}"
+            f"row {row} of {file!r} holds a carriage return that ends no line: lines must end in "
+            f"LF or CR LF. {_SAVE}"
         )
     try:
         return data.decode("utf-8")
@@ -150,8 +151,9 @@ def _decode(data: bytes, file: str, row: int) -> str:
         row += data.count(b"\n", 0, error.start)
         raise InputError(
             f"row {row} of {file!r} is not UTF-8: byte {error.start - start + 1} of the row is "
-            f"0x{data[error.start]:02x}, after {data[start : error.start][-20:].decode('utf-8', 'replace')!r}. "
-            f"{_SAVE}; do not join files of different encodings"
+            f"0x{data[error.start]:02x}, after "
+            f"{data[start : error.start][-20:].decode('utf-8', 'replace')!r}. {_SAVE}; do not join "
+            "files of different encodings"
         ) from error
 
 
@@ -181,8 +183,8 @@ def _quoted_fields(scan: _Scan, row: int, line: bytes) -> int:
         return len(next(csv.reader([text], delimiter=scan.separator, strict=True)))
     except csv.Error as error:
         raise InputError(
-            f"row {row} of {scan.file!r} has a quotation mark without its pair: {text[:80]!r}. Close or remove "
-            "it; a field cannot run over several lines"
+            f"row {row} of {scan.file!r} has a quotation mark without its pair: {text[:80]!r}. "
+            "Close or remove it; a field cannot run over several lines"
         ) from error
 
 
@@ -191,8 +193,9 @@ def _refuse_ragged(scan: _Scan, row: int, line: bytes, fields: int) -> None:
     comma = scan.separator == "," and fields > expected
     hint = "If its numbers have decimal commas, export them with decimal points. " if comma else ""
     raise InputError(
-        f"row {row} of {scan.file!r} has {fields} field{'s' * (fields != 1)}, its header {expected}: "
-        f"{line.decode('utf-8').strip()[:80]!r}. {hint}Give every row one field for each column"
+        f"row {row} of {scan.file!r} has {fields} field{'s' * (fields != 1)}, its header "
+        f"{expected}: {line.decode('utf-8').strip()[:80]!r}. {hint}Give every row one field for "
+        "each column"
     )
 
 

@@ -1,7 +1,103 @@
-"""placeholder until the real one stands here"""
+"""What must happen before JAX starts: worker threads, double precision, a compilation cache on disk.
+
+Importing this module is cheap and does not import JAX. `bayescal/__init__.py` imports it first; each module
+that computes calls `configure_jax()` at its top.
+
+Environment variables:
+    NPROC: worker threads of JAX on the CPU; respected where set.
+    BAYESCAL_CACHE: folder for what bayescal keeps between runs; empty for nothing kept.
+    JAX_COMPILATION_CACHE_DIR: JAX's own; where set (or configured from Python), bayescal leaves the cache alone.
+"""
+
+from __future__ import annotations
+
 import os
-if "NPROC" not in os.environ and (os.cpu_count() or 1) < 4:
-    os.environ["NPROC"] = "4"
-def configure_jax():
-    import jax
+import sys
+from functools import cache
+from pathlib import Path
+
+MIN_WORKERS = 16
+
+
+def enough_workers() -> None:
+    """Give JAX at least `MIN_WORKERS` worker threads, unless the user has set `NPROC`.
+
+    JAX before 0.12 runs independent operations of a program side by side, each on a worker; a batched Cholesky
+    or triangular solve then shares its batch out to the same workers and waits for them. When every worker
+    waits, the program hangs for ever, at random. It needs a loop (`lax.map`, `scan`, `while_loop`) and about
+    as many independent factorisations as workers: with 2 or 4 workers it is soon met, with 8 sometimes, with
+    16 it was never met. Python 3.11 gets JAX 0.10 at the latest; on later Pythons bayescal asks for JAX 0.12.
+
+    The workers are counted when JAX first computes. Idle ones cost memory for their stacks only, a busy pass
+    of 1 ms up to 1 ms more on two cores.
+    """
+    if sys.version_info >= (3, 12) or "NPROC" in os.environ:
+        return
+    affinity = getattr(os, "sched_getaffinity", None)  # not on macOS and Windows
+    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
+    if cores < MIN_WORKERS:
+        os.environ["NPROC"] = str(MIN_WORKERS)
+
+
+def cache_folder() -> Path | None:
+    """Folder for what bayescal keeps between runs: `BAYESCAL_CACHE`, or `bayescal` in the user's cache folder.
+
+    Returns:
+        The folder, which need not exist; None when `BAYESCAL_CACHE` is empty or no home folder is known.
+    """
+    own = os.environ.get("BAYESCAL_CACHE")
+    if own is not None:
+        return Path(own).expanduser() if own else None
+    try:
+        return _user_cache() / "bayescal"
+    except RuntimeError:  # no home folder, as in some containers
+        return None
+
+
+def _user_cache() -> Path:
+    """The platform's folder for caches (XDG Base Directory Specification on Linux)."""
+    xdg = os.environ.get("XDG_CACHE_HOME", "")
+    if os.path.isabs(xdg):  # the specification has relative ones ignored
+        return Path(xdg)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path.home() / ".cache"
+
+
+@cache
+def configure_jax() -> None:
+    """Switch JAX to double precision and let it keep compiled programs on disk. Once per process.
+
+    Double precision is a setting of the whole process: after `import bayescal` has loaded a module that
+    computes, JAX arrays made anywhere in the program are float64 by default. Calibration needs it: a bias of
+    1e-9 of full scale beside readings of order one, normal equations whose condition number is the square.
+
+    Every program is kept, however small: JAX's own threshold of one second of compilation would keep almost
+    none of ours. A folder that cannot be written means no cache, never an error. The folder may be deleted at
+    any time.
+    """
+    import jax  # heavy: not before something computes
+
     jax.config.update("jax_enable_x64", True)
+    if jax.config.jax_compilation_cache_dir is not None:  # the user's own choice
+        return
+    folder = cache_folder()
+    if folder is None or not _writable(folder / "jax"):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder / "jax"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _writable(folder: Path) -> bool:
+    """Whether files can be made in `folder`, which is made if need be. JAX warns at every program otherwise."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK | os.X_OK)
+
+
+enough_workers()

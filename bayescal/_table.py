@@ -1,6 +1,6 @@
 """A file as it stands: columns by the names and units of its header, nothing understood yet.
 
-Every format ends here, so that what follows (which column is which, what is refused) is one code for all.
+Every format ends here, so that what follows (which column is which, what is refused) is one code.
 """
 
 from __future__ import annotations
@@ -17,9 +17,14 @@ from bayescal._errors import InputError
 _WITH_UNIT = re.compile(r"(.*?)\s*\[([^\[\]]*)\]", re.DOTALL)
 
 
+def bytes_text(size: float) -> str:
+    """A number of bytes for people: 180 bytes, 2.1 GB."""
+    return f"{size / 1e9:.3g} GB" if size >= 1e8 else f"{size:,.0f} bytes"
+
+
 @dataclass(frozen=True)
 class Header:
-    """A column as the file names it: `raw` is all of it, split into name and unit (None if it has none)."""
+    """A column as the file names it: `raw` is all of it, name and unit its parts."""
 
     raw: str
     name: str
@@ -80,8 +85,8 @@ class Table:
         for name in names:
             if names.count(name) > 1:
                 raise InputError(
-                    f"{self.file!r} has {names.count(name)} columns called {name!r}: which one is meant cannot "
-                    "be told. Rename or remove all but one"
+                    f"{self.file!r} has {names.count(name)} columns called {name!r}: which one is "
+                    "meant cannot be told. Rename or remove all but one"
                 )
 
 

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from math import floor, log10
 from typing import TYPE_CHECKING
 
-from bayescal._units import pretty
+from bayescal._summary import null_directions, summary
+from bayescal._units import pretty as pretty_unit
 
 if TYPE_CHECKING:
     from bayescal._calibrate import Trail
+    from bayescal._calibration import Calibration
     from bayescal._check import Check
     from bayescal._compare import Comparison
     from bayescal._discover import Discovery
+
+
+def pretty(unit: str) -> str:
+    """A unit for people; nothing for a number without one."""
+    return pretty_unit(unit) if unit not in ("", "1") else ""
 
 
 def table(head: list[str], rows: list[list[str]], left: int = 1) -> str:
@@ -38,8 +46,6 @@ def with_error(value: float, error: float) -> str:
     """value ± error, the error to two significant digits and the value to the same place."""
     if not error > 0:
         return number(value, 6)
-    from math import floor, log10
-
     places = max(0, 1 - floor(log10(error)))
     if places > 8 or abs(value) >= 1e7:
         return f"{value:.4g} ± {error:.2g}"
@@ -192,19 +198,22 @@ def trail_text(trail: Trail) -> str:
     return table(head, rows)
 
 
-def coefficients_text(calibration) -> str:
-    """Coefficients and hyper-parameters with standard uncertainty and 95 % credible interval."""
-    from bayescal._summary import summary
-
-    rows = [
-        [
-            s["name"],
-            with_error(s["mean"], s["sd"]),
-            pretty(s["unit"]),
-            f"[{s['interval95'][0]:.5g}, {s['interval95'][1]:.5g}]",
-            "–" if s["contraction"] is None else f"{s['contraction']:.3f}",
-        ]
-        for s in (*summary(calibration)[0], *summary(calibration)[1])
-    ]
+def calibration_text(calibration: Calibration) -> str:
+    """Coefficients and hyper-parameters with standard uncertainty and 95 % credible interval; the verdict."""
+    rows = []
+    for found in summary(calibration):
+        for s in found:
+            low, high = s["interval95"]
+            contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
+            interval = f"[{low:.5g}, {high:.5g}]"
+            rows.append([s["name"], with_error(s["mean"], s["sd"]), pretty(s["unit"]), interval, contraction])
     head = ["unknown", "mean ± standard uncertainty", "unit", "95 % credible interval", "contraction"]
-    return table(head, rows)
+    lines = [table(head, rows)] if rows else ["every unknown is fixed"]
+    fixed = ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed)
+    if fixed:
+        lines.append(f"fixed: {fixed}")
+    zeros = [(k, v) for k, v in calibration.reference.items() if isinstance(v, float) and k.endswith("0")]
+    if zeros:
+        lines.append("constants hold at " + ", ".join(f"{k} = {v:g} °C" for k, v in zeros))
+    lines += [f"not measured: {d['in_words']}" for d in null_directions(calibration)]
+    return "\n".join([*lines, str(calibration.verdict)])

@@ -1,9 +1,9 @@
-"""Units at the door: text in a header becomes a factor, a dimension and, for temperatures, an offset.
+"""Units at the door: text in a header becomes a factor, a dimension and, at times, an offset.
 
-Inside the library units are fixed, so nothing here is needed once readings are in. The registry is our own:
-the customary one reads g as gram and Hz as an angle rate, while here g is the local acceleration of gravity,
-angle and frequency are dimensions of their own, and dps is known. Base units are s, K (written degC where it
-is a difference), rad, µg of local g, V, Hz and m.
+Inside the library units are fixed, so nothing here is needed once readings are in. The registry is
+our own: the customary one reads g as gram and Hz as an angle rate, while here g is the local
+acceleration of gravity, angle and frequency are dimensions of their own, and dps is known. Base
+units are s, K (written degC where it is a difference), rad, µg of local g, V, Hz and m.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ _NAME = re.compile(r"[A-Za-z_]+")
 
 @dataclass(frozen=True)
 class _Parsed:
-    """A unit understood: `factor` base units, `powers` of each base unit, offset if a temperature scale."""
+    """A unit understood: `factor` base units, their powers, and the zero of a temperature scale."""
 
     factor: float
     powers: Mapping[str, float]
@@ -99,8 +99,8 @@ def convert(
 ) -> np.ndarray:
     """Numbers in one unit as numbers in another.
 
-    Temperatures in degC, K and degF are absolute unless a `delta_` unit or `difference` says otherwise.
-    Accelerations in m/s² become g (and the reverse) by the local gravity.
+    Temperatures in degC, K and degF are absolute unless a `delta_` unit or `difference` says
+    otherwise. Accelerations in m/s² become g (and the reverse) by the local gravity.
 
     Args:
         values: numbers, any shape.
@@ -110,8 +110,8 @@ def convert(
         difference: take bare temperatures as differences, as an uncertainty is.
 
     Raises:
-        InputError: an unknown unit, units of different dimensions, a difference of temperatures where a
-            temperature is wanted, or a gravity not found on Earth.
+        InputError: an unknown unit, units of different dimensions, a difference of temperatures
+            where a temperature is wanted, or a gravity not found on Earth.
     """
     old, new = _parse(from_unit), _parse(to_unit)
     values = np.array(values, dtype=np.float64)
@@ -123,8 +123,8 @@ def convert(
         )
     if new.offset is not None and old.offset is None and not difference:
         raise InputError(
-            f"[{from_unit}] is a difference of temperatures, [{to_unit}] a temperature: write [degC], [K] "
-            "or [degF]"
+            f"[{from_unit}] is a difference of temperatures, [{to_unit}] a temperature: write "
+            "[degC], [K] or [degF]"
         )
     if old.offset is not None and new.offset is not None and not difference:
         if old != new:
@@ -167,7 +167,7 @@ def needs_gravity(from_unit: str, to_unit: str) -> bool:
 def coefficient_factor(unit: str, slot_unit: str) -> float:
     """What turns a coefficient in its reported unit into internal units.
 
-    That is unit ÷ slot unit in base units (s, K, rad, µg, …). In a coefficient degC is always a difference.
+    That is unit ÷ slot unit in base units (s, K, rad, µg, …). degC is always a difference here.
 
     Raises:
         InputError: an unknown unit.
@@ -176,7 +176,7 @@ def coefficient_factor(unit: str, slot_unit: str) -> float:
 
 
 def base_unit(unit: str) -> str:
-    """The unit in which a column that no instrument prescribes is kept: base units, °C for a temperature.
+    """The unit in which a column that no instrument prescribes is kept: base units, or °C.
 
     Raises:
         InputError: an unknown unit.
@@ -233,25 +233,21 @@ def _normal(text: str) -> str:
     names = _NAME.findall(plain)
     for name in names:
         if name not in _BASE and name not in _DERIVED:
-            raise InputError(
-                f"[{text}] is not a unit known here: {name!r} is not. {_suggestion(name)}"
-            )
-    if re.search(r"[^1*/() ]", _NAME.sub("", _EXPONENT.sub("", plain))) or re.search(
-        "11|1[A-Za-z]", plain
-    ):
+            raise InputError(f"[{text}] is not a unit known here: {name!r} is none{_near(name)}")
+    rest = _NAME.sub("u", _EXPONENT.sub("", plain))
+    if re.search(r"[^u1*/() ]|11|1u", rest):
         raise InputError(
-            f"[{text}] is not a unit: a unit is made of names, *, /, ^ and brackets, without numbers "
-            "in front. Write one such as [ug/mg^2] or [deg/s/degC]"
+            f"[{text}] is not a unit: a unit is made of names, *, /, ^ and brackets, without "
+            "numbers in front. Write one such as [ug/mg^2] or [deg/s/degC]"
         )
     return plain
 
 
-def _suggestion(name: str) -> str:
+def _near(name: str) -> str:
     known = [*_BASE, *_DERIVED]
-    near = [k for k in known if k.lower() == name.lower()] or difflib.get_close_matches(
-        name, known, 3
-    )
-    return f"Did you mean {' or '.join(near)}?" if near else f"Known are {', '.join(known)}"
+    near = [k for k in known if k.lower() == name.lower()]
+    near = near or difflib.get_close_matches(name, known, 3)
+    return f" (is {' or '.join(near)} meant?)" if near else f" (known are {', '.join(known)})"
 
 
 @lru_cache(maxsize=512)
@@ -287,7 +283,7 @@ def _registry() -> UnitRegistry:
 
 
 def _power_of_gravity(old: Mapping[str, float], new: Mapping[str, float]) -> float | None:
-    """How often m/s² must become local g to get from one dimension to the other; None if it never does."""
+    """How often m/s² must become local g to get from one to the other; None if nothing helps."""
     power = old.get("m", 0) - new.get("m", 0)
     for name in {*old, *new}:
         expected = {"m": power, "s": -2 * power, "ug": -power}.get(name, 0)

@@ -42,8 +42,8 @@ def write(dataset: xr.Dataset, path: str | Path) -> Path:
     writer = writers.get(path.suffix.lower())
     if writer is None:
         raise InputError(
-            f"{path.name!r}: readings cannot be written as {path.suffix or 'a file without a suffix'!r}; "
-            f"choose {', '.join(FORMATS)}"
+            f"{path.name!r}: readings cannot be written as "
+            f"{path.suffix or 'a file without a suffix'!r}; choose {', '.join(FORMATS)}"
         )
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
@@ -51,8 +51,8 @@ def write(dataset: xr.Dataset, path: str | Path) -> Path:
         beside.replace(path)
     except OSError as error:
         raise InputError(
-            f"{str(path)!r} cannot be written: {error.strerror or error}. Choose a folder that exists and may "
-            "be written to"
+            f"{str(path)!r} cannot be written: {error.strerror or error}. Choose a folder that "
+            "exists and may be written to"
         ) from error
     finally:
         beside.unlink(missing_ok=True)
@@ -88,7 +88,7 @@ def _write_netcdf(dataset: xr.Dataset, path: Path) -> None:
     for name in dataset.data_vars:
         if "/" in str(name):
             raise InputError(
-                f"column {name!r} cannot be written to NetCDF because of its '/': rename it, or write .csv or "
-                ".parquet"
+                f"column {name!r} cannot be written to NetCDF because of its '/': rename it, or "
+                "write .csv or .parquet"
             )
     dataset.to_netcdf(path, engine="h5netcdf")

@@ -117,8 +117,8 @@ def _run(size: float, campaign: Campaign, world: World) -> Array:
 
 
 def _scale_temperature(size: float, campaign: Campaign, world: World) -> Array:
-    """Scale factor follows the die: `κ(T_die)·Ω`; nothing at rest."""
-    return 1e-6 * size * (world.die - campaign.T0) * world.rate
+    """Scale factor follows the package: `κ(T_package)·Ω`; nothing at rest."""
+    return 1e-6 * size * (world.package - campaign.T0) * world.rate
 
 
 def _periodic(size: float, campaign: Campaign, world: World) -> Array:

@@ -26,6 +26,7 @@ import math
 import bayescal as bc
 from bayescal import effects
 from bayescal_models.mems_gyro.campaign import SIZES
+from bayescal_models.mems_gyro.demo import run
 from bayescal_models.mems_gyro.simulate import simulate
 from bayescal_models.mems_gyro.structures import RESONANCE, RESONANCE_FORCE
 
@@ -157,5 +158,6 @@ INSTRUMENT = bc.Instrument(
         ),
     ),
     simulate=simulate,
+    demo=run,
     source="source 1",
 )

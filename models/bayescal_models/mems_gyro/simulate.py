@@ -36,5 +36,7 @@ def simulate(
     """
     from bayescal_models.mems_gyro.model import INSTRUMENT  # the instrument holds this function
 
+    known = {column.name for column in INSTRUMENT.columns}
     made = simulate_arrays(campaign or Campaign(), effects, seed=seed, noise_law=noise_law)
-    return bc.Measurements.from_arrays(INSTRUMENT, **made.columns)
+    units = {n: u for n, u in made.units.items() if u is not None and n not in known}
+    return bc.Measurements.from_arrays(INSTRUMENT, units=units, **made.columns)

@@ -1,0 +1,54 @@
+# Every target works as the first command in a fresh checkout: what it needs is installed first, into $(VENV).
+#   make test                       with python3
+#   make test PYTHON=python3.13     with another; $(VENV) is made anew when its interpreter differs
+#   make test ARGS='-k startup'     more arguments for the command
+
+PYTHON  ?= python3
+VENV    ?= .venv
+WORKERS ?= 2
+ARGS    ?=
+
+IN_VENV := $(VENV)/bin
+# As "3.11.7"; empty when there is no such command.
+VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d.%d" % sys.version_info[:3])' 2>/dev/null)
+READY   := $(VENV)/.ready-$(VERSION)
+PYTEST  := $(IN_VENV)/python -m pytest -n $(WORKERS) --dist loadfile
+
+.PHONY: help demo test test-all lint bench clean
+.DELETE_ON_ERROR:
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /  make \1	/'
+
+demo: $(READY)  ## calibrate the simulated gyroscope; results in demo_output/
+	$(IN_VENV)/bayescal demo --out demo_output $(ARGS)
+
+test: $(READY)-test  ## the tests without the slow ones
+	$(PYTEST) $(ARGS)
+
+test-all: $(READY)-test  ## every test
+	$(PYTEST) -m "slow or not slow" $(ARGS)
+
+lint: $(READY)-test-lint  ## format, lint rules and types
+	$(IN_VENV)/ruff format --check .
+	$(IN_VENV)/ruff check .
+	$(IN_VENV)/pyright --pythonpath $(IN_VENV)/python
+
+bench: $(READY)-test  ## speed and coverage, as JSON with versions and machine
+	$(IN_VENV)/python -m benchmarks $(ARGS)
+
+clean:  ## remove what these targets made
+	rm -rf $(VENV) build dist demo_output .pytest_cache .hypothesis .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# One stamp per interpreter and set of extras: .ready-3.11.7, .ready-3.11.7-test, .ready-3.11.7-test-lint.
+$(READY) $(READY)-test $(READY)-test-lint: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null || { \
+	  echo "bayescal needs Python 3.11, 3.12 or 3.13; '$(PYTHON)' is $(or $(VERSION),not a command here)." >&2; \
+	  echo "Name another one: make $(MAKECMDGOALS) PYTHON=python3.13" >&2; exit 1; }
+	@[ "$$($(IN_VENV)/python -c 'import platform; print(platform.python_version())' 2>/dev/null)" = "$(VERSION)" ] \
+	  || { echo "making $(VENV) with Python $(VERSION)"; $(PYTHON) -m venv --clear $(VENV); }
+	$(IN_VENV)/python -m pip install --quiet -e '.$(if $(findstring -test,$@),[test$(if $(findstring -lint,$@),$(comma)lint)])'
+	@touch $@
+
+comma := ,

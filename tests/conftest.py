@@ -1,0 +1,59 @@
+"""Set before JAX and NumPy start, and fixtures for all tests. What only one file needs stands in that file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+# Two test processes on two cores: threads of a linear-algebra library would only get in each other's way.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import hypothesis
+import pytest
+
+import bayescal  # noqa: F401  its start-up comes before JAX
+from bayescal._startup import cache_folder, configure_jax
+
+if TYPE_CHECKING:
+    import jax
+    import numpy as np
+
+# Compiled programs are kept between test runs, apart from the user's own: most of a first run is compilation.
+if "BAYESCAL_CACHE" not in os.environ:
+    user = cache_folder()
+    os.environ["BAYESCAL_CACHE"] = str(user / "tests") if user else ""
+configure_jax()
+
+# The same examples at every run; no deadline, because the first example may compile.
+hypothesis.settings.register_profile("bayescal", derandomize=True, deadline=None, database=None)
+hypothesis.settings.load_profile("bayescal")
+
+SEED = 20261121
+SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture
+def key() -> jax.Array:
+    """A JAX random key, the same in every test and every run."""
+    import jax
+
+    return jax.random.key(SEED)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A NumPy random generator, the same in every test and every run."""
+    import numpy as np
+
+    return np.random.default_rng(SEED)
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of the reference data sets that are too large for this repository; skips where it is absent."""
+    if not SHARED_DATA.is_dir():
+        pytest.skip("needs the reference data sets in ../shared/data, beside this checkout")
+    return SHARED_DATA
