@@ -1,23 +1,21 @@
 """From a file's columns to an instrument's numbers: conversion, and what cannot be let in.
 
-Columns of the instrument are refused with the row and the reason. A column that no instrument asked
-for is never a reason to refuse a file: it is kept if it is sound, because a user's own effect may
-need it, and otherwise left out with a flag that says why.
+A refusal names the file, the row, the column, what was read, what was expected, and what to do.
 """
 
 from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from bayescal import _units
-from bayescal._column import TAKEN, Column
+from bayescal._column import MAY_BE_EMPTY, Admitted, Column
 from bayescal._errors import InputError
+from bayescal._extra_columns import extra_columns, keep, shown
 from bayescal._match import (
     Expects,
     Wishes,
@@ -29,28 +27,10 @@ from bayescal._match import (
 )
 from bayescal._table import Cells, Header, Table
 
-MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
 _LIKELY_UNITS = (
     *("deg", "arcsec", "rad", "deg/s", "rad/s", "g", "mg", "ug", "degC", "degF", "K"),
     *("s", "min", "h", "V", "mV", "Hz", "kHz", "1", "%", "ppm"),
 )
-
-
-@dataclass
-class Admitted:
-    """One file's columns as ours.
-
-    Attributes:
-        values: name → one entry per reading.
-        units: name → unit; None for labels.
-        flags: what was odd.
-        filled: names of columns that hold a default.
-    """
-
-    values: dict[str, np.ndarray] = field(default_factory=dict)
-    units: dict[str, str | None] = field(default_factory=dict)
-    flags: list[str] = field(default_factory=list)
-    filled: set[str] = field(default_factory=set)
 
 
 def admit(table: Table, instrument: Expects, wishes: Wishes) -> Admitted:
@@ -72,7 +52,7 @@ def admit(table: Table, instrument: Expects, wishes: Wishes) -> Admitted:
     places = match(table, expected, wishes)
     refuse_missing(table, expected, places, instrument.name)
     result = Admitted()
-    kept = _extras(table, expected, places, wishes, result)
+    kept = extra_columns(table, expected, places, wishes, result)
     wanted = {places[name]: expected[name].unit is not None for name in expected if name in places}
     cells = table.load({**wanted, **{places[name]: True for name in kept}})
     for name, column in expected.items():
@@ -84,86 +64,10 @@ def admit(table: Table, instrument: Expects, wishes: Wishes) -> Admitted:
             result.values[name] = np.full(table.rows, column.default, dtype=kind)
             result.units[name] = column.unit
             result.filled.add(name)
-    for name in kept:
-        _keep(
-            table,
-            table.headers[places[name]],
-            name,
-            kept[name],
-            wishes,
-            cells[places[name]],
-            result,
-        )
+    for name, unit in kept.items():
+        place = places[name]
+        keep(table, table.headers[place], name, unit, wishes.local_gravity, cells[place], result)
     return result
-
-
-def _extras(
-    table: Table,
-    expected: Mapping[str, Column],
-    places: Mapping[str, int],
-    wishes: Wishes,
-    result: Admitted,
-) -> dict[str, str]:
-    """Name → unit of columns beyond the instrument's; those without one are flagged."""
-    kept: dict[str, str] = {}
-    without: list[str] = []
-    for name in (n for n in places if n not in expected):
-        header = table.headers[places[name]]
-        unit = unit_of(header, name, wishes)
-        if unit is None:
-            without.append(header.raw)
-        elif name in TAKEN:
-            result.flags.append(
-                f"{table.file}: column {header.raw!r} ignored: the name {name!r} is taken"
-            )
-        else:
-            try:
-                _units.check_unit(unit)
-            except InputError:
-                result.flags.append(
-                    f"{table.file}: column {header.raw!r} ignored: [{unit}] is no unit known here"
-                )
-            else:
-                kept[name] = unit
-    without += [
-        f"column {i + 1}, without a name" for i, h in enumerate(table.headers) if not h.name
-    ]
-    if without:
-        result.flags.append(
-            f"{table.file}: ignored, because they have no unit: {', '.join(without)} (to keep one, "
-            "write 'name [unit]' or give units=)"
-        )
-    return kept
-
-
-def _keep(
-    table: Table,
-    header: Header,
-    name: str,
-    unit: str,
-    wishes: Wishes,
-    cells: Cells,
-    result: Admitted,
-) -> None:
-    """An extra column in its base unit, if every cell is a number."""
-    base = _units.base_unit(unit)
-    values = _units.convert(cells.values, unit, base, local_gravity=wishes.local_gravity)
-    wrong = np.flatnonzero(~np.isfinite(values))
-    if name == MAY_BE_EMPTY:
-        wrong = np.flatnonzero(np.isinf(values))
-    if cells.bad or wrong.size:
-        index, seen = cells.bad or (int(wrong[0]), _shown(cells.values[wrong[0]]))
-        result.flags.append(
-            f"{table.file}: column {header.raw!r} ignored: {table.place(index)} {seen}"
-            if not cells.bad
-            else f"{table.file}: column {header.raw!r} ignored: {table.place(index)} reads {seen!r}"
-        )
-        return
-    result.values[name], result.units[name] = values, base
-
-
-def _shown(value: float) -> str:
-    return "is empty or NaN" if np.isnan(value) else f"reads {value:g}"
 
 
 @dataclass(frozen=True)
@@ -298,7 +202,7 @@ class _Door:
         wrong = np.isinf(values) if self.column.name == MAY_BE_EMPTY else ~np.isfinite(values)
         if wrong.any():
             index = int(np.argmax(wrong))
-            seen = _shown(raw[index]) + (", too large" if np.isfinite(raw[index]) else "")
+            seen = shown(float(raw[index])) + (", too large" if np.isfinite(raw[index]) else "")
             raise InputError(
                 f"{self._at(index)} {seen}, a number in {_units.pretty(unit)} was expected. "
                 "Fill it in, or remove the row"
@@ -315,7 +219,8 @@ class _Door:
         limits = f"{low:g} … {high:g}" if low > -np.inf and high < np.inf else limits
         same = _units.pretty(unit) == shown
         internal = "" if same else f", that is {values[index]:.6g} {shown}"
-        better = [u for u in _LIKELY_UNITS if u != unit and self._plausible_in(u, raw, low, high)]
+        likely = _LIKELY_UNITS if wrong.mean() >= 0.5 else ()  # a single slip says nothing of units
+        better = [u for u in likely if u != unit and self._plausible_in(u, raw, low, high)]
         hint = (
             f"Are the numbers in {better[0]}? Then write '{self.header.name} [{better[0]}]'"
             if better

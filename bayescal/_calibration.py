@@ -133,6 +133,9 @@ class Calibration:
     def log_likelihood(self, limit: int = PREDICTIVE_CELLS) -> xr.Dataset:
         """Pointwise log likelihood, draws thinned so that at most `limit` numbers come back.
 
+        Coefficients that belong to one reading (a thermometer's error) are averaged over their prior: another
+        reading would have another one.
+
         Under correlated noise it is that of each reading's white part given all else.
         """
         posterior = self.tree["posterior"].to_dataset()
@@ -140,8 +143,8 @@ class Calibration:
         keep = max(1, min(draws, limit // max(1, chains * len(self.readings))))
         step = max(1, draws // keep)
         group = self.tree["draws"].to_dataset().isel(draw=slice(None, None, step))
-        flat = [flat(group[name].values) for name in ("x", "rows", "v")]
-        values = pointwise(self.layout, self.frame, jnp.asarray(self.readings["output"]), *flat)
+        vectors = [flat(group[name].values) for name in ("x", "rows", "v")]
+        values = pointwise(self.layout, self.frame, jnp.asarray(self.readings["output"]), *vectors)
         shaped = values.reshape(chains, -1, len(self.readings))
         return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})
 
@@ -162,6 +165,8 @@ def _pointwise(layout: Layout, frame: Frame, y, draws):
     def one(draw):
         x, rows, v = draw
         hyper = composition.hyper_values(layout, v)
+        if layout.row_blocks and layout.model.noise.gaussian:
+            return composition.log_likelihood_over_rows(layout, frame, y, x, hyper)
         return composition.log_likelihood(layout, frame, y, x, rows, hyper)
 
     return over(one, draws, 64)

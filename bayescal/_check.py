@@ -16,6 +16,7 @@ from bayescal._least_squares import LeastSquares
 
 BINS = 12  # of a covariate, for the worst region
 OUTLIER = 4.0  # leave-one-out standard deviations
+MEAN_IS_OFF = 3.0  # log Bayes factor of structure from which the scatter is not judged
 SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
 
 
@@ -127,7 +128,8 @@ def check(calibration: Calibration) -> Check:
         float(np.sqrt(np.mean(residual**2))),
         noise,
         autocorrelation(judged, residual / sd),
-        _spread_with(covariates, residual / sd),
+        # Where the mean is off, so is the size of the residuals: scatter is judged only where it is not.
+        _spread_with(covariates, residual / sd) if max(factors, default=0.0) < MEAN_IS_OFF else {},
         tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
         float(stats.kstest(stats.norm.cdf(loo), "uniform").pvalue),
         None if free_noise is None else _compare_fixed(calibration, residual, noise, free_noise),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._errors import InputError
 
+MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
 TAKEN = ("reading", "cell")  # the row index, and run × temperature point
 
 
@@ -87,7 +88,7 @@ class NominalScale:
             )
 
     def apply(self, raw: ArrayLike, *, difference: bool = False) -> np.ndarray:
-        """Raw outputs, in `unit`, as outputs; a difference (an uncertainty) has no offset or sign."""
+        """Raw outputs in `unit` as outputs; a difference, an uncertainty, has no offset or sign."""
         raw = np.asarray(raw, dtype=np.float64)
         return raw / abs(self.gain) if difference else (raw - self.offset) / self.gain
 
@@ -105,3 +106,20 @@ class Source:
     file: str
     sha256: str
     rows: int
+
+
+@dataclass
+class Admitted:
+    """One file's columns as ours.
+
+    Attributes:
+        values: name → one entry per reading.
+        units: name → unit; None for labels.
+        flags: what was odd.
+        filled: names of columns that hold a default.
+    """
+
+    values: dict[str, np.ndarray] = field(default_factory=dict)
+    units: dict[str, str | None] = field(default_factory=dict)
+    flags: list[str] = field(default_factory=list)
+    filled: set[str] = field(default_factory=set)

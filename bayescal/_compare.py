@@ -6,6 +6,7 @@ Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao e
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -17,6 +18,9 @@ from bayescal._calibration import Calibration
 from bayescal._errors import InputError
 from bayescal._folds import leave_one_group_out
 from bayescal._predict import predict
+
+
+SAME_CURVE = 0.15  # largest difference, in noise standard deviations, of curves that count as the same
 
 
 @dataclass(frozen=True)
@@ -132,7 +136,7 @@ def compare(calibrations: Mapping[str, Calibration]) -> Comparison:
         any_fold.count if any_fold else len(first.readings),
         first.unit,
         "left-out groups" if grouped else "pointwise leave-one-out",
-        tuple(_warnings(rows, any_fold.count if any_fold else 0, grouped)),
+        tuple([*_warnings(rows, any_fold.count if any_fold else 0, grouped), *_alike(calibrations)]),
     )
 
 
@@ -151,7 +155,9 @@ def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
             "posterior": calibration.tree["posterior"].to_dataset(),
         }
     )
-    found = loo(tree, pointwise=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # high Pareto k: said in our own words, by model
+        found = loo(tree, pointwise=True)
     return np.asarray(found.elpd_i).ravel(), float(np.max(np.asarray(found.pareto_k)))
 
 
@@ -189,5 +195,25 @@ def _warnings(rows: list[Row], groups: int, grouped: bool) -> list[str]:
             said.append(
                 f"{row.name!r}: Pareto k up to {row.pareto_k:.2f}, so its pointwise leave-one-out is not "
                 "reliable."
+            )
+    return said
+
+
+def _alike(calibrations: Mapping[str, Calibration]) -> list[str]:
+    """Models whose fitted curves are one and the same against the noise, said pair by pair with the first."""
+    curves = {name: predict(c) for name, c in calibrations.items()}
+    said, told = [], set()
+    for name, curve in curves.items():
+        if name in told:
+            continue
+        noise = float(np.sqrt(np.mean(curve.sd**2)))
+        gaps = {n: float(np.max(np.abs(c.mean - curve.mean))) for n, c in curves.items() if n not in told}
+        same = [n for n, gap in gaps.items() if n != name and gap < SAME_CURVE * noise]
+        if same:
+            told |= {name, *same}
+            unit = calibrations[name].unit
+            said.append(
+                f"{', '.join(map(repr, [name, *same]))} are the same curve to within "
+                f"{max(gaps[n] for n in same):.2g} {unit} (noise {noise:.2g}): these readings cannot tell them apart."
             )
     return said

@@ -133,17 +133,16 @@ def discover(
     sets = tuple(Found(tuple(tested[m].name for m in s.members), s.probability) for s in found.sets)
     judged = _name_aliases(judged, columns, score, found)
     nothing, best, verified = float(found.nothing_probability), (), {}
-    if sets and nothing <= FINDING:
-        leading = found.sets[0].members[:VERIFIED]
-        if verify:
-            verified = _verify(calibration, [tested[m] for m in leading])
-            nothing = _nothing_after(judged, verified, nothing)
-            judged = [_with_refit(c, verified) for c in judged]
-            sets = (_reweighed(sets[0], verified), *sets[1:])
-        if nothing <= FINDING:
-            best = (known[sets[0].effects[0]],)
-    if not best:
-        sets = tuple(s for s in sets if nothing <= FINDING)
+    leading = _leading(found, judged)
+    if leading and verify:
+        verified = _verify(calibration, [tested[m] for m in leading])
+        nothing = _nothing_after(judged, verified, nothing)
+        judged = _after_refit(judged, verified, nothing)
+        sets = (_reweighed(1 - nothing, verified), *sets[1:])
+    if nothing <= FINDING and sets:
+        best = (known[sets[0].effects[0]],)
+    else:
+        sets = ()
     in_sets = {name for s in sets for name in s.effects}
     judged = [_kind(c, in_sets) for c in judged]
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
@@ -321,21 +320,42 @@ def _nothing_after(judged: list[Candidate], verified: dict[str, float], by_score
     return float(1 / (1 + np.exp(np.clip(log_odds, -700, 700))))
 
 
-def _reweighed(found: Found, verified: dict[str, float]) -> Found:
+def _leading(found: susie.SingleEffects, judged: list[Candidate]) -> list[int]:
+    """Candidates worth a refit: the leading set's, or else what is at least a lead."""
+    if found.sets:
+        return list(found.sets[0].members[:VERIFIED])
+    factors = np.array([c.log_bayes_factor or 0.0 for c in judged])
+    order = [int(i) for i in np.argsort(-factors) if factors[i] > LEAD]
+    return order[: VERIFIED // 2]
+
+
+def _reweighed(probability: float, verified: dict[str, float]) -> Found:
     """The leading set with its members' shares by refitted evidence, the most probable first.
 
     The score is taken where noise still has to cover what is missing, which makes rivals look more alike than
     they are; a refit does not.
     """
-    names = [n for n in found.effects if n in verified]
+    names = list(verified)
     factor = np.array([verified[n] for n in names])
     share = np.exp(factor - logsumexp(factor))
     order = np.argsort(-share)
     kept = order[: int(np.searchsorted(np.cumsum(share[order]), susie.COVERAGE)) + 1]
-    return Found(tuple(names[i] for i in kept), found.probability)
+    return Found(tuple(names[i] for i in kept), probability)
 
 
-def _with_refit(candidate: Candidate, verified: dict[str, float]) -> Candidate:
-    if candidate.effect not in verified:
-        return candidate
-    return replace(candidate, log_bayes_factor=verified[candidate.effect], source="refit")
+def _after_refit(judged: list[Candidate], verified: dict[str, float], nothing: float) -> list[Candidate]:
+    """Log Bayes factors by refit where there are any, and the probability among those shared out by them."""
+    updated = [
+        replace(c, log_bayes_factor=verified[c.effect], source="refit") if c.effect in verified else c
+        for c in judged
+    ]
+    total = logsumexp([c.log_bayes_factor or 0.0 for c in updated])
+    among = logsumexp(list(verified.values()))
+    by_score = sum(c.probability or 0.0 for c in judged if c.effect in verified)
+    mass = min(1.0, max(by_score, (1 - nothing) * float(np.exp(among - total))))
+    return [
+        replace(c, probability=mass * float(np.exp((c.log_bayes_factor or 0.0) - among)))
+        if c.effect in verified
+        else c
+        for c in updated
+    ]

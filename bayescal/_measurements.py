@@ -11,7 +11,8 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from bayescal._admit import MAY_BE_EMPTY, Admitted, admit
+from bayescal._admit import admit
+from bayescal._column import MAY_BE_EMPTY, Admitted
 from bayescal._column import Column as Column
 from bayescal._column import NominalScale as NominalScale
 from bayescal._column import Source as Source

@@ -18,6 +18,7 @@ LEAST_TEMPERATURE_SPAN = (
 )
 _LEAST_SATURATED = 5  # readings at the very extreme before one speaks of saturation
 _SHARE_SATURATED = 0.01
+_GAP = 0.1  # of the range: further off, the end is a set-up of its own, such as one position
 _AGAINST_NEXT = 3  # times as many as at the next level, which a rounded output does not show
 
 Columns = Mapping[str, np.ndarray]
@@ -118,6 +119,7 @@ def _saturated(values: np.ndarray) -> tuple[int, str, float] | None:
         return None
     for end, beside, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
         enough = max(_LEAST_SATURATED, _SHARE_SATURATED * len(values))
-        if counts[end] >= enough and counts[end] > _AGAINST_NEXT * counts[beside]:
+        near = abs(levels[end] - levels[beside]) < _GAP * (levels[-1] - levels[0])
+        if near and counts[end] >= enough and counts[end] > _AGAINST_NEXT * counts[beside]:
             return int(counts[end]), name, float(levels[end])
     return None

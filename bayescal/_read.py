@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal._admit import MAY_BE_EMPTY, Admitted, admit
-from bayescal._column import NominalScale, Source
+from bayescal._admit import admit
+from bayescal._column import MAY_BE_EMPTY, Admitted, NominalScale, Source
 from bayescal._errors import InputError
 from bayescal._match import Expects, Wishes, refuse_unused_units
 from bayescal._measurements import Measurements, assemble

@@ -1,12 +1,13 @@
-"""What must happen before JAX starts: worker threads, double precision, a compilation cache on disk.
+"""What must happen before JAX starts: worker threads, double precision, a cache of programs.
 
-Importing this module is cheap and does not import JAX. `bayescal/__init__.py` imports it first; each module
-that computes calls `configure_jax()` at its top.
+Importing this module is cheap and does not import JAX. `bayescal/__init__.py` imports it first;
+each module that computes calls `configure_jax()` at its top.
 
 Environment variables:
     NPROC: worker threads of JAX on the CPU; respected where set.
     BAYESCAL_CACHE: folder for what bayescal keeps between runs; empty for nothing kept.
-    JAX_COMPILATION_CACHE_DIR: JAX's own; where set (or configured from Python), bayescal leaves the cache alone.
+    JAX_COMPILATION_CACHE_DIR: JAX's own; where set (or configured from Python), bayescal leaves the
+        cache alone.
 """
 
 from __future__ import annotations
@@ -22,14 +23,15 @@ MIN_WORKERS = 16
 def enough_workers() -> None:
     """Give JAX at least `MIN_WORKERS` worker threads, unless the user has set `NPROC`.
 
-    JAX before 0.12 runs independent operations of a program side by side, each on a worker; a batched Cholesky
-    or triangular solve then shares its batch out to the same workers and waits for them. When every worker
-    waits, the program hangs for ever, at random. It needs a loop (`lax.map`, `scan`, `while_loop`) and about
-    as many independent factorisations as workers: with 2 or 4 workers it is soon met, with 8 sometimes, with
-    16 it was never met. Python 3.11 gets JAX 0.10 at the latest; on later Pythons bayescal asks for JAX 0.12.
+    JAX before 0.12 runs independent operations of a program side by side, each on a worker; a
+    batched Cholesky or triangular solve then shares its batch out to the same workers and waits for
+    them. When every worker waits, the program hangs for ever, at random. It takes a loop
+    (`lax.map`, `scan`, `while_loop`) over independent factorisations. On two cores it was soon met
+    with 2 or 4 workers, sometimes with 8, never with 16. Python 3.11 gets JAX 0.10 at the latest;
+    on later Pythons bayescal asks for JAX 0.12, which is free of it.
 
-    The workers are counted when JAX first computes. Idle ones cost memory for their stacks only, a busy pass
-    of 1 ms up to 1 ms more on two cores.
+    JAX counts its workers when it first computes. More of them than cores cost a little: a pass
+    that takes 1 ms takes up to 2 ms on two cores.
     """
     if sys.version_info >= (3, 12) or "NPROC" in os.environ:
         return
@@ -40,16 +42,17 @@ def enough_workers() -> None:
 
 
 def cache_folder() -> Path | None:
-    """Folder for what bayescal keeps between runs: `BAYESCAL_CACHE`, or `bayescal` in the user's cache folder.
+    """Folder for what is kept between runs: `BAYESCAL_CACHE`, or one in the user's cache folder.
 
     Returns:
-        The folder, which need not exist; None when `BAYESCAL_CACHE` is empty or no home folder is known.
+        The folder, which need not exist; None when `BAYESCAL_CACHE` is empty or there is no home
+        folder.
     """
     own = os.environ.get("BAYESCAL_CACHE")
-    if own is not None:
-        return Path(own).expanduser() if own else None
+    if own == "":
+        return None
     try:
-        return _user_cache() / "bayescal"
+        return Path(own).expanduser() if own else _user_cache() / "bayescal"
     except RuntimeError:  # no home folder, as in some containers
         return None
 
@@ -70,13 +73,14 @@ def _user_cache() -> Path:
 def configure_jax() -> None:
     """Switch JAX to double precision and let it keep compiled programs on disk. Once per process.
 
-    Double precision is a setting of the whole process: after `import bayescal` has loaded a module that
-    computes, JAX arrays made anywhere in the program are float64 by default. Calibration needs it: a bias of
-    1e-9 of full scale beside readings of order one, normal equations whose condition number is the square.
+    Double precision is a setting of the whole process: once a module of bayescal that computes is
+    loaded, JAX arrays made anywhere in the program are float64 by default. Calibration needs it:
+    biases of 1e-9 of full scale beside readings of order one, normal equations that square a
+    condition number.
 
-    Every program is kept, however small: JAX's own threshold of one second of compilation would keep almost
-    none of ours. A folder that cannot be written means no cache, never an error. The folder may be deleted at
-    any time.
+    Every program is kept, however small: JAX's own threshold of one second of compilation would
+    keep almost none of ours. A folder that cannot be written means no cache, never an error. The
+    folder may be deleted at any time.
     """
     import jax  # heavy: not before something computes
 
@@ -92,7 +96,7 @@ def configure_jax() -> None:
 
 
 def _writable(folder: Path) -> bool:
-    """Whether files can be made in `folder`, which is made if need be. JAX warns at every program otherwise."""
+    """Whether files can be made in `folder`, itself made if need be; else JAX warns each time."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

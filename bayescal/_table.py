@@ -92,7 +92,7 @@ class Table:
 
 def numbers_of(texts: pd.Series) -> Cells:
     """Text as numbers: empty and "nan" are NaN, the first that is no number is named."""
-    values = pd.to_numeric(texts, errors="coerce").to_numpy(np.float64)
+    values = np.asarray(pd.to_numeric(texts, errors="coerce"), dtype=np.float64)
     empty = np.flatnonzero(np.isnan(values))
     if empty.size:
         seen = texts.iloc[empty].str.strip()
@@ -111,7 +111,7 @@ def cells_of(values: object, number: bool) -> Cells:
     """
     array = np.asarray(values)
     if array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType):
-        texts = pd.Series([_text(value) for value in array.tolist()], dtype=str)
+        texts = pd.Series([_text(value) for value in array.tolist()], dtype=object)
         return numbers_of(texts) if number else Cells(texts.str.strip().to_numpy(object))
     if not number:
         return Cells(np.array([_text(value) for value in array.tolist()], dtype=object))

@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -182,6 +182,8 @@ def base_unit(unit: str) -> str:
         InputError: an unknown unit.
     """
     parsed = _parse(unit)
+    if parsed.powers == {"m": 1, "s": -2}:
+        return "ug"
     if parsed.powers == {"K": 1}:
         return "degC" if parsed.offset is not None else "delta_degC"
     shown = {"degC" if name == "K" else name: power for name, power in parsed.powers.items()}
@@ -264,7 +266,7 @@ def _parse(text: str) -> _Parsed:
         raise InputError(
             f"[{text}] is not a unit: write one such as [ug/mg^2] or [deg/s/degC]"
         ) from error
-    base = quantity.to_base_units()
+    base: Any = quantity.to_base_units()
     powers = {str(name): float(power) for name, power in base.unit_items() if power}
     return _Parsed(float(base.magnitude), powers, _OFFSETS.get(plain))
 
@@ -274,7 +276,7 @@ def _registry() -> UnitRegistry:
     """The project's own registry; pint is loaded on first use, because `--help` needs none."""
     import pint
 
-    registry = pint.UnitRegistry(None)
+    registry = pint.UnitRegistry(None)  # pyright: ignore[reportArgumentType] (None: an empty one)
     for name, dimension in _BASE.items():
         registry.define(f"{name} = [{dimension.replace(' ', '_')}]")
     for name, (factor, unit) in _DERIVED.items():

@@ -1,4 +1,4 @@
-"""Set before JAX and NumPy start, and fixtures for all tests. What only one file needs stands in that file."""
+"""Settings from before JAX and NumPy start, and the fixtures that several files use."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-# Two test processes on two cores: threads of a linear-algebra library would only get in each other's way.
+# Two test processes on two cores: threads of a linear-algebra library would be in each other's way.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -14,14 +14,14 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import hypothesis
 import pytest
 
-import bayescal  # noqa: F401  its start-up comes before JAX
+import bayescal  # noqa: F401  before JAX
 from bayescal._startup import cache_folder, configure_jax
 
 if TYPE_CHECKING:
     import jax
     import numpy as np
 
-# Compiled programs are kept between test runs, apart from the user's own: most of a first run is compilation.
+# Compiled programs are kept between test runs, apart from the user's own.
 if "BAYESCAL_CACHE" not in os.environ:
     user = cache_folder()
     os.environ["BAYESCAL_CACHE"] = str(user / "tests") if user else ""
@@ -53,7 +53,7 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder of the reference data sets that are too large for this repository; skips where it is absent."""
+    """Folder of the reference data sets beside this checkout; skips where it is absent."""
     if not SHARED_DATA.is_dir():
         pytest.skip("needs the reference data sets in ../shared/data, beside this checkout")
     return SHARED_DATA

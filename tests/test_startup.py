@@ -1,4 +1,4 @@
-"""Start-up: `import bayescal` is cheap, JAX gets its settings in time, and batched factorisations do not hang."""
+"""Start-up: the import is cheap, JAX is set up in time, batched factorisations do not hang."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("jax", "numpy", "scipy", "pandas", "xarray", "matplotlib", "arviz_base", "numpyro", "pint")
 OWN = ("NPROC", "BAYESCAL_CACHE", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
 
-# As a calibration does it: a loop over batches, in its body factorisations that do not depend on each other.
+# As a calibration does it: a loop, in its body factorisations that do not depend on each other.
 INDEPENDENT_FACTORISATIONS = """
 import bayescal
 from bayescal._startup import configure_jax
@@ -61,7 +61,7 @@ print(json.dumps({
 
 
 def run_python(code: str, variables: Mapping[str, str] | None = None, seconds: float = 120) -> str:
-    """Standard output of `code` in a fresh interpreter, with only `variables` of those that start-up reads."""
+    """Standard output of `code`, run afresh; of what start-up reads, only `variables` are set."""
     environment = {name: value for name, value in os.environ.items() if name not in OWN}
     environment |= {"PYTHONPATH": str(ROOT), **(variables or {})}
     done = subprocess.run(
