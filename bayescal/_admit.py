@@ -25,7 +25,7 @@ from bayescal._match import (
     refuse_missing,
     unit_of,
 )
-from bayescal._table import Cells, Header, Table
+from bayescal._table import Cells, Header, Table, load_whole
 
 _LIKELY_UNITS = (
     *("deg", "arcsec", "rad", "deg/s", "rad/s", "g", "mg", "ug", "degC", "degF", "K"),
@@ -54,7 +54,7 @@ def admit(table: Table, instrument: Expects, wishes: Wishes) -> Admitted:
     result = Admitted()
     kept = extra_columns(table, expected, places, wishes, result)
     wanted = {places[name]: expected[name].unit is not None for name in expected if name in places}
-    cells = table.load({**wanted, **{places[name]: True for name in kept}})
+    cells = load_whole(table, {**wanted, **{places[name]: True for name in kept}})
     for name, column in expected.items():
         if name in places:
             header = table.headers[places[name]]

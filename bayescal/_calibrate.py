@@ -218,7 +218,7 @@ def noise_floor(calibration: Calibration) -> float:
     From each residual against the mean of its two neighbours (in time within a run; in temperature where there
     is no time), as in a von Neumann ratio: what varies slowly cancels.
     """
-    residual, _ = residuals(calibration)
+    residual = residuals(calibration).raw
     frame, readings = calibration.frame, calibration.readings
     if readings.has("time"):
         order, linked = np.asarray(frame.order), np.asarray(frame.step) > 0

@@ -13,30 +13,11 @@ from bayescal import _score as scores
 from bayescal._calibration import Calibration
 from bayescal._fit import fit
 from bayescal._least_squares import LeastSquares
+from bayescal._regions import Region, worst_regions
 
-BINS = 12  # of a covariate, for the worst region
 OUTLIER = 4.0  # leave-one-out standard deviations
 MEAN_IS_OFF = 3.0  # log Bayes factor of structure from which the scatter is not judged
 SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
-
-
-@dataclass(frozen=True)
-class Region:
-    """A stretch of a covariate where the residuals lean one way.
-
-    Attributes:
-        low, high: of the covariate, in `covariate_unit`.
-        group: the run, where it is one run's alone.
-        size: mean residual there, output unit.
-        z: size over its standard uncertainty.
-    """
-
-    low: float
-    high: float
-    group: str | None
-    size: float
-    z: float
-    covariate_unit: str
 
 
 @dataclass(frozen=True)
@@ -112,24 +93,24 @@ def check(calibration: Calibration) -> Check:
     the noise known before any fit), not against a noise inflated to cover its misfit.
     """
     judged, free_noise = _judged(calibration)
-    residual, sd = scores.residuals(judged)
+    residual, white, sd = scores.residuals(judged)
     noise = float(np.sqrt(np.mean(sd**2)))
     covariates = covariates_of(judged)
     factors = blocks.log_bayes_factors(judged, covariates, noise)
+    regions = worst_regions(judged, covariates, residual)
     entries = [
-        Entry(b.name, f, _worst(b, residual, sd, calibration))
-        for b, f in zip(covariates, factors, strict=True)
+        Entry(b.name, f, region) for b, f, region in zip(covariates, factors, regions, strict=True)
     ]
     entries.sort(key=lambda e: -e.log_bayes_factor)
-    loo = _leave_one_out(judged, residual)
+    loo = _leave_one_out(judged, white)
     return Check(
         tuple(entries),
         calibration.unit,
         float(np.sqrt(np.mean(residual**2))),
         noise,
-        autocorrelation(judged, residual / sd),
+        autocorrelation(judged, white),
         # Where the mean is off, so is the size of the residuals: scatter is judged only where it is not.
-        _spread_with(covariates, residual / sd) if max(factors, default=0.0) < MEAN_IS_OFF else {},
+        _spread_with(covariates, white) if max(factors, default=0.0) < MEAN_IS_OFF else {},
         tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
         float(stats.kstest(stats.norm.cdf(loo), "uniform").pvalue),
         None if free_noise is None else _compare_fixed(calibration, residual, noise, free_noise),
@@ -149,7 +130,7 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
         reference=calibration.reference,
         strict=False,
     )
-    _, sd = scores.residuals(free)
+    sd = scores.residuals(free).sd
     names = {h.name: i for i, h in enumerate(calibration.layout.hypers) if h.kind == "noise"}
     v = np.array(calibration.mode.v)
     for i, h in enumerate(free.layout.hypers):
@@ -203,49 +184,6 @@ def covariates_of(calibration: Calibration) -> list[blocks.Block]:
     return found
 
 
-def _worst(block: blocks.Block, residual: np.ndarray, sd: np.ndarray, calibration: Calibration) -> Region:
-    """The stretch of a covariate with the largest mean residual against its uncertainty."""
-    levels, codes = calibration.readings.groups("run")
-    if block.name == "run":
-        best = _stretch(codes.astype(float), residual, sd, single=True)
-        return Region(best[0], best[1], levels[int(best[0])], best[2], best[3], "")
-    found = [(_stretch(block.values, residual, sd), None)]
-    if len(levels) > 1:
-        for i, level in enumerate(levels):
-            own = codes == i
-            if own.sum() >= 8:
-                found.append((_stretch(block.values[own], residual[own], sd[own]), level))
-    # One run's own region must be clearly worse than the common one to be named.
-    best, group = max(found, key=lambda f: abs(f[0][3]) - (1.0 if f[1] is not None else 0.0))
-    return Region(best[0], best[1], group, best[2], best[3], block.unit)
-
-
-def _stretch(
-    values: np.ndarray, residual: np.ndarray, sd: np.ndarray, single: bool = False
-) -> tuple[float, float, float, float]:
-    """(from, to, mean residual, z) of the worst run of neighbouring bins, at most two thirds of them."""
-    distinct = np.unique(values)
-    if single or len(distinct) <= BINS:
-        bin_of = np.searchsorted(distinct, values)
-        count = len(distinct)
-    else:
-        edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
-        bin_of, count = np.searchsorted(edges, values, side="right"), BINS
-    weight = np.bincount(bin_of, 1 / sd**2, count)
-    pull = np.bincount(bin_of, residual / sd**2, count)
-    longest = 1 if single else max(1, (2 * count) // 3)
-    best = (0.0, 0, 0)
-    for i in range(count):
-        for j in range(i + 1, min(i + longest, count) + 1):
-            w = weight[i:j].sum()
-            z = pull[i:j].sum() / np.sqrt(w) if w > 0 else 0.0
-            if abs(z) > abs(best[0]):
-                best = (float(z), i, j)
-    z, i, j = best
-    inside = (bin_of >= i) & (bin_of < max(j, i + 1))
-    return float(values[inside].min()), float(values[inside].max()), float(residual[inside].mean()), z
-
-
 def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
     """Lag-1 autocorrelation of neighbours in time within runs, and its z under independence."""
     frame = calibration.frame
@@ -272,14 +210,18 @@ def _spread_with(covariates: list[blocks.Block], standardised: np.ndarray) -> di
     return found
 
 
-def _leave_one_out(calibration: Calibration, residual: np.ndarray) -> np.ndarray:
-    """Residual of each reading predicted from the others, in standard deviations of that prediction."""
+def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
+    """Each reading predicted from the others, in standard deviations of that prediction.
+
+    Under correlated noise: each reading predicted from those before it in its run.
+    """
+    if not calibration.model.noise.independent:
+        return white
     y = jnp.asarray(calibration.readings["output"])
     null = scores.null_model(calibration.layout, calibration.frame, y, calibration.mode)
     noise = calibration.model.noise.variance(null.hyper, calibration.frame) + null.extra
-    variance = np.asarray(noise)
-    scaled = np.asarray(null.nuisance * null.prior.sd) / np.sqrt(variance)[:, None]
+    scaled = np.asarray(null.nuisance * null.prior.sd) / np.sqrt(np.asarray(noise))[:, None]
     inner = scaled.T @ scaled + np.diag(np.asarray(null.prior.weight))
     leverage = np.einsum("ij,ij->i", scaled, np.linalg.solve(inner, scaled.T).T)
     # V⁻¹r over the root of V⁻¹'s diagonal, both from the leverages.
-    return residual / np.sqrt(variance * np.maximum(1 - leverage, 1e-12))
+    return white / np.sqrt(np.maximum(1 - leverage, 1e-12))

@@ -55,11 +55,13 @@ class Effect(eqx.Module):
         parts = [c.part for c in self.coefficients]
         if len(set(parts)) != len(parts):
             raise ModelError(f"effect {self.name!r}: its coefficients need different parts, not {parts}")
-        wanted = set(inspect.signature(self.basis).parameters) - {s.name for s in self.shapes}
-        if len(wanted) != 1:
+        taken = inspect.signature(self.basis).parameters
+        shapes = {s.name for s in self.shapes}
+        needed = {name for name, p in taken.items() if p.default is p.empty}  # not `lambda r, k=k: …`
+        if not shapes <= set(taken) or len(needed - shapes) != 1:
             raise ModelError(
                 f"effect {self.name!r}: its basis must take the readings and then its shapes "
-                f"{[s.name for s in self.shapes]} by name; it takes {list(inspect.signature(self.basis).parameters)}"
+                f"{[s.name for s in self.shapes]} by name; it takes {list(taken)}"
             )
 
     def coefficient_name(self, index: int) -> str:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal import _importance as importance
+from bayescal import _promotion as promotion
 from bayescal._calibration import Calibration
 from bayescal._effect import Effect
 from bayescal._errors import InputError, ModelError, NotConverged
@@ -93,6 +94,16 @@ def bind(model: Model, readings: Measurements) -> tuple[Layout, dict[str, tuple[
             f"{readings.file} has {len(readings)} readings for {flat} coefficients with a flat prior: "
             "measure more, take effects out, or give them a Normal prior"
         )
+    if not model.noise.independent and layout.row_blocks:
+        raise ModelError(
+            f"Effect {layout.row_blocks[0].effect.name!r} has one coefficient for each reading, which is not "
+            f"combined with {model.noise.law} noise: take the effect out, or use White() noise"
+        )
+    if not model.noise.independent and not readings.has("time"):
+        raise ModelError(
+            f"{model.noise.law} noise needs the column 'time', which {readings.file} lacks: record it, or use "
+            "White() noise"
+        )
     for b in layout.blocks:
         if b.size == 0:
             raise ModelError(
@@ -148,7 +159,7 @@ def fit_batch(
 
     Raises:
         InputError: the data sets differ in shape.
-        ModelError: the noise law is not Gaussian.
+        ModelError: the noise law is not Gaussian, or a name to promote is no coefficient of the model.
     """
     method = Marginal() if method is None else method
     if not model.noise.gaussian:
@@ -163,9 +174,9 @@ def fit_batch(
             f"fit_batch needs data sets of one shape; these {len(readings)} have {len(shapes)} different "
             "ones (rows, columns or group sizes differ)"
         )
-    layout = bound[0][0].promote(*(method.promote or ()))
     stacked: Frame = jax.tree.map(lambda *a: jnp.stack(a), *frames)
     ys = jnp.stack([jnp.asarray(one["output"]) for one in readings])
+    layout, _ = promotion.choose(bound[0][0], frames[0], ys[0], method.promote or ())
     keys = jax.random.split(jax.random.key(seed), len(readings))
     found = importance.sample_batch(layout, stacked, ys, keys, method.proposals, method.rounds)
     k_hat = np.array([smoothed(np.asarray(w))[1] for w in found.log_weight])

@@ -23,6 +23,7 @@ from bayescal._layout import Layout
 from bayescal._measurements import Measurements
 from bayescal._noise import Gram
 
+SILENT = 1e10  # variance of a reading that is left out, in noise variances
 BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
 
 
@@ -86,24 +87,20 @@ def _fold(layout: Layout, frame: Frame, y: Array, mode, keep: Float[Array, "n"])
     point = mode.point
     noise = layout.model.noise
 
-    def line_at(hyper):
+    def gram_at(hyper, kept: Float[Array, "n"]):
+        """Products over the kept readings: the others are given a variance so large that they say nothing."""
         line = composition.linearise(layout, frame, point.x, point.rows, hyper)
-        return line, y - line.mean + jnp.sum(line.rows * point.rows, axis=1)
+        residual = y - line.mean + jnp.sum(line.rows * point.rows, axis=1)
+        extra = linear.row_variance(layout, line)
+        silent = SILENT * (jnp.mean(noise.variance(hyper, frame)) + jnp.mean(extra))
+        gram = noise.gram(line.jacobian, residual, extra + (1 - kept) * silent, hyper, frame)
+        gram = gram._replace(logdet=gram.logdet - jnp.sum(1 - kept) * jnp.log(silent))
+        return gram, line.jacobian, residual
 
     def density(v):
         hyper = composition.hyper_values(layout, v)
-        line, residual = line_at(hyper)
-        variance = noise.variance(hyper, frame) + linear.row_variance(layout, line)
-        weight = keep / variance
-        weighted = line.jacobian * weight[:, None]
-        gram = Gram(
-            weighted.T @ line.jacobian,
-            weighted.T @ residual,
-            residual @ (weight * residual),
-            jnp.sum(keep * jnp.log(variance)),
-        )
         prior = linear.prior_of(layout, hyper, mode.flat)
-        found = linear.condition(gram, jnp.sum(keep), prior, point.x)
+        found = linear.condition(gram_at(hyper, keep)[0], jnp.sum(keep), prior, point.x)
         return found.log_marginal + composition.hyper_log_prior(layout, v), found
 
     v = mode.v
@@ -112,15 +109,19 @@ def _fold(layout: Layout, frame: Frame, y: Array, mode, keep: Float[Array, "n"])
         found = optx.minimise(lambda v, _: -density(v)[0], solver, v, max_steps=64, throw=False)
         v = jnp.where(jnp.all(jnp.isfinite(found.value)), found.value, v)
     hyper = composition.hyper_values(layout, v)
-    line, residual = line_at(hyper)
-    x = density(v)[1]
-    left = residual - line.jacobian @ (x.mean - point.x)
-    variance = noise.variance(hyper, frame) + linear.row_variance(layout, line)
+    fitted = density(v)[1]
     out = 1 - keep
-    # The joint density of the readings left out: rows of the kept ones are made trivial (variance one, value 0).
-    jacobian = line.jacobian * out[:, None]
-    cover = jacobian @ x.covariance @ jacobian.T + jnp.diag(jnp.where(out > 0, variance, 1.0))
-    root = jnp.linalg.cholesky(cover)
-    z = jax.scipy.linalg.solve_triangular(root, out * left, lower=True)
-    score = -0.5 * z @ z - jnp.sum(jnp.log(jnp.diag(root))) - 0.5 * jnp.sum(out) * jnp.log(2 * jnp.pi)
-    return score, out * left
+    gram, jacobian, residual = gram_at(hyper, out)
+    # The left-out readings under the posterior of x from the kept ones, its covariance as a prior of unit normals.
+    centred = residual - jacobian @ (fitted.mean - point.x)
+    root = jnp.linalg.cholesky(fitted.covariance + 1e-14 * jnp.diag(jnp.diag(fitted.covariance)))
+    shift = fitted.mean - point.x
+    spread = linear.Prior(jnp.zeros(layout.size), jnp.ones(layout.size), jnp.ones(layout.size))
+    turned = Gram(
+        root.T @ gram.jtj @ root,
+        root.T @ (gram.jtr - gram.jtj @ shift),
+        gram.rtr - 2 * shift @ gram.jtr + shift @ gram.jtj @ shift,
+        gram.logdet,
+    )
+    score = linear.condition(turned, jnp.sum(out), spread, jnp.zeros(layout.size)).log_marginal
+    return score, out * centred

@@ -32,7 +32,8 @@ class Frame(eqx.Module):
         codes: index of each reading's group member, −1 where it belongs to none.
         reference: scalars such as T0.
         order: permutation that sorts the readings by run and time.
-        step: time since the previous reading of the same run, in sorted order, 0 at a run's first, s.
+        step: time since the previous reading of the same run, in sorted order, −1 at a run's first, s.
+        record: the columns as they were measured, whatever has been corrected since.
     """
 
     columns: dict[str, Float[Array, "n"]]
@@ -41,6 +42,7 @@ class Frame(eqx.Module):
     reference: dict[str, Float[Array, ""]]
     order: Int[Array, "n"]
     step: Float[Array, "n"]
+    record: dict[str, Float[Array, "n"]]
 
     @property
     def size(self) -> int:
@@ -70,14 +72,15 @@ class Frame(eqx.Module):
     def lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
         """T̃ − T, where τ·dT̃/dt = T − T̃ and T̃ starts each run at the run's first reading, °C.
 
-        T is taken as linear between readings, for which the recursion below is exact.
+        T is taken as linear between readings, for which the recursion below is exact. T̃ follows the record: a
+        correction of the column (an error of the thermometer) moves T at its own reading, not the body's past.
         """
-        values = self.columns[name][self.order]
-        first = self.step <= 0
-        h = jnp.where(first, 1.0, self.step / tau)
-        decay = jnp.where(first, 0.0, jnp.exp(-h))
+        values = self.record[name][self.order]
+        first, still = self.step < 0, self.step == 0
+        h = jnp.where(first | still, 1.0, self.step / tau)
+        decay = jnp.where(first, 0.0, jnp.where(still, 1.0, jnp.exp(-h)))
         change = jnp.diff(values, prepend=values[:1])
-        drive = jnp.where(first, 0.0, change * jnp.expm1(-h) / h)
+        drive = jnp.where(first, 0.0, change * jnp.where(still, -1.0, jnp.expm1(-h) / h))
 
         def advance(behind, row):
             share, push = row
@@ -86,10 +89,11 @@ class Frame(eqx.Module):
 
         # One small loop rather than an associative scan, which takes ten times as long to compile.
         _, lagged = jax.lax.scan(advance, jnp.zeros(()), (decay, drive))
-        return jnp.zeros_like(lagged).at[self.order].set(lagged)
+        lagged = jnp.zeros_like(lagged).at[self.order].set(lagged)
+        return lagged + (self.record[name] - self.columns[name])
 
     def with_column(self, name: str, values: Float[Array, "n"]) -> Frame:
-        """The same readings with one measured column replaced (its rate stays that of the record)."""
+        """The same readings with one measured column corrected (its rate stays that of the record)."""
         return eqx.tree_at(lambda f: f.columns[name], self, values)
 
 
@@ -115,14 +119,14 @@ def reference_of(readings: Measurements) -> Reference:
 
 
 def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
-    """Runs as records in time: one for each run of each device."""
+    """Runs as records in time: one for each run of each device and axis."""
     levels, codes = readings.groups("run")
-    if not readings.has("device"):
-        return levels, codes
-    devices, device_codes = readings.groups("device")
-    pairs, joint = np.unique(device_codes * len(levels) + codes, return_inverse=True)
-    names = tuple(f"{devices[p // len(levels)]}|{levels[p % len(levels)]}" for p in pairs)
-    return names, joint
+    for group in ("device", "axis"):
+        if readings.has(group):
+            members, own = readings.groups(group)
+            pairs, codes = np.unique(own * len(levels) + codes, return_inverse=True)
+            levels = tuple(f"{members[p // len(levels)]}|{levels[p % len(levels)]}" for p in pairs)
+    return levels, codes
 
 
 def build_frame(
@@ -144,7 +148,7 @@ def build_frame(
         if readings.unit(name) is not None and name != "temperature_point"
     }
     rates: dict[str, Array] = {}
-    order, step = np.arange(len(readings)), np.zeros(len(readings))
+    order, step = np.arange(len(readings)), -np.ones(len(readings))
     if readings.has("time"):
         time = readings["time"]
         names, codes = run_codes(readings)
@@ -155,7 +159,7 @@ def build_frame(
         columns["elapsed"] = jnp.asarray(time - start[codes])
         order = np.lexsort((time, codes))
         step = np.diff(time[order], prepend=time[order][:1])
-        step[np.diff(codes[order], prepend=-1) != 0] = 0.0
+        step[np.diff(codes[order], prepend=-1) != 0] = -1.0
         for name in readings.columns:
             if readings.unit(name) == "degC" and name != "temperature_point":
                 rates[name] = jnp.asarray(causal_slope(time, readings[name], order, step))
@@ -168,7 +172,9 @@ def build_frame(
             own_codes = table[own_codes]
         group_codes[group] = jnp.asarray(own_codes)
     scalars = {k: jnp.asarray(v) for k, v in reference.items() if not isinstance(v, dict)}
-    return Frame(columns, rates, group_codes, scalars, jnp.asarray(order), jnp.asarray(step))
+    return Frame(
+        columns, rates, group_codes, scalars, jnp.asarray(order), jnp.asarray(step), dict(columns)
+    )
 
 
 def causal_slope(
@@ -181,7 +187,7 @@ def causal_slope(
     t, y = time[order], values[order]
     steps = step[step > 0]
     window = max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0) * (1 + 1e-9)
-    begins = np.flatnonzero(step <= 0)
+    begins = np.flatnonzero(step < 0)
     run_begin = begins[np.searchsorted(begins, np.arange(t.size), side="right") - 1]
     slopes = np.zeros_like(y)
     left = 0
@@ -189,7 +195,8 @@ def causal_slope(
         left = max(left, run_begin[i])
         while t[left] < t[i] - window:
             left += 1
-        past = slice(min(left, max(i - 1, run_begin[i])), i + 1)
+        earlier = run_begin[i] + np.searchsorted(t[run_begin[i] : i], t[i]) - 1  # of an earlier time
+        past = slice(max(min(left, earlier), run_begin[i]), i + 1)
         dt = t[past] - t[past].mean()
         scatter = dt @ dt
         if scatter > 0:

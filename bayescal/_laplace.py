@@ -63,14 +63,15 @@ def mode_of_x(
     hyper = composition.hyper_values(layout, v)
     prior = linear.prior_of(layout, hyper, flat)
     line = composition.linearise(layout, frame, point.x, point.rows, hyper)
-    noise_variance = layout.model.noise.variance(hyper, frame)
-    sd = jnp.sqrt(noise_variance + linear.row_variance(layout, line))
+    noise = layout.model.noise
+    extra = linear.row_variance(layout, line)
     back = jnp.sum(line.rows * point.rows, axis=1)
     centre = jnp.where(prior.weight > 0, prior.mean, point.x)
 
     def residuals(z: Array, _: None) -> Array:
         expected = composition.mean(layout, frame, centre + prior.sd * z, point.rows, hyper)
-        return jnp.concatenate([(y - expected + back) / sd, prior.weight * z])
+        white, _ = noise.whiten((y - expected + back)[:, None], extra, hyper, frame)
+        return jnp.concatenate([white[:, 0], prior.weight * z])
 
     solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10)
     start = (point.x - centre) / jnp.where(prior.sd > 0, prior.sd, 1.0)
@@ -82,7 +83,7 @@ def mode_of_x(
     line = composition.linearise(layout, frame, x, point.rows, hyper)
     rest = y - line.mean + jnp.sum(line.rows * point.rows, axis=1)
     zero = jnp.zeros_like(point.rows)
-    return linear.Point(x, linear.draw_rows(layout, line, rest, noise_variance, zero)[0])
+    return linear.Point(x, linear.draw_rows(layout, line, rest, noise.variance(hyper, frame), zero)[0])
 
 
 def start_point(layout: Layout, frame: Frame) -> linear.Point:

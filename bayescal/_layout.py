@@ -20,6 +20,9 @@ from bayescal._model import Model
 from bayescal._prior import Flat, FlatLine, Normal, Positive
 
 
+_NOISE_UNITS = {"noise.freedom": "1", "noise.correlated.time": "s"}  # the others: that of the output
+
+
 @dataclass(frozen=True)
 class Block:
     """One coefficient of the model, with all its group members."""
@@ -114,7 +117,7 @@ class Layout(eqx.Module):
         unit, fixed = self.model.instrument.unit, dict(self.model.fixed)
         found: list[Hyper] = []
         for name, prior in self.model.noise.parameters().items():
-            found.append(Hyper(name, unit if name == "noise.white" else _noise_unit(name), prior, "noise"))
+            found.append(Hyper(name, _NOISE_UNITS.get(name, unit), prior, "noise"))
         for block in self.blocks:
             if block.coefficient.spread is not None and block.place != "fixed":
                 found.append(
@@ -146,7 +149,3 @@ def _promoted_prior(coefficient: Coefficient) -> Normal | FlatLine:
     if coefficient.spread is not None:
         return Normal(0.0, 1.0)  # in units of its learned spread
     return FlatLine(coefficient.size) if coefficient.flat else coefficient.prior  # pyright: ignore
-
-
-def _noise_unit(name: str) -> str:
-    return "s" if name.endswith(".time") else "1"

@@ -27,6 +27,7 @@ from bayescal._noise import Gram
 from bayescal._progress import stage
 
 CHAINS = 4
+STILL = 1e-6  # standard deviations: a further step smaller than this is none
 
 
 class Solution(NamedTuple):
@@ -88,7 +89,7 @@ def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool
     scales, places = split_hypers(layout)
     mode = laplace.find_mode(layout, frame, y)
     scale_at, place_at = jnp.asarray(scales, int), jnp.asarray(places, int)
-    rows = mode.point.rows
+    rows, noise = mode.point.rows, layout.model.noise
     prior_weight = jnp.concatenate([composition.prior_weight(layout), jnp.ones(len(places))])
 
     def joined(v):
@@ -108,17 +109,17 @@ def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool
         hyper = composition.hyper_values(layout, v.at[place_at].set(theta[layout.size :]))
         line = composition.linearise(layout, frame, theta[: layout.size], rows, hyper)
         back = jnp.sum(line.rows * rows, axis=1)
-        return layout.model.noise.variance(hyper, frame), linear.row_variance(layout, line), back
+        return hyper, linear.row_variance(layout, line), back
 
     def fit_places(theta, v):
         prior = joined(v)
-        variance, extra, back = spread(theta, v)
-        sd = jnp.sqrt(variance + extra)
+        hyper, extra, back = spread(theta, v)
         centre = jnp.where(prior.weight > 0, prior.mean, theta)
 
         def residuals(z, _):
             bent = output(centre + prior.sd * z, v)
-            return jnp.concatenate([(y - bent + back) / sd, prior.weight * z])
+            white, _ = noise.whiten((y - bent + back)[:, None], extra, hyper, frame)
+            return jnp.concatenate([white[:, 0], prior.weight * z])
 
         start = (theta - centre) / jnp.where(prior.sd > 0, prior.sd, 1.0)
         solver = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
@@ -132,7 +133,7 @@ def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool
 
         def gram(v) -> Gram:
             hyper = composition.hyper_values(layout, v)
-            return layout.model.noise.gram(jacobian, residual, extra, hyper, frame)
+            return noise.gram(jacobian, residual, extra, hyper, frame)
 
         return gram
 
@@ -171,14 +172,18 @@ def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool
 
     found = linear.condition(gram_at(theta, v)(v), frame.size, joined(v), theta)
     covariance = found.covariance
+    # Started at the optimum, Levenberg–Marquardt may refuse every step for its rounding and report failure:
+    # what counts is whether a Gauss–Newton step would still move anything.
+    still = jnp.max(jnp.abs(found.mean - theta) / jnp.sqrt(jnp.diag(covariance)), initial=0.0)
+    converged = converged | (still < STILL)
     if full_hessian:
         prior = joined(v)
 
         def negative_log(theta):
-            variance, extra, back = spread(theta, v)
-            r = (y - output(theta, v) + back) ** 2 / (variance + extra)
+            hyper, extra, back = spread(theta, v)
+            r, _ = noise.whiten((y - output(theta, v) + back)[:, None], extra, hyper, frame)
             z = (theta - prior.mean) / prior.sd
-            return 0.5 * (jnp.sum(r) + jnp.sum(prior.weight * z**2))
+            return 0.5 * (jnp.sum(r**2) + jnp.sum(prior.weight * z**2))
 
         covariance = jnp.linalg.inv(jax.hessian(negative_log)(theta))
     point = linear.Point(theta[: layout.size], rows)
@@ -196,7 +201,7 @@ def _gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> D
     # So that means and covariances read from the draws are those of the fit, not of the draws' luck:
     if count > 4 * len(centre) and len(centre):
         theta = _exact_moments(theta, centre, root)
-    v = np.tile(found.mode.v, (count, 1))
+    v = np.tile(found.mode.v, (count, 1)).copy()  # of an empty v, tile gives a view
     v[:, places] = theta[:, layout.size :]
     rows = np.broadcast_to(found.mode.point.rows, (count, *found.mode.point.rows.shape))
 

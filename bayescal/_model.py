@@ -92,20 +92,26 @@ class Model(eqx.Module):
         So a published calibration is checked: fix all its coefficients and look at what remains.
 
         Raises:
-            ModelError: no unknown has that name, or the value is not finite.
+            ModelError: no unknown has that name, or the value is not finite, or not positive where it must be.
         """
-        known = self.unknowns
+        self._refuse_unknown(values)
+        scales = {*self.noise.parameters(), *(n for e in self.effects for n in _positive(e))}
         for name, value in values.items():
-            if name not in known:
-                raise ModelError(f"nothing in the model is called {name!r}; it has: {', '.join(known)}")
             if not math.isfinite(value):
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a finite number")
+            if name in scales and value <= 0:
+                raise ModelError(f"{name!r} cannot be fixed to {value}: give a positive number")
         return Model(
             self.instrument, self.effects, self.noise, tuple({**dict(self.fixed), **values}.items())
         )
 
     def free(self, *names: str) -> Model:
-        """The model with these unknowns (all, if none is named) estimated again."""
+        """The model with these unknowns (all, if none is named) estimated again.
+
+        Raises:
+            ModelError: no unknown has that name.
+        """
+        self._refuse_unknown(names)
         kept = tuple((n, v) for n, v in self.fixed if names and n not in names)
         return Model(self.instrument, self.effects, self.noise, kept)
 
@@ -113,6 +119,13 @@ class Model(eqx.Module):
     def unknowns(self) -> tuple[str, ...]:
         """Names of all coefficients, shapes and noise parameters."""
         return (*(n for e in self.effects for n in _unknowns(e)), *self.noise.parameters())
+
+    def _refuse_unknown(self, names: Iterable[str]) -> None:
+        for name in names:
+            if name not in self.unknowns:
+                raise ModelError(
+                    f"nothing in the model is called {name!r}; it has: {', '.join(self.unknowns)}"
+                )
 
     def require(self, readings: Measurements) -> None:
         """Refuse readings that lack what an effect of the model needs.
@@ -132,12 +145,19 @@ class Model(eqx.Module):
 
 def _unknowns(effect: Effect) -> list[str]:
     names = [effect.coefficient_name(i) for i in range(len(effect.coefficients))]
-    names += [
+    return [*names, *_spreads(effect), *(effect.shape_name(shape) for shape in effect.shapes)]
+
+
+def _spreads(effect: Effect) -> list[str]:
+    return [
         f"{effect.coefficient_name(i)}.spread"
         for i, c in enumerate(effect.coefficients)
         if c.spread is not None
     ]
-    return names + [effect.shape_name(shape) for shape in effect.shapes]
+
+
+def _positive(effect: Effect) -> list[str]:
+    return [*_spreads(effect), *(effect.shape_name(s) for s in effect.shapes if s.scale == "log")]
 
 
 def testable(effect: Effect, readings: Measurements) -> str | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import abc
 import math
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,7 +24,7 @@ UNCERTAINTY = "output_uncertainty"  # column: known standard uncertainty per rea
 _LOG_2PI = math.log(2 * math.pi)
 
 
-class Gram(eqx.Module):
+class Gram(NamedTuple):
     """Weighted products of a matrix J and a vector r: all that a Gaussian likelihood needs of the readings."""
 
     jtj: Float[Array, "p p"]
@@ -34,10 +34,15 @@ class Gram(eqx.Module):
 
 
 class Noise(eqx.Module):
-    """A noise law. `gaussian` says whether coefficients can be integrated out in closed form."""
+    """A noise law.
+
+    `gaussian` says whether coefficients can be integrated out in closed form; `independent` whether one reading's
+    noise says nothing of another's.
+    """
 
     gaussian: ClassVar[bool]
     law: ClassVar[str]
+    independent: ClassVar[bool] = True
 
     @abc.abstractmethod
     def parameters(self) -> dict[str, Positive]:
@@ -60,8 +65,19 @@ class Noise(eqx.Module):
         """Readings drawn about the expected output."""
 
     def constant(self, frame: Frame) -> bool:
-        """Whether all readings share one variance, so that products over the readings are needed only once."""
-        return UNCERTAINTY not in frame.columns
+        """Whether all readings share one variance and are independent: products over them are needed once."""
+        return self.independent and UNCERTAINTY not in frame.columns
+
+    def whiten(
+        self,
+        columns: Float[Array, "n m"],
+        extra: Float[Array, "n"] | float,
+        parameters: Parameters,
+        frame: Frame,
+    ) -> tuple[Float[Array, "n m"], Float[Array, ""]]:
+        """L⁻¹ times columns, where L·Lᵀ = Σ + diag(extra), and log|Σ + diag(extra)|."""
+        variance = self.variance(parameters, frame) + extra
+        return columns / jnp.sqrt(variance)[:, None], jnp.sum(jnp.log(variance))
 
     def gram(
         self,
@@ -72,14 +88,10 @@ class Noise(eqx.Module):
         frame: Frame,
     ) -> Gram:
         """JᵀΣ⁻¹J, JᵀΣ⁻¹r, rᵀΣ⁻¹r and log|Σ|, with Σ widened by the variance `extra` of each reading."""
-        variance = self.variance(parameters, frame) + extra
-        weighted = jacobian / variance[:, None]
-        return Gram(
-            weighted.T @ jacobian,
-            weighted.T @ residual,
-            residual @ (residual / variance),
-            jnp.sum(jnp.log(variance)),
-        )
+        both = jnp.concatenate([jacobian, residual[:, None]], axis=1)
+        white, logdet = self.whiten(both, extra, parameters, frame)
+        j, r = white[:, :-1], white[:, -1]
+        return Gram(j.T @ j, j.T @ r, r @ r, logdet)
 
 
 def _known(frame: Frame) -> Float[Array, ""] | Float[Array, "n"]:
@@ -111,6 +123,87 @@ class White(Noise):
 
     def sample(self, key, mean, parameters, frame):
         return mean + jnp.sqrt(self.variance(parameters, frame)) * jax.random.normal(key, mean.shape)
+
+
+class OrnsteinUhlenbeck(Noise):
+    """White noise and a slow wander within each run: an Ornstein–Uhlenbeck process of unknown size and time.
+
+    Runs are independent. Solves are linear in the readings (tinygp's quasi-separable solver).
+
+    Attributes:
+        shortest, longest: 95 % of the prior of the correlation time, s; `over_record` takes them from a record.
+        scale: prior of the white part's standard deviation, output unit.
+        correlated: prior of the wander's standard deviation, output unit.
+    """
+
+    shortest: float = eqx.field(static=True)
+    longest: float = eqx.field(static=True)
+    scale: Positive = HalfCauchy(1.0)
+    correlated: Positive = HalfCauchy(1.0)
+    gaussian: ClassVar[bool] = True
+    law: ClassVar[str] = "ornstein_uhlenbeck"
+    independent: ClassVar[bool] = False
+
+    def __check_init__(self) -> None:
+        if not 0 < self.shortest < self.longest:
+            raise ValueError(
+                f"correlation times must be positive and in order, not {self.shortest} and {self.longest}"
+            )
+
+    def parameters(self) -> dict[str, Positive]:
+        spread = math.log(self.longest / self.shortest) / (2 * 1.959963984540054)
+        time = LogNormal(math.sqrt(self.shortest * self.longest), spread)
+        return {
+            "noise.white": self.scale,
+            "noise.correlated": self.correlated,
+            "noise.correlated.time": time,
+        }
+
+    def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+        both = parameters["noise.white"] ** 2 + parameters["noise.correlated"] ** 2
+        return both + _known(frame)
+
+    def _solver(self, extra: Float[Array, "n"] | float, parameters: Parameters, frame: Frame):
+        """Cholesky factor of the covariance, in the order of time within runs."""
+        from tinygp.kernels.quasisep import Exp  # a second that only correlated noise needs
+        from tinygp.noise import Diagonal
+        from tinygp.solvers import QuasisepSolver
+
+        tau = parameters["noise.correlated.time"]
+        # Runs follow each other on one axis, so far apart that they share nothing.
+        axis = jnp.cumsum(jnp.where(frame.step > 0, frame.step, 60.0 * tau))
+        white = parameters["noise.white"] ** 2 + _known(frame) + extra
+        kernel = Exp(scale=tau, sigma=parameters["noise.correlated"])
+        return QuasisepSolver(kernel, axis, Diagonal(white[frame.order]), assume_sorted=True)
+
+    def whiten(self, columns, extra, parameters, frame):
+        solver = self._solver(extra, parameters, frame)
+        white = solver.solve_triangular(columns[frame.order])
+        logdet = 2 * jnp.sum(jnp.log(solver.factor.diag.d))
+        return jnp.zeros_like(white).at[frame.order].set(white), logdet
+
+    def log_density(self, y, mean, parameters, frame):
+        """Of each reading given those before it in its run."""
+        solver = self._solver(0.0, parameters, frame)
+        z = solver.solve_triangular((y - mean)[frame.order])
+        each = -0.5 * z**2 - jnp.log(solver.factor.diag.d) - 0.5 * _LOG_2PI
+        return jnp.zeros_like(each).at[frame.order].set(each)
+
+    def sample(self, key, mean, parameters, frame):
+        made = self._solver(0.0, parameters, frame).dot_triangular(jax.random.normal(key, mean.shape))
+        return mean + jnp.zeros_like(made).at[frame.order].set(made)
+
+
+def over_record(white: White, steps: Float[Array, "n"], span: float) -> OrnsteinUhlenbeck:
+    """White noise widened by a wander whose correlation time the record can tell: from one step to its span.
+
+    Args:
+        white: whose prior is kept, for both parts.
+        steps: times between neighbours, s.
+        span: of the longest run, s.
+    """
+    shortest = float(jnp.median(steps))
+    return OrnsteinUhlenbeck(shortest, max(span, 10 * shortest), white.scale, white.scale)
 
 
 class StudentT(Noise):

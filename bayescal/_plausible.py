@@ -119,7 +119,8 @@ def _saturated(values: np.ndarray) -> tuple[int, str, float] | None:
         return None
     for end, beside, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
         enough = max(_LEAST_SATURATED, _SHARE_SATURATED * len(values))
-        near = abs(levels[end] - levels[beside]) < _GAP * (levels[-1] - levels[0])
+        with np.errstate(over="ignore"):
+            near = abs(levels[end] - levels[beside]) < _GAP * (levels[-1] - levels[0])
         if near and counts[end] >= enough and counts[end] > _AGAINST_NEXT * counts[beside]:
             return int(counts[end]), name, float(levels[end])
     return None

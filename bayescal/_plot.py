@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from bayescal._calibrate import Trail
 from bayescal._calibration import Calibration
-from bayescal._check import Check, check
+from bayescal._check import Check, check, covariates_of
 from bayescal._discover import Discovery
 from bayescal._text import pretty
 
@@ -70,8 +70,6 @@ def _residual_panel(ax: Any, calibration: Calibration, found: Check, entry: Any)
 
 
 def covariate_values(calibration: Calibration, name: str) -> np.ndarray:
-    from bayescal._check import covariates_of
-
     return next(b.values for b in covariates_of(calibration) if b.name == name)
 
 

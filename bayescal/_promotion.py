@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from bayescal import _composition as composition
 from bayescal import _laplace as laplace
+from bayescal._errors import ModelError
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 
@@ -27,8 +28,18 @@ MEMBERS = 12  # a group coefficient with more members than this is not promoted
 def choose(
     layout: Layout, frame: Frame, y: Float[Array, "n"], asked: tuple[str, ...] | None
 ) -> tuple[Layout, tuple[str, ...]]:
-    """The layout with what must be promoted, and what to say about it."""
+    """The layout with what must be promoted, and what to say about it.
+
+    Raises:
+        ModelError: a name that was asked for is no coefficient of the model.
+    """
     if asked is not None:
+        known = [b.name for b in layout.x_blocks]
+        for name in asked:
+            if name not in known:
+                raise ModelError(
+                    f"promote: nothing that could be promoted is called {name!r}; there is: {', '.join(known)}"
+                )
         return layout.promote(*asked), ()
     if not bends(layout, frame):
         return layout, ()

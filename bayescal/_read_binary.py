@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+import h5py
 import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
@@ -71,6 +72,10 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
         InputError: it is not NetCDF-4, has several dimensions to choose from, or is too large once
             unpacked.
     """
+    with _as_format(file, "NetCDF-4"), h5py.File(path) as hdf5:
+        hdf5.attrs.get(
+            "_nc3_strict"
+        )  # h5netcdf, failing at this, would print its own complaint later
     with _as_format(file, "NetCDF-4"), _dataset(path) as dataset:
         lines = {str(n): v for n, v in dataset.variables.items() if v.ndim == 1 and n != ROW}
         dimensions = {str(v.dims[0]) for v in lines.values()}

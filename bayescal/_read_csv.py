@@ -64,7 +64,7 @@ def open_csv(path: Path, file: str) -> Table:
     rows = scan.lines - len(scan.blanks)
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        return _load(path, scan, wanted, rows)
+        return _load(path, scan, wanted)
 
     headers = tuple(Header.parse(text) for text in scan.header)
     return Table(file, headers, rows, scan.sha256, load, scan.place)
@@ -199,7 +199,7 @@ def _refuse_ragged(scan: _Scan, row: int, line: bytes, fields: int) -> None:
     )
 
 
-def _load(path: Path, scan: _Scan, wanted: Mapping[int, bool], rows: int) -> dict[int, Cells]:
+def _load(path: Path, scan: _Scan, wanted: Mapping[int, bool]) -> dict[int, Cells]:
     """The wanted columns, a stretch of rows at a time, so that only one stretch is held as text."""
     parts: dict[int, list[np.ndarray]] = {position: [] for position in wanted}
     bad: dict[int, tuple[int, str]] = {}
@@ -227,10 +227,6 @@ def _load(path: Path, scan: _Scan, wanted: Mapping[int, bool], rows: int) -> dic
                 if cells.bad and position not in bad:
                     bad[position] = (done + cells.bad[0], cells.bad[1])
             done += len(frame)
-    if done != rows:
-        raise InputError(
-            f"{scan.file!r} changed while it was read ({rows} rows, then {done}): read it again"
-        )
     return {
         position: Cells(np.concatenate(found), bad.get(position))
         for position, found in parts.items()

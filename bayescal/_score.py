@@ -102,20 +102,47 @@ def score(calibration: Calibration, columns: np.ndarray) -> Score:
 @eqx.filter_jit
 def _residuals(layout: Layout, frame: Frame, y: Array, mode):
     null = null_model(layout, frame, y, mode)
+    noise = layout.model.noise
     q = null.nuisance.shape[1]
     scaled = null.nuisance * null.prior.sd
-    gram = layout.model.noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
+    gram = noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
+    fitted = jnp.zeros(frame.size)
     if q:
-        z = jnp.linalg.solve(gram.jtj + jnp.diag(null.prior.weight), gram.jtr)
-        fitted = scaled @ z
-    else:
-        fitted = jnp.zeros(frame.size)
-    variance = layout.model.noise.variance(null.hyper, frame) + null.extra
-    return null.residual - fitted, jnp.sqrt(variance)
+        fitted = scaled @ jnp.linalg.solve(gram.jtj + jnp.diag(null.prior.weight), gram.jtr)
+    residual = null.residual - fitted
+    white, _ = noise.whiten(residual[:, None], null.extra, null.hyper, frame)
+    sd = jnp.sqrt(noise.variance(null.hyper, frame) + null.extra)
+    return residual, white[:, 0], sd
 
 
-def residuals(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals at the fit, and the standard deviation of the noise of each reading, output unit."""
+class Residuals(NamedTuple):
+    """Residuals at the fit (n,): in the output unit; whitened, so that sd is one and neighbours are independent if
+    the noise law is right; and the standard deviation of the noise of each reading, output unit."""
+
+    raw: np.ndarray
+    white: np.ndarray
+    sd: np.ndarray
+
+
+def residuals(calibration: Calibration) -> Residuals:
+    """Residuals of the fitted readings, group deviations as fitted."""
     y = jnp.asarray(calibration.readings["output"])
     found = _residuals(calibration.layout, calibration.frame, y, calibration.mode)
+    return Residuals(*(np.asarray(a) for a in found))
+
+
+@eqx.filter_jit
+def _projections(layout: Layout, frame: Frame, y: Array, mode, residual: Array, columns: Array):
+    null = null_model(layout, frame, y, mode)
+    gram = layout.model.noise.gram(columns, residual, null.extra, null.hyper, frame)
+    return gram.jtr, gram.jtj
+
+
+def projections(
+    calibration: Calibration, residual: np.ndarray, columns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns (n, P) and the residuals at the fit: no nuisance is taken out again."""
+    y = jnp.asarray(calibration.readings["output"])
+    args = (y, calibration.mode, jnp.asarray(residual), jnp.asarray(columns))
+    found = _projections(calibration.layout, calibration.frame, *args)
     return np.asarray(found[0]), np.asarray(found[1])

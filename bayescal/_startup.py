@@ -85,7 +85,7 @@ def configure_jax() -> None:
     import jax  # heavy: not before something computes
 
     jax.config.update("jax_enable_x64", True)
-    if jax.config.jax_compilation_cache_dir is not None:  # the user's own choice
+    if getattr(jax.config, "jax_compilation_cache_dir", None) is not None:  # the user's own choice
         return
     folder = cache_folder()
     if folder is None or not _writable(folder / "jax"):

@@ -77,7 +77,7 @@ class Table:
         Raises:
             InputError: no readings, or one name for two columns.
         """
-        if not self.rows:
+        if self.rows < 1:
             raise InputError(
                 f"{self.file!r} holds no readings: give a file with at least one row of numbers"
             )
@@ -88,6 +88,23 @@ class Table:
                     f"{self.file!r} has {names.count(name)} columns called {name!r}: which one is "
                     "meant cannot be told. Rename or remove all but one"
                 )
+
+
+def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:
+    """The wanted columns, each as long as the file says it is.
+
+    Raises:
+        InputError: the file contradicts itself, or changed since it was opened.
+    """
+    found = table.load(wanted)
+    for position, cells in found.items():
+        if len(cells.values) != table.rows:
+            raise InputError(
+                f"{table.file!r} says that it holds {table.rows} rows, column "
+                f"{table.headers[position].raw!r} has {len(cells.values)}: it is damaged, or "
+                "changed while it was read. Export it again"
+            )
+    return found
 
 
 def numbers_of(texts: pd.Series) -> Cells:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+import unicodedata
 from math import floor, log10
 from typing import TYPE_CHECKING
 
@@ -11,9 +13,13 @@ from bayescal._units import pretty as pretty_unit
 if TYPE_CHECKING:
     from bayescal._calibrate import Trail
     from bayescal._calibration import Calibration
-    from bayescal._check import Check
+    from bayescal._check import Check, Region
     from bayescal._compare import Comparison
-    from bayescal._discover import Discovery
+    from bayescal._discover import Candidate, Discovery
+
+WIDTH = 110  # columns that a table or a sentence should fit in
+NARROWEST = 29  # columns that a folded last cell may take in any case
+UNEXPLAINED = 3.0  # log Bayes factor from which structure in the residuals is worth a sentence
 
 
 def pretty(unit: str) -> str:
@@ -21,13 +27,35 @@ def pretty(unit: str) -> str:
     return pretty_unit(unit) if unit not in ("", "1") else ""
 
 
-def table(head: list[str], rows: list[list[str]], left: int = 1) -> str:
-    """Columns under a ruled head; the first `left` columns flush left, the others flush right."""
-    widths = [max(len(r[i]) for r in [head, *rows]) for i in range(len(head))]
+def _width(text: str) -> int:
+    """Columns that a text takes: the mark over a letter takes none."""
+    return sum(not unicodedata.combining(c) for c in text)
+
+
+def table(head: list[str], rows: list[list[str]], left: int = 1, fold: bool = False) -> str:
+    """Columns under a ruled head.
+
+    Args:
+        head, rows: cells.
+        left: this many columns are flush left, the others flush right.
+        fold: the last column is flush left too, and folded where the table would be too wide.
+    """
+    widths = [max(_width(r[i]) for r in [head, *rows]) for i in range(len(head))]
+    if fold:
+        room = max(WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1), NARROWEST)
+        widths[-1] = min(widths[-1], room)
 
     def line(cells: list[str]) -> str:
-        parts = [c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(cells, widths, strict=True))]
-        return "  ".join(parts).rstrip()
+        *most, last = cells
+        folded = (textwrap.wrap(last, widths[-1]) or [""]) if fold else [last]
+        cells = [*most, folded[0]]
+        parts = []
+        for i, (cell, width) in enumerate(zip(cells, widths, strict=True)):
+            space = " " * (width - _width(cell))
+            flush_left = i < left or (fold and i == len(cells) - 1)
+            parts.append(cell + space if flush_left else space + cell)
+        indent = " " * (sum(widths[:-1]) + 2 * (len(widths) - 1))
+        return "\n".join(["  ".join(parts).rstrip(), *(indent + rest for rest in folded[1:])])
 
     return "\n".join([line(head), "  ".join("─" * w for w in widths), *(line(r) for r in rows)])
 
@@ -39,17 +67,40 @@ def number(value: float | None, digits: int = 3) -> str:
     if value == 0 or 1e-4 <= abs(value) < 1e6:
         text = f"{value:.{digits}g}"
         return f"{float(text):.0f}" if "e" in text else text
-    return f"{value:.{digits - 1}e}"
+    return f"{value:.{digits}g}"
+
+
+def _scaled(value: float, error: float) -> tuple[int, int]:
+    """(power of ten to take out, decimal places that show the error to two digits)."""
+    place = floor(log10(error))
+    largest = max(place, floor(log10(abs(value))) if value else place)
+    power = largest if largest < -3 or largest > 6 else 0
+    return power, max(0, 1 - place + power)
 
 
 def with_error(value: float, error: float) -> str:
-    """value ± error, the error to two significant digits and the value to the same place."""
-    if not error > 0:
-        return number(value, 6)
-    places = max(0, 1 - floor(log10(error)))
-    if places > 8 or abs(value) >= 1e7:
-        return f"{value:.4g} ± {error:.2g}"
-    return f"{value:.{places}f} ± {error:.{places}f}"
+    """value ± error, the error to two significant digits and the value to the same place.
+
+    A value without a sizeable error (held at an estimate, not sampled) stands alone.
+    """
+    if not error > 1e-9 * abs(value):
+        return number(value, 4)
+    power, places = _scaled(value, error)
+    if places > 8:
+        return f"{value:.6g} ± {error:.2g}"
+    text = f"{value / 10**power:.{places}f} ± {error / 10**power:.{places}f}"
+    return f"({text})e{power}" if power else text
+
+
+def _interval(low: float, high: float, mean: float, error: float) -> str:
+    """The two ends, to the place of the error, or one further where that is coarse."""
+    if not error > 1e-9 * abs(mean):
+        return "–"
+    power, places = _scaled(mean, error)
+    if places > 8:
+        return f"{low:.6g} to {high:.6g}"
+    text = f"{low / 10**power:.{places}f} to {high / 10**power:.{places}f}"
+    return f"({text})e{power}" if power else text
 
 
 def probability(p: float | None) -> str:
@@ -61,6 +112,7 @@ def probability(p: float | None) -> str:
 
 
 def check_text(check: Check) -> str:
+    """Where a model fails, the worst covariate first."""
     unit = pretty(check.unit)
     rows = [
         [
@@ -68,15 +120,16 @@ def check_text(check: Check) -> str:
             f"{e.log_bayes_factor:.1f}",
             f"{e.worst.size:+.3g} {unit}",
             f"{e.worst.z:+.1f}",
-            _where(e.worst),
+            _where(e.against, e.worst),
         ]
         for e in check.entries
     ]
-    head = ["residuals against", "log Bayes factor", "worst", "z", "where"]
-    lines = [f"residuals {check.rms:.3g} {unit} rms, judged against noise of {check.noise:.3g} {unit}"]
+    head = ["residuals against", "log Bayes factor", "worst mean", "z", "where"]
+    noise = f"judged against noise of {check.noise:.3g} {unit}"
+    lines = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
     if check.fixed:
         lines += [_fixed_text(check), ""]
-    lines.append(table(head, rows) if rows else "no covariate varies")
+    lines.append(table(head, rows, fold=True) if rows else "no covariate varies")
     coefficient, z = check.autocorrelation
     lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
     for name, p in check.spread_with.items():
@@ -88,12 +141,16 @@ def check_text(check: Check) -> str:
     return "\n".join(lines)
 
 
-def _where(region) -> str:
+def _where(against: str, region: Region) -> str:
+    if against == "run":
+        return f"run {region.group}"
+    if against == "order":
+        rows = f"{region.low:.0f} to {region.high:.0f}"
+        return f"row {region.low:.0f}" if region.low == region.high else f"rows {rows}"
     unit = pretty(region.covariate_unit)
+    place = f"{number(region.low, 4)} to {number(region.high, 4)} {unit}".rstrip()
     if region.low == region.high:
-        place = f"at {region.low:.4g} {unit}".rstrip()
-    else:
-        place = f"between {region.low:.4g} and {region.high:.4g} {unit}".rstrip()
+        place = f"at {number(region.low, 4)} {unit}".rstrip()
     return place + (f" in run {region.group}" if region.group else "")
 
 
@@ -102,70 +159,110 @@ def _fixed_text(check: Check) -> str:
     assert f is not None
     known = sum(v**2 for v in f.known.values()) ** 0.5
     lines = [
-        f"with the fixed coefficients: {f.positive} of {f.count} residuals are positive, mean {f.mean:.2f} "
-        f"({f.low:.2f} to {f.high:.2f}) {unit}, rms {f.rms:.2f}",
-        f"the same model set free leaves {f.free_fit:.3g} {unit}: the rms is {f.rms / f.noise:.1f} times that",
+        f"with the fixed coefficients: {f.positive} of {f.count} residuals are positive, "
+        f"mean {f.mean:.2f} ({f.low:.2f} to {f.high:.2f}) {unit}, rms {f.rms:.2f}",
+        f"the same model set free leaves {f.free_fit:.3g} {unit}: "
+        f"the rms is {f.rms / f.noise:.1f} times that",
     ]
     if known > 0:
         parts = ", ".join(f"{k} {v:.2g}" for k, v in f.known.items())
         lines.append(
-            f"known beforehand: {known:.2g} {unit} ({parts}): the rms is {f.rms / known:.0f} times that"
+            f"known beforehand: {known:.2g} {unit} ({parts}):\n"
+            f"  the rms is {f.rms / known:.0f} times that"
         )
     return "\n".join(lines)
 
 
 def discovery_text(found: Discovery) -> str:
+    """What is missing, and every candidate, the most probable first."""
     lines = [f"nothing is missing: probability {probability(found.nothing_missing)}"]
     for s in found.sets:
         names = " or ".join(s.effects)
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
-    rows = []
+    tested = [c for c in found.candidates if c.kind != "not testable"]
+    head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
+    lines.append(table(head, [_candidate_row(c) for c in tested], fold=True) if tested else "")
+    if any(c.source == "refit" for c in tested):
+        lines.append("* log Bayes factor by refit; the others by score")
+    lines += _alike(found) + _not_testable(found)
+    return "\n".join(line for line in lines if line)
+
+
+def _candidate_row(c: Candidate) -> list[str]:
+    remark = "this experiment cannot see it" if c.kind == "not visible" else c.kind or ""
+    factor = "–" if c.log_bayes_factor is None else f"{c.log_bayes_factor:.1f}"
+    return [
+        c.effect,
+        probability(c.probability),
+        factor + ("*" if c.source == "refit" else " "),
+        f"{with_error(c.size or 0.0, c.size_sd or 0.0)} {pretty(c.unit)}".rstrip(),
+        number(c.minimum_detectable, 2),
+        remark,
+    ]
+
+
+def _alike(found: Discovery) -> list[str]:
+    """One line for each group of candidates that these readings can hardly tell apart."""
+    groups: dict[frozenset[str], str] = {}
+    for c in found.candidates:
+        if c.indistinguishable_from:
+            members = (c.effect, *c.indistinguishable_from)
+            groups.setdefault(frozenset(members), ", ".join(members))
+    return [
+        textwrap.fill(f"hard to tell apart: {names}", WIDTH, subsequent_indent="  ")
+        for names in groups.values()
+    ]
+
+
+def _not_testable(found: Discovery) -> list[str]:
+    """One line for each reason, with the effects that it holds back."""
+    by_reason: dict[str, list[str]] = {}
     for c in found.candidates:
         if c.kind == "not testable":
-            rows.append([c.effect, "–", "–", "–", "–", f"not testable: {c.reason}"])
-            continue
-        size = with_error(c.size or 0.0, c.size_sd or 0.0) + f" {pretty(c.unit)}"
-        remark = c.kind or ""
-        if c.kind == "not visible":
-            remark = "this experiment cannot see it"
-        if c.indistinguishable_from:
-            remark += f" (like {', '.join(c.indistinguishable_from)})"
-        detectable = "–" if c.minimum_detectable is None else f"{number(c.minimum_detectable, 2)}"
-        rows.append(
-            [
-                c.effect,
-                probability(c.probability),
-                f"{c.log_bayes_factor:.1f}{'*' if c.source == 'refit' else ''}",
-                size,
-                detectable,
-                remark.strip(),
-            ]
-        )
-    head = ["candidate", "probability", "log BF", "expected size", "detectable", ""]
-    widths_left = table(head, [[*r] for r in rows])
-    lines.append(widths_left)
-    if found.verified:
-        lines.append("* log Bayes factor by refit; the others by score")
-    return "\n".join(lines)
+            by_reason.setdefault(c.reason, []).append(c.effect)
+    return [
+        textwrap.fill(f"not testable, {reason}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
+        for reason, names in by_reason.items()
+    ]
+
+
+def unexplained_text(calibration: Calibration, check: Check) -> str:
+    """Columns that the residuals depend on and that no known effect uses; "" for none."""
+    instrument = calibration.model.instrument
+    known = (*instrument.effects, *instrument.candidates, *calibration.model.effects)
+    used = {"time", *(column for effect in known for column in effect.columns)}
+    lines = []
+    for e in check.entries:
+        recorded = calibration.readings.has(e.against) and e.against != "run"
+        if recorded and e.against not in used and e.log_bayes_factor > UNEXPLAINED:
+            size = f"{abs(e.worst.size):.2g} {pretty(check.unit)}"
+            lines.append(
+                f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "
+                f"{e.log_bayes_factor:.1f}), which no effect of {instrument.name} uses. "
+                "Effects found above may stand in for it: write an effect of your own and give it (--effects)."
+            )
+    return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
 
 
 def comparison_text(found: Comparison) -> str:
+    """Models side by side, the best first."""
     unit = pretty(found.unit)
     grouped = found.chosen_by == "left-out groups"
     head = ["model", f"rmse [{unit}]"]
-    head += [f"left-out {found.group} rmse", "left-out score", "difference"] if grouped else []
+    head += [f"left-out {found.group}", "score", "difference"] if grouped else []
     head += ["LOO", "difference", "log evidence", "weight"]
     rows = []
     for r in found.rows:
         cells = [r.name, number(r.rmse)]
         if grouped:
-            cells += [number(r.group_rmse), f"{r.group_score:.1f}", _gap(r.group_difference, r.group_error)]
+            score = "–" if r.group_score is None else f"{r.group_score:.1f}"
+            cells += [number(r.group_rmse), score, _gap(r.group_difference, r.group_error)]
         evidence = "null" if r.log_evidence is None else f"{r.log_evidence:.1f}"
-        cells += [f"{r.loo:.1f}", _gap(r.loo_difference, r.loo_error), evidence, f"{r.weight:.2f}"]
-        rows.append(cells)
+        loo = _gap(r.loo_difference, r.loo_error)
+        rows.append([*cells, f"{r.loo:.1f}", loo, evidence, f"{r.weight:.2f}"])
     lines = [table(head, rows), f"chosen by {found.chosen_by} ({found.groups} of them)"]
-    return "\n".join([*lines, *found.warnings])
+    return "\n".join([*lines, *(textwrap.fill(w, WIDTH) for w in found.warnings)])
 
 
 def _gap(value: float | None, error: float | None) -> str:
@@ -175,8 +272,12 @@ def _gap(value: float | None, error: float | None) -> str:
 
 
 def trail_text(trail: Trail) -> str:
+    """The error, step by step."""
     unit = pretty(trail.final.calibration.unit)
-    head = ["step", f"rmse [{unit}]", "left-out", "held-out", "noise", "floor", "log evidence", "nothing missing"]
+    head = [
+        *("step", f"rmse [{unit}]", "left-out", "held-out", "noise", "floor"),
+        *("log evidence", "nothing missing"),
+    ]
     rows = []
     for i, s in enumerate(trail.steps):
         name = "baseline" if s.added is None else f"+ {s.added}"
@@ -199,21 +300,29 @@ def trail_text(trail: Trail) -> str:
 
 
 def calibration_text(calibration: Calibration) -> str:
-    """Coefficients and hyper-parameters with standard uncertainty and 95 % credible interval; the verdict."""
+    """Unknowns with standard uncertainty and 95 % credible interval; the verdict."""
     rows = []
-    for found in summary(calibration):
-        for s in found:
-            low, high = s["interval95"]
-            contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
-            interval = f"[{low:.5g}, {high:.5g}]"
-            rows.append([s["name"], with_error(s["mean"], s["sd"]), pretty(s["unit"]), interval, contraction])
-    head = ["unknown", "mean ± standard uncertainty", "unit", "95 % credible interval", "contraction"]
+    coefficients, spreads = summary(calibration)
+    for s in (*coefficients, *spreads):
+        contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
+        interval = _interval(*s["interval95"], s["mean"], s["sd"])
+        value = with_error(s["mean"], s["sd"])
+        rows.append([s["name"], value, pretty(s["unit"]), interval, contraction])
+    head = [
+        *("unknown", "mean ± standard uncertainty", "unit"),
+        *("95 % credible interval", "contraction"),
+    ]
     lines = [table(head, rows)] if rows else ["every unknown is fixed"]
     fixed = ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed)
     if fixed:
         lines.append(f"fixed: {fixed}")
-    zeros = [(k, v) for k, v in calibration.reference.items() if isinstance(v, float) and k.endswith("0")]
-    if zeros:
-        lines.append("constants hold at " + ", ".join(f"{k} = {v:g} °C" for k, v in zeros))
+    at = [
+        f"{k} = {v:g} °C"
+        for k, v in calibration.reference.items()
+        if isinstance(v, float) and k.endswith("0")
+    ]
+    if at:
+        lines.append("constants hold at " + ", ".join(at))
     lines += [f"not measured: {d['in_words']}" for d in null_directions(calibration)]
-    return "\n".join([*lines, str(calibration.verdict)])
+    lines.append(str(calibration.verdict))
+    return "\n".join([lines[0], *(textwrap.fill(line, WIDTH) for line in lines[1:])])

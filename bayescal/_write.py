@@ -47,8 +47,8 @@ def write(dataset: xr.Dataset, path: str | Path) -> Path:
         )
     if not path.parent.is_dir():
         raise InputError(
-            f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}. Make it, or "
-            "choose another"
+            f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}. Make it, "
+            "or choose another"
         )
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
@@ -56,8 +56,8 @@ def write(dataset: xr.Dataset, path: str | Path) -> Path:
         beside.replace(path)
     except OSError as error:
         raise InputError(
-            f"{str(path)!r} cannot be written: {error.strerror or error}. Choose a folder that may be "
-            "written to"
+            f"{str(path)!r} cannot be written: {error.strerror or error}. Choose a folder that may "
+            "be written to"
         ) from error
     finally:
         beside.unlink(missing_ok=True)

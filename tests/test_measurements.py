@@ -147,7 +147,7 @@ def test_writing_is_refused_in_words(tmp_path):
         InputError, match=r"cannot be written as '\.pkl'; choose \.csv, \.parquet, \.nc"
     ):
         m.write(tmp_path / "t.pkl")
-    with pytest.raises(InputError, match="cannot be written: there is no folder .* Make it"):
+    with pytest.raises(InputError, match=r"cannot be written: there is no folder .* Make it"):
         m.write(tmp_path / "no" / "t.csv")
     with pytest.raises(InputError, match="because of its '/'"):
         m.with_column("a/b", [1.0, 2.0], "1").write(tmp_path / "t.nc")

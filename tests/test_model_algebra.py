@@ -99,7 +99,7 @@ def test_an_unknown_slot_is_refused_with_the_known_ones() -> None:
         ({"coefficients": (bc.Coefficient("deg/s"), bc.Coefficient("deg/s"))}, "different parts"),
         ({"basis": lambda: 1.0}, "must take the readings"),
         ({"basis": lambda r, width: 1.0}, "must take the readings"),
-        ({"shapes": (bc.Shape("tau", "s", 1.0, 9.0),)}, "must take the readings and then its shapes"),
+        ({"shapes": (bc.Shape("tau", "s", 1.0, 9.0),)}, "and then its shapes ..tau.. by name"),
     ],
     ids=["no coefficient", "equal parts", "takes nothing", "takes too much", "lacks a shape"],
 )
@@ -261,7 +261,7 @@ def test_as_many_flat_coefficients_as_readings_are_refused() -> None:
 
 
 def test_promoting_what_is_not_there_is_refused() -> None:
-    with pytest.raises(bc.ModelError, match=r"promote: nothing .* called 'bias.temprature'.*bias.temperature"):
+    with pytest.raises(bc.ModelError, match=r"promote: nothing that could be promoted is called 'bias.temprature'.*bias.temperature"):
         bc.fit(BASELINE, readings(), bc.Marginal(promote=("bias.temprature",)))
 
 

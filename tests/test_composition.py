@@ -1,0 +1,425 @@
+"""One composition: its Jacobian is the derivative of its mean, its closed form the integral of its density."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import SimpleNamespace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+import bayescal as bc
+from bayescal import _composition as composition
+from bayescal import _linear as linear
+from bayescal import effects
+from bayescal._fit import bind
+from bayescal._frame import build_frame, reference_of
+from bayescal._layout import Layout
+from bayescal._nuts import program
+from bayescal_models import INSTRUMENTS
+from bayescal_models.mems_gyro import INSTRUMENT
+from bayescal_models.mems_gyro.model import THERMOMETER
+
+# A model with everything in it that bends: a corrected column, a square, a lag, a scale factor, groups.
+RICH = INSTRUMENT.baseline() + [
+    "bias.temperature_quadratic",
+    "bias.thermal_lag",
+    "scale.constant",
+    "scale.temperature",
+    "bias.run",
+    THERMOMETER,
+]
+
+
+def readings(rows: int = 14, seed: int = 5, **more) -> bc.Measurements:
+    """Two runs over temperature on a rate table, irregular in time."""
+    rng = np.random.default_rng(seed)
+    half = rows // 2
+    time = np.cumsum(rng.uniform(20.0, 400.0, rows)) + np.repeat([0.0, 3000.0], half)
+    columns = {
+        "run": np.repeat(["up", "down"], half),
+        "time": time,
+        "temperature": 50 + 20 * np.sin(time / 900.0) + rng.normal(0.0, 1.0, rows),
+        "rate_input": rng.uniform(-100.0, 100.0, rows),
+        "output": rng.normal(0.0, 1.0, rows),
+        **more,
+    }
+    return bc.Measurements.from_arrays(INSTRUMENT, **columns)
+
+
+def bound(model: bc.Model, data: bc.Measurements) -> SimpleNamespace:
+    """A model bound to readings, a random point of all its unknowns, and an output drawn there."""
+    layout, _ = bind(model, data)
+    frame = build_frame(data, reference_of(data))
+    rng = np.random.default_rng(8)
+    v = jnp.asarray(rng.normal(0.0, 0.5, len(layout.hypers)))
+    hyper = composition.hyper_values(layout, v)
+    sd = composition.prior_sd(layout, hyper)
+    x = composition.prior_mean(layout) + sd * rng.normal(size=layout.size)
+    rows = composition.row_sd(layout) * rng.normal(size=(frame.size, len(layout.row_blocks)))
+    y = composition.draw_readings(layout, frame, x, rows, v, jax.random.key(8))
+    return SimpleNamespace(layout=layout, frame=frame, x=x, rows=rows, v=v, hyper=hyper, y=y)
+
+
+# Derivatives.
+
+
+@pytest.mark.parametrize("promoted", [(), ("bias.temperature", "scale.constant")], ids=["x", "promoted"])
+def test_jacobian_is_the_derivative_of_the_mean(promoted) -> None:
+    b = bound(RICH, readings())
+    layout = b.layout.promote(*promoted)
+    rng = np.random.default_rng(1)
+    v = jnp.asarray(rng.normal(0.0, 0.5, len(layout.hypers)))
+    hyper = composition.hyper_values(layout, v)
+    x = composition.prior_sd(layout, hyper) * rng.normal(size=layout.size)
+
+    def mean(x, rows):
+        return composition.mean(layout, b.frame, x, rows, hyper)
+
+    line = composition.linearise(layout, b.frame, x, b.rows, hyper)
+    by_x, by_rows = jax.jacfwd(mean, argnums=(0, 1))(x, b.rows)
+    np.testing.assert_allclose(line.mean, mean(x, b.rows), rtol=1e-13)
+    width = np.abs(by_x).max(axis=0)
+    np.testing.assert_allclose(line.jacobian / width, by_x / width, rtol=1e-11, atol=1e-12)
+    # A thermometer error moves its own reading and no other, so that one number a reading says all.
+    diagonal = jnp.einsum("ij,ik->ijk", jnp.eye(b.frame.size), line.rows)
+    np.testing.assert_allclose(diagonal, by_rows, rtol=1e-11, atol=1e-12)
+
+
+def test_jacobian_agrees_with_finite_differences() -> None:
+    b = bound(RICH, readings())
+    line = composition.linearise(b.layout, b.frame, b.x, b.rows, b.hyper)
+    mean = jax.jit(lambda x, rows: composition.mean(b.layout, b.frame, x, rows, b.hyper))
+    step = 1e-4 * np.asarray(composition.prior_sd(b.layout, b.hyper))
+    shift = np.diag(step)
+    difference = [(mean(b.x + s, b.rows) - mean(b.x - s, b.rows)) / (2 * h) for s, h in zip(shift, step)]
+    np.testing.assert_allclose(line.jacobian.T, difference, rtol=1e-6, atol=1e-7)
+    moved = (mean(b.x, b.rows + 1e-4) - mean(b.x, b.rows - 1e-4)) / 2e-4
+    np.testing.assert_allclose(line.rows[:, 0], moved, rtol=1e-6)
+
+
+def test_columns_of_a_missing_effect_are_those_it_has_in_the_model() -> None:
+    smaller, name = RICH - "scale.temperature", "scale.temperature"
+    b = bound(smaller, readings())
+    values = composition.coefficients(b.layout, b.x, b.rows, b.hyper)
+    effect = INSTRUMENT.effect(name)
+    ((column, size),) = composition.effect_columns(b.layout, b.frame, values, b.hyper, effect, {})
+    larger = bound(smaller + effect, readings())
+    x = jnp.append(b.x, 0.0)
+    line = composition.linearise(larger.layout, larger.frame, x, b.rows, b.hyper)
+    # The column sees the recorded temperature, the model the corrected one.
+    corrected = np.asarray(b.frame.centred() + b.rows[:, 0])
+    np.testing.assert_allclose(column[:, 0] / b.frame.centred(), line.jacobian[:, -1] / corrected, rtol=1e-12)
+    assert size == effect.coefficients[0].prior.sd
+
+
+# The contract of every effect of every instrument.
+
+
+def instrument_effects() -> list:
+    found = []
+    for name in INSTRUMENTS:
+        instrument = import_module(f"bayescal_models.{name}").INSTRUMENT
+        structural = [e for _, make in instrument.structures for e in make().effects]
+        every = {e.name: e for e in (*instrument.effects, *instrument.candidates, *structural)}
+        found += [pytest.param(instrument, e, id=f"{name}-{e.name}") for e in every.values()]
+    return found
+
+
+def made_up(instrument: bc.Instrument, rows: int = 12) -> bc.Measurements:
+    """Readings of every column of an instrument, within its plausible ranges."""
+    rng = np.random.default_rng(3)
+    columns = {}
+    for column in instrument.columns:
+        if column.unit is None:
+            columns[column.name] = np.resize(np.repeat(["a", "b"], 3), rows)
+        elif column.name == "time":
+            columns[column.name] = np.cumsum(rng.uniform(20.0, 300.0, rows))
+        elif column.name == "temperature_point":
+            columns[column.name] = np.resize(np.repeat([20.0, 30.0, 40.0], 2), rows)
+        else:
+            low, high = (20.0, 50.0) if column.unit == "degC" else (0.05, 0.2)
+            low = low if column.low is None else max(low, column.low)
+            high = high if column.high is None else min(high, column.high)
+            columns[column.name] = rng.uniform(low, high, rows)
+    return bc.Measurements.from_arrays(instrument, **columns)
+
+
+@pytest.mark.parametrize(("instrument", "effect"), instrument_effects())
+def test_slots_are_affine_in_the_coefficients_of_an_effect(instrument, effect) -> None:
+    data = made_up(instrument)
+    b = bound(bc.Model(instrument, (effect,), instrument.noise), data)
+    names = {block.slot for block in b.layout.blocks}
+    slots = {s.name for s in instrument.slots}
+
+    def total(x, rows):
+        """What the effect adds to its slots, or to the column it corrects."""
+
+        def seen(filled, corrected):
+            return sum(filled[n] if n in slots else corrected[n] for n in names)
+
+        model = bc.Model(replaced(instrument, seen), (effect,), instrument.noise)
+        return composition.mean(Layout(model, b.layout.counts), b.frame, x, rows, b.hyper)
+
+    other = b.x[::-1] + 1.0
+    both = total(b.x + other, b.rows) + total(0 * b.x, 0 * b.rows)
+    apart = total(b.x, 0 * b.rows) + total(other, b.rows)
+    scale = np.abs(apart).max()
+    np.testing.assert_allclose(both, apart, rtol=1e-10, atol=1e-10 * scale)
+    assert effect.equation
+    assert effect.source
+    assert np.isfinite(both).all()
+
+
+@pytest.mark.parametrize(("instrument", "effect"), instrument_effects())
+def test_an_effect_reads_only_the_columns_it_names(instrument, effect) -> None:
+    data = made_up(instrument)
+    b = bound(bc.Model(instrument, (effect,), instrument.noise), data)
+    shapes = {s.name: b.hyper[effect.shape_name(s)] for s in effect.shapes}
+    hidden = set(b.frame.columns) - set(effect.columns)
+    if "time" in effect.columns:
+        hidden.discard("elapsed")
+    frame = eqx.tree_at(
+        lambda f: [f.columns[n] for n in sorted(hidden)],
+        b.frame,
+        [jnp.full(b.frame.size, jnp.nan) for _ in hidden],
+    )
+    basis = effect.evaluate(frame, shapes)
+    assert basis.shape == (b.frame.size, len(effect.coefficients))
+    assert np.isfinite(basis).all()
+
+
+def replaced(instrument: bc.Instrument, response) -> bc.Instrument:
+    """The instrument with another response."""
+    fields = {name: getattr(instrument, name) for name in instrument.__dataclass_fields__}
+    return bc.Instrument(**{**fields, "response": response})
+
+
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_each_reading_responds_to_its_own_slots_alone(name) -> None:
+    instrument = import_module(f"bayescal_models.{name}").INSTRUMENT
+    data = made_up(instrument, rows=6)
+    frame = build_frame(data, reference_of(data))
+    slots = {s.name: jnp.full(frame.size, 1e-3) for s in instrument.slots}
+    moves = jax.jacfwd(lambda s: instrument.response(s, frame))(slots)
+    for slot, matrix in moves.items():
+        off = np.asarray(matrix) - np.diag(np.diag(matrix))
+        assert np.abs(off).max() == 0, slot
+        assert np.isfinite(matrix).all(), slot
+
+
+# What a frame derives from time.
+
+
+def thermal(time, temperature, run=None) -> bc.Measurements:
+    run = np.full(len(time), "1") if run is None else run
+    return bc.Measurements.from_arrays(
+        INSTRUMENT, run=run, time=time, temperature=temperature, output=np.arange(len(time)) * 0.1
+    )
+
+
+def framed(data: bc.Measurements):
+    return build_frame(data, reference_of(data))
+
+
+def test_lag_of_a_ramp_and_a_hold_is_the_analytic_one() -> None:
+    # 0.1 °C/s for 300 s, then held; read at irregular times, the corner among them.
+    rng = np.random.default_rng(0)
+    time = np.unique(np.concatenate([[0.0, 300.0], rng.uniform(0.0, 900.0, 30)]))
+    temperature = 20 + 0.1 * np.minimum(time, 300.0)
+    tau = 120.0
+    on_ramp = -0.1 * tau * (1 - np.exp(-time / tau))
+    corner = -0.1 * tau * (1 - np.exp(-300.0 / tau))
+    exact = np.where(time <= 300, on_ramp, corner * np.exp(-(time - 300) / tau))
+    lag = framed(thermal(time, temperature)).lag(jnp.asarray(tau))
+    np.testing.assert_allclose(lag, exact, atol=1e-10)
+
+
+def test_lag_of_a_sine_follows_its_phase_and_gain() -> None:
+    time = np.arange(0.0, 20000.0, 2.0)
+    omega, tau = 2 * np.pi / 2000.0, 300.0
+    lag = framed(thermal(time, 40 + 10 * np.sin(omega * time))).lag(jnp.asarray(tau))
+    gain, phase = 1 / np.hypot(1, omega * tau), np.arctan(omega * tau)
+    steady = 10 * gain * np.sin(omega * time - phase) - 10 * np.sin(omega * time)
+    late = time > 5000
+    np.testing.assert_allclose(np.asarray(lag)[late], steady[late], atol=1e-3)
+
+
+def test_each_run_starts_without_lag_and_in_any_order_of_rows() -> None:
+    time = np.concatenate([np.arange(0.0, 600.0, 60.0), np.arange(0.0, 600.0, 60.0) + 9000.0])
+    temperature = np.concatenate([np.linspace(20, 40, 10), np.linspace(70, 30, 10)])
+    run = np.repeat(["a", "b"], 10)
+    whole = framed(thermal(time, temperature, run))
+    tau = jnp.asarray(150.0)
+    for half in (slice(0, 10), slice(10, 20)):
+        alone = framed(thermal(time[half], temperature[half], run[half]))
+        np.testing.assert_allclose(whole.lag(tau)[half], alone.lag(tau), atol=1e-12)
+        np.testing.assert_allclose(whole.rate()[half], alone.rate(), atol=1e-15)
+        np.testing.assert_allclose(whole.elapsed[half], time[half] - time[half][0])
+        assert whole.lag(tau)[half][0] == whole.rate()[half][0] == 0
+    mixed = np.argsort(np.tile(np.arange(10), 2), kind="stable")  # a, b, a, b …
+    shuffled = framed(thermal(time[mixed], temperature[mixed], run[mixed]))
+    np.testing.assert_allclose(shuffled.lag(tau), whole.lag(tau)[mixed], atol=1e-12)
+    np.testing.assert_allclose(shuffled.rate(), whole.rate()[mixed], atol=1e-15)
+
+
+def test_two_readings_at_one_time_do_not_start_a_run() -> None:
+    time = np.arange(0.0, 900.0, 60.0)
+    temperature = 20 + 20 * (1 - np.exp(-time / 300.0))
+    once = framed(thermal(time, temperature))
+    twice = framed(thermal(np.repeat(time, 2), np.repeat(temperature, 2)))
+    tau = jnp.asarray(200.0)
+    np.testing.assert_allclose(twice.lag(tau)[::2], once.lag(tau), atol=1e-12)
+    np.testing.assert_allclose(twice.lag(tau)[1::2], once.lag(tau), atol=1e-12)
+    # Both readings of a time see the same past; of the first time, none.
+    np.testing.assert_allclose(twice.rate()[3::2], once.rate()[1:], rtol=1e-9)
+    assert twice.rate()[0] == twice.rate()[1] == 0
+
+
+def test_rate_is_the_slope_of_the_last_minute_and_never_looks_ahead() -> None:
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.uniform(3.0, 9.0, 60))
+    temperature = 30 + np.cumsum(rng.normal(0.0, 0.1, 60))
+    rate = np.asarray(framed(thermal(time, temperature)).rate())
+    for i in range(1, 60):
+        past = (time <= time[i]) & (time >= time[i] - 60)
+        assert rate[i] == pytest.approx(np.polyfit(time[past] - time[i], temperature[past], 1)[0])
+    changed = temperature.copy()
+    changed[40:] += 5
+    np.testing.assert_allclose(framed(thermal(time, changed)).rate()[:40], rate[:40], atol=1e-12)
+
+
+def test_rate_over_slow_sampling_is_that_of_the_last_step() -> None:
+    time = np.arange(0.0, 3000.0, 300.0)
+    temperature = 30 + (time / 1000) ** 2
+    rate = framed(thermal(time, temperature)).rate()
+    np.testing.assert_allclose(rate[1:], np.diff(temperature) / 300.0, rtol=1e-9)
+
+
+def test_constants_of_the_bases_are_those_of_the_fit() -> None:
+    data = readings(20)
+    found = bc.fit(INSTRUMENT.baseline(), data, bc.LeastSquares(), strict=False)
+    later = data.select(data["run"] == "down").with_column("temperature", data["temperature"][10:] + 30)
+    old, new = found.frame, found.frame_of(later)
+    for name, value in old.reference.items():
+        assert new.reference[name] == value
+    assert reference_of(later)["T0"] != found.reference["T0"]
+    np.testing.assert_array_equal(new.progress, old.progress[10:])
+    np.testing.assert_allclose(new.centred(), old.centred()[10:] + 30, rtol=1e-14)
+    # Later in a run, a run is still as old as it was; and its coefficients are found by name.
+    tail = found.frame_of(data.select(np.arange(14, 20)))
+    np.testing.assert_array_equal(tail.elapsed, old.elapsed[14:])
+    np.testing.assert_array_equal(tail.codes["run"], old.codes["run"][14:])
+    stranger = found.frame_of(data.with_column("run", np.full(20, "third")))
+    assert (np.asarray(stranger.codes["run"]) == -1).all()
+
+
+# The closed form against direct numbers.
+
+GAUSSIAN = {
+    "line": INSTRUMENT.baseline(),
+    "runs": INSTRUMENT.baseline() + "bias.run",
+    "thermometer": INSTRUMENT.baseline().fix({"bias.temperature": 0.05}) + THERMOMETER,
+    "lag and drift": INSTRUMENT.baseline() + ["bias.thermal_lag", "bias.drift"],
+    "nothing unknown": INSTRUMENT.baseline().fix({"bias.constant": 1.0, "bias.temperature": 0.05}),
+}
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["one variance", "known uncertainties"])
+@pytest.mark.parametrize("model", GAUSSIAN.values(), ids=GAUSSIAN)
+def test_closed_form_is_the_multivariate_normal(model, known) -> None:
+    more = {"output_uncertainty": np.random.default_rng(9).uniform(0.1, 0.5, 14)} if known else {}
+    b = bound(model, readings(**more))
+    point = linear.Point(b.x, b.rows)
+    prior = linear.prior_of(b.layout, b.hyper, jnp.ones(b.layout.size))
+    gram = linear.gram_function(b.layout, b.frame, b.y, point)(b.hyper)
+    found = linear.condition(gram, b.frame.size, prior, b.x)
+
+    line = composition.linearise(b.layout, b.frame, b.x, b.rows, b.hyper)
+    J, D = np.asarray(line.jacobian), np.diag(np.asarray(prior.sd) ** 2)
+    noise = b.layout.model.noise.variance(b.hyper, b.frame)
+    S = np.diag(noise + jnp.sum((line.rows * composition.row_sd(b.layout)) ** 2, axis=1))
+    centre = line.mean - jnp.sum(line.rows * b.rows, axis=1) + J @ (prior.mean - b.x)
+    V = S + J @ D @ J.T
+    direct = multivariate_normal(np.asarray(centre), V).logpdf(np.asarray(b.y))
+    assert float(found.log_marginal) == pytest.approx(direct, rel=1e-9)
+    gain = D @ J.T @ np.linalg.inv(V)
+    mean = prior.mean + gain @ (b.y - centre)
+    np.testing.assert_allclose(found.mean, mean, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(found.covariance, D - gain @ J @ D, atol=1e-8 * max(1.0, D.max(initial=0)))
+
+
+def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
+    flat = bc.Model(
+        INSTRUMENT,
+        (effects.constant("bias", None, "deg/s", source="none"), INSTRUMENT.effect("bias.temperature")),
+        bc.White(),
+    )
+    b = bound(flat, readings())
+    sigma, sd = b.hyper["noise.white"], INSTRUMENT.effect("bias.temperature").coefficients[0].prior.sd
+    found = [
+        linear.condition(
+            linear.gram_function(b.layout, b.frame, b.y, linear.Point(b.x, b.rows))(b.hyper),
+            b.frame.size,
+            linear.prior_of(b.layout, b.hyper, jnp.full(2, scale)),
+            b.x,
+        )
+        for scale in (1.0, 30.0)
+    ]
+    # The same, whatever the scale of the flat column …
+    assert float(found[0].log_marginal) == pytest.approx(float(found[1].log_marginal), abs=1e-10)
+    np.testing.assert_allclose(found[0].mean, found[1].mean, rtol=1e-9)
+    # … and ∫ N(y; a + b·t, V) da = N(y; 0, V)-like with the constant at its best, times √(2π/1ᵀV⁻¹1).
+    t = np.asarray(b.frame.centred())
+    V = sigma**2 * np.eye(14) + sd**2 * np.outer(t, t)
+    one = np.linalg.solve(V, np.ones(14))
+    best = one @ b.y / one.sum()
+    direct = multivariate_normal(np.full(14, best), V).logpdf(np.asarray(b.y))
+    direct += 0.5 * np.log(2 * np.pi / one.sum())
+    assert float(found[0].log_marginal) == pytest.approx(direct, rel=1e-11)
+
+
+# The NumPyro program says the same.
+
+
+@pytest.mark.parametrize(
+    "model",
+    [RICH, RICH.with_noise(bc.StudentT()).fix({"bias.thermal_lag.tau": 200.0, "bias.constant": 3.0})],
+    ids=["white", "student, some fixed"],
+)
+def test_numpyro_program_has_the_same_density(model) -> None:
+    from numpyro.infer.util import log_density
+
+    b = bound(model, readings())
+    rng = np.random.default_rng(4)
+    differences = []
+    for _ in range(4):
+        v = jnp.asarray(rng.normal(0.0, 0.7, len(b.layout.hypers)))
+        hyper = composition.hyper_values(b.layout, v)
+        sites = {h.name: hyper[h.name] for h in b.layout.hypers}
+        x, ours = [], composition.hyper_log_prior(b.layout, v)
+        for i, h in enumerate(b.layout.hypers):
+            ours -= jnp.log(jax.grad(h.prior.value)(v[i]))  # density in the value, not in its coordinate
+        for block in b.layout.x_blocks:
+            z = jnp.asarray(rng.normal(size=block.size))
+            c = block.coefficient
+            spread = hyper[block.spread_name] if c.spread is not None else c.size
+            sites[f"{block.name}.standard"] = z
+            x.append(c.mean + spread * z)
+            ours += block.size * jnp.log(spread)  # likewise: x is written in units of its spread
+        e = jnp.asarray(rng.normal(size=b.rows.shape))
+        rows = e * composition.row_sd(b.layout)
+        sites["rows.standard"] = e
+        x = jnp.concatenate(x)
+        ours += composition.log_prior_x(b.layout, x, rows, hyper)
+        ours += jnp.sum(composition.log_likelihood(b.layout, b.frame, b.y, x, rows, hyper))
+        ours += b.rows.shape[0] * jnp.sum(jnp.log(composition.row_sd(b.layout)))
+        theirs, trace = log_density(program(b.layout, b.frame), (b.y,), {}, sites)
+        np.testing.assert_allclose(trace["x"]["value"], x, rtol=1e-12)
+        np.testing.assert_allclose(trace["v"]["value"], v, rtol=1e-9, atol=1e-12)
+        differences.append(float(theirs - ours))
+    np.testing.assert_allclose(differences, 0.0, atol=1e-7)
