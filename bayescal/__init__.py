@@ -23,12 +23,13 @@ if TYPE_CHECKING:
     from bayescal import _plot as plot
 
     # what did it find, and was it right
-    from bayescal._calibrate import Trail as Trail
     from bayescal._calibrate import calibrate as calibrate
     from bayescal._calibration import Calibration as Calibration
     from bayescal._calibration import Verdict as Verdict
     from bayescal._check import Check as Check
     from bayescal._check import check as check
+
+    from bayescal._trail import Trail as Trail
 
     # what a model is made of
     from bayescal._coefficient import Coefficient as Coefficient
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from bayescal._measurements import NominalScale as NominalScale
     from bayescal._model import Model as Model
     from bayescal._noise import Noise as Noise
+    from bayescal._noise import OrnsteinUhlenbeck as OrnsteinUhlenbeck
     from bayescal._noise import Quantised as Quantised
     from bayescal._noise import StudentT as StudentT
     from bayescal._noise import White as White
@@ -92,6 +94,7 @@ _HOMES = {
     "ModelError": "_errors",
     "NUTS": "_nuts",
     "Noise": "_noise",
+    "OrnsteinUhlenbeck": "_noise",
     "NominalScale": "_measurements",
     "Normal": "_prior",
     "NotConverged": "_errors",
@@ -99,7 +102,7 @@ _HOMES = {
     "Shape": "_coefficient",
     "Slot": "_instrument",
     "StudentT": "_noise",
-    "Trail": "_calibrate",
+    "Trail": "_trail",
     "Verdict": "_calibration",
     "White": "_noise",
     "calibrate": "_calibrate",

@@ -23,6 +23,7 @@ from bayescal._match import (
     match,
     output_name,
     refuse_missing,
+    settled,
     unit_of,
 )
 from bayescal._table import Cells, Header, Table, load_whole
@@ -51,6 +52,7 @@ def admit(table: Table, instrument: Expects, wishes: Wishes) -> Admitted:
     expected = expected_columns(instrument)
     places = match(table, expected, wishes)
     refuse_missing(table, expected, places, instrument.name)
+    expected = settled(expected, table, places, wishes)
     result = Admitted()
     kept = extra_columns(table, expected, places, wishes, result)
     wanted = {places[name]: expected[name].unit is not None for name in expected if name in places}
@@ -120,7 +122,7 @@ class _Door:
         where = f"{self.table.file!r}, column {self.header.raw!r}:"
         if unit is None:
             raise InputError(
-                f"{where} the header has no unit. Write '{self.header.name} [{self.column.unit}]' "
+                f"{where} the header has no unit. Write '{self.header.name} [{self.column.example}]' "
                 f"(or the unit that the numbers are in), or give units={{{self.header.name!r}: …}} "
                 f"(--unit {self.header.name}=…)"
             )

@@ -115,7 +115,7 @@ class Calibration:
         """Joint draws (x, rows, v) as flat arrays, evenly thinned to `limit`."""
         group = self.tree["draws"]
         x, rows, v = (flat(group[name].values) for name in ("x", "rows", "v"))
-        step = 1 if limit is None else max(1, len(x) // limit)
+        step = 1 if limit is None else max(1, -(-len(x) // limit))
         return x[::step], rows[::step], v[::step]
 
     def samples(self, name: str) -> np.ndarray:
@@ -141,7 +141,7 @@ class Calibration:
         posterior = self.tree["posterior"].to_dataset()
         chains, draws = posterior.sizes["chain"], posterior.sizes["draw"]
         keep = max(1, min(draws, limit // max(1, chains * len(self.readings))))
-        step = max(1, draws // keep)
+        step = -(-draws // keep)
         group = self.tree["draws"].to_dataset().isel(draw=slice(None, None, step))
         vectors = [flat(group[name].values) for name in ("x", "rows", "v")]
         values = pointwise(self.layout, self.frame, jnp.asarray(self.readings["output"]), *vectors)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._errors import InputError
+from bayescal._units import ANY
 
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
 TAKEN = ("reading", "cell")  # the row index, and run × temperature point
@@ -21,7 +22,8 @@ class Column:
     Attributes:
         name: ours; files may call it otherwise (`columns=`).
         unit: fixed unit inside the library; None for a text label (run, device, axis, group,
-            direction).
+            direction); "any" for a channel that may be anything, kept in the fixed unit of what the
+            file has (µg, °/s, rad, °C; else base units).
         meaning: one line for people.
         required: whether a file without it is refused.
         default: value of every reading where the file lacks the column, in `unit`; None leaves it
@@ -45,7 +47,7 @@ class Column:
 
         Raises:
             InputError: the name is taken or empty, labels are allowed of a number, limits are set
-                on a label or the wrong way round.
+                on a label or the wrong way round, any unit has a default.
         """
         if not self.name.strip() or self.name in TAKEN:
             raise InputError(f"a column cannot be called {self.name!r}: choose a name of its own")
@@ -55,10 +57,19 @@ class Column:
             )
         if self.unit is None and not (self.low is None and self.high is None):
             raise InputError(f"column {self.name!r} is a label: it has no low and high")
+        if self.unit == ANY and self.default is not None:
+            raise InputError(
+                f"column {self.name!r} may be in any unit: its default {self.default!r} has none"
+            )
         if self.low is not None and self.high is not None and not self.low < self.high:
             raise InputError(
                 f"column {self.name!r}: low {self.low:g} is not below high {self.high:g}"
             )
+
+    @property
+    def example(self) -> str | None:
+        """A unit that a file's header may give it."""
+        return "m/s^2" if self.unit == ANY else self.unit
 
 
 @dataclass(frozen=True)

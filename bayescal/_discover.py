@@ -29,7 +29,7 @@ FINDING = 0.05  # P(nothing is missing) at or below which an effect is reported 
 LEAD = 1.0  # log Bayes factor from which an effect that is not a finding is a lead
 POWER = 0.80
 VISIBLE = 0.01  # share of the information left after the nuisances below which nothing can be seen
-VERIFIED = 4  # members of the leading set that are refitted
+VERIFIED = 4  # candidates that are refitted: the leading set's members, then other leads
 
 
 @dataclass(frozen=True)
@@ -321,12 +321,13 @@ def _nothing_after(judged: list[Candidate], verified: dict[str, float], by_score
 
 
 def _leading(found: susie.SingleEffects, judged: list[Candidate]) -> list[int]:
-    """Candidates worth a refit: the leading set's, or else what is at least a lead."""
-    if found.sets:
-        return list(found.sets[0].members[:VERIFIED])
+    """Candidates worth a refit: the leading set's, and what is at least a lead on its own."""
+    leading = list(found.sets[0].members[:VERIFIED]) if found.sets else []
     factors = np.array([c.log_bayes_factor or 0.0 for c in judged])
-    order = [int(i) for i in np.argsort(-factors) if factors[i] > LEAD]
-    return order[: VERIFIED // 2]
+    for i in np.argsort(-factors):
+        if factors[i] > LEAD and i not in leading and len(leading) < VERIFIED:
+            leading.append(int(i))
+    return leading
 
 
 def _reweighed(probability: float, verified: dict[str, float]) -> Found:

@@ -1,18 +1,27 @@
-"""What comes through the command line turned into instruments, models, readings and methods; what goes out, written."""
+"""What comes through the command line, as instruments, models, readings and methods.
+
+And what goes out through it, written.
+"""
 
 from __future__ import annotations
 
 import importlib.util
+import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Any
+
 import numpy as np
 
+from bayescal._calibration import Calibration
 from bayescal._effect import Effect
 from bayescal._errors import InputError
 from bayescal._frame import Reference
+from bayescal._frame import reference_of as constants_of
 from bayescal._instrument import Instrument
 from bayescal._least_squares import LeastSquares
 from bayescal._marginal import Marginal
@@ -22,9 +31,13 @@ from bayescal._model import Model
 from bayescal._nuts import NUTS
 from bayescal._predict import Prediction
 from bayescal._read import read
-from bayescal._store import installed_instruments
+from bayescal._store import installed_instruments, load_calibration
 
-METHODS: dict[str, type[Method]] = {"marginal": Marginal, "least-squares": LeastSquares, "nuts": NUTS}
+METHODS: dict[str, type[Method]] = {
+    "marginal": Marginal,
+    "least-squares": LeastSquares,
+    "nuts": NUTS,
+}
 
 
 @dataclass(frozen=True)
@@ -43,18 +56,26 @@ class Request:
 
 
 def open_up(asked: Request, files: Sequence[Path]) -> tuple[Instrument, Model, Measurements]:
-    """Instrument, model and readings of a request.
+    """Instrument, model and readings of a request; the instrument tailored to the readings.
 
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
     instrument = instrument_named(asked.instrument)
-    model = structure_named(instrument, asked.structure) if asked.structure else instrument.baseline()
     own = {e.name: e for e in user_effects(asked.effects)}
+    model = _composed(instrument, asked, own)  # before the files, which may be long
+    readings = read_files(instrument, files, asked.columns, asked.units, asked.local_gravity)
+    tailored = instrument.for_readings(readings)
+    return tailored, model if tailored is instrument else _composed(tailored, asked, own), readings
+
+
+def _composed(instrument: Instrument, asked: Request, own: Mapping[str, Effect]) -> Model:
+    model = (
+        structure_named(instrument, asked.structure) if asked.structure else instrument.baseline()
+    )
     for name in asked.add or []:
         model = model + own.get(name, name)
-    readings = read_files(instrument, files, asked.columns, asked.units, asked.local_gravity)
-    return instrument, model.fix(numbers(asked.fix, "--fix")), readings
+    return model.fix(numbers(asked.fix, "--fix"))
 
 
 def read_files(
@@ -83,13 +104,15 @@ def instrument_named(name: str) -> Instrument:
     if colon and file.endswith(".py"):
         found = getattr(_module(Path(file)), attribute, None)
         if not isinstance(found, Instrument):
-            raise InputError(f"{file} defines no instrument called {attribute!r}: give FILE.py:NAME")
+            raise InputError(
+                f"{file} defines no instrument called {attribute!r}: give FILE.py:NAME"
+            )
         return found
     known = installed_instruments()
     if name not in known:
         raise InputError(
-            f"no instrument is called {name!r}; installed: {', '.join(known)}. For one of your own give "
-            "my.py:INSTRUMENT"
+            f"no instrument is called {name!r}; installed: {', '.join(known)}. "
+            "For one of your own give my.py:INSTRUMENT"
         )
     return known[name]
 
@@ -98,7 +121,8 @@ def structure_named(instrument: Instrument, name: str) -> Model:
     structures = dict(instrument.structures)
     if name not in structures:
         raise InputError(
-            f"instrument {instrument.name!r} has no structure {name!r}; it has: {', '.join(structures)}"
+            f"instrument {instrument.name!r} has no structure {name!r}; "
+            f"it has: {', '.join(structures)}"
         )
     return structures[name]()
 
@@ -142,8 +166,21 @@ def method_named(name: str) -> Method:
     return METHODS[name]()
 
 
-def reference_of(asked: Request) -> Reference:
-    return dict(numbers(asked.reference, "--reference"))
+def reference_of(asked: Request, readings: Measurements) -> Reference:
+    """The constants of the bases that the user sets.
+
+    Raises:
+        InputError: these readings have no such constant.
+    """
+    given = numbers(asked.reference, "--reference")
+    known = [n for n, value in constants_of(readings).items() if not isinstance(value, dict)]
+    for name in given:
+        if name not in known:
+            raise InputError(
+                f"--reference {name}: the bases of these readings have no constant {name!r}; "
+                f"they have: {', '.join(known)}"
+            )
+    return dict(given)
 
 
 def pairs(given: list[str] | None, option: str) -> dict[str, str]:
@@ -164,20 +201,39 @@ def numbers(given: list[str] | None, option: str) -> dict[str, float]:
             found[name] = float(value)
         except ValueError:
             raise InputError(f"{option} {name}={value}: {value!r} is not a number") from None
+        if not math.isfinite(found[name]):
+            raise InputError(f"{option} {name}={value}: give a finite number")
     return found
 
 
-def folder(path: Path) -> Path:
-    """A folder to write to, made if need be.
+def saved(path: Path, effects: Path | None, instrument: str | None) -> Calibration:
+    """A saved calibration; of an instrument of the user's own, if one is named."""
+    own = () if instrument is None else (instrument_named(instrument),)
+    return load_calibration(path, user_effects(effects), own)
+
+
+@contextmanager
+def folder(path: Path | None) -> Iterator[Any]:
+    """A folder to write to, made if need be, and taken away again if nothing comes of it.
 
     Raises:
         InputError: it cannot be made, or is a file.
     """
+    if path is None:
+        yield None
+        return
+    missing = [p for p in (path, *path.parents) if not p.exists()]
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot write to the folder {path}: {error.strerror}") from None
-    return path
+    try:
+        yield path
+    except BaseException:
+        for made in missing:
+            with suppress(OSError):  # not empty: something was written
+                made.rmdir()
+        raise
 
 
 def write_prediction(found: Prediction, readings: Measurements, path: Path) -> None:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from bayescal._coefficient import Coefficient, Shape
 from bayescal._errors import ModelError
 from bayescal._frame import Frame
+from bayescal._measurements import Measurements
 
 
 class Effect(eqx.Module):
@@ -37,6 +38,7 @@ class Effect(eqx.Module):
         columns: what the readings must have.
         equation, source: for people; the source is a document, data sheet, standard or script.
         varies: a column that must take more than one value for the effect to be testable.
+        untestable: why readings that have all this still cannot test the effect, or None where they can.
     """
 
     name: str = eqx.field(static=True)
@@ -48,6 +50,7 @@ class Effect(eqx.Module):
     equation: str = eqx.field(static=True, default="")
     source: str = eqx.field(static=True, default="the user's own")
     varies: tuple[str, ...] = eqx.field(static=True, default=())
+    untestable: Callable[[Measurements], str | None] | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
         if not self.coefficients:

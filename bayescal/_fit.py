@@ -178,7 +178,7 @@ def fit_batch(
     ys = jnp.stack([jnp.asarray(one["output"]) for one in readings])
     layout, _ = promotion.choose(bound[0][0], frames[0], ys[0], method.promote or ())
     keys = jax.random.split(jax.random.key(seed), len(readings))
-    found = importance.sample_batch(layout, stacked, ys, keys, method.proposals, method.rounds)
+    found = importance.sample_batch(layout, stacked, ys, keys, method.proposals or 8192, method.rounds)
     k_hat = np.array([smoothed(np.asarray(w))[1] for w in found.log_weight])
     return Batch(
         layout,

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from bayescal._effect import Effect
 from bayescal._errors import ModelError
 from bayescal._frame import Frame
-from bayescal._measurements import Column, NominalScale
+from bayescal._measurements import Column, Measurements, NominalScale
 from bayescal._noise import Noise, White
 
 if TYPE_CHECKING:
@@ -51,6 +51,10 @@ class Instrument(eqx.Module):
         simulate: `simulate(effects, seed=…, **options)` gives measurements of a simulated campaign.
         demo: writes a demonstration to a folder, under a seed.
         source: document that the equations come from.
+        tailor: of an instrument whose output may be anything: `tailor(readings, **settings)` gives the
+            instrument in the unit of these readings, with plausible sizes to match; settings that are given
+            are not taken from the readings.
+        settings: what a tailored instrument was made with, by name; saved with its calibrations.
     """
 
     name: str = eqx.field(static=True)
@@ -67,6 +71,12 @@ class Instrument(eqx.Module):
     simulate: Callable[..., Any] | None = eqx.field(static=True, default=None)
     demo: Callable[[Path, int], None] | None = eqx.field(static=True, default=None)
     source: str = eqx.field(static=True, default="")
+    tailor: Callable[..., Instrument] | None = eqx.field(static=True, default=None)
+    settings: tuple[tuple[str, str | float], ...] = eqx.field(static=True, default=())
+
+    def for_readings(self, readings: Measurements) -> Instrument:
+        """The instrument tailored to readings, where it has to be; else the same."""
+        return self if self.tailor is None else self.tailor(readings)
 
     def baseline(self) -> Model:
         """The instrument with its baseline effects and noise law."""
@@ -76,7 +86,7 @@ class Instrument(eqx.Module):
 
     @property
     def unit(self) -> str:
-        """The fixed unit of the output."""
+        """The fixed unit of the output; "any" before it is tailored to readings."""
         unit = self.column("output").unit
         assert unit is not None
         return unit

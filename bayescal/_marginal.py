@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from bayescal import _chains as chains
 from bayescal import _importance as importance
 from bayescal import _laplace as laplace
+from bayescal import _linear as linear
 from bayescal import _promotion as promotion
 from bayescal._batches import over
 from bayescal._calibration import Draws, Verdict
@@ -30,7 +31,8 @@ class Marginal(Method):
 
     Attributes:
         draws: joint draws returned.
-        proposals: importance proposals of the final round.
+        proposals: importance proposals of the final round; None for 8192, or 2048 where each costs a pass over
+            many readings.
         rounds: of adaptation.
         sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7; "nuts" for NUTS on φ.
         promote: names of coefficients to sample with φ because their product with another unknown matters;
@@ -38,7 +40,7 @@ class Marginal(Method):
     """
 
     draws: int = 4000
-    proposals: int = 8192
+    proposals: int | None = None
     rounds: int = 3
     sampler: Literal["importance", "nuts"] = "importance"
     promote: tuple[str, ...] | None = None
@@ -55,7 +57,8 @@ class Marginal(Method):
             return self._nuts_on_phi(layout, frame, y, key, notes)
         with stage("sampling"):
             mode = laplace_of(layout, frame, y)
-            found = importance.sample_jit(layout, frame, y, mode, key, self.proposals, self.rounds)
+            proposals = self.proposals or _proposals(layout, frame)
+            found = importance.sample_jit(layout, frame, y, mode, key, proposals, self.rounds)
             found = jax.tree.map(np.asarray, found)
         weights, k_hat = smoothed(found.log_weight)
         if k_hat <= K_HAT:
@@ -68,8 +71,10 @@ class Marginal(Method):
         return self._exact(layout, frame, y, key, found.mode, notes)
 
     def _from_weights(self, layout, found, weights, k_hat, notes, seed) -> Outcome:
-        pick = resample(weights, self.draws, seed)
         effective = float(1 / np.sum(weights**2))
+        # Never more draws than the weights are worth: repeated draws would pass for information.
+        count = CHAINS * max(1, int(min(self.draws, effective)) // CHAINS)
+        pick = resample(weights, count, seed)
         shaped = [by_chain(a[pick]) for a in (found.x, found.rows, found.v)]
         reasons = _mode_reasons(found.mode)
         if effective < 400:
@@ -128,6 +133,10 @@ class Marginal(Method):
         gaussian = layout.model.noise.gaussian and not layout.improper
         evidence = (float(mode.log_evidence), None) if gaussian else None
         return Outcome(layout, Draws(*shaped), mode, verdict, evidence)
+
+
+def _proposals(layout: Layout, frame: Frame) -> int:
+    return 2048 if frame.size > 1000 and not linear.needs_one_pass(layout, frame) else 8192
 
 
 @eqx.filter_jit

@@ -6,9 +6,10 @@ A file may call its columns otherwise (`columns=`), and leave their units out or
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from bayescal import _units
@@ -61,6 +62,35 @@ def expected_columns(instrument: Expects) -> dict[str, Column]:
         meaning = "known standard uncertainty of each output"
         uncertainty = Column("output_uncertainty", output.unit, meaning, required=False, low=0.0)
         found.setdefault("output_uncertainty", uncertainty)
+    return found
+
+
+def settled(
+    expected: Mapping[str, Column], table: Table, places: Mapping[str, int], wishes: Wishes
+) -> dict[str, Column]:
+    """The columns with a unit in place of "any": the fixed unit of what the file has.
+
+    A known uncertainty follows its output. What has no unit, or one that is none, is left for the door
+    to refuse.
+
+    Raises:
+        InputError: a nominal scale is given for an output that may be anything.
+    """
+    found = dict(expected)
+    for name, column in expected.items():
+        if column.unit != _units.ANY or name not in places:
+            continue
+        if wishes.nominal_scale is not None:
+            raise InputError(
+                f"{table.file!r}: a nominal scale was given for {name!r}, which is taken in the unit that "
+                "it is in: leave the scale out, or choose an instrument whose output has a unit"
+            )
+        if name == "output_uncertainty":
+            found[name] = replace(column, unit=found["output"].unit)
+            continue
+        unit = unit_of(table.headers[places[name]], name, wishes)
+        with contextlib.suppress(InputError):
+            found[name] = column if unit is None else replace(column, unit=_units.fixed_unit(unit))
     return found
 
 
@@ -120,7 +150,7 @@ def refuse_missing(
     """
     for name, column in expected.items():
         if column.required and name not in places and column.default is None:
-            asked = f"{name} [{column.unit}]" if column.unit else name
+            asked = f"{name} [{column.example}]" if column.unit else name
             meaning = f" ({column.meaning})" if column.meaning else ""
             raise InputError(
                 f"{table.file!r} lacks the column {name!r}{meaning} that {instrument!r} needs; it "

@@ -20,7 +20,7 @@ from bayescal._errors import InputError
 from bayescal._match import Expects, Wishes, output_name, refuse_unused_units
 from bayescal._plausible import flags_of, refuse_backward_time, refuse_one_temperature
 from bayescal._table import Header, Table, cells_of
-from bayescal._units import STANDARD_GRAVITY, check_unit
+from bayescal._units import ANY, STANDARD_GRAVITY, check_unit
 from bayescal._write import write
 
 ROW = "reading"
@@ -76,8 +76,8 @@ class Measurements:
 
         Args:
             instrument: whose columns these are.
-            units: unit of a column that is not in the instrument's own, and of further columns to
-                keep.
+            units: unit of a column that is not in the instrument's own (or has none: "any"), and of
+                further columns to keep.
             local_gravity: m/s², for columns in m/s².
             nominal_scale: in place of the instrument's.
             allow_one_temperature: accept one temperature, as for a prediction.
@@ -87,7 +87,7 @@ class Measurements:
         Raises:
             InputError: what `read` refuses, and columns of unequal length.
         """
-        own = {column.name: column.unit for column in instrument.columns}
+        own = {c.name: None if c.unit == ANY else c.unit for c in instrument.columns}
         own.setdefault("output_uncertainty", own.get(output_name(instrument)))
         headers = tuple(Header(name, name, own.get(name)) for name in columns)
         arrays = _equally_long(columns)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 
 import equinox as eqx
 
+from bayescal import _units
 from bayescal._effect import Effect
 from bayescal._errors import ModelError
 from bayescal._instrument import Instrument
@@ -128,11 +129,22 @@ class Model(eqx.Module):
                 )
 
     def require(self, readings: Measurements) -> None:
-        """Refuse readings that lack what an effect of the model needs.
+        """Refuse readings in another unit than the model's, or without what one of its effects needs.
 
         Raises:
-            ModelError: a column is missing.
+            ModelError: the output has another unit, or a column is missing.
         """
+        own, unit = self.instrument.unit, readings.unit(readings.output)
+        if own == _units.ANY:
+            raise ModelError(
+                f"Instrument {self.instrument.name!r} takes its unit and plausible sizes from readings: compose "
+                "the model of instrument.for_readings(readings)"
+            )
+        if unit != own:
+            raise ModelError(
+                f"The output of {readings.file} is in [{unit}], the model's in [{own}]: read the file with the "
+                "model's own instrument, or tailor the instrument to these readings"
+            )
         for effect in self.effects:
             for column in effect.columns:
                 if not readings.has(column):
@@ -174,4 +186,4 @@ def testable(effect: Effect, readings: Measurements) -> str | None:
             levels, codes = readings.groups(coefficient.per)
             if len(set(codes[codes >= 0].tolist())) < 2:
                 return f"needs more than one {coefficient.per}"
-    return None
+    return None if effect.untestable is None else effect.untestable(readings)

@@ -21,7 +21,6 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Int
 
 TRIES = 2  # by the columns' norms, then by the unknowns' own scales
-STEPS = 1000  # of one try
 NEAR = 1e-6  # share of the residuals in the tangent plane, at which polishing starts
 GOOD = 1e-5  # and at which a point counts as the optimum
 FIRST_DAMPING = (1e-3, 1.0)  # of each try
@@ -40,7 +39,7 @@ def least_squares(
     start: Float[Array, "p"],
     scale: Float[Array, "p"] | None = None,
     *,
-    max_steps: int = TRIES * STEPS,
+    steps: int = 1000,
 ) -> Fitted:
     """Minimise Σ residuals². Traceable: under `jit`, and mapped over data sets.
 
@@ -48,14 +47,14 @@ def least_squares(
         residuals: of the unknowns; whitened, for the covariance to be theirs.
         start: of the unknowns.
         scale: size of a plausible change of each unknown; one, if not given.
-        max_steps: evaluations of the residuals and their Jacobian, at most.
+        steps: evaluations of the residuals and their Jacobian in one try, at most (the polish apart).
     """
     if not start.size:
         return Fitted(start, jnp.asarray(True), jnp.asarray(0))
     scale = jnp.ones_like(start) if scale is None else scale
-    solver = LevenbergMarquardt()
+    solver = LevenbergMarquardt(steps)
     found = optx.least_squares(
-        lambda z, _: residuals(scale * z), solver, start / scale, max_steps=max_steps, throw=False
+        lambda z, _: residuals(scale * z), solver, start / scale, max_steps=TRIES * (steps + 100), throw=False
     )
     return Fitted(
         scale * found.value, found.result == optx.RESULTS.successful, found.stats["num_steps"]
@@ -72,119 +71,113 @@ def covariance(jacobian: Float[Array, "n p"]) -> Float[Array, "p p"]:
 
 
 class _State(eqx.Module):
-    """The accepted point's factors, and the point to be tried next."""
+    """The accepted point as its factors, the point to be evaluated next, and where the tries stand."""
 
+    start: Float[Array, "p"]
     trial: Float[Array, "p"]
-    first: Bool[Array, ""]  # of this try
+    fresh: Bool[Array, ""]  # nothing accepted yet in this try
     cost: Float[Array, ""]  # Σ r²
-    triangle: Float[Array, "p p"]  # R of J = QR
-    inside: Float[Array, "p"]  # Qᵀr
+    upper: Float[Array, "p p1"]  # R beside Qᵀr, of J = QR
     weight: Float[Array, "p"]
     damping: Float[Array, ""]
-    growth: Float[Array, ""]
-    predicted: Float[Array, ""]
+    growth: Float[Array, ""]  # of the damping at the next rejection
+    predicted: Float[Array, ""]  # fall of the cost by the step to `trial`, of the linear model
     polishing: Bool[Array, ""]
     attempt: Int[Array, ""]
-    spent: Int[Array, ""]
-    start: Float[Array, "p"]
-    best: Float[Array, "p"]
-    best_cost: Float[Array, ""]
+    count: Int[Array, ""]
     done: Bool[Array, ""]
     success: Bool[Array, ""]
 
 
 class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
-    rtol: float = 1e-12
-    atol: float = 1e-12
-    norm: Callable = optx.max_norm
+    """The tries and the polish of each, as one step that optimistix repeats."""
+
+    steps: int = 1000
+    rtol: float = 0.0
+    atol: float = 0.0
+    norm: Callable[[Any], Array] = optx.max_norm
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
-        one, zero = jnp.ones(()), jnp.zeros_like(y)
-        return _State(
-            y, jnp.asarray(True), jnp.inf * one, jnp.eye(y.size), zero, zero,
-            FIRST_DAMPING[0] * one, 2 * one, one, jnp.asarray(False), jnp.asarray(0), jnp.asarray(0),
-            y, y, jnp.inf * one, jnp.asarray(False), jnp.asarray(False),
-        )
+        no, zero = jnp.asarray(False), jnp.zeros(())
+        upper = jnp.zeros((y.size, y.size + 1))
+        none = jnp.asarray(0)
+        return _State(y, y, ~no, zero, upper, 0 * y, zero, zero, zero, no, none, none, no, no)
 
     def step(self, fn, y, args, options, state: _State, tags):
         size = y.size
-        r, push = jax.linearize(lambda z: fn(z, args)[0], state.trial)
-        jac = jax.vmap(push, out_axes=1)(jnp.eye(size))
-        cost = r @ r
-        finite = jnp.isfinite(cost) & jnp.all(jnp.isfinite(jac))
-        table = jnp.where(finite, jnp.concatenate([jac, r[:, None]], 1), 0.0)
-        upper = jnp.linalg.qr(table, mode="r")[:size]
-        triangle, inside = upper[:, :size], upper[:, size]
-        g_new, g_old = inside @ inside, state.inside @ state.inside
-
+        residual, slope = jax.linearize(lambda z: fn(z, args)[0], state.trial)
+        table = jnp.column_stack([jax.vmap(slope, out_axes=1)(jnp.eye(size)), residual])
+        finite = jnp.all(jnp.isfinite(table))
+        upper = _triangle(jnp.where(finite, table, 0.0))
+        cost = residual @ residual
         gain = (state.cost - cost) / state.predicted
-        accept = finite & (
-            state.first | jnp.where(state.polishing, g_new < 0.8 * g_old, gain > 1e-4)
+        lower = jnp.where(
+            state.polishing, _inside(upper) < 0.8 * _inside(state.upper), gain > 1e-4
         )
-        triangle = jnp.where(accept, triangle, state.triangle)
-        inside = jnp.where(accept, inside, state.inside)
+        accept = finite & (state.fresh | lower)
+        upper = jnp.where(accept, upper, state.upper)
+        cost = jnp.where(accept, cost, state.cost)
         y = jnp.where(accept, state.trial, y)
-        new_cost = jnp.where(accept, cost, state.cost)
-        columns = jnp.sqrt(jnp.sum(triangle**2, axis=0))
-        by_columns = jnp.maximum(columns, jnp.where(state.first, 0.0, state.weight))
-        same = jnp.full(size, jnp.max(columns))
-        same = jnp.where(state.first, same, state.weight)
-        weight = jnp.where(state.attempt == 0, by_columns, same)
-        weight = jnp.where(weight > 0, weight, 1.0)
 
-        shrink = jnp.maximum(1 / 3, 1 - (2 * gain - 1) ** 3)
-        damping = jnp.where(accept, state.damping * shrink, state.damping * state.growth)
-        damping = jnp.where(state.first, state.damping, jnp.maximum(damping, 1e-20))
-        growth = jnp.where(accept, 2.0, 2 * state.growth)
+        columns = jnp.sqrt(jnp.sum(upper[:, :size] ** 2, axis=0))
+        columns = jnp.where(state.attempt == 0, columns, jnp.max(columns))
+        weight = jnp.maximum(jnp.maximum(columns, state.weight), 1e-150)
+        factor = jnp.where(accept, jnp.maximum(1 / 3, 1 - (2 * gain - 1) ** 3), state.growth)
+        first = jnp.where(state.attempt == 0, *FIRST_DAMPING)
+        damping = jnp.where(state.fresh, first, state.damping * factor)
 
-        near = inside @ inside <= NEAR**2 * new_cost
-        stalled = (damping > 1e14) & ~accept
-        was = state.polishing
-        polishing = was | near | stalled | (state.spent > STEPS)
-        used = jnp.maximum(jnp.where(polishing, 0.0, damping), 1e-31)
-        stack = jnp.concatenate([triangle, jnp.sqrt(used) * jnp.diag(weight)])
-        stack = jnp.concatenate([stack, jnp.concatenate([inside, jnp.zeros(size)])[:, None]], 1)
-        upper = jnp.linalg.qr(stack, mode="r")[:size]
-        step = -solve_triangular(upper[:, :size], upper[:, size])
-        step = jnp.where(jnp.all(jnp.isfinite(step)), step, 0.0)
-        bent = inside + triangle @ step
-        predicted = inside @ inside - bent @ bent
-        predicted = jnp.maximum(predicted, 1e-300)
+        inside = _inside(upper)
+        stalled = (damping > 1e16) | (state.count > self.steps)
+        polishing = state.polishing | stalled | (inside <= NEAR**2 * cost)
+        # Even a polishing step is damped by rounding's worth, for directions that nothing determines.
+        used = jnp.where(polishing, 1e-31, damping + 1e-31)
+        rows = jnp.column_stack([jnp.diag(jnp.sqrt(used) * weight), jnp.zeros(size)])
+        damped = _triangle(jnp.concatenate([upper, rows]))
+        step = -solve_triangular(damped[:, :size], damped[:, size])
 
-        tiny = jnp.all(jnp.abs(step) <= 1e-15 * jnp.abs(y))
-        ended = was & (~accept | tiny) | ~finite & state.first
-        good = (inside @ inside <= GOOD**2 * new_cost) | jnp.all(
-            jnp.abs(step) <= 1e-9 * jnp.abs(y)
-        )
-        success = ended & good
-        better = ended & (new_cost < state.best_cost)
-        best = jnp.where(better, y, state.best)
-        best_cost = jnp.where(better, new_cost, state.best_cost)
-        last = state.attempt >= TRIES - 1
-        done = ended & (success | last)
+        ended = (state.polishing | state.fresh) & ~accept
+        rests = jnp.all(jnp.abs(step) <= 1e-9 * jnp.abs(y))
+        regular = jnp.all(jnp.abs(jnp.diag(damped)) > 1e-14 * weight)
+        success = ended & regular & ((inside <= GOOD**2 * cost) | rests) & ~state.fresh
+        done = success | (ended & (state.attempt == TRIES - 1))
         again = ended & ~done
-        y = jnp.where(done, jnp.where(success, y, best), y)
-        attempt = state.attempt + again
-        fresh = jnp.asarray(FIRST_DAMPING)[jnp.minimum(attempt, TRIES - 1)]
-        return y, _State(
-            jnp.where(again, state.start, y + step),
-            again,
-            jnp.where(again, jnp.inf, new_cost),
-            triangle, inside, weight,
-            jnp.where(again, fresh, damping),
-            jnp.where(again, 2.0, growth),
-            predicted,
-            polishing & ~again,
-            attempt,
-            jnp.where(again, 0, state.spent + 1),
-            state.start, best, best_cost, done, success,
-        ), None
+        return (
+            y,
+            _State(
+                state.start,
+                jnp.where(again, state.start, y + step),
+                again,
+                cost,
+                upper,
+                jnp.where(again, 0.0, weight),
+                damping,
+                jnp.where(accept, 2.0, 2 * state.growth),
+                _inside(damped) + used * jnp.sum((weight * step) ** 2),
+                polishing & ~again,
+                state.attempt + again,
+                jnp.where(again, 0, state.count + 1),
+                done,
+                success,
+            ),
+            None,
+        )
 
     def terminate(self, fn, y, args, options, state: _State, tags):
+        failed = state.done & ~state.success
         result = optx.RESULTS.where(
-            state.done & ~state.success, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
+            failed, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
         )
         return state.done, result
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         return y, aux, {}
+
+
+def _triangle(table: Float[Array, "n p1"]) -> Float[Array, "p p1"]:
+    """R of the QR factors of [J r]: R of J beside Qᵀr."""
+    return jnp.linalg.qr(table, mode="r")[: table.shape[1] - 1]
+
+
+def _inside(upper: Float[Array, "p p1"]) -> Float[Array, ""]:
+    """‖Qᵀr‖², the part of Σ r² that the linear model can still remove."""
+    return jnp.sum(upper[:, -1] ** 2)

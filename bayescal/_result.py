@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from bayescal._calibrate import Step, Trail
+from bayescal._trail import Step, Trail
 from bayescal._check import Check
 from bayescal._discover import Discovery
 from bayescal._folds import groups_of
@@ -93,6 +93,7 @@ def step_data(step: Step) -> dict[str, Any]:
         "effects": list(calibration.model.names),
         "added": step.added,
         "dropped": list(step.dropped),
+        "title": step.title,
         "rmse": step.rmse,
         "rmse_fitted": step.rmse_fitted,
         "unit": calibration.unit,

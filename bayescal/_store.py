@@ -30,7 +30,7 @@ from bayescal._model import Model
 from bayescal._prior import Flat, HalfCauchy, HalfNormal, LogNormal
 
 SCHEMA = "bayescal.calibration/1"
-_NOISES = {c.__name__: c for c in (_noise.White, _noise.StudentT, _noise.Quantised)}
+_NOISES = {c.__name__: c for c in (_noise.White, _noise.OrnsteinUhlenbeck, _noise.StudentT, _noise.Quantised)}
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal)}
 
 
@@ -66,6 +66,7 @@ def _description(c: Calibration) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "instrument": c.model.instrument.name,
+        "settings": dict(c.model.instrument.settings),
         "effects": list(c.model.names),
         "fixed": dict(c.model.fixed),
         "noise": _noise_description(c.model.noise),
@@ -131,7 +132,8 @@ def load_calibration(
             f"{path.name} is no calibration of this version: its schema is {described.get('schema')!r}, "
             f"expected {SCHEMA!r}"
         )
-    model = _model_from(path, described, effects, instruments)
+    readings = _readings_from(tree, described)
+    model = _model_from(path, described, readings, effects, instruments)
     layout = Layout(model, tuple(described["counts"].items()), tuple(described["promoted"]))
     mode = _mode_from(tree["mode"].to_dataset())
     del tree["mode"]
@@ -139,7 +141,7 @@ def load_calibration(
     evidence = described["log_evidence"]
     return Calibration(
         model,
-        _readings_from(tree, described),
+        readings,
         tree,
         Verdict(**{**verdict, "reasons": tuple(verdict["reasons"]), "notes": tuple(verdict["notes"])}),
         described["method"],
@@ -164,7 +166,22 @@ def _readings_from(tree: xr.DataTree, described: dict[str, Any]) -> Measurements
     return Measurements(data=data, sources=sources, flags=tuple(described["flags"]))
 
 
-def _model_from(path: Path, described, effects, instruments) -> Model:
+def _tailored(path: Path, instrument: Instrument, settings, readings: Measurements) -> Instrument:
+    """The installed instrument as the calibration's was tailored."""
+    if instrument.tailor is None and not settings:
+        return instrument
+    try:
+        if instrument.tailor is None:
+            raise TypeError("it takes none")
+        return instrument.tailor(readings, **settings)
+    except TypeError as error:
+        raise InputError(
+            f"{path.name}: the installed {instrument.name!r} cannot be made with {settings} ({error}). Install "
+            "the version that the calibration was made with"
+        ) from None
+
+
+def _model_from(path: Path, described, readings: Measurements, effects, instruments) -> Model:
     known = {**installed_instruments(), **{i.name: i for i in instruments}}
     name = described["instrument"]
     if name not in known:
@@ -172,7 +189,7 @@ def _model_from(path: Path, described, effects, instruments) -> Model:
             f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
             f"{', '.join(known)}). Install the package that offers it"
         )
-    instrument = known[name]
+    instrument = _tailored(path, known[name], described.get("settings", {}), readings)
     structural = [e for _, make in instrument.structures for e in make().effects]
     catalogue = {e.name: e for e in (*structural, *instrument.effects, *instrument.candidates, *effects)}
     missing = [n for n in described["effects"] if n not in catalogue]

@@ -11,15 +11,13 @@ from bayescal._summary import null_directions, summary
 from bayescal._units import pretty as pretty_unit
 
 if TYPE_CHECKING:
-    from bayescal._calibrate import Trail
     from bayescal._calibration import Calibration
     from bayescal._check import Check, Region
     from bayescal._compare import Comparison
     from bayescal._discover import Candidate, Discovery
+    from bayescal._trail import Trail
 
 WIDTH = 110  # columns that a table or a sentence should fit in
-NARROWEST = 29  # columns that a folded last cell may take in any case
-UNEXPLAINED = 3.0  # log Bayes factor from which structure in the residuals is worth a sentence
 
 
 def pretty(unit: str) -> str:
@@ -32,25 +30,27 @@ def _width(text: str) -> int:
     return sum(not unicodedata.combining(c) for c in text)
 
 
-def table(head: list[str], rows: list[list[str]], left: int = 1, fold: bool = False) -> str:
+def table(head: list[str], rows: list[list[str]], left: int = 1, fold: int = 0) -> str:
     """Columns under a ruled head.
 
     Args:
-        head, rows: cells.
+        head, rows: cells; in a folded column, a line break stays one.
         left: this many columns are flush left, the others flush right.
-        fold: the last column is flush left too, and folded where the table would be too wide.
+        fold: if not zero, the last column is flush left too, and is folded to this width or to
+            what is left of the page, whichever is more.
     """
-    widths = [max(_width(r[i]) for r in [head, *rows]) for i in range(len(head))]
+    widths = [
+        max(_width(t) for r in [head, *rows] for t in r[i].split("\n")) for i in range(len(head))
+    ]
     if fold:
-        room = max(WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1), NARROWEST)
-        widths[-1] = min(widths[-1], room)
+        room = WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1)
+        widths[-1] = min(widths[-1], max(room, fold))
 
     def line(cells: list[str]) -> str:
         *most, last = cells
-        folded = (textwrap.wrap(last, widths[-1]) or [""]) if fold else [last]
-        cells = [*most, folded[0]]
+        folded = [t for part in last.split("\n") for t in _folded(part, widths[-1] if fold else 0)]
         parts = []
-        for i, (cell, width) in enumerate(zip(cells, widths, strict=True)):
+        for i, (cell, width) in enumerate(zip([*most, folded[0]], widths, strict=True)):
             space = " " * (width - _width(cell))
             flush_left = i < left or (fold and i == len(cells) - 1)
             parts.append(cell + space if flush_left else space + cell)
@@ -58,6 +58,10 @@ def table(head: list[str], rows: list[list[str]], left: int = 1, fold: bool = Fa
         return "\n".join(["  ".join(parts).rstrip(), *(indent + rest for rest in folded[1:])])
 
     return "\n".join([line(head), "  ".join("─" * w for w in widths), *(line(r) for r in rows)])
+
+
+def _folded(text: str, width: int) -> list[str]:
+    return [text] if _width(text) <= width or not width else textwrap.wrap(text, width)
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -129,7 +133,7 @@ def check_text(check: Check) -> str:
     lines = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
     if check.fixed:
         lines += [_fixed_text(check), ""]
-    lines.append(table(head, rows, fold=True) if rows else "no covariate varies")
+    lines.append(table(head, rows, fold=25) if rows else "no covariate varies")
     coefficient, z = check.autocorrelation
     lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
     for name, p in check.spread_with.items():
@@ -182,7 +186,7 @@ def discovery_text(found: Discovery) -> str:
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
     tested = [c for c in found.candidates if c.kind != "not testable"]
     head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
-    lines.append(table(head, [_candidate_row(c) for c in tested], fold=True) if tested else "")
+    lines.append(table(head, [_candidate_row(c) for c in tested], fold=29) if tested else "")
     if any(c.source == "refit" for c in tested):
         lines.append("* log Bayes factor by refit; the others by score")
     lines += _alike(found) + _not_testable(found)
@@ -208,7 +212,8 @@ def _alike(found: Discovery) -> list[str]:
     for c in found.candidates:
         if c.indistinguishable_from:
             members = (c.effect, *c.indistinguishable_from)
-            groups.setdefault(frozenset(members), ", ".join(members))
+            if not any(frozenset(members) <= known for known in groups):
+                groups[frozenset(members)] = ", ".join(members)
     return [
         textwrap.fill(f"hard to tell apart: {names}", WIDTH, subsequent_indent="  ")
         for names in groups.values()
@@ -225,24 +230,6 @@ def _not_testable(found: Discovery) -> list[str]:
         textwrap.fill(f"not testable, {reason}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
         for reason, names in by_reason.items()
     ]
-
-
-def unexplained_text(calibration: Calibration, check: Check) -> str:
-    """Columns that the residuals depend on and that no known effect uses; "" for none."""
-    instrument = calibration.model.instrument
-    known = (*instrument.effects, *instrument.candidates, *calibration.model.effects)
-    used = {"time", *(column for effect in known for column in effect.columns)}
-    lines = []
-    for e in check.entries:
-        recorded = calibration.readings.has(e.against) and e.against != "run"
-        if recorded and e.against not in used and e.log_bayes_factor > UNEXPLAINED:
-            size = f"{abs(e.worst.size):.2g} {pretty(check.unit)}"
-            lines.append(
-                f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "
-                f"{e.log_bayes_factor:.1f}), which no effect of {instrument.name} uses. "
-                "Effects found above may stand in for it: write an effect of your own and give it (--effects)."
-            )
-    return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
 
 
 def comparison_text(found: Comparison) -> str:
@@ -280,13 +267,10 @@ def trail_text(trail: Trail) -> str:
     ]
     rows = []
     for i, s in enumerate(trail.steps):
-        name = "baseline" if s.added is None else f"+ {s.added}"
-        if s.dropped:
-            name += f" (drops {', '.join(s.dropped)})"
         evidence = s.calibration.log_evidence
         rows.append(
             [
-                f"{i} {name}",
+                f"{i} {s.title}",
                 number(s.rmse),
                 number(s.left_out.rmse if s.left_out else None),
                 number(s.holdout_rmse),
@@ -305,7 +289,8 @@ def calibration_text(calibration: Calibration) -> str:
     coefficients, spreads = summary(calibration)
     for s in (*coefficients, *spreads):
         contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
-        interval = _interval(*s["interval95"], s["mean"], s["sd"])
+        low, high = s["interval95"]
+        interval = _interval(low, high, s["mean"], s["sd"])
         value = with_error(s["mean"], s["sd"])
         rows.append([s["name"], value, pretty(s["unit"]), interval, contraction])
     head = [

@@ -115,7 +115,7 @@ def _predictive(layout: Layout, frame: Frame, draws: Draws, seed: int) -> np.nda
     """Replicated readings, draws thinned so that they stay within a stated size."""
     chains, count = draws.x.shape[:2]
     keep = max(1, min(count, PREDICTIVE_CELLS // (chains * frame.size)))
-    step = max(1, count // keep)
+    step = -(-count // keep)
     thin = tuple(
         jnp.asarray(flat(a[:, ::step])) for a in (draws.x, draws.rows, draws.v)
     )

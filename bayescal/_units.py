@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pint import UnitRegistry
 
 STANDARD_GRAVITY = 9.80665  # m/s²
+ANY = "any"  # in place of a unit: the column is kept in the fixed unit of whatever it is in
 EARTH_GRAVITY = (9.7, 9.9)  # m/s²; nowhere on Earth is it outside
 
 _BASE = {
@@ -192,12 +193,24 @@ def base_unit(unit: str) -> str:
     return "/".join(["*".join(above) or "1", *below])
 
 
+def fixed_unit(unit: str) -> str:
+    """The unit in which the library keeps a quantity: µg, °/s, rad, °C, s; else base units.
+
+    Raises:
+        InputError: an unknown unit.
+    """
+    base = base_unit(unit)
+    return "deg/s" if base == "rad/s" else base
+
+
 def pretty(unit: str) -> str:
     """A unit as people write it: "deg/s/degC" is "°/s/°C", "ug/mg^2" is "µg/mg²".
 
     Raises:
         InputError: an unknown unit.
     """
+    if unit == ANY:
+        return unit
     _parse(unit)
     text = _NAME.sub(lambda m: _pretty_name(m[0]), _normal(unit)).replace("*", "·")
     text = re.sub(r"(\w+)\^\(?0\.5\)?", r"√\1", text)

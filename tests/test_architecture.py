@@ -68,7 +68,7 @@ FLOORS = {
     ),
     "for people": ("_plot", "_result"),
     "the public face": ("bayescal",),
-    "the command line": ("_doors", "_cli"),
+    "the command line": ("_doors", "_answers", "_options", "_cli"),
 }
 ORDER = tuple(chain.from_iterable(FLOORS.values()))
 

@@ -1,12 +1,18 @@
-"""Effects of a changing temperature: its rate, and a body that lags behind the thermometer."""
+"""Effects of a changing temperature: its rate, its direction, and a body that lags behind the thermometer."""
 
 from __future__ import annotations
 
 import jax.numpy as jnp
+import numpy as np
 
 from bayescal._coefficient import Coefficient, Shape
 from bayescal._effect import Effect
+from bayescal._frame import build_frame, reference_of
+from bayescal._measurements import Measurements
 from bayescal._prior import Normal
+
+DEAD_BAND = 0.2  # °C/min, of hysteresis: a chamber that holds its temperature wanders by less
+SEEN = 0.02  # share of the readings that a direction must have to count as one
 
 
 def rate(slot: str, size: float, unit: str, *, source: str, column: str = "temperature") -> Effect:
@@ -19,6 +25,45 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
         columns=("time", column),
         varies=(column,),
         equation="c·dT/dt",
+        source=source,
+    )
+
+
+def hysteresis(
+    slot: str,
+    size: float,
+    unit: str,
+    *,
+    source: str,
+    dead_band: float = DEAD_BAND,
+    column: str = "temperature",
+) -> Effect:
+    """c·sign(dT/dt) in a continuous record: +c while it warms, −c while it cools, 0 between.
+
+    The rate is the causal slope of the last minute.
+
+    Args:
+        dead_band: rate below which the temperature stands still, °C/min.
+    """
+    still = dead_band / 60.0
+
+    def untestable(readings: Measurements) -> str | None:
+        rate = np.asarray(build_frame(readings, reference_of(readings)).rate(column))
+        rises, falls = (rate > still).mean() >= SEEN, (rate < -still).mean() >= SEEN
+        if rises and falls:
+            return None
+        seen = "only rises" if rises else "only falls" if falls else "stands still"
+        return f"needs {column} to rise and to fall, faster than {dead_band:g} °C/min; it {seen}"
+
+    return Effect(
+        f"{slot}.hysteresis",
+        slot,
+        basis=lambda r: jnp.where(jnp.abs(r.rate(column)) > still, jnp.sign(r.rate(column)), 0.0),
+        coefficients=(Coefficient(unit, Normal(0.0, size)),),
+        columns=("time", column),
+        varies=(column,),
+        untestable=untestable,
+        equation=f"c·sign(dT/dt),  0 where |dT/dt| ≤ {dead_band:g} °C/min",
         source=source,
     )
 

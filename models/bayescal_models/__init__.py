@@ -3,4 +3,4 @@
 Each instrument's module holds `INSTRUMENT`; its docstring is the data sheet.
 """
 
-INSTRUMENTS = ("mems_gyro",)
+INSTRUMENTS = ("mems_gyro", "still_sensor")

@@ -41,7 +41,7 @@ def run(out: Path, seed: int) -> None:
     kept = simulate(HIDDEN, seed=seed + 2)
     trail = bc.calibrate(instrument.baseline(), campaign, holdout=kept, seed=seed)
     for step in trail.steps:
-        print(f"{'baseline' if step.added is None else '+ ' + step.added}:")
+        print(f"{step.title}:")
         print(step.discovery, "\n")
     print(trail)
     before, after = trail.steps[0].holdout_rmse, trail.final.holdout_rmse

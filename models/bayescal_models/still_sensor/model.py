@@ -1,0 +1,194 @@
+"""Any sensor at rest: one output, temperature and time, so that any logged channel can be tried.
+
+    bayescal calibrate imu.csv --instrument still_sensor --columns output=acc_x --unit acc_x=m/s^2
+        --columns time=t_s --unit t_s=s --unit temperature=degC
+
+Measurement equation, output in whatever it is logged in (kept in µg, °/s, rad, °C, s or base units):
+
+    output = bias
+
+| slot | unit | effects that add to it |
+|---|---|---|
+| `bias` | the output's | `bias.constant`, `bias.temperature` (the baseline: a line), `bias.temperature_quadratic`, `bias.temperature_cubic`, `bias.rate`, `bias.thermal_lag`, `bias.hysteresis`, `bias.warm_up`, `bias.drift`, `bias.run` |
+
+The true input is taken not to change: whatever moves is the sensor's. Noise: white, of unknown size.
+
+Such a channel has no data sheet, so the plausible sizes are parts of what the record itself shows: an empirical
+choice, which uses the readings twice, though only for their orders of magnitude. Five settings hold them: the
+output's unit; its robust spread (1.4826 × the median deviation from the median), *size*; the prior standard
+deviation of the constant, √(median² + (10·size)²); half the range of the temperature, *span*; and the mean of
+|dT/dt| from minute to minute, *pace*. `INSTRUMENT` itself states sizes in parts of them (size 1, span 1 °C, pace
+1 °C/min); `INSTRUMENT.for_readings(readings)` is the instrument in a record's own unit. Where the sizes are known,
+give them: `instrument("ug", size=300.0, constant=2000.0, span=40.0, pace=3.0)`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+import bayescal as bc
+from bayescal import effects
+from bayescal_models.still_sensor.simulate import simulate
+
+MINUTE = 60.0
+SOURCE = "ours: {share:g} of the record's own robust spread{at}, an empirical choice in place of a data sheet"
+LAG_TIME = 5.0  # min, of a body whose lag would show such a spread
+
+
+def instrument(
+    unit: str = "1",
+    *,
+    size: float = 1.0,
+    constant: float | None = None,
+    span: float = 1.0,
+    pace: float = 1.0,
+) -> bc.Instrument:
+    """A sensor at rest with these plausible sizes.
+
+    Args:
+        unit: of the output, such as "ug", "deg/s" or "V".
+        size: how much the output plausibly changes over the record, in `unit`.
+        constant: prior standard deviation of its constant, in `unit`; 10·size if not given.
+        span: half the range of the temperature, °C.
+        pace: plausible rate of the temperature, °C/min.
+
+    Raises:
+        InputError: a size is not positive, or the unit is none.
+    """
+    constant = 10 * size if constant is None else constant
+    settings = {"size": size, "constant": constant, "span": span, "pace": pace}
+    for name, value in settings.items():
+        if not (np.isfinite(value) and value > 0):
+            raise bc.InputError(f"still_sensor: {name} {value} must be a positive number")
+    line, *candidates = _thermal(unit, size, span, pace)
+    made = bc.Instrument(
+        name="still_sensor",
+        title="any sensor at rest: its output over temperature and time",
+        columns=_columns(unit),
+        slots=(bc.Slot("bias", unit, "output at rest"),),
+        response=lambda slots, r: slots["bias"],
+        effects=(_constant(unit, constant), line),
+        candidates=(*candidates, *_temporal(unit, size)),
+        noise=bc.White(bc.HalfCauchy(0.1 * size)),
+        structures=(
+            ("line", lambda: made.baseline()),
+            ("quadratic", lambda: made.baseline() + candidates[:1]),
+            ("cubic", lambda: made.baseline() + candidates[:2]),
+        ),
+        simulate=simulate,
+        source="ours",
+        settings=(("unit", unit), *settings.items()),
+    )
+    return made
+
+
+def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
+    """A sensor at rest in the unit of these readings, its plausible sizes taken from them.
+
+    Args:
+        readings: of any channel.
+        settings: of `instrument`, not to be taken from the readings.
+
+    Raises:
+        InputError: the output does not change, so that no size can be taken from it.
+    """
+    output = readings["output"]
+    middle = float(np.median(output))
+    size = (
+        settings.get("size")
+        or 1.4826 * float(np.median(np.abs(output - middle)))
+        or float(np.std(output))
+    )
+    if not size > 0:
+        raise bc.InputError(
+            f"{readings.file}, column 'output': reads {middle:g} throughout, so no size can be taken from it: "
+            "choose another channel"
+        )
+    found = {
+        "unit": readings.unit("output"),
+        "size": size,
+        "constant": float(np.hypot(middle, 10 * size)),
+        "span": 0.5 * float(np.ptp(readings["temperature"])) or 1.0,
+        "pace": _pace(readings),
+    }
+    return instrument(**{**found, **settings})
+
+
+def _pace(readings: bc.Measurements) -> float:
+    """Mean of |dT/dt| from minute to minute within runs, °C/min."""
+    _, codes = readings.groups("run")
+    moved, minutes = 0.0, 0
+    for run in np.unique(codes):
+        time, temperature = readings["time"][codes == run], readings["temperature"][codes == run]
+        grid = np.arange(time[0], time[-1], MINUTE)
+        moved += float(np.abs(np.diff(np.interp(grid, time, temperature))).sum())
+        minutes += max(grid.size - 1, 0)
+    return moved / minutes if moved > 0 else 1.0
+
+
+def _columns(unit: str) -> tuple[bc.Column, ...]:
+    return (
+        bc.Column("run", None, "label of the run", required=False),
+        bc.Column("time", "s", "one origin over all runs"),
+        bc.Column("temperature", "degC", "any thermometer near by", low=-273.15, high=400.0),
+        bc.Column("output", unit, "the logged channel"),
+    )
+
+
+def _constant(unit: str, sd: float) -> bc.Effect:
+    source = "ours: √(median² + (10 × robust spread)²) of the record itself, an empirical choice"
+    return effects.constant("bias", sd, unit, source=source)
+
+
+def _thermal(unit: str, size: float, span: float, pace: float) -> tuple[bc.Effect, ...]:
+    """What follows the temperature: powers, rate, lag, direction."""
+    from_middle = ", from the middle to an end of the temperatures"
+    rate_source = SOURCE.format(share=0.25, at=" at the mean rate of the temperature")
+    lag_source = SOURCE.format(
+        share=0.25, at=f" at the mean rate of the temperature and a lag of {LAG_TIME:g} min"
+    )
+    return (
+        effects.linear(
+            "bias", size / span, f"{unit}/degC", source=SOURCE.format(share=1, at=from_middle)
+        ),
+        effects.quadratic(
+            "bias",
+            0.5 * size / span**2,
+            f"{unit}/degC^2",
+            source=SOURCE.format(share=0.5, at=from_middle),
+        ),
+        effects.cubic(
+            "bias",
+            0.25 * size / span**3,
+            f"{unit}/degC^3",
+            source=SOURCE.format(share=0.25, at=from_middle),
+        ),
+        effects.rate("bias", 0.25 * size / pace, f"{unit}/(degC/min)", source=rate_source),
+        effects.thermal_lag(
+            "bias",
+            0.25 * size / (pace * LAG_TIME),
+            f"{unit}/degC",
+            low=MINUTE,
+            high=20 * MINUTE,
+            start=0.25 * size,
+            start_unit=unit,
+            source=lag_source,
+        ),
+        effects.hysteresis("bias", 0.25 * size, unit, source=SOURCE.format(share=0.25, at="")),
+    )
+
+
+def _temporal(unit: str, size: float) -> tuple[bc.Effect, ...]:
+    """What follows the time."""
+    half, quarter = SOURCE.format(share=0.5, at=""), SOURCE.format(share=0.25, at="")
+    return (
+        effects.warm_up("bias", 0.5 * size, unit, low=2 * MINUTE, high=40 * MINUTE, source=half),
+        effects.drift("bias", 0.5 * size, unit, source=half),
+        effects.deviation("bias", "run", 0.25 * size, unit, source=quarter),
+    )
+
+
+INSTRUMENT = replace(instrument(), columns=_columns("any"), tailor=tailored, settings=())
