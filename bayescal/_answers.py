@@ -130,10 +130,9 @@ def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
     final = trail.final
     parts = [f"WHERE THE FIRST MODEL FAILS\n\n{trail.steps[0].check}"]
     for i, step in enumerate(trail.steps):
-        name = f"+ {step.added}" if step.added else "baseline"
         reasons = " ".join(step.calibration.verdict.reasons)
         said = str(step.discovery) if step.discovery else f"no probabilities: {reasons}"
-        parts.append(f"WHAT IS MISSING FROM STEP {i} ({name})\n\n{said}")
+        parts.append(f"WHAT IS MISSING FROM STEP {i} ({step.title})\n\n{said}")
     unexplained = unexplained_text(final.calibration, final.check, own)
     parts += [unexplained] if unexplained else []
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")

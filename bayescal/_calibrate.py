@@ -19,6 +19,7 @@ from bayescal._model import Model
 from bayescal._noise import White, over_record
 from bayescal._predict import predict
 from bayescal._progress import stage
+from bayescal._spikes import without_spikes
 from bayescal._trail import Step, Trail, gate, noise_floor
 
 WIDER = 1.0  # log evidence that correlated noise must gain over white before it is believed
@@ -35,6 +36,7 @@ def calibrate(
     method: Method | None = None,
     max_effects: int = 5,
     widen_noise: bool = True,
+    keep_spikes: bool = False,
     seed: int = 0,
     reference: Reference | None = None,
 ) -> Trail:
@@ -53,6 +55,7 @@ def calibrate(
         method: of every fit; `Marginal()` if not given.
         max_effects: most effects to add.
         widen_noise: False leaves the noise law as given, whatever the residuals look like.
+        keep_spikes: False sets single readings far from both neighbours aside, and flags them.
         seed: of every random number.
         reference: constants of the bases to use in place of the readings' own.
 
@@ -61,6 +64,9 @@ def calibrate(
     """
     if holdout is not None:
         model.require(holdout)
+    if not keep_spikes:
+        readings = without_spikes(readings)
+        holdout = None if holdout is None else without_spikes(holdout)
     loop = _Loop(readings, tuple(effects), method, max_effects, seed, reference, frozenset(model.names))
     steps = loop.follow(model, widen_noise)
     if holdout is not None:

@@ -27,6 +27,7 @@ from bayescal._progress import stage
 
 FINDING = 0.05  # P(nothing is missing) at or below which an effect is reported as found
 LEAD = 1.0  # log Bayes factor from which an effect that is not a finding is a lead
+RIVAL = 0.5  # part of the best log Bayes factor by score from which another candidate is refitted too
 POWER = 0.80
 VISIBLE = 0.01  # share of the information left after the nuisances below which nothing can be seen
 VERIFIED = 4  # candidates that are refitted: the leading set's members, then other leads
@@ -321,11 +322,12 @@ def _nothing_after(judged: list[Candidate], verified: dict[str, float], by_score
 
 
 def _leading(found: susie.SingleEffects, judged: list[Candidate]) -> list[int]:
-    """Candidates worth a refit: the leading set's, and what is at least a lead on its own."""
+    """Candidates worth a refit: the leading set's members, and leads that come near the best."""
     leading = list(found.sets[0].members[:VERIFIED]) if found.sets else []
     factors = np.array([c.log_bayes_factor or 0.0 for c in judged])
+    enough = max(LEAD, RIVAL * factors.max())
     for i in np.argsort(-factors):
-        if factors[i] > LEAD and i not in leading and len(leading) < VERIFIED:
+        if factors[i] > enough and i not in leading and len(leading) < VERIFIED:
             leading.append(int(i))
     return leading
 

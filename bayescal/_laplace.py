@@ -18,6 +18,7 @@ from bayescal import _linear as linear
 from bayescal._batches import over
 from bayescal._frame import Frame
 from bayescal._layout import Layout
+from bayescal._optimise import least_squares
 
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ among which the start is chosen
@@ -68,16 +69,13 @@ def mode_of_x(
     back = jnp.sum(line.rows * point.rows, axis=1)
     centre = jnp.where(prior.weight > 0, prior.mean, point.x)
 
-    def residuals(z: Array, _: None) -> Array:
+    def residuals(z: Array) -> Array:
         expected = composition.mean(layout, frame, centre + prior.sd * z, point.rows, hyper)
         white, _ = noise.whiten((y - expected + back)[:, None], extra, hyper, frame)
         return jnp.concatenate([white[:, 0], prior.weight * z])
 
-    solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10)
     start = (point.x - centre) / jnp.where(prior.sd > 0, prior.sd, 1.0)
-    if layout.size:
-        start = optx.least_squares(residuals, solver, start, max_steps=100, throw=False).value
-    x = centre + prior.sd * start
+    x = centre + prior.sd * least_squares(residuals, start, steps=100).value
     if not layout.row_blocks:
         return linear.Point(x, point.rows)
     line = composition.linearise(layout, frame, x, point.rows, hyper)

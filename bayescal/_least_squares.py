@@ -23,7 +23,7 @@ from bayescal._calibration import Draws, Verdict
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 from bayescal._method import Method, Outcome
-from bayescal._noise import Gram
+from bayescal._optimise import least_squares
 from bayescal._progress import stage
 
 CHAINS = 4
@@ -116,33 +116,33 @@ def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool
         hyper, extra, back = spread(theta, v)
         centre = jnp.where(prior.weight > 0, prior.mean, theta)
 
-        def residuals(z, _):
+        def residuals(z):
             bent = output(centre + prior.sd * z, v)
             white, _ = noise.whiten((y - bent + back)[:, None], extra, hyper, frame)
             return jnp.concatenate([white[:, 0], prior.weight * z])
 
         start = (theta - centre) / jnp.where(prior.sd > 0, prior.sd, 1.0)
-        solver = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
-        found = optx.least_squares(residuals, solver, start, max_steps=500, throw=False)
-        return centre + prior.sd * found.value, found.result == optx.RESULTS.successful
+        found = least_squares(residuals, start)
+        return centre + prior.sd * found.value, found.converged
 
-    def gram_at(theta, v):
+    def conditional_at(theta, v):
         jacobian = jax.jacfwd(output)(theta, v)
         _, extra, back = spread(theta, v)
-        residual = y - output(theta, v) + back
+        table = jnp.column_stack([jacobian, y - output(theta, v) + back])
 
-        def gram(v) -> Gram:
+        def conditional(v) -> linear.Conditional:
             hyper = composition.hyper_values(layout, v)
-            return noise.gram(jacobian, residual, extra, hyper, frame)
+            white, logdet = noise.whiten(table, extra, hyper, frame)
+            return linear.condition_white(white[:, :-1], white[:, -1], logdet, joined(v), theta)
 
-        return gram
+        return conditional
 
     def restricted(theta, v):
-        gram = gram_at(theta, v)
+        conditional = conditional_at(theta, v)
 
         def negative(s, _):
             full = v.at[scale_at].set(s)
-            found = linear.condition(gram(full), frame.size, joined(full), theta)
+            found = conditional(full)
             prior = [
                 h.prior.log_density(full[i])
                 for i, h in enumerate(layout.hypers)
@@ -166,11 +166,13 @@ def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool
     def going(state):
         return (state[2] > 1e-9) & (state[4] < 30)
 
-    theta = jnp.concatenate([mode.point.x, mode.v[place_at]])
-    state = (theta, mode.v, jnp.asarray(jnp.inf), jnp.asarray(False), jnp.asarray(0))
+    # Where JᵀJ has no Cholesky factor the mode is NaN; from the prior's centre, QR may still find it.
+    x = jnp.where(jnp.isfinite(mode.point.x), mode.point.x, composition.prior_mean(layout))
+    start = jnp.where(jnp.isfinite(mode.v), mode.v, 0.0)
+    state = (jnp.concatenate([x, start[place_at]]), start, jnp.asarray(jnp.inf), jnp.asarray(False), jnp.asarray(0))
     theta, v, change, converged, _ = jax.lax.while_loop(going, one_round, state)
 
-    found = linear.condition(gram_at(theta, v)(v), frame.size, joined(v), theta)
+    found = conditional_at(theta, v)(v)
     covariance = found.covariance
     # Started at the optimum, Levenberg–Marquardt may refuse every step for its rounding and report failure:
     # what counts is whether a Gauss–Newton step would still move anything.
@@ -194,13 +196,16 @@ def _gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> D
     _, places = split_hypers(layout)
     random = np.random.default_rng(seed)
     covariance = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    root = vectors * np.sqrt(np.maximum(values, 0))
+    sd = np.sqrt(np.diag(covariance))
+    sd = np.where(sd > 0, sd, 1.0)  # by which it is scaled, so that a small variance beside a large one counts
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / np.outer(sd, sd))
+    root = sd[:, None] * vectors * np.sqrt(np.maximum(values, 0))
     centre = np.concatenate([found.mode.point.x, found.mode.v[places]])
-    theta = centre + random.standard_normal((count, len(centre))) @ root.T
+    normal = random.standard_normal((count, len(centre)))
     # So that means and covariances read from the draws are those of the fit, not of the draws' luck:
     if count > 4 * len(centre) and len(centre):
-        theta = _exact_moments(theta, centre, root)
+        normal = _exact_moments(normal)
+    theta = centre + normal @ root.T
     v = np.tile(found.mode.v, (count, 1)).copy()  # of an empty v, tile gives a view
     v[:, places] = theta[:, layout.size :]
     rows = np.broadcast_to(found.mode.point.rows, (count, *found.mode.point.rows.shape))
@@ -211,9 +216,7 @@ def _gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> D
     return Draws(shaped(theta[:, : layout.size]), shaped(rows), shaped(v))
 
 
-def _exact_moments(theta: np.ndarray, centre: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """Draws moved linearly so that their mean and covariance are exactly those asked for."""
-    random = theta - theta.mean(axis=0)
-    own = np.linalg.svd(random, full_matrices=False)
-    white = own.U * np.sqrt(len(theta) - 1)
-    return centre + white @ own.Vh @ root.T
+def _exact_moments(normal: np.ndarray) -> np.ndarray:
+    """Normal draws moved linearly so that their mean is exactly zero and their covariance exactly one."""
+    own = np.linalg.svd(normal - normal.mean(axis=0), full_matrices=False)
+    return own.U @ own.Vh * np.sqrt(len(normal) - 1)

@@ -87,6 +87,40 @@ def condition(gram: Gram, size: int, prior: Prior, at: Float[Array, "p"]) -> Con
     return Conditional(log_marginal, at + offset, prior.sd, chol, u)
 
 
+def condition_white(
+    jacobian: Float[Array, "n p"],
+    residual: Float[Array, "n"],
+    logdet: Float[Array, ""],
+    prior: Prior,
+    at: Float[Array, "p"],
+) -> Conditional:
+    """`condition` from whitened J and r by QR, never forming JᵀJ: a condition number is not squared.
+
+    A direction that neither readings nor priors determine makes everything NaN.
+
+    Args:
+        jacobian, residual: whitened.
+        logdet: log |Σ| of the readings.
+        prior: prior of x.
+        at: x̂, where r was taken.
+    """
+    size = prior.sd.size
+    offset = jnp.where(prior.weight > 0, prior.mean - at, 0.0)
+    own = jnp.column_stack([jacobian * prior.sd, residual - jacobian @ offset])
+    table = jnp.concatenate([own, jnp.eye(size, size + 1) * prior.weight[:, None]])
+    upper = jnp.linalg.qr(table, mode="r")
+    upper = upper * jnp.where(jnp.diag(upper) < 0, -1.0, 1.0)[:, None]
+    root, u, rest = upper[:size, :size], upper[:size, size], upper[size, size]
+    scale = jnp.sqrt(jnp.sum(root**2, axis=0))
+    determined = jnp.all(jnp.diag(root) > 1e-14 * scale)
+    root = jnp.where(determined, root, jnp.nan)
+    flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
+    log_marginal = flat_volume - 0.5 * (
+        len(residual) * jnp.log(2 * jnp.pi) + logdet + 2 * jnp.sum(jnp.log(jnp.diag(root))) + rest**2
+    )
+    return Conditional(log_marginal, at + offset, prior.sd, root.T, u)
+
+
 def needs_one_pass(layout: Layout, frame: Frame) -> bool:
     """Whether products over the readings can be computed once: J does not move with φ, and one variance."""
     moving = any(h.kind in ("shape", "promoted") for h in layout.hypers)

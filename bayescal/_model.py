@@ -182,7 +182,7 @@ def testable(effect: Effect, readings: Measurements) -> str | None:
         if (values == values[0]).all():
             return f"needs {column} to vary; it is {values[0]:g} throughout"
     for coefficient in effect.coefficients:
-        if coefficient.per in ("run", "cell", "device", "axis"):
+        if coefficient.spread is not None and coefficient.per is not None:
             levels, codes = readings.groups(coefficient.per)
             if len(set(codes[codes >= 0].tolist())) < 2:
                 return f"needs more than one {coefficient.per}"

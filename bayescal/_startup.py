@@ -26,9 +26,9 @@ def enough_workers() -> None:
     JAX before 0.12 runs independent operations of a program side by side, each on a worker; a
     batched Cholesky or triangular solve then shares its batch out to the same workers and waits for
     them. When every worker waits, the program hangs for ever, at random. It takes a loop
-    (`lax.map`, `scan`, `while_loop`) over independent factorisations. On two cores it was soon met
-    with 2 or 4 workers, sometimes with 8, never with 16. Python 3.11 gets JAX 0.10 at the latest;
-    on later Pythons bayescal asks for JAX 0.12, which is free of it.
+    (`lax.map`, `scan`, `while_loop`) over independent factorisations. On two cores it was
+    met with 2 or 4 workers nearly always, with 8 sometimes, with 16 never. Python 3.11 gets JAX
+    0.10 at the latest; on later Pythons bayescal asks for JAX 0.12, which is free of it.
 
     JAX counts its workers when it first computes. More of them than cores cost a little: a pass
     that takes 1 ms takes up to 2 ms on two cores.

@@ -68,6 +68,7 @@ def _description(c: Calibration) -> dict[str, Any]:
         "instrument": c.model.instrument.name,
         "settings": dict(c.model.instrument.settings),
         "effects": list(c.model.names),
+        "unknowns": {e.name: _stated(e) for e in c.model.effects},
         "fixed": dict(c.model.fixed),
         "noise": _noise_description(c.model.noise),
         "promoted": list(c.layout.promoted),
@@ -81,6 +82,11 @@ def _description(c: Calibration) -> dict[str, Any]:
         "sources": [asdict(s) for s in c.readings.sources],
         "flags": list(c.readings.flags),
     }
+
+
+def _stated(effect: Effect) -> str:
+    """What an effect says of its unknowns: units, priors, groups, shapes."""
+    return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
 
 
 def _noise_description(noise: _noise.Noise) -> dict[str, Any]:
@@ -125,8 +131,7 @@ def load_calibration(
             tree = opened.load()
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path.name} cannot be read as NetCDF ({error}): is it a saved calibration?") from None
-    text = tree.attrs.pop("bayescal", None)
-    described = json.loads(text) if isinstance(text, str) else {}
+    described = _parsed(tree.attrs.pop("bayescal", None))
     if described.get("schema") != SCHEMA:
         raise InputError(
             f"{path.name} is no calibration of this version: its schema is {described.get('schema')!r}, "
@@ -152,6 +157,15 @@ def load_calibration(
         mode,
         None if evidence is None else (evidence[0], evidence[1]),
     )
+
+
+def _parsed(text: object) -> dict[str, Any]:
+    """The description in a file, empty if it has none that can be read."""
+    try:
+        found = json.loads(text) if isinstance(text, str) else {}
+    except json.JSONDecodeError:
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _mode_from(data: xr.Dataset) -> Mode:
@@ -199,5 +213,13 @@ def _model_from(path: Path, described, readings: Measurements, effects, instrume
             "that defines it: --effects my_effects.py (in Python: load(path, effects=[…]))"
         )
     chosen = tuple(catalogue[n] for n in described["effects"])
+    for effect in chosen:
+        then, now = described["unknowns"][effect.name], _stated(effect)
+        if then != now:
+            raise InputError(
+                f"{path.name} was fitted with another effect {effect.name!r} than the one given now: then {then}; "
+                f"now {now}. Give the one it was fitted with: --effects my_effects.py (in Python: "
+                "load(path, effects=[…]))"
+            )
     fixed = tuple(described["fixed"].items())
     return Model(instrument, chosen, _noise_from(described["noise"]), fixed)

@@ -114,7 +114,7 @@ def gate(step: Step) -> Gate:
             f"{step.check.fixed.rms / step.check.fixed.noise:.1f} times the noise of the same model set free.",
         )
     coefficient, z = step.check.autocorrelation
-    if z > AUTOCORRELATED and coefficient > NOTICEABLE:
+    if abs(z) > AUTOCORRELATED and abs(coefficient) > NOTICEABLE:
         return Gate(
             False,
             f"Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), "

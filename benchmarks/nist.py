@@ -1,37 +1,296 @@
-"""x"""
+"""The NIST Statistical Reference Datasets for regression, and how many certified digits are met.
+
+Linear sets go through the public API: an instrument whose one effect is the set's columns, with flat priors, by
+`LeastSquares`. Nonlinear sets are not linear in any coefficient and go through the same two routines that
+`LeastSquares` is made of: `least_squares` for the point, `condition_white` for the covariance.
+Source: NIST, Statistical Reference Datasets (www.itl.nist.gov/div898/strd), nonlinear and linear regression.
+"""
+
+from __future__ import annotations
+
 import json
-import numpy as np
-import jax.numpy as jnp
+import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import bayescal as bc
+from bayescal import _laplace as laplace
+from bayescal import _linear as linear
+from bayescal._optimise import least_squares
+from benchmarks.record import REFERENCE_DATA
+
+FOLDER = REFERENCE_DATA / "nist_strd"
+MOST = 16.0  # digits that a double can agree to
 
 exp, cos, sin, pi = jnp.exp, jnp.cos, jnp.sin, jnp.pi
 
-def misra1a(b, x): return b[0] * (1 - exp(-b[1] * x))
-def misra1b(b, x): return b[0] * (1 - (1 + b[1] * x / 2) ** -2)
-def misra1c(b, x): return b[0] * (1 - (1 + 2 * b[1] * x) ** -0.5)
-def misra1d(b, x): return b[0] * b[1] * x / (1 + b[1] * x)
-def chwirut(b, x): return exp(-b[0] * x) / (b[1] + b[2] * x)
-def lanczos(b, x): return b[0] * exp(-b[1] * x) + b[2] * exp(-b[3] * x) + b[4] * exp(-b[5] * x)
-def gauss(b, x): return b[0] * exp(-b[1] * x) + b[2] * exp(-((x - b[3]) ** 2) / b[4] ** 2) + b[5] * exp(-((x - b[6]) ** 2) / b[7] ** 2)
-def danwood(b, x): return b[0] * x ** b[1]
-def kirby2(b, x): return (b[0] + b[1] * x + b[2] * x**2) / (1 + b[3] * x + b[4] * x**2)
-def hahn1(b, x): return (b[0] + b[1] * x + b[2] * x**2 + b[3] * x**3) / (1 + b[4] * x + b[5] * x**2 + b[6] * x**3)
-def nelson(b, x1, x2): return b[0] - b[1] * x1 * exp(-b[2] * x2)
-def mgh17(b, x): return b[0] + b[1] * exp(-x * b[3]) + b[2] * exp(-x * b[4])
-def roszman1(b, x): return b[0] - b[1] * x - jnp.arctan(b[2] / (x - b[3])) / pi
-def enso(b, x):
-    return (b[0] + b[1] * cos(2 * pi * x / 12) + b[2] * sin(2 * pi * x / 12)
-        + b[4] * cos(2 * pi * x / b[3]) + b[5] * sin(2 * pi * x / b[3])
-        + b[7] * cos(2 * pi * x / b[6]) + b[8] * sin(2 * pi * x / b[6]))
-def mgh09(b, x): return b[0] * (x**2 + x * b[1]) / (x**2 + x * b[2] + b[3])
-def boxbod(b, x): return misra1a(b, x)
-def rat42(b, x): return b[0] / (1 + exp(b[1] - b[2] * x))
-def rat43(b, x): return b[0] / (1 + exp(b[1] - b[2] * x)) ** (1 / b[3])
-def eckerle4(b, x): return b[0] / b[1] * exp(-0.5 * ((x - b[2]) / b[1]) ** 2)
-def mgh10(b, x): return b[0] * exp(b[1] / (x + b[2]))
-def bennett5(b, x): return b[0] * (b[1] + x) ** (-1 / b[2])
 
-MODELS = dict(Misra1a=misra1a, Misra1b=misra1b, Misra1c=misra1c, Misra1d=misra1d, Chwirut1=chwirut, Chwirut2=chwirut,
- Lanczos1=lanczos, Lanczos2=lanczos, Lanczos3=lanczos, Gauss1=gauss, Gauss2=gauss, Gauss3=gauss, DanWood=danwood,
- Kirby2=kirby2, Hahn1=hahn1, Thurber=hahn1, Nelson=nelson, MGH17=mgh17, Roszman1=roszman1, ENSO=enso, MGH09=mgh09,
- BoxBOD=boxbod, Rat42=rat42, Rat43=rat43, Eckerle4=eckerle4, MGH10=mgh10, Bennett5=bennett5)
+class Estimate(NamedTuple):
+    """What a fit gives, in the order of the certificate."""
+
+    parameters: np.ndarray
+    sd: np.ndarray
+    residual_sd: float
+    converged: bool
+    steps: int | None = None
+
+
+def digits(found: Any, certified: Any) -> float:
+    """Fewest significant digits that agree: −log10 of the relative error, or of the error where zero is right."""
+    found, certified = np.atleast_1d(np.asarray(found, float)), np.atleast_1d(np.asarray(certified, float))
+    if not np.all(np.isfinite(found)):
+        return 0.0
+    error = np.abs(found - certified) / np.where(certified == 0, 1.0, np.abs(certified))
+    worst = float(np.max(error))
+    return MOST if worst < 10.0**-MOST else max(0.0, -math.log10(worst))
+
+
+# Nonlinear sets: the expected response as a function of the parameters and the predictors.
+
+
+def saturating(b, x):
+    return b[0] * (1 - exp(-b[1] * x))
+
+
+def misra1b(b, x):
+    return b[0] * (1 - (1 + b[1] * x / 2) ** -2)
+
+
+def misra1c(b, x):
+    return b[0] * (1 - (1 + 2 * b[1] * x) ** -0.5)
+
+
+def misra1d(b, x):
+    return b[0] * b[1] * x / (1 + b[1] * x)
+
+
+def chwirut(b, x):
+    return exp(-b[0] * x) / (b[1] + b[2] * x)
+
+
+def lanczos(b, x):
+    return b[0] * exp(-b[1] * x) + b[2] * exp(-b[3] * x) + b[4] * exp(-b[5] * x)
+
+
+def gauss(b, x):
+    peaks = b[2] * exp(-((x - b[3]) ** 2) / b[4] ** 2) + b[5] * exp(-((x - b[6]) ** 2) / b[7] ** 2)
+    return b[0] * exp(-b[1] * x) + peaks
+
+
+def power(b, x):
+    return b[0] * x ** b[1]
+
+
+def quadratics(b, x):
+    return (b[0] + b[1] * x + b[2] * x**2) / (1 + b[3] * x + b[4] * x**2)
+
+
+def cubics(b, x):
+    top = b[0] + b[1] * x + b[2] * x**2 + b[3] * x**3
+    return top / (1 + b[4] * x + b[5] * x**2 + b[6] * x**3)
+
+
+def nelson(b, x1, x2):
+    return b[0] - b[1] * x1 * exp(-b[2] * x2)
+
+
+def mgh17(b, x):
+    return b[0] + b[1] * exp(-x * b[3]) + b[2] * exp(-x * b[4])
+
+
+def roszman1(b, x):
+    return b[0] - b[1] * x - jnp.arctan(b[2] / (x - b[3])) / pi
+
+
+def enso(b, x):
+    year = b[0] + b[1] * cos(2 * pi * x / 12) + b[2] * sin(2 * pi * x / 12)
+    second = b[4] * cos(2 * pi * x / b[3]) + b[5] * sin(2 * pi * x / b[3])
+    return year + second + b[7] * cos(2 * pi * x / b[6]) + b[8] * sin(2 * pi * x / b[6])
+
+
+def mgh09(b, x):
+    return b[0] * (x**2 + x * b[1]) / (x**2 + x * b[2] + b[3])
+
+
+def rat42(b, x):
+    return b[0] / (1 + exp(b[1] - b[2] * x))
+
+
+def rat43(b, x):
+    return b[0] / (1 + exp(b[1] - b[2] * x)) ** (1 / b[3])
+
+
+def eckerle4(b, x):
+    return b[0] / b[1] * exp(-0.5 * ((x - b[2]) / b[1]) ** 2)
+
+
+def mgh10(b, x):
+    return b[0] * exp(b[1] / (x + b[2]))
+
+
+def bennett5(b, x):
+    return b[0] * (b[1] + x) ** (-1 / b[2])
+
+
+NONLINEAR: dict[str, Callable] = {
+    **{"Misra1a": saturating, "Misra1b": misra1b, "Misra1c": misra1c, "Misra1d": misra1d},
+    **{"Chwirut1": chwirut, "Chwirut2": chwirut, "DanWood": power, "Nelson": nelson},
+    **{"Lanczos1": lanczos, "Lanczos2": lanczos, "Lanczos3": lanczos},
+    **{"Gauss1": gauss, "Gauss2": gauss, "Gauss3": gauss},
+    **{"Kirby2": quadratics, "Hahn1": cubics, "Thurber": cubics},
+    **{"MGH09": mgh09, "MGH10": mgh10, "MGH17": mgh17, "Roszman1": roszman1, "ENSO": enso},
+    **{"BoxBOD": saturating, "Rat42": rat42, "Rat43": rat43, "Eckerle4": eckerle4, "Bennett5": bennett5},
+}
+
+
+def fit_nonlinear(
+    expected: Callable, predictors: tuple[np.ndarray, ...], y: np.ndarray, starts: list[np.ndarray]
+) -> list[Estimate]:
+    """The least-squares fit from each start, with noise by restricted likelihood, Σr²/(n − p)."""
+
+    @jax.jit
+    def from_start(start):
+        scale = jnp.where(start == 0, 1.0, jnp.abs(start))
+        found = least_squares(lambda b: expected(b, *predictors) - y, start, scale)
+        residual = expected(found.value, *predictors) - y
+        jacobian = jax.jacfwd(lambda b: expected(b, *predictors))(found.value)
+        sigma = jnp.sqrt(residual @ residual / (len(y) - start.size))
+        flat = linear.Prior(0 * start, laplace.column_scale(jacobian), 0 * start)
+        given = linear.condition_white(
+            jacobian / sigma, residual / sigma, jnp.zeros(()), flat, found.value
+        )
+        return found, jnp.sqrt(jnp.diag(given.covariance)), sigma
+
+    estimates = []
+    for start in starts:
+        found, sd, sigma = from_start(jnp.asarray(start))
+        estimates.append(
+            Estimate(
+                np.asarray(found.value),
+                np.asarray(sd),
+                float(sigma),
+                bool(found.converged),
+                int(found.steps),
+            )
+        )
+    return estimates
+
+
+def nonlinear_set(name: str, folder: Path = FOLDER) -> dict[str, Any]:
+    """Certificate of a set, with its data as `y` and `predictors`."""
+    certificate = json.loads((folder / "nonlinear" / "certified_nonlinear.json").read_text("utf-8"))[name]
+    table = np.loadtxt(folder / "nonlinear" / f"{name}.csv", delimiter=",", skiprows=1)
+    y = np.log(table[:, 0]) if name == "Nelson" else table[:, 0]  # its model is of log y
+    return {**certificate, "y": y, "predictors": tuple(table[:, 1:].T)}
+
+
+def nonlinear_digits(name: str, folder: Path = FOLDER) -> list[dict[str, Any]]:
+    """Digits met from start 1 and start 2: of the parameters, of their standard deviations."""
+    known = nonlinear_set(name, folder)
+    starts = [np.asarray(known["start1"]), np.asarray(known["start2"])]
+    fits = fit_nonlinear(NONLINEAR[name], known["predictors"], known["y"], starts)
+    return [
+        {
+            "set": name,
+            "start": number,
+            "parameters": round(digits(fit.parameters, known["certified"]), 2),
+            "sd": round(digits(fit.sd, known["sd"]), 2),
+            "converged": fit.converged,
+            "steps": fit.steps,
+        }
+        for number, fit in enumerate(fits, 1)
+    ]
+
+
+# Linear sets, through the public API.
+
+# Powers of (x − centre)/half-width where powers of x themselves are too nearly parallel for a double.
+CENTRED = {
+    "filip": (-6.0, 3.0),
+    **{f"wampler{i}": (10.0, 10.0) for i in range(1, 6)},
+}
+LINEAR = ("norris", "pontius", "noint1", "noint2", "filip", "longley", *(f"wampler{i}" for i in range(1, 6)))
+
+
+def line_model(columns: dict[str, np.ndarray], powers: tuple[int, ...], centre: float, half: float):
+    """A model whose effect is powers of ((x − centre)/half), or the columns themselves with a constant."""
+
+    def basis(r: bc.Frame):
+        if powers:
+            u = (r["x"] - centre) / half
+            return jnp.stack([u**k for k in powers], axis=1)
+        return jnp.stack([jnp.ones(r.size), *(r[name] for name in columns)], axis=1)
+
+    count = len(powers) or len(columns) + 1
+    effect = bc.Effect(
+        "value.line",
+        "value",
+        basis,
+        tuple(bc.Coefficient("1", bc.Flat(), part=f"b{i}") for i in range(count)),
+        columns=tuple(columns),
+        source="NIST StRD, linear regression",
+    )
+    instrument = bc.Instrument(
+        "line",
+        "a linear regression",
+        (bc.Column("output", "1"), *(bc.Column(name, "1") for name in columns)),
+        (bc.Slot("value", "1"),),
+        lambda slots, readings: slots["value"],
+        (effect,),
+        noise=bc.White(bc.Flat()),
+    )
+    return instrument.baseline()
+
+
+def expand(powers: tuple[int, ...], centre: float, half: float) -> np.ndarray:
+    """T such that coefficients of ((x − centre)/half)^k become those of x^j: β = T·γ."""
+    matrix = np.zeros((len(powers), len(powers)))
+    for k in powers:
+        for j in range(k + 1):
+            if j in powers:
+                matrix[powers.index(j), powers.index(k)] = math.comb(k, j) * (-centre) ** (k - j) / half**k
+    return matrix
+
+
+def fit_linear(
+    columns: dict[str, np.ndarray],
+    y: np.ndarray,
+    powers: tuple[int, ...] = (),
+    centre: float = 0.0,
+    half: float = 1.0,
+) -> Estimate:
+    """A polynomial in `x` (or, without `powers`, all columns and a constant) by `bc.fit` and `LeastSquares`."""
+    model = line_model(columns, powers, centre, half)
+    readings = bc.Measurements.from_arrays(model.instrument, output=y, **columns)
+    fit = bc.fit(model, readings, bc.LeastSquares(), strict=False)
+    names = model.effects[0].coefficients
+    draws = np.stack([fit.samples(f"value.line[{c.part}]") for c in names], axis=1)
+    if powers:
+        draws = draws @ expand(powers, centre, half).T
+    noise = float(fit.samples("noise.white")[0])
+    return Estimate(draws.mean(axis=0), draws.std(axis=0, ddof=1), noise, fit.verdict.ok)
+
+
+def linear_digits(name: str, centred: bool = True, folder: Path = FOLDER) -> dict[str, Any]:
+    """Digits met: of the parameters, of their standard deviations, of the residual standard deviation."""
+    known = json.loads((folder / "linear" / "certified_linear.json").read_text("utf-8"))[name]
+    table = np.loadtxt(folder / "linear" / f"{name}.csv", delimiter=",", skiprows=1)
+    powers = tuple(int(t[2:]) for t in known["terms"] if t.startswith("x^"))
+    labels = ["x"] if powers else [t for t in known["terms"] if t != "1"]
+    columns = dict(zip(labels, table[:, 1:].T, strict=True))
+    place = CENTRED.get(name, (0.0, 1.0)) if centred else (0.0, 1.0)
+    fit = fit_linear(columns, table[:, 0], powers, *place)
+    exact = float(known["residual_sd_exact"]) == 0
+    return {
+        "set": name,
+        "basis": "centred" if place != (0.0, 1.0) else "as given",
+        "parameters": round(digits(fit.parameters, [float(b) for b in known["beta_exact"]]), 2),
+        "sd": None if exact else round(digits(fit.sd, [float(s) for s in known["sd_exact"]]), 2),
+        "residual_sd": None if exact else round(digits(fit.residual_sd, known["residual_sd_exact"]), 2),
+        "converged": fit.converged,
+    }

@@ -1,6 +1,6 @@
-"""Draw docs/error_falls.png: a simulated campaign with two hidden effects, and the error step by step.
+"""Draw docs/error_falls.png: a simulated campaign with two hidden effects, the error by step.
 
-    python docs/picture.py
+python docs/picture.py
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 import bayescal as bc
 from bayescal_models import mems_gyro
 
-HIDDEN = {"bias.thermal_lag": 0.05, "bias.temperature_quadratic": 5e-4}  # °/s/°C, °/s/°C²
+HIDDEN = {"bias.thermal_lag": 0.05, "bias.warm_up": 0.5}  # °/s/°C, °/s
 SEED, SEED_KEPT_APART = 1, 2
 
 
@@ -21,7 +21,8 @@ def main() -> None:
     trail = bc.calibrate(instrument.baseline(), readings, holdout=kept_apart)
     print(trail)
     figure = bc.plot.trail(trail)
-    figure.axes[0].set_title(f"simulated gyroscope, seed {SEED}: the error falls to the noise", fontsize=10)
+    title = f"A simulated gyroscope with two hidden effects (seed {SEED})"
+    figure.axes[0].set_title(title, fontsize=10, loc="left")
     print(bc.plot.save(figure, Path(__file__).parent / "error_falls.png"))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import tomllib
 from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,72 +19,33 @@ LONGEST = 400  # lines; about 300 is the aim
 
 # From the ground up. A module imports only what stands before it, on its own floor too.
 FLOORS = {
-    "ground": ("_errors", "_startup", "_progress", "_batches"),
-    "readings": (
-        *(
-            "_units",
-            "_column",
-            "_table",
-            "_plausible",
-            "_write",
-            "_match",
-            "_extra_columns",
-            "_admit",
-        ),
-        *("_measurements", "_read_csv", "_read_binary", "_read"),
-    ),
-    "parts of a model": (
-        *("_prior", "_coefficient", "_frame", "_effect", "_noise", "_instrument", "_model"),
-        *("effects.constant", "effects.temperature", "effects.thermal", "effects.thermometer"),
-        *("effects.time", "effects"),
-    ),
-    "the model as numbers": ("_layout", "_composition", "_linear", "_laplace"),
-    "a calibration": (
-        "_calibration",
-        "_store",
-        "_tree",
-        "_method",
-        "_predict",
-        "_score",
-        "_summary",
-        "_text",
-    ),
-    "methods and their verb": (
-        *("_promotion", "_importance", "_chains", "_least_squares", "_marginal", "_nuts", "_fit"),
-    ),
-    "verbs on a calibration": (
-        *(
-            "_susie_models",
-            "_susie",
-            "_candidates",
-            "_blocks",
-            "_check",
-            "_discover",
-            "_folds",
-            "_compare",
-        ),
-        "_calibrate",
-    ),
-    "for people": ("_plot", "_result"),
-    "the public face": ("bayescal",),
-    "the command line": ("_doors", "_answers", "_options", "_cli"),
+    "ground": "_errors _startup _progress _batches _optimise",
+    "readings": "_units _column _table _plausible _write _match _extra_columns _admit "
+    "_measurements _read_csv _read_binary _read",
+    "parts of a model": "_prior _coefficient _frame _effect _noise _instrument _model "
+    "effects.constant effects.temperature effects.thermal effects.thermometer effects.time effects",
+    "the model as numbers": "_layout _composition _linear _laplace",
+    "a calibration": "_calibration _store _tree _method _predict _score _summary _text",
+    "methods and their verb": "_promotion _importance _chains _least_squares _marginal _nuts _fit",
+    "verbs on a calibration": "_susie_models _susie _candidates _blocks _regions _check _discover "
+    "_folds _compare _trail _calibrate",
+    "for people": "_plot _result",
+    "the public face": "bayescal",
+    "the command line": "_doors _answers _options _cli",
 }
-ORDER = tuple(chain.from_iterable(FLOORS.values()))
+ORDER = " ".join(FLOORS.values()).split()
 
-# Imports inside a function: (importer, imported) and why it cannot stand at the top.
+# Imports inside a function: (importer, imported) and why they cannot stand at the top.
 LATE = {
-    (
-        "_instrument",
-        "_model",
-    ): "instrument.baseline() makes the first model, which holds the instrument",
+    ("_instrument", "_model"): "instrument.baseline() makes a model, which holds the instrument",
     ("_calibration", "_store"): "calibration.save() is a verb above it, offered as a method",
     ("_calibration", "_text"): "printing is above it, offered as str()",
     ("_check", "_text"): "as above",
     ("_compare", "_text"): "as above",
     ("_discover", "_text"): "as above",
-    ("_calibrate", "_text"): "as above",
-    ("_calibrate", "_plot"): "trail.save() draws; Matplotlib loads only where something is drawn",
-    ("_calibrate", "_result"): "trail.save() writes the result, which is above it",
+    ("_trail", "_text"): "as above",
+    ("_trail", "_plot"): "trail.save() draws, above it; Matplotlib loads only to draw",
+    ("_trail", "_result"): "trail.save() writes the result, which is above it",
     ("_fit", "_store"): "loading is seldom",
 }
 LATE_ANYWHERE = {"_cli"}  # its commands load what they need: `bayescal --help` answers at once

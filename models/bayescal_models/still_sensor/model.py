@@ -1,25 +1,29 @@
 """Any sensor at rest: one output, temperature and time, so that any logged channel can be tried.
 
-    bayescal calibrate imu.csv --instrument still_sensor --columns output=acc_x --unit acc_x=m/s^2
-        --columns time=t_s --unit t_s=s --unit temperature=degC
+    bayescal calibrate imu.csv --instrument still_sensor --columns output=acc_x
+        --unit acc_x=m/s^2 --columns time=t_s --unit t_s=s --unit temperature=degC
 
-Measurement equation, output in whatever it is logged in (kept in µg, °/s, rad, °C, s or base units):
+Measurement equation, the output in whatever it is logged in (kept in µg, °/s, rad, °C, s, or base
+units):
 
     output = bias
 
-| slot | unit | effects that add to it |
-|---|---|---|
-| `bias` | the output's | `bias.constant`, `bias.temperature` (the baseline: a line), `bias.temperature_quadratic`, `bias.temperature_cubic`, `bias.rate`, `bias.thermal_lag`, `bias.hysteresis`, `bias.warm_up`, `bias.drift`, `bias.run` |
+One slot, `bias`, in the output's unit. Baseline: `bias.constant` and `bias.temperature`, a line.
+Candidates: `bias.temperature_quadratic`, `bias.temperature_cubic`, `bias.rate`, `bias.thermal_lag`,
+`bias.hysteresis`, `bias.warm_up`, `bias.drift`, `bias.run`.
 
-The true input is taken not to change: whatever moves is the sensor's. Noise: white, of unknown size.
+The true input is taken not to change: whatever moves is the sensor's. Noise: white, of unknown
+size.
 
-Such a channel has no data sheet, so the plausible sizes are parts of what the record itself shows: an empirical
-choice, which uses the readings twice, though only for their orders of magnitude. Five settings hold them: the
-output's unit; its robust spread (1.4826 × the median deviation from the median), *size*; the prior standard
-deviation of the constant, √(median² + (10·size)²); half the range of the temperature, *span*; and the mean of
-|dT/dt| from minute to minute, *pace*. `INSTRUMENT` itself states sizes in parts of them (size 1, span 1 °C, pace
-1 °C/min); `INSTRUMENT.for_readings(readings)` is the instrument in a record's own unit. Where the sizes are known,
-give them: `instrument("ug", size=300.0, constant=2000.0, span=40.0, pace=3.0)`.
+Such a channel has no data sheet, so the plausible sizes are parts of what the record itself shows:
+an empirical choice, which uses the readings twice, though only for their orders of magnitude. Five
+settings hold them: the output's *unit*; its robust spread (1.4826 × the median deviation from the
+median), *size*; the prior standard deviation of the constant, √(median² + (10·size)²); half the
+range of the temperature, *span*; and the mean of |dT/dt| from minute to minute, *pace*.
+
+`INSTRUMENT` itself states sizes in parts of them (size 1, span 1 °C, pace 1 °C/min), and
+`INSTRUMENT.for_readings(readings)` is the instrument in a record's own unit. Where the sizes are
+known, give them: `instrument("ug", size=300.0, constant=2000.0, span=40.0, pace=3.0)`.
 """
 
 from __future__ import annotations
@@ -34,7 +38,9 @@ from bayescal import effects
 from bayescal_models.still_sensor.simulate import simulate
 
 MINUTE = 60.0
-SOURCE = "ours: {share:g} of the record's own robust spread{at}, an empirical choice in place of a data sheet"
+SOURCE = (
+    "ours: {share:g} of the record's own robust spread{at}; empirical, for want of a data sheet"
+)
 LAG_TIME = 5.0  # min, of a body whose lag would show such a spread
 
 
@@ -104,8 +110,8 @@ def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
     )
     if not size > 0:
         raise bc.InputError(
-            f"{readings.file}, column 'output': reads {middle:g} throughout, so no size can be taken from it: "
-            "choose another channel"
+            f"{readings.file}, column 'output': reads {middle:g} throughout, so no size can be "
+            "taken from it: choose another channel"
         )
     found = {
         "unit": readings.unit("output"),

@@ -1,7 +1,8 @@
 """Simulated records of a sensor at rest on temperature ramps, with effects hidden in them.
 
-The world is made second by second and logged every ten: a chamber whose air follows its ramps with a lag, and
-laws of the true temperature and its true rate (the catalogue's rate is an estimate from the last minute).
+The world is made second by second and logged every ten: a chamber whose air follows its ramps with
+a lag, and laws of the true temperature and its true rate (the catalogue's rate is an estimate from
+the last minute).
 """
 
 from __future__ import annotations
@@ -16,20 +17,22 @@ import bayescal as bc
 
 NOISE_LAWS = ("white", "ornstein_uhlenbeck")
 BASELINE = {"bias.constant": 2000.0, "bias.temperature": 40.0}
-NOISE = 20.0  # standard deviation of the white noise, and of the wander of `ornstein_uhlenbeck`, output unit
+NOISE = 20.0  # standard deviation of white noise, and of the wander beside it, output unit
 RAMPS = ((0.0, 25.0), (10.0, -15.0), (25.0, 65.0), (40.0, 25.0))  # min, °C: cooled, heated, cooled
 PAUSE = 3600.0  # s between runs
 CHAMBER_TIME, LAG_TIME, WARM_UP_TIME, WANDER_TIME = 60.0, 300.0, 600.0, 300.0  # s
+REVERSAL_TIME = 30.0  # s, in which hysteresis follows a change of direction
 
 
 @dataclass(frozen=True)
 class _World:
-    """The true temperature second by second, one run after the other: each a matrix (runs, seconds).
+    """The true temperature second by second: each a matrix (runs, seconds).
 
     Attributes:
         time: within the run, s.
         departure: T − T0, °C, T0 the mean of all rounded to 1 °C.
         rate: dT/dt, °C/min.
+        direction: sign of the rate, which takes its time to turn.
         behind: T̃ − T of a body of first order, °C.
         turn_on: one standard normal number for each run.
         progress: (t − t̄)/(tmax − tmin) over all runs.
@@ -38,6 +41,7 @@ class _World:
     time: np.ndarray
     departure: np.ndarray
     rate: np.ndarray
+    direction: np.ndarray
     behind: np.ndarray
     turn_on: np.ndarray
     progress: np.ndarray
@@ -50,7 +54,7 @@ _LAWS: dict[str, Callable[[_World], np.ndarray]] = {
     "bias.temperature_cubic": lambda w: w.departure**3,
     "bias.rate": lambda w: w.rate,
     "bias.thermal_lag": lambda w: w.behind,
-    "bias.hysteresis": lambda w: np.sign(w.rate),
+    "bias.hysteresis": lambda w: w.direction,
     "bias.warm_up": lambda w: np.exp(-w.time / WARM_UP_TIME),
     "bias.drift": lambda w: w.progress,
     "bias.run": lambda w: w.turn_on + np.zeros_like(w.time),
@@ -66,11 +70,11 @@ def simulate(
     interval: int = 10,
     noise_law: str = "white",
 ) -> bc.Measurements:
-    """Readings of temperature ramps, 25 → −15 → 65 → 25 °C in 40 minutes, with these effects hidden in them.
+    """Readings of ramps, 25 → −15 → 65 → 25 °C in 40 minutes, with these effects hidden in them.
 
     Args:
-        effects: canonical name → true size, in the unit of the effect's coefficient. The line is there
-            (2000 and 40 per °C) unless given otherwise.
+        effects: canonical name → true size, in the unit of the effect's coefficient. The line is
+            there (2000 and 40 per °C) unless given otherwise.
         seed: seed of every random number.
         unit: of the output; sizes and noise (20) are in it.
         runs: how many times the ramps are gone through, an hour apart.
@@ -113,10 +117,12 @@ def _world(runs: int, turn_on: np.ndarray) -> tuple[np.ndarray, _World]:
     one = _body(np.interp(second, 60 * minutes, goals), CHAMBER_TIME)
     temperature, time = np.tile(one, (runs, 1)), np.tile(second, (runs, 1))
     elapsed = time + np.arange(runs)[:, None] * (second[-1] + PAUSE)
+    rate = 60 * np.gradient(one)
     world = _World(
         time=time,
         departure=temperature - round(float(one.mean())),
-        rate=60 * np.gradient(temperature, axis=1),
+        rate=np.tile(rate, (runs, 1)),
+        direction=np.tile(_body(np.sign(rate), REVERSAL_TIME), (runs, 1)),
         behind=np.tile(_body(one, LAG_TIME) - one, (runs, 1)),
         turn_on=turn_on[:, None],
         progress=(elapsed - elapsed.mean()) / np.ptp(elapsed),
@@ -125,7 +131,7 @@ def _world(runs: int, turn_on: np.ndarray) -> tuple[np.ndarray, _World]:
 
 
 def _body(drive: np.ndarray, time_constant: float) -> np.ndarray:
-    """A body that follows `drive`, from equilibrium: τ·dT/dt = drive − T, exact for straight lines between."""
+    """A body that follows `drive` from equilibrium: τ·dT/dt = drive − T, exact on lines."""
     decay = np.exp(-1 / time_constant)
     now = 1 - (1 - decay) * time_constant
     push = [now, 1 - decay - now]

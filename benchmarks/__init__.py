@@ -1,0 +1,1 @@
+"""Measurements of the library itself: how accurate, how fast. `python -m benchmarks NAME` runs one of them."""

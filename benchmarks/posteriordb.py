@@ -1,0 +1,203 @@
+"""Six reference posteriors of posteriordb, as models of the public API, fitted by `Marginal`.
+
+Every model here is linear in its coefficients: an instrument with one slot, an effect whose basis is the
+regressors, priors as in the reference. The eight schools are readings of known standard uncertainty, a common
+effect and one deviation for each school with a learned spread.
+Source: M. Magnusson et al., posteriordb (github.com/stan-dev/posteriordb), Stan's draws of each model.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+import bayescal as bc
+from benchmarks.record import REFERENCE_DATA
+
+FOLDER = REFERENCE_DATA / "posteriordb"
+SCHOOLS = "eight_schools-eight_schools_noncentered"
+NO_NOISE = 1e-9  # where every reading's uncertainty is known; beside 10 it is nothing
+METHOD = bc.Marginal(draws=16_000, proposals=32_768)  # so that its Monte-Carlo error is below the reference's
+
+
+class Problem(NamedTuple):
+    """A model, its readings, and where each unknown of the reference is found in a calibration."""
+
+    model: bc.Model
+    readings: bc.Measurements
+    draws: Callable[[bc.Calibration], dict[str, np.ndarray]]
+
+
+class Row(NamedTuple):
+    """One unknown: shift of the mean in reference standard deviations, ratio of standard deviations."""
+
+    name: str
+    shift: float
+    ratio: float
+    ratio_allowed: float  # 3 % plus three combined Monte-Carlo errors
+
+
+def regression(
+    y: np.ndarray, columns: dict[str, np.ndarray], priors: list, noise: Any, names: list[str]
+) -> Problem:
+    """y ~ N(X·β, σ²). A column of ones is one of the `columns`.
+
+    Args:
+        y: response.
+        columns: regressors by name.
+        priors: of each coefficient.
+        noise: prior of σ.
+        names: of the coefficients, and of σ, in the reference.
+    """
+    effect = bc.Effect(
+        "value.regression",
+        "value",
+        lambda r: jnp.stack([r[name] for name in columns], axis=1),
+        tuple(bc.Coefficient("1", p, part=n) for n, p in zip(names, priors, strict=False)),
+        columns=tuple(columns),
+    )
+    model = _instrument((effect,), tuple(columns), bc.White(noise)).baseline()
+    readings = bc.Measurements.from_arrays(model.instrument, output=y, **columns)
+
+    def draws(fit: bc.Calibration) -> dict[str, np.ndarray]:
+        found = {n: fit.samples(f"value.regression[{n}]") for n in names[:-1]}
+        return {**found, names[-1]: fit.samples("noise.white")}
+
+    return Problem(model, readings, draws)
+
+
+def schools(y: np.ndarray, sigma: np.ndarray, centre_sd: float = 5.0, spread: float = 5.0) -> Problem:
+    """θ_j ~ N(µ, τ), µ ~ N(0, centre_sd), τ ~ half-Cauchy(0, spread), y_j ~ N(θ_j, σ_j) with σ_j known."""
+    one = lambda r: 1.0  # noqa: E731
+    common = bc.Effect("value.common", "value", one, (bc.Coefficient("1", bc.Normal(0.0, centre_sd)),))
+    own = bc.Effect(
+        "value.school",
+        "value",
+        one,
+        (bc.Coefficient("1", per="device", spread=bc.HalfCauchy(spread)),),
+    )
+    model = _instrument((common, own), (), bc.White(), groups=("device",)).baseline()
+    model = model.fix({"noise.white": NO_NOISE})
+    readings = bc.Measurements.from_arrays(
+        model.instrument,
+        output=y,
+        output_uncertainty=sigma,
+        device=[f"school {j}" for j in range(1, len(y) + 1)],
+    )
+
+    def draws(fit: bc.Calibration) -> dict[str, np.ndarray]:
+        mu, tau = fit.samples("value.common"), fit.samples("value.school.spread")
+        theta = mu[:, None] + fit.samples("value.school")
+        found = {f"theta[{j + 1}]": theta[:, j] for j in range(theta.shape[1])}
+        return {**found, "mu": mu, "tau": tau}
+
+    return Problem(model, readings, draws)
+
+
+def _instrument(effects, columns, noise, groups=()) -> bc.Instrument:
+    return bc.Instrument(
+        "regression",
+        "a regression of posteriordb",
+        (
+            bc.Column("output", "1"),
+            *(bc.Column(name, "1") for name in columns),
+            *(bc.Column(name, None) for name in groups),
+        ),
+        (bc.Slot("value", "1"),),
+        lambda slots, readings: slots["value"],
+        effects,
+        noise=noise,
+    )
+
+
+def _betas(count: int) -> list[str]:
+    return [*(f"beta[{i}]" for i in range(1, count + 1)), "sigma"]
+
+
+def _earnings(d: dict) -> Problem:
+    y = np.log(d["earn"])
+    columns = {"one": np.ones_like(y), "height": d["height"], "male": d["male"]}
+    columns["product"] = d["height"] * d["male"]
+    return regression(y, columns, [bc.Flat()] * 4, bc.Flat(), _betas(4))
+
+
+def _kidiq(d: dict) -> Problem:
+    columns = {"one": np.ones(d["N"]), "mom_iq": d["mom_iq"]}
+    return regression(d["kid_score"], columns, [bc.Flat()] * 2, bc.HalfCauchy(2.5), _betas(2))
+
+
+def _kilpisjarvi(d: dict) -> Problem:
+    columns = {"one": np.ones(d["N"]), "year": d["x"]}
+    priors = [bc.Normal(d["pmualpha"], d["psalpha"]), bc.Normal(d["pmubeta"], d["psbeta"])]
+    return regression(d["y"], columns, priors, bc.Flat(), ["alpha", "beta", "sigma"])
+
+
+def _mesquite(d: dict) -> Problem:
+    logged = ("diam1", "diam2", "canopy_height", "total_height", "density")
+    columns = {"one": np.ones(d["N"]), **{name: np.log(d[name]) for name in logged}}
+    columns["shrub_group"] = d["group"]
+    return regression(np.log(d["weight"]), columns, [bc.Flat()] * 7, bc.Flat(), _betas(7))
+
+
+def _sblri(d: dict) -> Problem:
+    columns = {f"x{i}": column for i, column in enumerate(d["X"].T, 1)}
+    return regression(d["y"], columns, [bc.Normal(0.0, 10.0)] * 5, bc.HalfNormal(10.0), _betas(5))
+
+
+PROBLEMS: dict[str, Callable[[dict], Problem]] = {
+    "earnings-logearn_interaction": _earnings,
+    "kidiq-kidscore_momiq": _kidiq,
+    "kilpisjarvi_mod-kilpisjarvi": _kilpisjarvi,
+    "mesquite-logmesquite": _mesquite,
+    "sblri-blr": _sblri,
+    SCHOOLS: lambda d: schools(d["y"], d["sigma"]),
+}
+
+
+def problem(name: str, folder: Path = FOLDER) -> tuple[Problem, dict[str, dict[str, float]]]:
+    """A problem and the reference's summary of it."""
+    raw = json.loads((folder / name / "data.json").read_text("utf-8"))
+    data = {k: np.asarray(v, float) if isinstance(v, list) else v for k, v in raw.items()}
+    reference = json.loads((folder / name / "summary.json").read_text("utf-8"))
+    return PROBLEMS[name](data), reference
+
+
+def reference_errors(name: str, folder: Path = FOLDER) -> dict[str, float]:
+    """Relative Monte-Carlo error of each reference standard deviation, from its ten chains."""
+    stored = np.load(folder / name / "draws.npz", allow_pickle=False)
+    draws = stored["draws"]  # chains × draws × unknowns
+    names = [str(n) for n in stored["params"]]
+    own = draws.std(axis=1, ddof=1)
+    error = own.std(axis=0, ddof=1) / np.sqrt(len(draws)) / draws.std(axis=(0, 1), ddof=1)
+    return dict(zip(names, error, strict=True))
+
+
+def sd_error(draws: np.ndarray, batches: int = 20) -> float:
+    """Relative Monte-Carlo error of the standard deviation of draws, from batches of them."""
+    own = [part.std(ddof=1) for part in np.array_split(draws, batches)]
+    return float(np.std(own, ddof=1) / np.sqrt(batches) / draws.std(ddof=1))
+
+
+def compare(name: str, folder: Path = FOLDER, seed: int = 0) -> tuple[bc.Calibration, list[Row]]:
+    """Fit by `Marginal` and set each unknown beside the reference."""
+    given, reference = problem(name, folder)
+    errors = reference_errors(name, folder)
+    fit = bc.fit(given.model, given.readings, METHOD, seed=seed)
+    rows = []
+    for unknown, draws in given.draws(fit).items():
+        known = reference[unknown]
+        combined = float(np.hypot(errors[unknown], sd_error(draws)))
+        rows.append(
+            Row(
+                unknown,
+                float(draws.mean() - known["mean"]) / known["sd"],
+                float(draws.std(ddof=1)) / known["sd"],
+                0.03 + 3 * combined,
+            )
+        )
+    return fit, rows

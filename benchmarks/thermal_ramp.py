@@ -1,0 +1,162 @@
+"""One inertial unit at rest on a temperature ramp: what is found in each channel, and does it hold?
+
+Each channel of a measured record is calibrated twice with `still_sensor`, as a user would: with its
+last fifth held out, and with every second block of five minutes held out. Results go to
+`benchmarks/results/thermal_ramp.json`, and from there to `docs/thermal_ramp.md`, a picture each.
+
+The record is not part of this repository. It is looked for in `../shared/data`, or in `data` of the
+folder that BAYESCAL_SHARED names; where it is absent, nothing is done. BAYESCAL_AXES="acc_x gyro_z"
+measures some channels only, and leaves the others' results as they are.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import bayescal as bc
+from bayescal_models import still_sensor
+from benchmarks import thermal_ramp_page
+from benchmarks.record import REFERENCE_DATA, ROOT, write
+
+RECORD = Path("thermal_ramp") / "imu_thermal_ramp.csv"
+AXES = {
+    **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), "rad/s"),  # deg/s, the record says: doubtful
+    **dict.fromkeys(("acc_x", "acc_y", "acc_z"), "m/s^2"),
+}
+BLOCK = 300.0  # s
+LAST = 0.8  # share of the record that is fitted where the end is held out
+DOCS = ROOT / "docs"
+
+
+def record_file() -> Path | None:
+    """The record, if it is there."""
+    own = os.environ.get("BAYESCAL_SHARED")
+    path = (Path(own) / "data" if own else REFERENCE_DATA) / RECORD
+    return path if path.is_file() else None
+
+
+def main() -> None:
+    """Measure the channels asked for, and render the page."""
+    path = record_file()
+    if path is None:
+        print(f"thermal_ramp: skipped, no {RECORD}; BAYESCAL_SHARED may name its folder")
+        return
+    asked = os.environ.get("BAYESCAL_AXES", "").split() or list(AXES)
+    if unknown := set(asked) - set(AXES):
+        raise SystemExit(
+            f"thermal_ramp: no channel {', '.join(unknown)}; there are {', '.join(AXES)}"
+        )
+    done = ROOT / "benchmarks" / "results" / "thermal_ramp.json"
+    found = json.loads(done.read_text("utf-8"))["channels"] if done.is_file() else {}
+    for axis in asked:
+        found[axis] = measure(path, axis)
+        channels = {name: found[name] for name in AXES if name in found}
+        write("thermal_ramp", {"channels": channels})
+        thermal_ramp_page.write(channels, DOCS)
+
+
+def measure(path: Path, axis: str) -> dict[str, Any]:
+    """Both calibrations of one channel, as plain data; draws its picture."""
+    lines = path.read_text("utf-8").splitlines(keepends=True)
+    seconds = np.array([float(line.split(",")[-1]) for line in lines[1:]])
+    held_out = {
+        "last fifth": np.arange(seconds.size) >= LAST * seconds.size,
+        "alternate blocks": (seconds // BLOCK).astype(int) % 2 == 1,
+    }
+    results = {}
+    for name, held in held_out.items():
+        print(f"thermal_ramp: {axis}, {name} held out", flush=True)
+        with tempfile.TemporaryDirectory() as folder:
+            parts = [Path(folder) / "fitted.csv", Path(folder) / "held_out.csv"]
+            for part, rows in zip(parts, (~held, held), strict=True):
+                kept = (line for line, keep in zip(lines[1:], rows, strict=True) if keep)
+                part.write_text(lines[0] + "".join(kept), "utf-8")
+            trail, times = calibrated(*parts, axis)
+        results[name] = {**summary(trail, _read(path, axis, trail)), **times}
+        if name == "alternate blocks":
+            bc.plot.save(bc.plot.loop(trail), DOCS / f"thermal_ramp_{axis}.png")
+    return results
+
+
+def calibrated(fitted: Path, held_out: Path, axis: str) -> tuple[bc.Trail, dict[str, float]]:
+    """The loop on one file with another held out, and what it took, s."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    readings = _read(fitted, axis)
+    instrument = still_sensor.INSTRUMENT.for_readings(readings)
+    holdout = bc.read(held_out, instrument, **_names(axis))
+    trail = bc.calibrate(instrument.baseline(), readings, holdout=holdout)
+    taken = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
+    return trail, taken
+
+
+def summary(trail: bc.Trail, whole: bc.Measurements) -> dict[str, Any]:
+    """What the page says of a trail.
+
+    Args:
+        trail: of a calibration with readings held out.
+        whole: the undivided record. Held-out errors of a lag or a rate depend on the temperature's
+            past; `held_out_in_record` has it, `held_out` starts anew where the held-out file does.
+    """
+    assert trail.holdout is not None
+    held = np.isin(whole["time"], trail.holdout["time"])
+    steps = []
+    for step in trail.steps:
+        residual = bc.predict(step.calibration, whole).residual[held]
+        evidence = step.calibration.log_evidence
+        steps.append(
+            {
+                "step": step.title,
+                "added": step.added,
+                "noise": step.calibration.model.noise.law,
+                "fitted": step.rmse,
+                "held_out": step.holdout_rmse,
+                "held_out_in_record": float(np.sqrt(np.mean(residual**2))),
+                "noise_floor": step.noise_floor,
+                "log_evidence": None if evidence is None else evidence[0],
+                "nothing_missing": None
+                if step.discovery is None
+                else step.discovery.nothing_missing,
+            }
+        )
+    final = trail.final.calibration
+    return {
+        "unit": final.unit,
+        "rows": [len(final.readings), len(trail.holdout)],
+        "effects": list(final.model.names),
+        "steps": steps,
+        "raised_held_out_error": raising(steps),
+        "ok": trail.ok,
+        "gate": trail.gate.reason,
+        "flags": [f for f in (*final.readings.flags, *trail.holdout.flags) if "spike" in f],
+        "coefficients": {
+            name: [float(np.mean(values)), float(np.std(values))]
+            for name, values in ((n, final.samples(n)) for n in final.model.unknowns)
+        },
+    }
+
+
+def raising(steps: list[dict[str, Any]]) -> list[str]:
+    """Steps that raised the error of the held-out readings by more than 1 %."""
+    return [b["step"] for a, b in pairwise(steps) if b["held_out"] > 1.01 * a["held_out"]]
+
+
+def _names(axis: str) -> dict[str, Any]:
+    return {
+        "columns": {"output": axis, "time": "t_s"},
+        "units": {axis: AXES[axis], "t_s": "s", "temperature": "degC"},
+    }
+
+
+def _read(path: Path, axis: str, trail: bc.Trail | None = None) -> bc.Measurements:
+    instrument = (
+        still_sensor.INSTRUMENT if trail is None else trail.final.calibration.model.instrument
+    )
+    return bc.read(path, instrument, **_names(axis))

@@ -1,0 +1,226 @@
+"""A saved calibration comes back whole, or is refused with advice; a broken write spoils nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import bayescal as bc
+from bayescal import effects
+from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
+from bayescal_models.mems_gyro.model import THERMOMETER
+
+SQUARE = bc.Effect(
+    "bias.square",
+    slot="bias",
+    columns=("temperature",),
+    basis=lambda r: (r.centred() / 10) ** 2,
+    coefficients=(bc.Coefficient("deg/s", bc.Normal(0.0, 0.1)),),
+    equation="c·((T − T0)/10)²",
+)
+
+
+@pytest.fixture(scope="module")
+def line() -> bc.Calibration:
+    return bc.fit(INSTRUMENT.baseline(), bc.read(TABLE, INSTRUMENT), seed=3)
+
+
+@pytest.fixture(scope="module")
+def own() -> bc.Calibration:
+    """With an effect of the user's own, a coefficient fixed and thermometer errors; by least squares."""
+    model = (INSTRUMENT.baseline() + SQUARE + THERMOMETER).fix({"bias.temperature": 0.05})
+    return bc.fit(model, bc.read(TABLE, INSTRUMENT), bc.LeastSquares(draws=400), reference={"T0": 50.0})
+
+
+def same(one: bc.Calibration, other: bc.Calibration) -> None:
+    """Everything that a calibration says of itself."""
+    assert set(one.tree.children) == set(other.tree.children)
+    for group in one.tree.children:
+        a, b = one.tree[group].to_dataset(), other.tree[group].to_dataset()
+        assert set(a) == set(b), group
+        for name in a:
+            assert a[name].dims == b[name].dims, (group, name)
+            np.testing.assert_array_equal(a[name].values, b[name].values)
+            assert a[name].attrs == b[name].attrs, (group, name)
+    assert one.verdict == other.verdict
+    assert one.reference == other.reference
+    assert one.levels == other.levels
+    assert one.model == other.model
+    assert one.layout == other.layout
+    assert (one.method, one.seed, one.log_evidence) == (other.method, other.seed, other.log_evidence)
+    for name, value in one.mode._asdict().items():
+        if name == "point":
+            np.testing.assert_array_equal(value.x, other.mode.point.x)
+            np.testing.assert_array_equal(value.rows, other.mode.point.rows)
+        else:
+            np.testing.assert_array_equal(value, getattr(other.mode, name))
+    assert one.readings.sources == other.readings.sources
+    assert one.readings.flags == other.readings.flags
+    assert one.readings.columns == other.readings.columns
+    for name in one.readings.columns:
+        np.testing.assert_array_equal(one.readings[name], other.readings[name])
+        assert one.readings.unit(name) == other.readings.unit(name)
+
+
+# There and back.
+
+
+def test_a_calibration_comes_back_as_it_was(line, tmp_path) -> None:
+    path = line.save(tmp_path / "line.nc")
+    loaded = bc.load(path)
+    same(line, loaded)
+    one, other = bc.predict(line), bc.predict(loaded)
+    for field in ("mean", "model_sd", "sd", "residual"):
+        np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+    assert str(line) == str(loaded)
+
+
+def test_saving_leaves_the_calibration_as_it_was(line, tmp_path) -> None:
+    groups, attributes = set(line.tree.children), dict(line.tree.attrs)
+    line.save(tmp_path / "line.nc")
+    assert set(line.tree.children) == groups
+    assert line.tree.attrs == attributes
+
+
+def test_saving_again_gives_the_same_and_over_itself_is_no_harm(line, tmp_path) -> None:
+    path = line.save(tmp_path / "line.nc")
+    loaded = bc.load(path)
+    loaded.save(path)  # the file was closed after reading
+    same(line, bc.load(path))
+
+
+def test_discovery_after_loading_is_the_same(line, tmp_path) -> None:
+    loaded = bc.load(line.save(tmp_path / "line.nc"))
+    assert str(bc.discover(loaded)) == str(bc.discover(line))
+    assert str(bc.check(loaded)) == str(bc.check(line))
+
+
+def test_effects_of_ones_own_come_back_when_they_are_given(own, tmp_path) -> None:
+    path = own.save(tmp_path / "own.nc")
+    same(own, bc.load(path, effects=[SQUARE]))
+
+
+def test_groups_come_back_with_their_members_and_starts(tmp_path) -> None:
+    data = simulate({"bias.run": 0.05}, seed=1, campaign=Campaign(average=300))
+    found = bc.fit(INSTRUMENT.baseline() + "bias.run", data, bc.LeastSquares(draws=400))
+    loaded = bc.load(found.save(tmp_path / "runs.nc"))
+    same(found, loaded)
+    assert list(loaded.tree["posterior"]["run"].values) == ["1", "2", "3"]
+    later = data.select(data["run"] == "2")
+    old, new = found.frame_of(later), loaded.frame_of(later)
+    np.testing.assert_array_equal(old.elapsed, new.elapsed)
+    np.testing.assert_array_equal(old.codes["run"], new.codes["run"])
+    one, other = (bc.predict(c, later, new_groups=False) for c in (found, loaded))
+    np.testing.assert_array_equal(one.mean, other.mean)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        bc.StudentT(bc.HalfNormal(0.2)),
+        bc.Quantised(0.12, bc.HalfCauchy(0.3)),
+        bc.White(bc.Flat(0.5)),
+        bc.OrnsteinUhlenbeck(30.0, 3000.0, bc.HalfCauchy(0.1), bc.HalfNormal(0.2)),
+    ],
+    ids=lambda n: type(n).__name__,
+)
+def test_every_noise_law_comes_back(noise, own, tmp_path) -> None:
+    other = bc.Calibration(**{**fields(own), "model": own.model.with_noise(noise)})
+    loaded = bc.load(other.save(tmp_path / "noise.nc"), effects=[SQUARE])
+    assert loaded.model.noise == noise
+
+
+def fields(c: bc.Calibration) -> dict:
+    return {name: getattr(c, name) for name in c.__dataclass_fields__}
+
+
+# What is refused.
+
+
+def test_an_effect_that_is_not_installed_is_refused_by_name(own, tmp_path) -> None:
+    path = own.save(tmp_path / "own.nc")
+    with pytest.raises(
+        bc.InputError, match=r"own.nc uses the effect bias.square, which 'mems_gyro' does not have.*--effects"
+    ):
+        bc.load(path)
+
+
+def test_an_effect_of_the_same_name_but_another_prior_is_refused(tmp_path) -> None:
+    narrow = effects.linear("bias", 0.001, "deg/s/degC", source="mine")
+    model = INSTRUMENT.baseline() - "bias.temperature" + narrow
+    found = bc.fit(model, bc.read(TABLE, INSTRUMENT), bc.LeastSquares(draws=400))
+    path = found.save(tmp_path / "narrow.nc")
+    with pytest.raises(bc.InputError, match=r"narrow.nc .*'bias.temperature'.*sd=0.001.*sd=0.05.*--effects"):
+        bc.load(path)
+    same(found, bc.load(path, effects=[narrow]))
+
+
+def test_what_is_no_calibration_is_refused(tmp_path) -> None:
+    with pytest.raises(bc.InputError, match=r"There is no file .*missing.nc: give a calibration saved by"):
+        bc.load(tmp_path / "missing.nc")
+    text = tmp_path / "text.nc"
+    text.write_text("temperature,output\n1,2\n")
+    with pytest.raises(bc.InputError, match=r"text.nc cannot be read as NetCDF"):
+        bc.load(text)
+    foreign = tmp_path / "foreign.nc"
+    xr.Dataset({"a": ("x", [1.0, 2.0])}).to_netcdf(foreign, engine="h5netcdf")
+    with pytest.raises(bc.InputError, match=r"foreign.nc is no calibration .* schema is None, expected"):
+        bc.load(foreign)
+
+
+@pytest.mark.parametrize("text", ["not json", "[1, 2]", '{"schema": "bayescal.calibration/999"}'])
+def test_another_schema_or_a_broken_description_is_refused(text, tmp_path) -> None:
+    path = tmp_path / "other.nc"
+    tree = xr.DataTree(xr.Dataset({"a": ("x", [1.0, 2.0])}))
+    tree.attrs["bayescal"] = text
+    tree.to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(bc.InputError, match=r"other.nc is no calibration of this version"):
+        bc.load(path)
+
+
+def test_another_instrument_is_refused_by_name(line, tmp_path) -> None:
+    path = line.save(tmp_path / "line.nc")
+    with xr.open_datatree(path, engine="h5netcdf") as opened:
+        tree = opened.load()
+    described = json.loads(tree.attrs["bayescal"])
+    tree.attrs["bayescal"] = json.dumps({**described, "instrument": "sundial"})
+    tree.to_netcdf(tmp_path / "sundial.nc", engine="h5netcdf")
+    with pytest.raises(bc.InputError, match=r"calibration of 'sundial', which is not installed .*mems_gyro"):
+        bc.load(tmp_path / "sundial.nc")
+
+
+def test_a_file_cut_short_is_refused(line, tmp_path) -> None:
+    path = line.save(tmp_path / "line.nc")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(bc.InputError, match=r"line.nc cannot be read as NetCDF"):
+        bc.load(path)
+
+
+def test_names_and_places_that_cannot_be_written_are_refused(line, tmp_path) -> None:
+    with pytest.raises(bc.InputError, match=r"name the file …nc, not 'line.csv'"):
+        line.save(tmp_path / "line.csv")
+    with pytest.raises(bc.InputError, match=r"There is no folder .*nowhere to write 'line.nc' to"):
+        line.save(tmp_path / "nowhere" / "line.nc")
+
+
+# A write that is broken off.
+
+
+def test_a_broken_write_leaves_the_old_file_whole(line, tmp_path, monkeypatch) -> None:
+    path = line.save(tmp_path / "line.nc")
+    before = path.read_bytes()
+
+    def breaks_off(self, beside, **options):
+        beside.write_bytes(b"half a file")
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(xr.DataTree, "to_netcdf", breaks_off)
+    with pytest.raises(OSError, match="No space left"):
+        line.save(path)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["line.nc"]
