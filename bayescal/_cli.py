@@ -45,7 +45,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # where ° or µ cannot be shown, ? is
     try:
-        status = app(standalone_mode=False)
+        status = app(standalone_mode=False, prog_name="bayescal")
         sys.stdout.flush()
         sys.exit(status if isinstance(status, int) else 0)
     except NotConverged as error:

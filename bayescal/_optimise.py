@@ -44,10 +44,16 @@ def least_squares(
     """Minimise Σ residuals². Traceable: under `jit`, and mapped over data sets.
 
     Args:
-        residuals: of the unknowns; whitened, for the covariance to be theirs.
-        start: of the unknowns.
-        scale: size of a plausible change of each unknown; one, if not given.
+        residuals: function of the unknowns, at least as many as there are unknowns; any common scale.
+        start: of the unknowns, in their own units.
+        scale: size of a plausible change of each unknown, in its unit; one, if not given. The first try does
+            not depend on it, the second does.
         steps: evaluations of the residuals and their Jacobian in one try, at most (the polish apart).
+
+    Returns:
+        The unknowns where the last try ended. `converged` says that a Gauss–Newton step would move the
+        residuals by less than 1e-5 of their length (or the unknowns by less than 1e-9), and that every
+        direction is determined. It may be a local optimum: only a try that reaches none is followed by another.
     """
     if not start.size:
         return Fitted(start, jnp.asarray(True), jnp.asarray(0))
@@ -59,15 +65,6 @@ def least_squares(
     return Fitted(
         scale * found.value, found.result == optx.RESULTS.successful, found.stats["num_steps"]
     )
-
-
-def covariance(jacobian: Float[Array, "n p"]) -> Float[Array, "p p"]:
-    """(JᵀJ)⁻¹ by QR of J with its columns scaled: a condition number is not squared. For whitened residuals."""
-    norm = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
-    norm = jnp.where(norm > 0, norm, 1.0)
-    triangle = jnp.linalg.qr(jacobian / norm, mode="r")
-    root = solve_triangular(triangle, jnp.eye(norm.size)) / norm[:, None]
-    return root @ root.T
 
 
 class _State(eqx.Module):
@@ -90,7 +87,12 @@ class _State(eqx.Module):
 
 
 class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
-    """The tries and the polish of each, as one step that optimistix repeats."""
+    """The tries and the polish of each, as one step that optimistix repeats.
+
+    Attributes:
+        steps: of one try, at most.
+        rtol, atol, norm: asked for by optimistix's interface; the criteria here are scale-free and fixed.
+    """
 
     steps: int = 1000
     rtol: float = 0.0
@@ -119,8 +121,8 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         cost = jnp.where(accept, cost, state.cost)
         y = jnp.where(accept, state.trial, y)
 
-        columns = jnp.sqrt(jnp.sum(upper[:, :size] ** 2, axis=0))
-        columns = jnp.where(state.attempt == 0, columns, jnp.max(columns))
+        norms = jnp.sqrt(jnp.sum(upper[:, :size] ** 2, axis=0))
+        columns = jnp.where(state.attempt == 0, norms, jnp.max(norms))
         weight = jnp.maximum(jnp.maximum(columns, state.weight), 1e-150)
         factor = jnp.where(accept, jnp.maximum(1 / 3, 1 - (2 * gain - 1) ** 3), state.growth)
         first = jnp.where(state.attempt == 0, *FIRST_DAMPING)
@@ -137,7 +139,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
         ended = (state.polishing | state.fresh) & ~accept
         rests = jnp.all(jnp.abs(step) <= 1e-9 * jnp.abs(y))
-        regular = jnp.all(jnp.abs(jnp.diag(damped)) > 1e-14 * weight)
+        regular = jnp.all((norms > 0) & (jnp.abs(jnp.diag(damped)) > 1e-14 * norms))
         success = ended & regular & ((inside <= GOOD**2 * cost) | rests) & ~state.fresh
         done = success | (ended & (state.attempt == TRIES - 1))
         again = ended & ~done

@@ -209,7 +209,8 @@ def nonlinear_digits(name: str, folder: Path = FOLDER) -> list[dict[str, Any]]:
 
 # Linear sets, through the public API.
 
-# Powers of (x − centre)/half-width where powers of x themselves are too nearly parallel for a double.
+# (centre, half-width) where powers of x are too nearly parallel for a double: Legendre polynomials of
+# u = (x − centre)/half-width span the same and are not.
 CENTRED = {
     "filip": (-6.0, 3.0),
     **{f"wampler{i}": (10.0, 10.0) for i in range(1, 6)},
@@ -217,13 +218,21 @@ CENTRED = {
 LINEAR = ("norris", "pontius", "noint1", "noint2", "filip", "longley", *(f"wampler{i}" for i in range(1, 6)))
 
 
-def line_model(columns: dict[str, np.ndarray], powers: tuple[int, ...], centre: float, half: float):
-    """A model whose effect is powers of ((x − centre)/half), or the columns themselves with a constant."""
+def line_model(
+    columns: dict[str, np.ndarray], powers: tuple[int, ...], place: tuple[float, float] | None
+) -> bc.Model:
+    """A model whose effect is powers of x, or Legendre polynomials of (x − centre)/half-width, or the columns
+    themselves with a constant."""
 
     def basis(r: bc.Frame):
+        if place:
+            u = (r["x"] - place[0]) / place[1]
+            found = [jnp.ones(r.size), u]
+            for k in powers[1:-1]:
+                found.append(((2 * k + 1) * u * found[k] - k * found[k - 1]) / (k + 1))
+            return jnp.stack(found, axis=1)
         if powers:
-            u = (r["x"] - centre) / half
-            return jnp.stack([u**k for k in powers], axis=1)
+            return jnp.stack([r["x"] ** k for k in powers], axis=1)
         return jnp.stack([jnp.ones(r.size), *(r[name] for name in columns)], axis=1)
 
     count = len(powers) or len(columns) + 1
@@ -247,33 +256,35 @@ def line_model(columns: dict[str, np.ndarray], powers: tuple[int, ...], centre: 
     return instrument.baseline()
 
 
-def expand(powers: tuple[int, ...], centre: float, half: float) -> np.ndarray:
-    """T such that coefficients of ((x − centre)/half)^k become those of x^j: β = T·γ."""
-    matrix = np.zeros((len(powers), len(powers)))
-    for k in powers:
+def expand(degree: int, centre: float, half: float) -> np.ndarray:
+    """T such that coefficients γ of the Legendre polynomials of (x − centre)/half become those of x^j: β = T·γ."""
+    size = degree + 1
+    shifted, powers = np.zeros((size, size)), np.zeros((size, size))
+    for k in range(size):
+        powers[: k + 1, k] = np.polynomial.legendre.leg2poly(np.eye(size)[k, : k + 1])
         for j in range(k + 1):
-            if j in powers:
-                matrix[powers.index(j), powers.index(k)] = math.comb(k, j) * (-centre) ** (k - j) / half**k
-    return matrix
+            shifted[j, k] = math.comb(k, j) * (-centre) ** (k - j) / half**k
+    return shifted @ powers
 
 
 def fit_linear(
     columns: dict[str, np.ndarray],
     y: np.ndarray,
     powers: tuple[int, ...] = (),
-    centre: float = 0.0,
-    half: float = 1.0,
+    place: tuple[float, float] | None = None,
 ) -> Estimate:
     """A polynomial in `x` (or, without `powers`, all columns and a constant) by `bc.fit` and `LeastSquares`."""
-    model = line_model(columns, powers, centre, half)
+    model = line_model(columns, powers, place)
     readings = bc.Measurements.from_arrays(model.instrument, output=y, **columns)
     fit = bc.fit(model, readings, bc.LeastSquares(), strict=False)
     names = model.effects[0].coefficients
     draws = np.stack([fit.samples(f"value.line[{c.part}]") for c in names], axis=1)
-    if powers:
-        draws = draws @ expand(powers, centre, half).T
+    best = np.asarray(fit.mode.point.x)  # the mean of the draws but for their rounding
+    if place:
+        matrix = expand(powers[-1], *place)
+        best, draws = matrix @ best, draws @ matrix.T
     noise = float(fit.samples("noise.white")[0])
-    return Estimate(draws.mean(axis=0), draws.std(axis=0, ddof=1), noise, fit.verdict.ok)
+    return Estimate(best, draws.std(axis=0, ddof=1), noise, fit.verdict.ok)
 
 
 def linear_digits(name: str, centred: bool = True, folder: Path = FOLDER) -> dict[str, Any]:
@@ -283,12 +294,12 @@ def linear_digits(name: str, centred: bool = True, folder: Path = FOLDER) -> dic
     powers = tuple(int(t[2:]) for t in known["terms"] if t.startswith("x^"))
     labels = ["x"] if powers else [t for t in known["terms"] if t != "1"]
     columns = dict(zip(labels, table[:, 1:].T, strict=True))
-    place = CENTRED.get(name, (0.0, 1.0)) if centred else (0.0, 1.0)
-    fit = fit_linear(columns, table[:, 0], powers, *place)
+    place = CENTRED.get(name) if centred else None
+    fit = fit_linear(columns, table[:, 0], powers, place)
     exact = float(known["residual_sd_exact"]) == 0
     return {
         "set": name,
-        "basis": "centred" if place != (0.0, 1.0) else "as given",
+        "basis": "Legendre" if place else "as given",
         "parameters": round(digits(fit.parameters, [float(b) for b in known["beta_exact"]]), 2),
         "sd": None if exact else round(digits(fit.sd, [float(s) for s in known["sd_exact"]]), 2),
         "residual_sd": None if exact else round(digits(fit.residual_sd, known["residual_sd_exact"]), 2),

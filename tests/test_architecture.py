@@ -28,7 +28,7 @@ FLOORS = {
     "a calibration": "_calibration _store _tree _method _predict _score _summary _text",
     "methods and their verb": "_promotion _importance _chains _least_squares _marginal _nuts _fit",
     "verbs on a calibration": "_susie_models _susie _candidates _blocks _regions _check _discover "
-    "_folds _compare _trail _calibrate",
+    "_folds _compare _spikes _trail _calibrate",
     "for people": "_plot _result",
     "the public face": "bayescal",
     "the command line": "_doors _answers _options _cli",

@@ -85,9 +85,3 @@ def test_a_second_fit_of_the_same_structure_compiles_nothing(method) -> None:
 
     assert compiled(again) == []
     assert len(traced) < 5  # a basis may be run by itself, on numbers; it is not traced again
-
-
-def test_another_structure_does_compile() -> None:
-    bc.fit(MODEL, readings(1), bc.LeastSquares(draws=400))
-    smaller = bc.Measurements(readings(1).select(np.arange(20)).data)
-    assert compiled(lambda: bc.fit(MODEL, smaller, bc.LeastSquares(draws=400)))
