@@ -121,6 +121,8 @@ class _Loop:
             last = steps[-1]
             if last.discovery is None or not last.discovery.best:
                 break
+            if last.check.fixed is not None and last.check.fixed.wrong:
+                break  # a published calibration is on trial: nothing is added to make it look right
             added = last.discovery.best[0]
             if any(added.name in s.dropped for s in steps):
                 break  # it was dropped before: adding it again would go in a circle

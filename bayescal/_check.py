@@ -51,6 +51,11 @@ class FixedComparison:
     positive: int
     count: int
 
+    @property
+    def wrong(self) -> bool:
+        """Whether the fixed coefficients leave clearly more than the noise of the same model set free."""
+        return self.rms > 2 * self.noise
+
 
 @dataclass(frozen=True)
 class Check:

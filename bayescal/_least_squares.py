@@ -166,10 +166,11 @@ def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool
     def going(state):
         return (state[2] > 1e-9) & (state[4] < 30)
 
-    # Where JᵀJ has no Cholesky factor the mode is NaN; from the prior's centre, QR may still find it.
+    # Where JᵀJ has no Cholesky factor the mode is NaN; from the prior's centre, QR may find it.
     x = jnp.where(jnp.isfinite(mode.point.x), mode.point.x, composition.prior_mean(layout))
     start = jnp.where(jnp.isfinite(mode.v), mode.v, 0.0)
-    state = (jnp.concatenate([x, start[place_at]]), start, jnp.asarray(jnp.inf), jnp.asarray(False), jnp.asarray(0))
+    theta = jnp.concatenate([x, start[place_at]])
+    state = (theta, start, jnp.asarray(jnp.inf), jnp.asarray(False), jnp.asarray(0))
     theta, v, change, converged, _ = jax.lax.while_loop(going, one_round, state)
 
     found = conditional_at(theta, v)(v)
@@ -197,10 +198,11 @@ def _gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> D
     random = np.random.default_rng(seed)
     covariance = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
     sd = np.sqrt(np.diag(covariance))
-    sd = np.where(sd > 0, sd, 1.0)  # by which it is scaled, so that a small variance beside a large one counts
+    sd = np.where(sd > 0, sd, 1.0)  # scaled by it, so that a small variance beside a large counts
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / np.outer(sd, sd))
     root = sd[:, None] * vectors * np.sqrt(np.maximum(values, 0))
     centre = np.concatenate([found.mode.point.x, found.mode.v[places]])
+    count = CHAINS * max(1, count // CHAINS)
     normal = random.standard_normal((count, len(centre)))
     # So that means and covariances read from the draws are those of the fit, not of the draws' luck:
     if count > 4 * len(centre) and len(centre):
@@ -217,6 +219,6 @@ def _gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> D
 
 
 def _exact_moments(normal: np.ndarray) -> np.ndarray:
-    """Normal draws moved linearly so that their mean is exactly zero and their covariance exactly one."""
+    """Normal draws moved linearly so that their mean is exactly 0 and their covariance exactly 1."""
     own = np.linalg.svd(normal - normal.mean(axis=0), full_matrices=False)
     return own.U @ own.Vh * np.sqrt(len(normal) - 1)

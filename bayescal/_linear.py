@@ -94,7 +94,7 @@ def condition_white(
     prior: Prior,
     at: Float[Array, "p"],
 ) -> Conditional:
-    """`condition` from whitened J and r by QR, never forming JᵀJ: a condition number is not squared.
+    """`condition` from whitened J and r by QR: without JᵀJ, no condition number is squared.
 
     A direction that neither readings nor priors determine makes everything NaN.
 
@@ -115,9 +115,8 @@ def condition_white(
     determined = jnp.all(jnp.diag(root) > 1e-14 * scale)
     root = jnp.where(determined, root, jnp.nan)
     flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
-    log_marginal = flat_volume - 0.5 * (
-        len(residual) * jnp.log(2 * jnp.pi) + logdet + 2 * jnp.sum(jnp.log(jnp.diag(root))) + rest**2
-    )
+    volume = logdet + 2 * jnp.sum(jnp.log(jnp.diag(root)))
+    log_marginal = flat_volume - 0.5 * (len(residual) * jnp.log(2 * jnp.pi) + volume + rest**2)
     return Conditional(log_marginal, at + offset, prior.sd, root.T, u)
 
 

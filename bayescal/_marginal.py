@@ -23,6 +23,7 @@ from bayescal._method import Method, Outcome
 from bayescal._progress import stage
 
 K_HAT = 0.7  # above it, importance weights are not to be trusted (Vehtari et al. 2024)
+ENOUGH = 400  # effective draws, below which chains are run instead
 CHAINS = 4
 
 
@@ -34,7 +35,8 @@ class Marginal(Method):
         proposals: importance proposals of the final round; None for 8192, or 2048 where each costs a pass over
             many readings.
         rounds: of adaptation.
-        sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7; "nuts" for NUTS on φ.
+        sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7 or the weights are
+            worth less than 400 draws; "nuts" for NUTS on φ.
         promote: names of coefficients to sample with φ because their product with another unknown matters;
             None chooses them by the size of the second-order term.
     """
@@ -53,7 +55,7 @@ class Marginal(Method):
         if not layout.model.noise.gaussian:
             notes = (*notes, f"{layout.model.noise.law} noise is not Gaussian: sampled jointly.")
             return self._exact(layout, frame, y, key, laplace_of(layout, frame, y), notes)
-        if self.sampler == "nuts":
+        if self.sampler == "nuts" and layout.hypers:
             return self._nuts_on_phi(layout, frame, y, key, notes)
         with stage("sampling"):
             mode = laplace_of(layout, frame, y)
@@ -61,24 +63,24 @@ class Marginal(Method):
             found = importance.sample_jit(layout, frame, y, mode, key, proposals, self.rounds)
             found = jax.tree.map(np.asarray, found)
         weights, k_hat = smoothed(found.log_weight)
-        if k_hat <= K_HAT:
+        if k_hat <= K_HAT and worth(weights) >= ENOUGH:
             return self._from_weights(layout, found, weights, k_hat, notes, seed)
-        _, k_phi = smoothed(found.log_weight_phi)
-        if k_phi > K_HAT:
-            notes = (*notes, f"Importance weights of φ were uneven (k̂ = {k_phi:.2f}): NUTS on φ instead.")
+        of_phi, k_phi = smoothed(found.log_weight_phi)
+        if k_phi > K_HAT or worth(of_phi) < ENOUGH:
+            why = f"k̂ = {k_phi:.2f}, {worth(of_phi):.0f} effective draws"
+            notes = (*notes, f"Importance weights of φ were uneven ({why}): NUTS on φ instead.")
             return self._nuts_on_phi(layout, frame, y, key, notes)
-        notes = (*notes, f"The model bends too much for its linear form (k̂ = {k_hat:.2f}): exact NUTS.")
+        why = f"k̂ = {k_hat:.2f}, {worth(weights):.0f} effective draws"
+        notes = (*notes, f"The model bends too much for its linear form ({why}): exact NUTS.")
         return self._exact(layout, frame, y, key, found.mode, notes)
 
     def _from_weights(self, layout, found, weights, k_hat, notes, seed) -> Outcome:
-        effective = float(1 / np.sum(weights**2))
+        effective = worth(weights)
         # Never more draws than the weights are worth: repeated draws would pass for information.
         count = CHAINS * max(1, int(min(self.draws, effective)) // CHAINS)
         pick = resample(weights, count, seed)
         shaped = [by_chain(a[pick]) for a in (found.x, found.rows, found.v)]
         reasons = _mode_reasons(found.mode)
-        if effective < 400:
-            reasons.append(f"Only {effective:.0f} effective draws.")
         verdict = Verdict(
             not reasons, tuple(reasons), notes, "importance sampling", float(k_hat), effective
         )
@@ -102,11 +104,12 @@ class Marginal(Method):
             flat = ran.draws.reshape(-1, ran.draws.shape[-1])
             x, rows, correction = _draw_back(layout, frame, y, mode, flat, k2)
         weights, k_hat = smoothed(np.asarray(correction))
-        if k_hat > K_HAT:
-            notes = (*notes, f"The model bends too much for its linear form (k̂ = {k_hat:.2f}): exact NUTS.")
+        if k_hat > K_HAT or worth(weights) < min(ENOUGH, 0.5 * len(weights)):
+            why = f"k̂ = {k_hat:.2f}, {worth(weights):.0f} effective draws"
+            notes = (*notes, f"The model bends too much for its linear form ({why}): exact NUTS.")
             return self._exact(layout, frame, y, key, mode, notes)
         pick = slice(None)
-        if 1 / np.sum(weights**2) < 0.98 * len(weights):
+        if worth(weights) < 0.98 * len(weights):
             pick = _resample_within(weights)
         shaped = [by_chain(np.asarray(a)[pick]) for a in (x, rows, flat)]
         verdict = chain_verdict(ran, mode, "NUTS on φ", notes, float(k_hat))
@@ -164,6 +167,11 @@ def smoothed(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
     # psislw takes log likelihood and smooths its inverse: hence the sign.
     weights = np.exp(values - np.max(values))
     return weights / weights.sum(), float(k_hat)
+
+
+def worth(weights: np.ndarray) -> float:
+    """How many independent draws these weights are worth (Kish)."""
+    return float(1 / np.sum(weights**2))
 
 
 def resample(weights: np.ndarray, count: int, seed: int) -> np.ndarray:

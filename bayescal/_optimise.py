@@ -1,11 +1,12 @@
-"""Nonlinear least squares: Levenberg–Marquardt, a second try where it stalls, a Gauss–Newton polish.
+"""Nonlinear least squares: Levenberg–Marquardt, a second try where it stalls, a last polish.
 
-One solver for optimistix, whose every step evaluates the residuals and their Jacobian once and factors them by
-QR (never JᵀJ), so that it compiles as one small loop. A try ends in undamped Gauss–Newton steps, accepted while
-the gradient falls: sums of squares agree to the last bit long before the unknowns do.
-Sources: J. J. Moré, Lecture Notes in Mathematics 630 (1978) 105 (damping by the columns' largest norms);
-H. B. Nielsen, IMM-REP-1999-05 (damping factor); D. M. Bates and D. G. Watts, Technometrics 23 (1981) 179
-(convergence by the share of the residuals that lies in the tangent plane).
+One solver for optimistix, whose every step evaluates the residuals and their Jacobian once and
+factors them by QR (never JᵀJ), so that it compiles as one small loop. A try ends in undamped
+Gauss–Newton steps, accepted while the gradient falls: sums of squares agree to the last bit long
+before the unknowns do.
+Sources: J. J. Moré, Lecture Notes in Mathematics 630 (1978) 105 (damping by the largest norms of
+the columns); H. B. Nielsen, IMM-REP-1999-05 (damping factor); D. M. Bates and D. G. Watts,
+Technometrics 23 (1981) 179 (convergence by the share of the residuals in the tangent plane).
 """
 
 from __future__ import annotations
@@ -44,23 +45,28 @@ def least_squares(
     """Minimise Σ residuals². Traceable: under `jit`, and mapped over data sets.
 
     Args:
-        residuals: function of the unknowns, at least as many as there are unknowns; any common scale.
+        residuals: function of the unknowns, at least as many as these; in any common unit.
         start: of the unknowns, in their own units.
-        scale: size of a plausible change of each unknown, in its unit; one, if not given. The first try does
-            not depend on it, the second does.
-        steps: evaluations of the residuals and their Jacobian in one try, at most (the polish apart).
+        scale: size of a plausible change of each unknown, in its unit; one, if not given. The
+            first try does not depend on it, the second does.
+        steps: evaluations of the residuals and their Jacobian in one try (without the polish).
 
     Returns:
-        The unknowns where the last try ended. `converged` says that a Gauss–Newton step would move the
-        residuals by less than 1e-5 of their length (or the unknowns by less than 1e-9), and that every
-        direction is determined. It may be a local optimum: only a try that reaches none is followed by another.
+        The unknowns where the last try ended. `converged` says that a Gauss–Newton step would move
+        the residuals by less than 1e-5 of their length (or the unknowns by less than 1e-9), and
+        that every direction is determined. It may be a local optimum: only a try that reaches none
+        is followed by another.
     """
     if not start.size:
         return Fitted(start, jnp.asarray(True), jnp.asarray(0))
     scale = jnp.ones_like(start) if scale is None else scale
     solver = LevenbergMarquardt(steps)
     found = optx.least_squares(
-        lambda z, _: residuals(scale * z), solver, start / scale, max_steps=TRIES * (steps + 100), throw=False
+        lambda z, _: residuals(scale * z),
+        solver,
+        start / scale,
+        max_steps=TRIES * (steps + 100),
+        throw=False,
     )
     return Fitted(
         scale * found.value, found.result == optx.RESULTS.successful, found.stats["num_steps"]
@@ -68,7 +74,7 @@ def least_squares(
 
 
 class _State(eqx.Module):
-    """The accepted point as its factors, the point to be evaluated next, and where the tries stand."""
+    """The accepted point as its factors, the point to be evaluated next, and where tries stand."""
 
     start: Float[Array, "p"]
     trial: Float[Array, "p"]
@@ -91,7 +97,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     Attributes:
         steps: of one try, at most.
-        rtol, atol, norm: asked for by optimistix's interface; the criteria here are scale-free and fixed.
+        rtol, atol, norm: of optimistix's interface, not used: the criteria here are scale-free.
     """
 
     steps: int = 1000
@@ -113,16 +119,14 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         upper = _triangle(jnp.where(finite, table, 0.0))
         cost = residual @ residual
         gain = (state.cost - cost) / state.predicted
-        lower = jnp.where(
-            state.polishing, _inside(upper) < 0.8 * _inside(state.upper), gain > 1e-4
-        )
+        lower = jnp.where(state.polishing, _inside(upper) < 0.8 * _inside(state.upper), gain > 1e-4)
         accept = finite & (state.fresh | lower)
         upper = jnp.where(accept, upper, state.upper)
         cost = jnp.where(accept, cost, state.cost)
         y = jnp.where(accept, state.trial, y)
 
-        norms = jnp.sqrt(jnp.sum(upper[:, :size] ** 2, axis=0))
-        columns = jnp.where(state.attempt == 0, norms, jnp.max(norms))
+        columns = jnp.sqrt(jnp.sum(upper[:, :size] ** 2, axis=0))
+        columns = jnp.where(state.attempt == 0, columns, jnp.max(columns))
         weight = jnp.maximum(jnp.maximum(columns, state.weight), 1e-150)
         factor = jnp.where(accept, jnp.maximum(1 / 3, 1 - (2 * gain - 1) ** 3), state.growth)
         first = jnp.where(state.attempt == 0, *FIRST_DAMPING)
@@ -131,7 +135,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         inside = _inside(upper)
         stalled = (damping > 1e16) | (state.count > self.steps)
         polishing = state.polishing | stalled | (inside <= NEAR**2 * cost)
-        # Even a polishing step is damped by rounding's worth, for directions that nothing determines.
+        # A polishing step too is damped by rounding's worth, where nothing determines a direction.
         used = jnp.where(polishing, 1e-31, damping + 1e-31)
         rows = jnp.column_stack([jnp.diag(jnp.sqrt(used) * weight), jnp.zeros(size)])
         damped = _triangle(jnp.concatenate([upper, rows]))
@@ -139,7 +143,8 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
         ended = (state.polishing | state.fresh) & ~accept
         rests = jnp.all(jnp.abs(step) <= 1e-9 * jnp.abs(y))
-        regular = jnp.all((norms > 0) & (jnp.abs(jnp.diag(damped)) > 1e-14 * norms))
+        # By the largest columns so far: on a plateau, where one has died away, nothing is found.
+        regular = jnp.all(jnp.abs(jnp.diag(damped)) > 1e-14 * weight)
         success = ended & regular & ((inside <= GOOD**2 * cost) | rests) & ~state.fresh
         done = success | (ended & (state.attempt == TRIES - 1))
         again = ended & ~done

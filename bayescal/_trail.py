@@ -107,7 +107,7 @@ def gate(step: Step) -> Gate:
     verdict = step.calibration.verdict
     if not verdict.ok:
         return Gate(False, "The fit did not converge: " + " ".join(verdict.reasons))
-    if step.check.fixed is not None and step.check.fixed.rms > 2 * step.check.fixed.noise:
+    if step.check.fixed is not None and step.check.fixed.wrong:
         return Gate(
             False,
             f"The fixed coefficients leave residuals of {step.check.fixed.rms:.3g} {step.check.unit} rms, "

@@ -1,1 +1,1 @@
-"""Measurements of the library itself: how accurate, how fast. `python -m benchmarks NAME` runs one of them."""
+"""Measurements of the library itself: how accurate, how fast. `python -m benchmarks NAME`."""

@@ -1,11 +1,11 @@
-"""`python -m benchmarks` runs every benchmark, `python -m benchmarks NAME …` those that are named."""
+"""`python -m benchmarks` runs every benchmark, `python -m benchmarks NAME …` those named."""
 
 from __future__ import annotations
 
 import importlib
 import sys
 
-NAMES = ("certified",)  # each a module here with `main()`
+NAMES = ("certified", "thermal_ramp", "wandering_noise")  # each a module here with `main()`
 
 
 def main(names: list[str]) -> int:
@@ -16,7 +16,10 @@ def main(names: list[str]) -> int:
     """
     unknown = [name for name in names if name not in NAMES]
     if unknown:
-        print(f"no benchmark is called {', '.join(unknown)}; there are: {', '.join(NAMES)}", file=sys.stderr)
+        print(
+            f"no benchmark is called {', '.join(unknown)}; there are: {', '.join(NAMES)}",
+            file=sys.stderr,
+        )
         return 2
     for name in names or NAMES:
         importlib.import_module(f"benchmarks.{name}").main()

@@ -1,4 +1,4 @@
-"""Certified data: NIST regression sets and posteriordb, written as `docs/certified.md` and as JSON."""
+"""Certified data, NIST and posteriordb: writes `docs/certified.md` and its numbers as JSON."""
 
 from __future__ import annotations
 
@@ -15,19 +15,60 @@ HEAD = """# Certified data
 
 Written by `python -m benchmarks certified`; the tests `test_certified_nist.py` and
 `test_certified_posteriordb.py` hold the same claims. The data stand beside the checkout, in
-`../shared/data`, and are not part of the project; without them the tests of these tables are skipped, and
-small cases of the project's own, with answers known exactly, are tested in their place.
+`../shared/data`, and are not part of the project; without them the tests of these tables are
+skipped, and small cases of the project's own, with answers known exactly, stand in their place.
 
-Digits are −log10 of the relative error, the worst parameter of a set counting. The nonlinear certificates
-print 11 digits, so that 10.3 to 11.3 is all that can be met. Wanted are 8 digits of the parameters and 6 of
-their standard deviations.
+Digits are −log10 of the relative error; the worst parameter of a set counts. The nonlinear
+certificates print 11 digits, so that about 10.3 to 11.3 is all that can be met. Wanted are 8 digits
+of the parameters and 6 of their standard deviations.
+"""
+
+NONLINEAR = """## NIST, nonlinear: 27 sets from both starts
+
+By the one least-squares routine of the library (`_optimise.least_squares`), unknowns scaled by
+their start; standard deviations are Gauss–Newton, the noise Σr²/(n − p). No set gets a hint. The
+hard ones show: BoxBOD and MGH10 from start 1 are met by the second try, damped by the unknowns' own
+scales, after the first has run away or is still on its way after 1000 steps; MGH17 from start 1 and
+Bennett5 take hundreds of steps along a curved valley.
+
+| set | start | parameters, digits | standard deviations, digits | steps |
+|---|---|---|---|---|
+"""
+AFTER_NONLINEAR = """
+Lanczos1 is data without noise: its residuals are rounding, and so would be the standard deviations.
+"""
+
+LINEAR = """## NIST, linear: 11 sets
+
+By `bc.fit` with `LeastSquares` and flat priors, against values exact to 20 digits (rational
+arithmetic). Powers of x are nearly parallel to a double in Filip and the Wamplers: their effect
+is written in Legendre polynomials of (x − c)/h, and the coefficients are multiplied out afterwards.
+The last column is the same set in plain powers of x. Where standard deviations stop at 8 digits it
+is by the noise, whose restricted likelihood is maximised numerically.
+
+| set | basis | parameters, digits | standard deviations, digits | parameters in plain powers |
+|---|---|---|---|---|
+"""
+AFTER_LINEAR = """
+Wampler1 and Wampler2 are exact polynomials: no noise is left to estimate, the fit says that it did
+not converge, and the standard deviations mean nothing.
+"""
+
+POSTERIORS = f"""## posteriordb: six reference posteriors
+
+By `bc.fit` with `Marginal`, {posteriordb.METHOD.draws:,} draws, against 10,000 reference draws of
+each. Wanted: means within 0.05 reference standard deviations, standard deviations within 3 % plus
+three combined Monte-Carlo errors. The worst unknown of each is shown.
+
+| posterior | unknowns | mean off by, sd | of | sd ratio | allowed | of | k̂ |
+|---|---|---|---|---|---|---|---|
 """
 
 
 def main() -> None:
     """Run all and write both files."""
     if not REFERENCE_DATA.is_dir():
-        print(f"certified: needs the reference data in {REFERENCE_DATA}, which is not there; nothing written")
+        print(f"certified: no reference data in {REFERENCE_DATA}; nothing written")
         return
     results: dict[str, Any] = {
         "nonlinear": [row for name in nist.NONLINEAR for row in nist.nonlinear_digits(name)],
@@ -86,61 +127,33 @@ def _shortfalls(results: dict[str, Any]) -> str:
 
 
 def _nonlinear(rows: list[dict[str, Any]]) -> str:
-    lines = [
-        "## NIST, nonlinear: 27 sets from both starts\n",
-        "By the one least-squares routine of the library (`_optimise.least_squares`), unknowns scaled by their "
-        "start; standard\ndeviations are Gauss–Newton, the noise Σr²/(n − p). Each start is fitted without a "
-        "hint which set is hard. Those known as\nhard come out so: MGH10 and BoxBOD from start 1 "
-        "are met by the second way of damping only, after the first ends short of an\noptimum; MGH17 from "
-        "start 1 and Bennett5 need hundreds of steps along a curved valley.\n",
-        "| set | start | parameters, digits | standard deviations, digits | steps |",
-        "|---|---|---|---|---|",
-    ]
+    lines = []
     for row in rows:
         sd = "–" if row["set"] in MEANINGLESS else f"{row['sd']:.1f}"
-        lines.append(f"| {row['set']} | {row['start']} | {row['parameters']:.1f} | {sd} | {row['steps']} |")
-    lines.append(
-        "\nLanczos1 is data without noise: its residuals are rounding, and so would be its standard deviations.\n"
-    )
-    return "\n".join(lines)
+        lines.append(_line(row["set"], row["start"], f"{row['parameters']:.1f}", sd, row["steps"]))
+    return NONLINEAR + "".join(lines) + AFTER_NONLINEAR
 
 
 def _linear(results: dict[str, Any]) -> str:
-    raw = {row["set"]: row for row in results["linear_as_given"]}
-    lines = [
-        "## NIST, linear: 11 sets\n",
-        "By `bc.fit` with `LeastSquares`, flat priors, against values exact to 20 digits (rational arithmetic). "
-        "Filip and the\nWamplers have powers of x that are nearly parallel to a double: their effect is "
-        "written in powers of (x − c)/h, as one\nwould write T − T0, and the coefficients are multiplied out "
-        "afterwards. The last column is the same set in plain powers of\nx. The standard deviations follow the "
-        "noise, whose restricted likelihood is maximised to about 8 digits.\n",
-        "| set | basis | parameters, digits | standard deviations, digits | parameters in plain powers |",
-        "|---|---|---|---|---|",
-    ]
+    plain = {row["set"]: f"{row['parameters']:.1f}" for row in results["linear_as_given"]}
+    lines = []
     for row in results["linear"]:
         sd = "–" if row["sd"] is None else f"{row['sd']:.1f}"
-        plain = f"{raw[row['set']]['parameters']:.1f}" if row["set"] in raw else ""
-        lines.append(f"| {row['set']} | {row['basis']} | {row['parameters']:.1f} | {sd} | {plain} |")
-    lines.append(
-        "\nWampler1 and Wampler2 are exact polynomials: no noise is left to estimate, the fit says that it did "
-        "not converge, and the\nstandard deviations mean nothing.\n"
-    )
-    return "\n".join(lines)
+        name, met = row["set"], f"{row['parameters']:.1f}"
+        lines.append(_line(name, row["basis"], met, sd, plain.get(name, "")))
+    return LINEAR + "".join(lines) + AFTER_LINEAR
 
 
 def _posteriors(rows: list[dict[str, Any]]) -> str:
     lines = [
-        "## posteriordb: six reference posteriors\n",
-        f"By `bc.fit` with `Marginal`, {posteriordb.METHOD.draws:,} draws, against 10,000 reference draws of "
-        "each. Wanted: means within\n0.05 reference standard deviations, standard deviations within 3 % plus "
-        "three combined Monte-Carlo errors. The worst unknown of\neach is shown.\n",
-        "| posterior | unknowns | mean off by, sd | of | sd ratio | allowed | of | k̂ |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for r in rows:
-        cells = (
-            *(r["posterior"], r["unknowns"], f"{r['shift']:+.3f}", r["shift_of"], f"{r['ratio']:.3f}"),
-            *(f"1 ± {r['ratio_allowed']:.3f}", r["ratio_of"], r["pareto_k"]),
+        _line(
+            *(r["posterior"], r["unknowns"], f"{r['shift']:+.3f}", r["shift_of"]),
+            *(f"{r['ratio']:.3f}", f"1 ± {r['ratio_allowed']:.3f}", r["ratio_of"], r["pareto_k"]),
         )
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return "\n".join(lines) + "\n"
+        for r in rows
+    ]
+    return POSTERIORS + "".join(lines)
+
+
+def _line(*cells: Any) -> str:
+    return "| " + " | ".join(map(str, cells)) + " |\n"

@@ -1,9 +1,9 @@
 """The NIST Statistical Reference Datasets for regression, and how many certified digits are met.
 
-Linear sets go through the public API: an instrument whose one effect is the set's columns, with flat priors, by
-`LeastSquares`. Nonlinear sets are not linear in any coefficient and go through the same two routines that
-`LeastSquares` is made of: `least_squares` for the point, `condition_white` for the covariance.
-Source: NIST, Statistical Reference Datasets (www.itl.nist.gov/div898/strd), nonlinear and linear regression.
+Linear sets go through the public API: an instrument whose one effect is the set's columns, with
+flat priors, by `LeastSquares`. Nonlinear sets have no instrument; they go through the two routines
+that `LeastSquares` is made of: `least_squares` for the point, `condition_white` for the covariance.
+Source: NIST, Statistical Reference Datasets (www.itl.nist.gov/div898/strd).
 """
 
 from __future__ import annotations
@@ -41,8 +41,11 @@ class Estimate(NamedTuple):
 
 
 def digits(found: Any, certified: Any) -> float:
-    """Fewest significant digits that agree: −log10 of the relative error, or of the error where zero is right."""
-    found, certified = np.atleast_1d(np.asarray(found, float)), np.atleast_1d(np.asarray(certified, float))
+    """Fewest digits that agree: −log10 of the relative error, of the error itself beside zero."""
+    found, certified = (
+        np.atleast_1d(np.asarray(found, float)),
+        np.atleast_1d(np.asarray(certified, float)),
+    )
     if not np.all(np.isfinite(found)):
         return 0.0
     error = np.abs(found - certified) / np.where(certified == 0, 1.0, np.abs(certified))
@@ -144,14 +147,20 @@ NONLINEAR: dict[str, Callable] = {
     **{"Gauss1": gauss, "Gauss2": gauss, "Gauss3": gauss},
     **{"Kirby2": quadratics, "Hahn1": cubics, "Thurber": cubics},
     **{"MGH09": mgh09, "MGH10": mgh10, "MGH17": mgh17, "Roszman1": roszman1, "ENSO": enso},
-    **{"BoxBOD": saturating, "Rat42": rat42, "Rat43": rat43, "Eckerle4": eckerle4, "Bennett5": bennett5},
+    **{
+        "BoxBOD": saturating,
+        "Rat42": rat42,
+        "Rat43": rat43,
+        "Eckerle4": eckerle4,
+        "Bennett5": bennett5,
+    },
 }
 
 
 def fit_nonlinear(
     expected: Callable, predictors: tuple[np.ndarray, ...], y: np.ndarray, starts: list[np.ndarray]
 ) -> list[Estimate]:
-    """The least-squares fit from each start, with noise by restricted likelihood, Σr²/(n − p)."""
+    """The least-squares fit from each start; noise by restricted likelihood, Σr²/(n − p)."""
 
     @jax.jit
     def from_start(start):
@@ -183,7 +192,9 @@ def fit_nonlinear(
 
 def nonlinear_set(name: str, folder: Path = FOLDER) -> dict[str, Any]:
     """Certificate of a set, with its data as `y` and `predictors`."""
-    certificate = json.loads((folder / "nonlinear" / "certified_nonlinear.json").read_text("utf-8"))[name]
+    certificate = json.loads(
+        (folder / "nonlinear" / "certified_nonlinear.json").read_text("utf-8")
+    )[name]
     table = np.loadtxt(folder / "nonlinear" / f"{name}.csv", delimiter=",", skiprows=1)
     y = np.log(table[:, 0]) if name == "Nelson" else table[:, 0]  # its model is of log y
     return {**certificate, "y": y, "predictors": tuple(table[:, 1:].T)}
@@ -209,20 +220,28 @@ def nonlinear_digits(name: str, folder: Path = FOLDER) -> list[dict[str, Any]]:
 
 # Linear sets, through the public API.
 
-# (centre, half-width) where powers of x are too nearly parallel for a double: Legendre polynomials of
-# u = (x − centre)/half-width span the same and are not.
+# (centre, half-width) where powers of x are too nearly parallel for a double: Legendre polynomials
+# of u = (x − centre)/half-width span the same and are not.
 CENTRED = {
     "filip": (-6.0, 3.0),
     **{f"wampler{i}": (10.0, 10.0) for i in range(1, 6)},
 }
-LINEAR = ("norris", "pontius", "noint1", "noint2", "filip", "longley", *(f"wampler{i}" for i in range(1, 6)))
+LINEAR = (
+    "norris",
+    "pontius",
+    "noint1",
+    "noint2",
+    "filip",
+    "longley",
+    *(f"wampler{i}" for i in range(1, 6)),
+)
 
 
 def line_model(
     columns: dict[str, np.ndarray], powers: tuple[int, ...], place: tuple[float, float] | None
 ) -> bc.Model:
-    """A model whose effect is powers of x, or Legendre polynomials of (x − centre)/half-width, or the columns
-    themselves with a constant."""
+    """A model whose effect is powers of x, or Legendre polynomials of (x − centre)/half-width, or
+    (without `powers`) the columns themselves with a constant."""
 
     def basis(r: bc.Frame):
         if place:
@@ -257,7 +276,7 @@ def line_model(
 
 
 def expand(degree: int, centre: float, half: float) -> np.ndarray:
-    """T such that coefficients γ of the Legendre polynomials of (x − centre)/half become those of x^j: β = T·γ."""
+    """T such that β = T·γ: from Legendre polynomials of (x − centre)/half to powers of x."""
     size = degree + 1
     shifted, powers = np.zeros((size, size)), np.zeros((size, size))
     for k in range(size):
@@ -273,7 +292,7 @@ def fit_linear(
     powers: tuple[int, ...] = (),
     place: tuple[float, float] | None = None,
 ) -> Estimate:
-    """A polynomial in `x` (or, without `powers`, all columns and a constant) by `bc.fit` and `LeastSquares`."""
+    """A polynomial in `x`, or all columns and a constant, by `bc.fit` with `LeastSquares`."""
     model = line_model(columns, powers, place)
     readings = bc.Measurements.from_arrays(model.instrument, output=y, **columns)
     fit = bc.fit(model, readings, bc.LeastSquares(), strict=False)
@@ -288,7 +307,7 @@ def fit_linear(
 
 
 def linear_digits(name: str, centred: bool = True, folder: Path = FOLDER) -> dict[str, Any]:
-    """Digits met: of the parameters, of their standard deviations, of the residual standard deviation."""
+    """Digits met: of the parameters, their standard deviations, the residual standard deviation."""
     known = json.loads((folder / "linear" / "certified_linear.json").read_text("utf-8"))[name]
     table = np.loadtxt(folder / "linear" / f"{name}.csv", delimiter=",", skiprows=1)
     powers = tuple(int(t[2:]) for t in known["terms"] if t.startswith("x^"))
@@ -302,6 +321,8 @@ def linear_digits(name: str, centred: bool = True, folder: Path = FOLDER) -> dic
         "basis": "Legendre" if place else "as given",
         "parameters": round(digits(fit.parameters, [float(b) for b in known["beta_exact"]]), 2),
         "sd": None if exact else round(digits(fit.sd, [float(s) for s in known["sd_exact"]]), 2),
-        "residual_sd": None if exact else round(digits(fit.residual_sd, known["residual_sd_exact"]), 2),
+        "residual_sd": None
+        if exact
+        else round(digits(fit.residual_sd, known["residual_sd_exact"]), 2),
         "converged": fit.converged,
     }

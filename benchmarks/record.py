@@ -19,7 +19,11 @@ def surroundings() -> dict[str, Any]:
     return {
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},
-        "machine": {"system": platform.system(), "kind": platform.machine(), "cores": os.cpu_count()},
+        "machine": {
+            "system": platform.system(),
+            "kind": platform.machine(),
+            "cores": os.cpu_count(),
+        },
     }
 
 

@@ -31,7 +31,7 @@ LEVER = bc.Instrument(
     noise=bc.White(bc.HalfNormal(0.3)),
 )
 # A valve: the output is exponential in a deviation of each run; too many of them to be promoted.
-RUNS = 16
+RUNS = 24
 VALVE = bc.Instrument(
     name="valve",
     title="exponential in the deviation of a run",
@@ -49,7 +49,7 @@ VALVE = bc.Instrument(
             source="none",
         ),
     ),
-    noise=bc.White(bc.HalfNormal(0.5)),
+    noise=bc.White(bc.HalfNormal(1.0)),
 )
 
 
@@ -64,10 +64,10 @@ def lever() -> bc.Measurements:
 @pytest.fixture(scope="module")
 def valve() -> bc.Measurements:
     rng = np.random.default_rng(5)
-    opening = np.repeat(rng.normal(0.0, 1.0, RUNS), 3)
-    run = np.repeat([f"r{k}" for k in range(RUNS)], 3)
-    stimulus = np.ones(3 * RUNS)
-    output = np.exp(opening) + 0.5 * rng.standard_normal(3 * RUNS)
+    opening = np.repeat(rng.normal(0.0, 1.0, RUNS), 2)
+    run = np.repeat([f"r{k}" for k in range(RUNS)], 2)
+    stimulus = np.ones(2 * RUNS)
+    output = np.exp(opening) + rng.standard_normal(2 * RUNS)
     return bc.Measurements.from_arrays(VALVE, run=run, stimulus=stimulus, output=output)
 
 
@@ -148,8 +148,7 @@ def test_without_promotion_the_weights_say_no_and_the_fallback_is_right(lever) -
     assert found.verdict.sampler == "NUTS on whitened unknowns"
     (note,) = found.verdict.notes
     assert "bends too much for its linear form" in note
-    k_hat = float(note.partition("k̂ = ")[2].partition(")")[0])
-    assert k_hat > 0.7
+    assert float(note.partition("k̂ = ")[2].partition(",")[0]) > 0.7
     assert_exact(found, exact_moments(lever), 0.5 * found.verdict.ess)
 
 

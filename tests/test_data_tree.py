@@ -1,0 +1,131 @@
+"""A calibration is an ArviZ DataTree: its groups, units and members are there, and ArviZ can work with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from arviz_stats import loo, psense_summary, summary
+from scipy import stats
+
+import bayescal as bc
+from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
+from bayescal_models.mems_gyro.model import THERMOMETER
+
+GROUPS = {
+    "posterior",
+    "prior",
+    "posterior_predictive",
+    "log_prior",
+    "sample_stats",
+    "observed_data",
+    "constant_data",
+}
+MODEL = INSTRUMENT.baseline() + "bias.run"
+
+
+@pytest.fixture(scope="module")
+def readings() -> bc.Measurements:
+    return simulate({"bias.run": 0.05}, seed=2, campaign=Campaign(average=300, runs=4))
+
+
+@pytest.fixture(scope="module")
+def found(readings) -> bc.Calibration:
+    return bc.fit(MODEL, readings)
+
+
+def test_all_groups_are_there(found) -> None:
+    assert set(found.tree.children) == GROUPS | {"draws"}
+
+
+def test_every_unknown_has_its_unit_and_its_members(found) -> None:
+    posterior = found.tree["posterior"].to_dataset()
+    units = {name: posterior[name].attrs["units"] for name in posterior}
+    assert units == {
+        "bias.constant": "deg/s",
+        "bias.temperature": "deg/s/degC",
+        "bias.run": "deg/s",
+        "bias.run.spread": "deg/s",
+        "noise.white": "deg/s",
+    }
+    assert posterior["bias.run"].dims == ("chain", "draw", "run")
+    assert list(posterior["run"].values) == ["1", "2", "3", "4"]
+    prior = found.tree["prior"].to_dataset()
+    assert {name: prior[name].attrs["units"] for name in prior} == units
+    assert found.tree["observed_data"]["output"].attrs["units"] == "deg/s"
+    assert found.tree["posterior_predictive"]["output"].attrs["units"] == "deg/s"
+    constant = found.tree["constant_data"].to_dataset()
+    assert constant["temperature"].attrs["units"] == "degC"
+    assert constant["time"].attrs["units"] == "s"
+    assert "output" not in constant
+
+
+def test_prior_draws_follow_the_stated_priors(found) -> None:
+    prior = found.tree["prior"].to_dataset()
+    for name, exact in {
+        "bias.constant": stats.norm(0, 50),
+        "bias.temperature": stats.norm(0, 0.05),
+        "bias.run.spread": stats.halfnorm(scale=0.05),
+        "noise.white": stats.halfcauchy(scale=0.1),
+    }.items():
+        assert stats.kstest(prior[name].values.ravel(), exact.cdf).pvalue > 1e-3, name
+
+
+def test_log_prior_is_the_density_of_each_unknown_in_its_own_unit(found) -> None:
+    densities, posterior = found.tree["log_prior"].to_dataset(), found.tree["posterior"].to_dataset()
+    assert set(densities) == set(posterior)
+    exact = {
+        "bias.constant": stats.norm(0, 50),
+        "bias.temperature": stats.norm(0, 0.05),
+        "bias.run": stats.norm(0, posterior["bias.run.spread"].values[..., None]),
+        "bias.run.spread": stats.halfnorm(scale=0.05),
+        "noise.white": stats.halfcauchy(scale=0.1),
+    }
+    for name, law in exact.items():
+        assert densities[name].dims == posterior[name].dims
+        np.testing.assert_allclose(densities[name], law.logpdf(posterior[name]), rtol=1e-9, err_msg=name)
+
+
+def test_log_prior_knows_a_spread_that_is_held(readings) -> None:
+    held = bc.fit(MODEL.fix({"bias.run.spread": 0.2}), readings, bc.LeastSquares(draws=400))
+    density = held.tree["log_prior"]["bias.run"].values
+    exact = stats.norm(0, 0.2).logpdf(held.tree["posterior"]["bias.run"].values)
+    np.testing.assert_allclose(density, exact, rtol=1e-9)
+
+
+def test_replicated_readings_scatter_as_the_readings_do(found, readings) -> None:
+    made = found.tree["posterior_predictive"]["output"]
+    assert made.dims == ("chain", "draw", "reading")
+    residual = readings["output"] - made.mean(("chain", "draw")).values
+    z = residual / made.std(("chain", "draw")).values
+    assert stats.kstest(z, "norm").pvalue > 1e-3
+
+
+def test_arviz_summarises_it(found) -> None:
+    table = summary(found.tree, round_to="none")
+    assert {"bias.constant", "bias.temperature", "bias.run[1]", "noise.white"} <= set(table.index)
+    for name in ("bias.constant", "noise.white"):
+        assert table.loc[name, "mean"] == pytest.approx(found.samples(name).mean())
+        assert table.loc[name, "ess_bulk"] > 1500
+        assert table.loc[name, "r_hat"] < 1.01
+
+
+def test_arviz_does_leave_one_out_and_prior_sensitivity(found) -> None:
+    tree = found.tree.copy()
+    tree["log_likelihood"] = type(tree)(found.log_likelihood())
+    result = loo(tree)
+    exact = 0.0  # near: the sum of log densities of the predictive
+    predicted = bc.predict(found, new_groups=False)
+    exact = stats.norm(0, predicted.sd).logpdf(predicted.residual).sum()
+    assert result.elpd == pytest.approx(exact, abs=2 + result.se)
+    sensitive = psense_summary(tree)
+    assert float(sensitive.loc["bias.constant", "prior"]) < 0.05
+
+
+@pytest.mark.slow
+def test_thermometer_errors_have_one_value_a_reading(readings) -> None:
+    found = bc.fit(INSTRUMENT.baseline() + THERMOMETER, readings)
+    errors = found.tree["posterior"]["temperature.reading"]
+    assert errors.dims == ("chain", "draw", "reading")
+    assert errors.sizes["reading"] == len(readings)
+    assert errors.attrs["units"] == "delta_degC"
+    assert errors.std() == pytest.approx(THERMOMETER.coefficients[0].prior.sd, rel=0.1)
