@@ -118,9 +118,8 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
             size = f"{abs(e.worst.size):.2g} {pretty(check.unit)}"
             lines.append(
                 f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "
-                f"{e.log_bayes_factor:.1f}), which no effect of {instrument.name} uses. Effects "
-                "found above may stand in for it: write an effect of your own, and give it with "
-                "--effects."
+                f"{e.log_bayes_factor:.1f}), which no effect of {instrument.name} uses; what is "
+                "found may only stand in for it. Write an effect of your own, and give it with --effects."
             )
     return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
 

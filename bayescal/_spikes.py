@@ -14,6 +14,7 @@ from bayescal._measurements import Measurements
 
 HEIGHT = 8.0  # robust standard deviations of such distances, from which a reading is a spike
 FEWEST = 50  # readings that a record needs before any can be called a spike
+GAP = 5.0  # usual steps, from which a pause parts the record
 MOST = 0.005  # of all readings; where more stand out, the noise itself is heavy-tailed and all are kept
 
 
@@ -30,8 +31,11 @@ def find_spikes(readings: Measurements) -> np.ndarray:
     for run in np.unique(codes):
         rows = np.flatnonzero(codes == run)
         rows = rows[np.argsort(readings["time"][rows], kind="stable")]
-        if len(rows) >= FEWEST:
-            found += rows[_spikes(readings["output"][rows])].tolist()
+        steps = np.diff(readings["time"][rows])
+        # Readings on either side of a gap are no neighbours.
+        for piece in np.split(rows, 1 + np.flatnonzero(steps > GAP * np.median(steps))):
+            if len(piece) >= FEWEST:
+                found += piece[_spikes(readings["output"][piece])].tolist()
     rows = np.array(sorted(found), dtype=int)
     return rows if len(rows) <= max(1.0, MOST * len(readings)) else rows[:0]
 
