@@ -119,7 +119,8 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
             lines.append(
                 f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "
                 f"{e.log_bayes_factor:.1f}), which no effect of {instrument.name} uses; what is "
-                "found may only stand in for it. Write an effect of your own, and give it with --effects."
+                "found may only stand in for it. Write an effect of your own, and give it with "
+                "--effects."
             )
     return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
 

@@ -23,7 +23,9 @@ from bayescal._spikes import without_spikes
 from bayescal._trail import Step, Trail, gate, noise_floor
 
 WIDER = 1.0  # log evidence that correlated noise must gain over white before it is believed
-SHORT = 2000  # readings up to which white noise is followed to its end before correlated noise is tried
+SHORT = (
+    2000  # readings up to which white noise is followed to its end before correlated noise is tried
+)
 FEWEST = 30  # readings from which the noise law can be told at all
 
 
@@ -67,7 +69,9 @@ def calibrate(
     if not keep_spikes:
         readings = without_spikes(readings)
         holdout = None if holdout is None else without_spikes(holdout)
-    loop = _Loop(readings, tuple(effects), method, max_effects, seed, reference, frozenset(model.names))
+    loop = _Loop(
+        readings, tuple(effects), method, max_effects, seed, reference, frozenset(model.names)
+    )
     steps = loop.follow(model, widen_noise)
     if holdout is not None:
         steps = [replace(s, holdout_rmse=predict(s.calibration, holdout).rmse) for s in steps]
@@ -131,7 +135,9 @@ class _Loop:
             steps.append(self.step(model, added.name, dropped))
         return steps
 
-    def _look_back(self, model: Model, steps: list[Step], newest: str) -> tuple[Model, tuple[str, ...]]:
+    def _look_back(
+        self, model: Model, steps: list[Step], newest: str
+    ) -> tuple[Model, tuple[str, ...]]:
         """Drop what was added before and is superfluous now: the model is more probable without it."""
         dropped: list[str] = []
         earlier = [n for n in model.names if n not in self.start and n != newest]
@@ -148,11 +154,20 @@ class _Loop:
         return model, tuple(dropped)
 
     def step(
-        self, model: Model, added: str | None = None, dropped: tuple[str, ...] = (), noise_changed: str = ""
+        self,
+        model: Model,
+        added: str | None = None,
+        dropped: tuple[str, ...] = (),
+        noise_changed: str = "",
     ) -> Step:
         """Fit a model, check it, and ask what is missing from it."""
         calibration = fit(
-            model, self.readings, self.method, seed=self.seed, strict=False, reference=self.reference
+            model,
+            self.readings,
+            self.method,
+            seed=self.seed,
+            strict=False,
+            reference=self.reference,
         )
         with stage("checking"):
             checked = check(calibration)
@@ -182,7 +197,9 @@ class _Loop:
             return None
         if not isinstance(model.noise, White):
             return None
-        frame = build_frame(self.readings, {**reference_of(self.readings), **(self.reference or {})})
+        frame = build_frame(
+            self.readings, {**reference_of(self.readings), **(self.reference or {})}
+        )
         steps = np.asarray(frame.step)
         if not (steps > 0).any():
             return None

@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -126,7 +125,9 @@ class Calibration:
         """
         posterior = self.tree["posterior"].to_dataset()
         if name not in posterior:
-            raise InputError(f"no unknown is called {name!r}; there are: {', '.join(map(str, posterior))}")
+            raise InputError(
+                f"no unknown is called {name!r}; there are: {', '.join(map(str, posterior))}"
+            )
         values = posterior[name].values
         return values.reshape(-1, *values.shape[2:])
 
@@ -174,4 +175,8 @@ def _pointwise(layout: Layout, frame: Frame, y, draws):
 
 def pointwise(layout: Layout, frame: Frame, y, x, rows, v) -> np.ndarray:
     """Log likelihood of each reading under each draw, (draws, n)."""
-    return np.asarray(_pointwise(layout, frame, jnp.asarray(y), (jnp.asarray(x), jnp.asarray(rows), jnp.asarray(v))))
+    return np.asarray(
+        _pointwise(
+            layout, frame, jnp.asarray(y), (jnp.asarray(x), jnp.asarray(rows), jnp.asarray(v))
+        )
+    )

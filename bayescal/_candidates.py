@@ -98,8 +98,12 @@ def _all_columns(layout, frame, mode, effects: tuple[Effect, ...], grids: tuple[
             named = {s.name: shape[i] for i, s in enumerate(effect.shapes)}
             return composition.effect_columns(layout, frame, values, hyper, effect, named)
 
-        found.append(jax.vmap(at)(grid) if grid.shape[1] else [(c[None], s) for c, s in at(grid[0])])
-    return [[(c, s if not hasattr(s, "shape") or s.ndim == 0 else s[0]) for c, s in f] for f in found]
+        found.append(
+            jax.vmap(at)(grid) if grid.shape[1] else [(c[None], s) for c, s in at(grid[0])]
+        )
+    return [
+        [(c, s if not hasattr(s, "shape") or s.ndim == 0 else s[0]) for c, s in f] for f in found
+    ]
 
 
 def _shape_grid(effect: Effect) -> np.ndarray:
@@ -113,7 +117,8 @@ def _shape_grid(effect: Effect) -> np.ndarray:
         levels = qmc.Sobol(count, scramble=True, rng=0).random(SEVERAL_SHAPES)
     v = ndtri(levels)
     return np.stack(
-        [np.asarray(s.prior.value(jnp.asarray(v[:, i]))) for i, s in enumerate(effect.shapes)], axis=1
+        [np.asarray(s.prior.value(jnp.asarray(v[:, i]))) for i, s in enumerate(effect.shapes)],
+        axis=1,
     )
 
 

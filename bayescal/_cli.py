@@ -245,14 +245,10 @@ def compare(
     names = structure or [name for name, _ in chosen.structures]
     if len(set(names)) < 2:
         raise InputError("compare needs two structures or more: give --structure twice, or never")
-    own = {e.name: e for e in doors.user_effects(effects_file)}
-    models = {}
-    for name in names:
-        first, *added = (part.strip() for part in name.split("+"))
-        models[name] = doors.structure_named(chosen, first)
-        for extra in added:
-            models[name] = models[name] + own.get(extra, extra)
-        models[name].require(readings)
+    own = doors.user_effects(effects_file)
+    models = {name: doors.structure_with(chosen, name, own) for name in names}
+    for model in models.values():
+        model.require(readings)
     _say_flags(readings)
     at = doors.reference_of(asked, readings)
     fits = {
@@ -314,6 +310,7 @@ def calibrate(
     effects_file: options.OwnEffects = None,
     method: options.MethodName = "marginal",
     max_effects: options.MostEffects = 5,
+    keep_spikes: options.KeepSpikes = False,
     seed: options.Seed = 0,
     out: options.Folder = None,
     json_: options.Json = False,
@@ -339,11 +336,13 @@ def calibrate(
             effects=own,
             method=how,
             max_effects=max_effects,
+            keep_spikes=keep_spikes,
             seed=seed,
             reference=doors.reference_of(asked, readings),
         )
         if folder is not None:
             trail.save(folder)
+    _say_flags(trail.final.calibration.readings, but=readings.flags)
     _say(result(trail) if json_ else story(trail, own))
     if folder is not None and not json_:
         print(f"\nwritten: {folder}/result.json, calibration.nc, loop.png")
@@ -376,8 +375,8 @@ def demo(
         print((out / "result.json").read_text(encoding="utf-8"), end="")
 
 
-def _say_flags(readings: Measurements) -> None:
-    for flag in readings.flags:
+def _say_flags(readings: Measurements, but: tuple[str, ...] = ()) -> None:
+    for flag in (f for f in readings.flags if f not in but):
         print(f"bayescal: note: {flag}", file=sys.stderr)
 
 

@@ -19,8 +19,9 @@ from bayescal._errors import InputError
 from bayescal._folds import leave_one_group_out
 from bayescal._predict import predict
 
-
-SAME_CURVE = 0.15  # largest difference, in noise standard deviations, of curves that count as the same
+SAME_CURVE = (
+    0.15  # largest difference, in noise standard deviations, of curves that count as the same
+)
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,9 @@ def compare(calibrations: Mapping[str, Calibration]) -> Comparison:
     first = calibrations[names[0]]
     for name in names[1:]:
         other = calibrations[name].readings["output"]
-        if other.shape != first.readings["output"].shape or not np.allclose(other, first.readings["output"]):
+        if other.shape != first.readings["output"].shape or not np.allclose(
+            other, first.readings["output"]
+        ):
             raise InputError(
                 f"{names[0]!r} and {name!r} were fitted to different readings "
                 f"({first.readings.file}, {calibrations[name].readings.file}): fit both to the same"
@@ -136,13 +139,17 @@ def compare(calibrations: Mapping[str, Calibration]) -> Comparison:
         any_fold.count if any_fold else len(first.readings),
         first.unit,
         "left-out groups" if grouped else "pointwise leave-one-out",
-        tuple([*_warnings(rows, any_fold.count if any_fold else 0, grouped), *_alike(calibrations)]),
+        (*_warnings(rows, any_fold.count if any_fold else 0, grouped), *_alike(calibrations)),
     )
 
 
 def _error(differences: np.ndarray) -> float:
     """Standard error of a sum of differences, over what was left out."""
-    return float(np.sqrt(differences.size * differences.var(ddof=1))) if differences.size > 1 else float("nan")
+    return (
+        float(np.sqrt(differences.size * differences.var(ddof=1)))
+        if differences.size > 1
+        else float("nan")
+    )
 
 
 def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
@@ -156,7 +163,9 @@ def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
         }
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # high Pareto k: said in our own words, by model
+        warnings.simplefilter(
+            "ignore", UserWarning
+        )  # high Pareto k: said in our own words, by model
         found = loo(tree, pointwise=True)
     return np.asarray(found.elpd_i).ravel(), float(np.max(np.asarray(found.pareto_k)))
 
@@ -189,7 +198,9 @@ def _warnings(rows: list[Row], groups: int, grouped: bool) -> list[str]:
                 "score: these readings do not tell them apart."
             )
         if groups < 10:
-            said.append(f"Only {groups} groups: the error over groups is itself uncertain; no test is made.")
+            said.append(
+                f"Only {groups} groups: the error over groups is itself uncertain; no test is made."
+            )
     for row in rows:
         if row.pareto_k > 0.7:
             said.append(
@@ -207,7 +218,11 @@ def _alike(calibrations: Mapping[str, Calibration]) -> list[str]:
         if name in told:
             continue
         noise = float(np.sqrt(np.mean(curve.sd**2)))
-        gaps = {n: float(np.max(np.abs(c.mean - curve.mean))) for n, c in curves.items() if n not in told}
+        gaps = {
+            n: float(np.max(np.abs(c.mean - curve.mean)))
+            for n, c in curves.items()
+            if n not in told
+        }
         same = [n for n, gap in gaps.items() if n != name and gap < SAME_CURVE * noise]
         if same:
             told |= {name, *same}

@@ -47,7 +47,9 @@ def prior_mean(layout: Layout) -> Float[Array, "p"]:
     return _fill(layout, [jnp.full(b.size, b.coefficient.mean) for b in layout.x_blocks])
 
 
-def prior_sd(layout: Layout, hyper: Values, flat: Float[Array, "p"] | float = 1.0) -> Float[Array, "p"]:
+def prior_sd(
+    layout: Layout, hyper: Values, flat: Float[Array, "p"] | float = 1.0
+) -> Float[Array, "p"]:
     """Prior standard deviation of x given φ; where the prior is flat, the scale `flat` of its column."""
     flat = jnp.broadcast_to(jnp.asarray(flat), (layout.size,))
     parts = []
@@ -63,7 +65,9 @@ def prior_sd(layout: Layout, hyper: Values, flat: Float[Array, "p"] | float = 1.
 
 def prior_weight(layout: Layout) -> Float[Array, "p"]:
     """1 where the prior of x is proper, 0 where it is flat."""
-    return _fill(layout, [jnp.full(b.size, 0.0 if b.coefficient.flat else 1.0) for b in layout.x_blocks])
+    return _fill(
+        layout, [jnp.full(b.size, 0.0 if b.coefficient.flat else 1.0) for b in layout.x_blocks]
+    )
 
 
 def row_sd(layout: Layout) -> Float[Array, "k"]:
@@ -107,7 +111,9 @@ def _members(block: Block, frame: Frame) -> Float[Array, "n m"]:
     return jax.nn.one_hot(frame.codes[per], block.size, dtype=float)
 
 
-def _columns(layout: Layout, frame: Frame, hyper: Values, correcting: bool) -> list[tuple[Block, Array]]:
+def _columns(
+    layout: Layout, frame: Frame, hyper: Values, correcting: bool
+) -> list[tuple[Block, Array]]:
     """The basis column of each block, in slot units per reported unit; either those that correct columns,
     which see the record, or the others, which see the corrected columns."""
     found, matrix = [], None
@@ -265,7 +271,9 @@ def draw_prior(layout: Layout, frame: Frame, key: Array) -> tuple[Array, Array, 
     return x, rows, v
 
 
-def draw_readings(layout: Layout, frame: Frame, x: Array, rows: Array, v: Array, key: Array) -> Array:
+def draw_readings(
+    layout: Layout, frame: Frame, x: Array, rows: Array, v: Array, key: Array
+) -> Array:
     """Readings simulated by the model's own equation and noise."""
     hyper = hyper_values(layout, v)
     return layout.model.noise.sample(key, mean(layout, frame, x, rows, hyper), hyper, frame)

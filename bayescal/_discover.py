@@ -19,15 +19,17 @@ from bayescal import _score as scores
 from bayescal import _susie as susie
 from bayescal._calibration import Calibration
 from bayescal._effect import Effect
-from bayescal._frame import build_frame
 from bayescal._fit import bind
+from bayescal._frame import build_frame
 from bayescal._marginal import laplace_of
 from bayescal._model import Model, testable
 from bayescal._progress import stage
 
 FINDING = 0.05  # P(nothing is missing) at or below which an effect is reported as found
 LEAD = 1.0  # log Bayes factor from which an effect that is not a finding is a lead
-RIVAL = 0.5  # part of the best log Bayes factor by score from which another candidate is refitted too
+RIVAL = (
+    0.5  # part of the best log Bayes factor by score from which another candidate is refitted too
+)
 POWER = 0.80
 VISIBLE = 0.01  # share of the information left after the nuisances below which nothing can be seen
 VERIFIED = 4  # candidates that are refitted: the leading set's members, then other leads
@@ -120,7 +122,9 @@ def discover(
     open_ = [e for n, e in known.items() if n not in model.names]
     reasons = {e.name: testable(e, readings) for e in open_}
     tested = [e for e in open_ if reasons[e.name] is None]
-    shut = [Candidate(n, kind="not testable", reason=r) for n, r in reasons.items() if r is not None]
+    shut = [
+        Candidate(n, kind="not testable", reason=r) for n, r in reasons.items() if r is not None
+    ]
     if not tested:
         return Discovery(1.0, (), tuple(shut), (), {})
     with stage("looking for missing effects"):
@@ -150,7 +154,9 @@ def discover(
     return Discovery(nothing, sets, (*ranked, *shut), best, verified)
 
 
-def _judge(columns: candidates.Columns, score: scores.Score, index: int, probability: float) -> Candidate:
+def _judge(
+    columns: candidates.Columns, score: scores.Score, index: int, probability: float
+) -> Candidate:
     """One candidate on its own, its shapes and spreads averaged over their priors."""
     effect = columns.effects[index]
     first, unit = candidates.reported(effect)
@@ -305,7 +311,9 @@ def _verify(calibration: Calibration, effects: Sequence[Effect]) -> dict[str, fl
     """Log Bayes factor of each effect against none, both models fitted anew."""
     with stage("verifying by refit"):
         base = laplace_evidence(calibration.model, calibration)
-        return {e.name: laplace_evidence(calibration.model + e, calibration) - base for e in effects}
+        return {
+            e.name: laplace_evidence(calibration.model + e, calibration) - base for e in effects
+        }
 
 
 def _nothing_after(judged: list[Candidate], verified: dict[str, float], by_score: float) -> float:
@@ -346,10 +354,14 @@ def _reweighed(probability: float, verified: dict[str, float]) -> Found:
     return Found(tuple(names[i] for i in kept), probability)
 
 
-def _after_refit(judged: list[Candidate], verified: dict[str, float], nothing: float) -> list[Candidate]:
+def _after_refit(
+    judged: list[Candidate], verified: dict[str, float], nothing: float
+) -> list[Candidate]:
     """Log Bayes factors by refit where there are any, and the probability among those shared out by them."""
     updated = [
-        replace(c, log_bayes_factor=verified[c.effect], source="refit") if c.effect in verified else c
+        replace(c, log_bayes_factor=verified[c.effect], source="refit")
+        if c.effect in verified
+        else c
         for c in judged
     ]
     total = logsumexp([c.log_bayes_factor or 0.0 for c in updated])

@@ -127,6 +127,15 @@ def structure_named(instrument: Instrument, name: str) -> Model:
     return structures[name]()
 
 
+def structure_with(instrument: Instrument, text: str, own: Sequence[Effect]) -> Model:
+    """A structure with effects added to it: "line+bias.thermal_lag"."""
+    first, *added = (part.strip() for part in text.split("+"))
+    model, known = structure_named(instrument, first), {e.name: e for e in own}
+    for name in added:
+        model = model + known.get(name, name)
+    return model
+
+
 def user_effects(path: Path | None) -> tuple[Effect, ...]:
     """The effects that a user's file defines: its EFFECTS, or every Effect in it.
 

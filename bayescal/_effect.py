@@ -57,10 +57,14 @@ class Effect(eqx.Module):
             raise ModelError(f"effect {self.name!r} has no coefficient: give at least one")
         parts = [c.part for c in self.coefficients]
         if len(set(parts)) != len(parts):
-            raise ModelError(f"effect {self.name!r}: its coefficients need different parts, not {parts}")
+            raise ModelError(
+                f"effect {self.name!r}: its coefficients need different parts, not {parts}"
+            )
         taken = inspect.signature(self.basis).parameters
         shapes = {s.name for s in self.shapes}
-        needed = {name for name, p in taken.items() if p.default is p.empty}  # not `lambda r, k=k: …`
+        needed = {
+            name for name, p in taken.items() if p.default is p.empty
+        }  # not `lambda r, k=k: …`
         if not shapes <= set(taken) or len(needed - shapes) != 1:
             raise ModelError(
                 f"effect {self.name!r}: its basis must take the readings and then its shapes "

@@ -1,9 +1,9 @@
 """Every error that bayescal raises on purpose.
 
-    BayescalError
-    ├── InputError      a file, a column, a unit or an option cannot be used as it is   (exit status 2)
-    ├── ModelError      a model cannot be composed, or not with these readings          (exit status 2)
-    └── NotConverged    a fit ended without a result to trust; carries the calibration  (exit status 1)
+BayescalError
+├── InputError      a file, a column, a unit or an option cannot be used as it is   (exit status 2)
+├── ModelError      a model cannot be composed, or not with these readings          (exit status 2)
+└── NotConverged    a fit ended without a result to trust; carries the calibration  (exit status 1)
 """
 
 from __future__ import annotations

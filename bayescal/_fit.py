@@ -142,7 +142,9 @@ class Batch:
 
     def samples(self, index: int) -> dict[str, np.ndarray]:
         """Draws of every unknown of one data set, (s,) or (s, members), to be weighted."""
-        made = named(self.layout, self.levels, *(a[index][None] for a in (self.x, self.rows, self.v)))
+        made = named(
+            self.layout, self.levels, *(a[index][None] for a in (self.x, self.rows, self.v))
+        )
         return {str(name): made[name].values[0] for name in made}
 
 
@@ -168,7 +170,9 @@ def fit_batch(
     for one in readings:
         model.require(one)
     frames = [build_frame(one, reference_of(one)) for one in readings]
-    shapes = {(str(jax.tree.map(jnp.shape, f)), b[0].counts) for f, b in zip(frames, bound, strict=True)}
+    shapes = {
+        (str(jax.tree.map(jnp.shape, f)), b[0].counts) for f, b in zip(frames, bound, strict=True)
+    }
     if len(shapes) != 1:
         raise InputError(
             f"fit_batch needs data sets of one shape; these {len(readings)} have {len(shapes)} different "
@@ -178,7 +182,9 @@ def fit_batch(
     ys = jnp.stack([jnp.asarray(one["output"]) for one in readings])
     layout, _ = promotion.choose(bound[0][0], frames[0], ys[0], method.promote or ())
     keys = jax.random.split(jax.random.key(seed), len(readings))
-    found = importance.sample_batch(layout, stacked, ys, keys, method.proposals or 8192, method.rounds)
+    found = importance.sample_batch(
+        layout, stacked, ys, keys, method.proposals or 8192, method.rounds
+    )
     k_hat = np.array([smoothed(np.asarray(w))[1] for w in found.log_weight])
     return Batch(
         layout,

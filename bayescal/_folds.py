@@ -73,7 +73,9 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
     kind, members, codes = groups_of(calibration.readings)
     keep = codes[None, :] != np.arange(len(members))[:, None]
     y = jnp.asarray(calibration.readings["output"])
-    found = _folds(calibration.layout, calibration.frame, y, calibration.mode, jnp.asarray(keep, float))
+    found = _folds(
+        calibration.layout, calibration.frame, y, calibration.mode, jnp.asarray(keep, float)
+    )
     scores, residual = (np.asarray(a) for a in found)
     return LeaveOneGroupOut(kind, members, scores, residual.sum(axis=0))
 

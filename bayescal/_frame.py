@@ -155,7 +155,9 @@ def build_frame(
         starts = reference["run_starts"]
         assert isinstance(starts, dict)
         own = {name: float(np.min(time[codes == i])) for i, name in enumerate(names)}
-        start = np.array([starts.get(n, own[n]) if starts.get(n, own[n]) <= own[n] else own[n] for n in names])
+        start = np.array(
+            [starts.get(n, own[n]) if starts.get(n, own[n]) <= own[n] else own[n] for n in names]
+        )
         columns["elapsed"] = jnp.asarray(time - start[codes])
         order = np.lexsort((time, codes))
         step = np.diff(time[order], prepend=time[order][:1])
@@ -195,7 +197,9 @@ def causal_slope(
         left = max(left, run_begin[i])
         while t[left] < t[i] - window:
             left += 1
-        earlier = run_begin[i] + np.searchsorted(t[run_begin[i] : i], t[i]) - 1  # of an earlier time
+        earlier = (
+            run_begin[i] + np.searchsorted(t[run_begin[i] : i], t[i]) - 1
+        )  # of an earlier time
         past = slice(max(min(left, earlier), run_begin[i]), i + 1)
         dt = t[past] - t[past].mean()
         scatter = dt @ dt

@@ -67,7 +67,9 @@ class _Proposal(NamedTuple):
             volume = jnp.sum(jnp.log(jnp.diag(chol)))
             return norm - volume - half * jnp.log1p(jnp.sum(z**2, axis=0) / FREEDOM)
 
-        return logsumexp(jax.vmap(one)(self.centre, self.chol) + jnp.log(self.share)[:, None], axis=0)
+        return logsumexp(
+            jax.vmap(one)(self.centre, self.chol) + jnp.log(self.share)[:, None], axis=0
+        )
 
 
 def sample(
@@ -168,6 +170,4 @@ def _match(mode: laplace.Mode, v: Array, log_weight: Array) -> _Proposal:
     chol = jnp.linalg.cholesky(covariance + 1e-10 * jnp.eye(v.shape[1]))
     centre = trust * centre + (1 - trust) * mode.v
     wide = WIDE * jnp.linalg.cholesky(mode.covariance)
-    return _Proposal(
-        jnp.stack([centre, mode.v]), jnp.stack([chol, wide]), jnp.array([0.8, 0.2])
-    )
+    return _Proposal(jnp.stack([centre, mode.v]), jnp.stack([chol, wide]), jnp.array([0.8, 0.2]))

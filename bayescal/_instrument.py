@@ -111,7 +111,9 @@ class Instrument(eqx.Module):
                 return slot
         for column in self.columns:
             if column.name == name and column.unit is not None and name != "output":
-                return Slot(name, "delta_degC" if column.unit == "degC" else column.unit, column.meaning)
+                return Slot(
+                    name, "delta_degC" if column.unit == "degC" else column.unit, column.meaning
+                )
         raise ModelError(
             f"instrument {self.name!r} has no slot {name!r}; an effect can add to "
             f"{', '.join(s.name for s in self.slots)}, or correct a numeric column"

@@ -81,7 +81,9 @@ def mode_of_x(
     line = composition.linearise(layout, frame, x, point.rows, hyper)
     rest = y - line.mean + jnp.sum(line.rows * point.rows, axis=1)
     zero = jnp.zeros_like(point.rows)
-    return linear.Point(x, linear.draw_rows(layout, line, rest, noise.variance(hyper, frame), zero)[0])
+    return linear.Point(
+        x, linear.draw_rows(layout, line, rest, noise.variance(hyper, frame), zero)[0]
+    )
 
 
 def start_point(layout: Layout, frame: Frame) -> linear.Point:

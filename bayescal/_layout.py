@@ -19,8 +19,10 @@ from bayescal._effect import Effect
 from bayescal._model import Model
 from bayescal._prior import Flat, FlatLine, Normal, Positive
 
-
-_NOISE_UNITS = {"noise.freedom": "1", "noise.correlated.time": "s"}  # the others: that of the output
+_NOISE_UNITS = {
+    "noise.freedom": "1",
+    "noise.correlated.time": "s",
+}  # the others: that of the output
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,17 @@ class Layout(eqx.Module):
                     place = "phi"
                 factor = _units.coefficient_factor(coefficient.unit, slot.unit)
                 blocks.append(
-                    Block(effect, index, name, slot.name, size, factor, place, start, fixed.get(name, 0.0))
+                    Block(
+                        effect,
+                        index,
+                        name,
+                        slot.name,
+                        size,
+                        factor,
+                        place,
+                        start,
+                        fixed.get(name, 0.0),
+                    )
                 )
                 start += size if place == "x" else 0
         return tuple(blocks)
@@ -121,7 +133,12 @@ class Layout(eqx.Module):
         for block in self.blocks:
             if block.coefficient.spread is not None and block.place != "fixed":
                 found.append(
-                    Hyper(block.spread_name, block.coefficient.unit, block.coefficient.spread, "spread")
+                    Hyper(
+                        block.spread_name,
+                        block.coefficient.unit,
+                        block.coefficient.spread,
+                        "spread",
+                    )
                 )
         for effect in self.model.effects:
             for shape in effect.shapes:
@@ -129,7 +146,9 @@ class Layout(eqx.Module):
         for block in self.blocks:
             if block.place == "phi":
                 found += [
-                    Hyper(name, block.coefficient.unit, _promoted_prior(block.coefficient), "promoted")
+                    Hyper(
+                        name, block.coefficient.unit, _promoted_prior(block.coefficient), "promoted"
+                    )
                     for name in block.member_names()
                 ]
         return tuple(h for h in found if h.name not in fixed)

@@ -52,14 +52,14 @@ class LeastSquares(Method):
 
     def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
         with stage("least squares"):
-            found = jax.tree.map(
-                np.asarray, solve(layout, frame, y, self.curvature == "hessian")
-            )
+            found = jax.tree.map(np.asarray, solve(layout, frame, y, self.curvature == "hessian"))
         reasons = []
         if not bool(found.converged):
             reasons.append("Levenberg–Marquardt stopped before its tolerance was met.")
         if not np.all(np.isfinite(found.covariance)):
-            reasons.append("The curvature is singular: some direction is not determined by readings or priors.")
+            reasons.append(
+                "The curvature is singular: some direction is not determined by readings or priors."
+            )
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
         notes = [
             f"Covariance is the {kind} Laplace approximation; noise and spreads by restricted likelihood, "
@@ -97,7 +97,9 @@ def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool
         p = linear.prior_of(layout, hyper, mode.flat)
         pad = len(places)
         return linear.Prior(
-            jnp.concatenate([p.mean, jnp.zeros(pad)]), jnp.concatenate([p.sd, jnp.ones(pad)]), prior_weight
+            jnp.concatenate([p.mean, jnp.zeros(pad)]),
+            jnp.concatenate([p.sd, jnp.ones(pad)]),
+            prior_weight,
         )
 
     def output(theta, v):
@@ -171,7 +173,7 @@ def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool
     start = jnp.where(jnp.isfinite(mode.v), mode.v, 0.0)
     theta = jnp.concatenate([x, start[place_at]])
     state = (theta, start, jnp.asarray(jnp.inf), jnp.asarray(False), jnp.asarray(0))
-    theta, v, change, converged, _ = jax.lax.while_loop(going, one_round, state)
+    theta, v, _, converged, _ = jax.lax.while_loop(going, one_round, state)
 
     found = conditional_at(theta, v)(v)
     covariance = found.covariance

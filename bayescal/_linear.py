@@ -49,11 +49,15 @@ class Conditional(NamedTuple):
 
     def place(self, normal: Float[Array, "p"]) -> Float[Array, "p"]:
         """The x that standard normal numbers stand for."""
-        return self.shift + self.sd * solve_triangular(self.chol, self.u + normal, lower=True, trans=1)
+        return self.shift + self.sd * solve_triangular(
+            self.chol, self.u + normal, lower=True, trans=1
+        )
 
     @property
     def covariance(self) -> Float[Array, "p p"]:
-        root = self.sd[:, None] * solve_triangular(self.chol, jnp.eye(self.u.size), lower=True, trans=1)
+        root = self.sd[:, None] * solve_triangular(
+            self.chol, jnp.eye(self.u.size), lower=True, trans=1
+        )
         return root @ root.T
 
 
@@ -82,7 +86,11 @@ def condition(gram: Gram, size: int, prior: Prior, at: Float[Array, "p"]) -> Con
     u = solve_triangular(chol, prior.sd * jtr, lower=True)
     flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
     log_marginal = flat_volume - 0.5 * (
-        size * jnp.log(2 * jnp.pi) + gram.logdet + 2 * jnp.sum(jnp.log(jnp.diag(chol))) + rtr - u @ u
+        size * jnp.log(2 * jnp.pi)
+        + gram.logdet
+        + 2 * jnp.sum(jnp.log(jnp.diag(chol)))
+        + rtr
+        - u @ u
     )
     return Conditional(log_marginal, at + offset, prior.sd, chol, u)
 
@@ -137,7 +145,9 @@ def gram_function(layout: Layout, frame: Frame, y: Float[Array, "n"], point: Poi
 
         def scaled(hyper: composition.Values) -> Gram:
             variance = noise.variance(hyper, frame)[0]
-            return Gram(jtj / variance, jtr / variance, rtr / variance, frame.size * jnp.log(variance))
+            return Gram(
+                jtj / variance, jtr / variance, rtr / variance, frame.size * jnp.log(variance)
+            )
 
         return scaled
 
@@ -177,7 +187,9 @@ def draw_rows(
     pull = line.rows * (residual / variance)[:, None]
 
     def solve(root, b, e):
-        return solve_triangular(root, solve_triangular(root, b, lower=True) + e, lower=True, trans=1)
+        return solve_triangular(
+            root, solve_triangular(root, b, lower=True) + e, lower=True, trans=1
+        )
 
     volume = -jnp.sum(jnp.log(jnp.diagonal(chol, axis1=1, axis2=2)))
     return jax.vmap(solve)(chol, pull, normal), volume

@@ -6,7 +6,6 @@ from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -85,7 +84,9 @@ class Marginal(Method):
             not reasons, tuple(reasons), notes, "importance sampling", float(k_hat), effective
         )
         evidence = (float(found.log_evidence), float(found.log_evidence_error))
-        return Outcome(layout, Draws(*shaped), found.mode, verdict, None if layout.improper else evidence)
+        return Outcome(
+            layout, Draws(*shaped), found.mode, verdict, None if layout.improper else evidence
+        )
 
     def _nuts_on_phi(self, layout, frame, y, key, notes) -> Outcome:
         mode = laplace_of(layout, frame, y)

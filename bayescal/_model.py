@@ -68,7 +68,9 @@ class Model(eqx.Module):
         """
         name = other if isinstance(other, str) else other.name
         if name not in self.names:
-            raise ModelError(f"effect {name!r} is not in the model; it has: {', '.join(self.names)}")
+            raise ModelError(
+                f"effect {name!r} is not in the model; it has: {', '.join(self.names)}"
+            )
         gone = next(e for e in self.effects if e.name == name)
         lost = set(_unknowns(gone))
         return Model(
@@ -183,7 +185,7 @@ def testable(effect: Effect, readings: Measurements) -> str | None:
             return f"needs {column} to vary; it is {values[0]:g} throughout"
     for coefficient in effect.coefficients:
         if coefficient.spread is not None and coefficient.per is not None:
-            levels, codes = readings.groups(coefficient.per)
+            _, codes = readings.groups(coefficient.per)
             if len(set(codes[codes >= 0].tolist())) < 2:
                 return f"needs more than one {coefficient.per}"
     return None if effect.untestable is None else effect.untestable(readings)

@@ -122,7 +122,9 @@ class White(Noise):
         return -0.5 * ((y - mean) ** 2 / variance + jnp.log(variance) + _LOG_2PI)
 
     def sample(self, key, mean, parameters, frame):
-        return mean + jnp.sqrt(self.variance(parameters, frame)) * jax.random.normal(key, mean.shape)
+        return mean + jnp.sqrt(self.variance(parameters, frame)) * jax.random.normal(
+            key, mean.shape
+        )
 
 
 class OrnsteinUhlenbeck(Noise):
@@ -190,7 +192,9 @@ class OrnsteinUhlenbeck(Noise):
         return jnp.zeros_like(each).at[frame.order].set(each)
 
     def sample(self, key, mean, parameters, frame):
-        made = self._solver(0.0, parameters, frame).dot_triangular(jax.random.normal(key, mean.shape))
+        made = self._solver(0.0, parameters, frame).dot_triangular(
+            jax.random.normal(key, mean.shape)
+        )
         return mean + jnp.zeros_like(made).at[frame.order].set(made)
 
 
@@ -274,9 +278,16 @@ class Quantised(Noise):
         # On the side of the mean where both tails are small, so that the difference keeps its digits.
         centre = -jnp.abs(y - mean) / sd
         half = 0.5 * self.step / sd
-        upper, lower = jax.scipy.stats.norm.logcdf(centre + half), jax.scipy.stats.norm.logcdf(centre - half)
-        return upper + jnp.log(-jnp.expm1(jnp.minimum(lower - upper, -1e-300))) - math.log(self.step)
+        upper, lower = (
+            jax.scipy.stats.norm.logcdf(centre + half),
+            jax.scipy.stats.norm.logcdf(centre - half),
+        )
+        return (
+            upper + jnp.log(-jnp.expm1(jnp.minimum(lower - upper, -1e-300))) - math.log(self.step)
+        )
 
     def sample(self, key, mean, parameters, frame):
-        exact = mean + jnp.sqrt(self._before(parameters, frame)) * jax.random.normal(key, mean.shape)
+        exact = mean + jnp.sqrt(self._before(parameters, frame)) * jax.random.normal(
+            key, mean.shape
+        )
         return jnp.round(exact / self.step) * self.step

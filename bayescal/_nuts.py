@@ -41,7 +41,9 @@ class NUTS(Method):
 
         layout = Layout(layout.model, layout.counts)
         kernel = infer.NUTS(
-            program(layout, frame), dense_mass=self.dense, target_accept_prob=0.9,
+            program(layout, frame),
+            dense_mass=self.dense,
+            target_accept_prob=0.9,
             init_strategy=infer.init_to_median(num_samples=50),
         )
         sampler = infer.MCMC(
@@ -111,7 +113,9 @@ def program(layout: Layout, frame: Frame) -> Callable:
         x = jnp.concatenate(x) if x else jnp.zeros(0)
         rows = jnp.zeros((frame.size, len(layout.row_blocks)))
         if layout.row_blocks:
-            e = numpyro.sample("rows.standard", dist.Normal(0.0, 1.0).expand(rows.shape).to_event(2))
+            e = numpyro.sample(
+                "rows.standard", dist.Normal(0.0, 1.0).expand(rows.shape).to_event(2)
+            )
             rows = e * composition.row_sd(layout)
         numpyro.deterministic("x", x)
         numpyro.deterministic("rows", rows)

@@ -79,6 +79,9 @@ Holdout = Annotated[
     list[Path] | None,
     typer.Option(help="Readings kept apart, only read after the last step; repeat for more."),
 ]
+KeepSpikes = Annotated[
+    bool, typer.Option("--keep-spikes", help="Keep single readings far from both neighbours.")
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
 Folder = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]

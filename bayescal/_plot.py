@@ -111,7 +111,7 @@ def trail(found: Trail, ax: Any = None) -> Figure:
             color=colour,
         )
     ax.axhline(found.final.noise_floor, color=RED, ls="--", lw=1.2, label="noise floor")
-    crowded = len(names) > 2
+    crowded = sum(map(len, names)) > 48
     ax.set_xticks(at, names, rotation=20 if crowded else 0, ha="right" if crowded else "center")
     ax.set_ylabel(f"rms error [{unit}]")
     ax.legend(frameon=False, fontsize=8)

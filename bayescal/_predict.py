@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -63,7 +62,9 @@ def predict(
     calibration.model.require(readings)
     frame = calibration.frame_of(readings)
     if new_groups:
-        frame = eqx.tree_at(lambda f: f.codes, frame, {k: -jnp.ones_like(c) for k, c in frame.codes.items()})
+        frame = eqx.tree_at(
+            lambda f: f.codes, frame, {k: -jnp.ones_like(c) for k, c in frame.codes.items()}
+        )
     x, rows, v = calibration.draws(draws)
     if not (known and not new_groups) or rows.shape[1] != len(readings):
         rows = np.zeros((len(x), len(readings), rows.shape[2]))

@@ -11,7 +11,9 @@ from contextlib import contextmanager
 @contextmanager
 def stage(what: str, after: float = 1.0) -> Iterator[None]:
     """Say on stderr what is going on, once it has taken `after` seconds."""
-    timer = threading.Timer(after, lambda: print(f"bayescal: {what} …", file=sys.stderr, flush=True))
+    timer = threading.Timer(
+        after, lambda: print(f"bayescal: {what} …", file=sys.stderr, flush=True)
+    )
     timer.daemon = True
     timer.start()
     try:

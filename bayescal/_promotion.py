@@ -45,15 +45,15 @@ def choose(
         return layout, ()
     notes: tuple[str, ...] = ()
     while True:
-        candidates = [
-            b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MEMBERS
-        ]
+        candidates = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MEMBERS]
         free = MOST - sum(h.kind == "promoted" for h in layout.hypers)
         candidates = [b for b in candidates if b.size <= free]
         if not candidates:
             return layout, notes
         sizes = np.asarray(_second_order(layout, frame, y))
-        strength = [float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in candidates]
+        strength = [
+            float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in candidates
+        ]
         best = int(np.argmax(strength))
         if strength[best] < THRESHOLD:
             return layout, notes
@@ -79,7 +79,9 @@ def _bend(layout: Layout, frame: Frame) -> Float[Array, ""]:
     hyper = composition.hyper_values(layout, jnp.zeros(len(layout.hypers)))
     sd = composition.prior_sd(layout, hyper)
     middle = composition.prior_mean(layout)
-    rows = composition.row_sd(layout) * jax.random.normal(keys[0], (frame.size, len(layout.row_blocks)))
+    rows = composition.row_sd(layout) * jax.random.normal(
+        keys[0], (frame.size, len(layout.row_blocks))
+    )
 
     def output(z, share):
         return composition.mean(layout, frame, middle + sd * z, share * rows, hyper)
@@ -113,4 +115,3 @@ def _second_order(layout: Layout, frame: Frame, y: Array) -> Float[Array, "p"]:
         return jnp.sqrt(jnp.sum(in_x**2) + jnp.sum(in_rows**2))
 
     return jax.lax.map(size, jnp.diag(sd))
-

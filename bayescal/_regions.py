@@ -76,7 +76,10 @@ def worst_regions(
         if cut.covariate not in best or rank > best[cut.covariate][0]:
             best[cut.covariate] = (rank, region)
     regions = [best[i][1] for i in range(len(covariates))]
-    return [_as_run(r, levels) if b.name == "run" else r for r, b in zip(regions, covariates, strict=True)]
+    return [
+        _as_run(r, levels) if b.name == "run" else r
+        for r, b in zip(regions, covariates, strict=True)
+    ]
 
 
 def _cut(index: int, block: blocks.Block, own: np.ndarray, group: str | None) -> _Binned:

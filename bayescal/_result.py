@@ -10,15 +10,24 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from bayescal._trail import Step, Trail
 from bayescal._check import Check
 from bayescal._discover import Discovery
 from bayescal._folds import groups_of
 from bayescal._measurements import Measurements
 from bayescal._summary import null_directions, summary
+from bayescal._trail import Step, Trail
 
 SCHEMA = "bayescal.result/1"
-PACKAGES = ("bayescal", "jax", "numpyro", "optimistix", "arviz-base", "arviz-stats", "numpy", "scipy")
+PACKAGES = (
+    "bayescal",
+    "jax",
+    "numpyro",
+    "optimistix",
+    "arviz-base",
+    "arviz-stats",
+    "numpy",
+    "scipy",
+)
 
 
 def result(trail: Trail) -> dict[str, Any]:
@@ -50,7 +59,11 @@ def result(trail: Trail) -> dict[str, Any]:
             "coefficients": coefficients,
             "spreads": spreads,
             "identifiability": {"null_directions": null_directions(final)},
-            "verdict": {"ok": trail.ok, "reasons": list(dict.fromkeys(reasons)), "notes": list(verdict.notes)},
+            "verdict": {
+                "ok": trail.ok,
+                "reasons": list(dict.fromkeys(reasons)),
+                "notes": list(verdict.notes),
+            },
         }
     )
 
@@ -79,14 +92,21 @@ def _source(readings: Measurements) -> dict[str, Any]:
 def _groups(readings: Measurements) -> dict[str, Any]:
     kind, members, _ = groups_of(readings)
     counted = {g: len(readings.groups(g)[0]) for g in ("run", "cell", "axis", "device")}
-    return {**{k: n for k, n in counted.items() if n}, "left_out": kind, "left_out_count": len(members)}
+    return {
+        **{k: n for k, n in counted.items() if n},
+        "left_out": kind,
+        "left_out_count": len(members),
+    }
 
 
 def step_data(step: Step) -> dict[str, Any]:
     calibration = step.calibration
     evidence = calibration.log_evidence
-    noise = {n: float(calibration.samples(n).mean()) for n in calibration.tree["posterior"].to_dataset()
-             if str(n).startswith("noise.")}
+    noise = {
+        n: float(calibration.samples(n).mean())
+        for n in calibration.tree["posterior"].to_dataset()
+        if str(n).startswith("noise.")
+    }
     held = {k: v for k, v in calibration.model.fixed if k.startswith("noise.")}
     noise = {**noise, **held}
     return {

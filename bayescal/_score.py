@@ -84,7 +84,9 @@ def _score(layout: Layout, frame: Frame, y: Array, mode, columns: Float[Array, "
     gram = layout.model.noise.gram(stacked, null.residual, null.extra, null.hyper, frame)
     inner = gram.jtj[:q, :q] + jnp.diag(null.prior.weight)
     cross, own = gram.jtj[:q, q:], gram.jtj[q:, q:]
-    solved = jnp.linalg.solve(inner, jnp.concatenate([cross, gram.jtr[:q, None]], axis=1)) if q else 0.0
+    solved = (
+        jnp.linalg.solve(inner, jnp.concatenate([cross, gram.jtr[:q, None]], axis=1)) if q else 0.0
+    )
     if q == 0:
         return gram.jtr, own, jnp.diag(own)
     u = gram.jtr[q:] - cross.T @ solved[:, -1]

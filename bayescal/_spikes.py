@@ -62,7 +62,11 @@ def _spikes(y: np.ndarray) -> np.ndarray:
         height = _heights(y[kept])
         scale = 1.4826 * np.median(height) if scale is None else scale
         # A spike at an end and its neighbour stand out alike: then it is the end.
-        worst = int(np.argmax(height * np.where(np.isin(np.arange(len(kept)), (0, len(kept) - 1)), 1 + 1e-9, 1)))
+        worst = int(
+            np.argmax(
+                height * np.where(np.isin(np.arange(len(kept)), (0, len(kept) - 1)), 1 + 1e-9, 1)
+            )
+        )
         if not scale > 0 or height[worst] < HEIGHT * scale:
             break
         found.append(int(kept[worst]))

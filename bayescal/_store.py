@@ -30,13 +30,19 @@ from bayescal._model import Model
 from bayescal._prior import Flat, HalfCauchy, HalfNormal, LogNormal
 
 SCHEMA = "bayescal.calibration/1"
-_NOISES = {c.__name__: c for c in (_noise.White, _noise.OrnsteinUhlenbeck, _noise.StudentT, _noise.Quantised)}
+_NOISES = {
+    c.__name__: c
+    for c in (_noise.White, _noise.OrnsteinUhlenbeck, _noise.StudentT, _noise.Quantised)
+}
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal)}
 
 
 def installed_instruments() -> dict[str, Instrument]:
     """Instruments offered through the entry-point group `bayescal.instruments`, by name."""
-    return {e.name: e.load() for e in sorted(entry_points(group="bayescal.instruments"), key=lambda e: e.name)}
+    return {
+        e.name: e.load()
+        for e in sorted(entry_points(group="bayescal.instruments"), key=lambda e: e.name)
+    }
 
 
 def save(calibration: Calibration, path: Path) -> Path:
@@ -49,7 +55,9 @@ def save(calibration: Calibration, path: Path) -> Path:
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
     if not path.parent.is_dir():
-        raise InputError(f"There is no folder {path.parent} to write {path.name!r} to: make it first")
+        raise InputError(
+            f"There is no folder {path.parent} to write {path.name!r} to: make it first"
+        )
     tree = calibration.tree.copy()
     tree["mode"] = xr.DataTree(_mode_dataset(calibration.mode))
     tree.attrs["bayescal"] = json.dumps(_description(calibration))
@@ -92,10 +100,14 @@ def _stated(effect: Effect) -> str:
 def _noise_description(noise: _noise.Noise) -> dict[str, Any]:
     name = type(noise).__name__
     if name not in _NOISES:
-        raise InputError(f"noise law {name!r} is not one of {', '.join(_NOISES)}: it cannot be saved by name")
+        raise InputError(
+            f"noise law {name!r} is not one of {', '.join(_NOISES)}: it cannot be saved by name"
+        )
     found: dict[str, Any] = {"law": name}
     for key, value in vars(noise).items():
-        found[key] = [type(value).__name__, vars(value)] if type(value).__name__ in _PRIORS else value
+        found[key] = (
+            [type(value).__name__, vars(value)] if type(value).__name__ in _PRIORS else value
+        )
     return found
 
 
@@ -108,7 +120,11 @@ def _noise_from(described: dict[str, Any]) -> _noise.Noise:
 
 
 def _mode_dataset(mode: Mode) -> xr.Dataset:
-    parts = {"x": mode.point.x, "rows": mode.point.rows, **{k: getattr(mode, k) for k in _MODE_FIELDS}}
+    parts = {
+        "x": mode.point.x,
+        "rows": mode.point.rows,
+        **{k: getattr(mode, k) for k in _MODE_FIELDS},
+    }
     return xr.Dataset(
         {
             name: (tuple(f"{name}_{i}" for i in range(np.ndim(value))), np.asarray(value, float))
@@ -130,7 +146,9 @@ def load_calibration(
         with xr.open_datatree(path, engine="h5netcdf") as opened:
             tree = opened.load()
     except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path.name} cannot be read as NetCDF ({error}): is it a saved calibration?") from None
+        raise InputError(
+            f"{path.name} cannot be read as NetCDF ({error}): is it a saved calibration?"
+        ) from None
     described = _parsed(tree.attrs.pop("bayescal", None))
     if described.get("schema") != SCHEMA:
         raise InputError(
@@ -148,7 +166,9 @@ def load_calibration(
         model,
         readings,
         tree,
-        Verdict(**{**verdict, "reasons": tuple(verdict["reasons"]), "notes": tuple(verdict["notes"])}),
+        Verdict(
+            **{**verdict, "reasons": tuple(verdict["reasons"]), "notes": tuple(verdict["notes"])}
+        ),
         described["method"],
         described["seed"],
         described["reference"],
@@ -171,7 +191,9 @@ def _parsed(text: object) -> dict[str, Any]:
 def _mode_from(data: xr.Dataset) -> Mode:
     values = {str(k): jnp.asarray(v.values) for k, v in data.items()}
     rest = {k: values[k] for k in _MODE_FIELDS}
-    return Mode(Point(values["x"], values["rows"]), **{**rest, "indefinite": rest["indefinite"] > 0})
+    return Mode(
+        Point(values["x"], values["rows"]), **{**rest, "indefinite": rest["indefinite"] > 0}
+    )
 
 
 def _readings_from(tree: xr.DataTree, described: dict[str, Any]) -> Measurements:
@@ -205,7 +227,9 @@ def _model_from(path: Path, described, readings: Measurements, effects, instrume
         )
     instrument = _tailored(path, known[name], described.get("settings", {}), readings)
     structural = [e for _, make in instrument.structures for e in make().effects]
-    catalogue = {e.name: e for e in (*structural, *instrument.effects, *instrument.candidates, *effects)}
+    catalogue = {
+        e.name: e for e in (*structural, *instrument.effects, *instrument.candidates, *effects)
+    }
     missing = [n for n in described["effects"] if n not in catalogue]
     if missing:
         raise InputError(

@@ -27,22 +27,30 @@ def summary(calibration: Calibration) -> tuple[list[dict[str, Any]], list[dict[s
         if b.place == "fixed":
             continue
         values = calibration.samples(b.name)
-        prior = None if b.coefficient.flat or b.coefficient.spread is not None else b.coefficient.size
+        prior = (
+            None if b.coefficient.flat or b.coefficient.spread is not None else b.coefficient.size
+        )
         per = b.coefficient.per
         if per is None:
             coefficients.append(_row(b.name, b.effect.name, b.coefficient.unit, values, prior))
         elif per != "reading":
             for i, member in enumerate(levels[per]):
                 name = f"{b.name}({member})"
-                coefficients.append(_row(name, b.effect.name, b.coefficient.unit, values[:, i], prior))
+                coefficients.append(
+                    _row(name, b.effect.name, b.coefficient.unit, values[:, i], prior)
+                )
     for h in layout.hypers:
         if h.kind != "promoted":
             effect = "noise" if h.kind == "noise" else h.name.rpartition(".")[0]
-            spreads.append(_row(h.name, effect, h.unit, calibration.samples(h.name), _prior_sd(h.prior)))
+            spreads.append(
+                _row(h.name, effect, h.unit, calibration.samples(h.name), _prior_sd(h.prior))
+            )
     return coefficients, spreads
 
 
-def _row(name: str, effect: str, unit: str, values: np.ndarray, prior: float | None) -> dict[str, Any]:
+def _row(
+    name: str, effect: str, unit: str, values: np.ndarray, prior: float | None
+) -> dict[str, Any]:
     low, high = np.quantile(values, [0.025, 0.975])
     sd = float(values.std(ddof=1))
     return {
@@ -107,13 +115,16 @@ def _members(block: Block, levels: dict[str, tuple[str, ...]]) -> list[str]:
 def _words(vector: np.ndarray, value: float, names: list[str]) -> dict[str, str]:
     order = [i for i in np.argsort(-np.abs(vector)) if vector[i] ** 2 > SHARE]
     sign = np.sign(vector[order[0]])
-    terms = [f"{'+' if sign * vector[i] > 0 else '−'} {abs(vector[i]):.2f}·{names[i]}" for i in order]
+    terms = [
+        f"{'+' if sign * vector[i] > 0 else '−'} {abs(vector[i]):.2f}·{names[i]}" for i in order
+    ]
     combination = " ".join(terms).removeprefix("+ ") + "  (in prior standard deviations)"
     who = " and ".join(names[i] for i in order)
     if len(order) == 1:
         words = f"{who}: these readings say nothing of it; its interval is the prior's"
     else:
-        words = f"{who}: only another combination of them is measured; this one keeps the prior's width"
+        words = (
+            f"{who}: only another combination of them is measured; this one keeps the prior's width"
+        )
     exact = " (exactly)" if value < 1e-8 else ""
     return {"combination": combination, "in_words": words + exact}
-

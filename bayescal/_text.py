@@ -92,7 +92,7 @@ def with_error(value: float, error: float) -> str:
     power, places = _scaled(value, error)
     if places > 8:
         return f"{value:.6g} ± {error:.2g}"
-    text = f"{value / 10**power:.{places}f} ± {error / 10**power:.{places}f}"
+    text = f"{value / 10**power:z.{places}f} ± {error / 10**power:.{places}f}"
     return f"({text})e{power}" if power else text
 
 
@@ -103,7 +103,7 @@ def _interval(low: float, high: float, mean: float, error: float) -> str:
     power, places = _scaled(mean, error)
     if places > 8:
         return f"{low:.6g} to {high:.6g}"
-    text = f"{low / 10**power:.{places}f} to {high / 10**power:.{places}f}"
+    text = f"{low / 10**power:z.{places}f} to {high / 10**power:z.{places}f}"
     return f"({text})e{power}" if power else text
 
 
@@ -121,7 +121,7 @@ def check_text(check: Check) -> str:
     rows = [
         [
             e.against,
-            f"{e.log_bayes_factor:.1f}",
+            f"{e.log_bayes_factor:z.1f}",
             f"{e.worst.size:+.3g} {unit}",
             f"{e.worst.z:+.1f}",
             _where(e.against, e.worst),
@@ -195,7 +195,7 @@ def discovery_text(found: Discovery) -> str:
 
 def _candidate_row(c: Candidate) -> list[str]:
     remark = "this experiment cannot see it" if c.kind == "not visible" else c.kind or ""
-    factor = "–" if c.log_bayes_factor is None else f"{c.log_bayes_factor:.1f}"
+    factor = "–" if c.log_bayes_factor is None else f"{c.log_bayes_factor:z.1f}"
     return [
         c.effect,
         probability(c.probability),
@@ -276,7 +276,7 @@ def trail_text(trail: Trail) -> str:
                 number(s.holdout_rmse),
                 number(s.check.noise),
                 number(s.noise_floor),
-                "–" if evidence is None else f"{evidence[0]:.1f}",
+                "–" if evidence is None else f"{evidence[0]:z.1f}",
                 probability(s.discovery.nothing_missing if s.discovery else None),
             ]
         )

@@ -144,4 +144,3 @@ def noise_floor(calibration: Calibration) -> float:
     if bend.size < 3:
         return float(np.sqrt(np.mean(residual**2)))
     return float(np.sqrt(np.mean(bend**2) / 1.5))
-

@@ -57,7 +57,9 @@ def build_tree(
     return xr.DataTree.from_dict(groups)
 
 
-def named(layout: Layout, levels: Levels, x: np.ndarray, rows: np.ndarray, v: np.ndarray) -> xr.Dataset:
+def named(
+    layout: Layout, levels: Levels, x: np.ndarray, rows: np.ndarray, v: np.ndarray
+) -> xr.Dataset:
     """Draws (chains, draws, …) as one variable per unknown, in its reported unit."""
 
     def one(x, rows, v):
@@ -91,11 +93,14 @@ def _log_prior(layout: Layout, levels: Levels, posterior: xr.Dataset, draws: Dra
     for i, h in enumerate(layout.hypers):
         if h.kind == "promoted" or h.name not in posterior:
             continue
-        found[h.name] = (("chain", "draw"), np.asarray(h.prior.log_density(jnp.asarray(draws.v[..., i]))))
+        found[h.name] = (
+            ("chain", "draw"),
+            np.asarray(h.prior.log_density(jnp.asarray(draws.v[..., i]))),
+        )
     for b in layout.blocks:
         if b.place == "fixed" or b.coefficient.flat or b.name not in posterior:
             continue
-        spread = posterior[b.spread_name] if b.spread_name in posterior else b.coefficient.size
+        spread = posterior.get(b.spread_name, b.coefficient.size)
         z = (posterior[b.name] - b.coefficient.mean) / spread
         density = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
         found[b.name] = (posterior[b.name].dims, density.transpose(*posterior[b.name].dims).values)
@@ -116,9 +121,7 @@ def _predictive(layout: Layout, frame: Frame, draws: Draws, seed: int) -> np.nda
     chains, count = draws.x.shape[:2]
     keep = max(1, min(count, PREDICTIVE_CELLS // (chains * frame.size)))
     step = -(-count // keep)
-    thin = tuple(
-        jnp.asarray(flat(a[:, ::step])) for a in (draws.x, draws.rows, draws.v)
-    )
+    thin = tuple(jnp.asarray(flat(a[:, ::step])) for a in (draws.x, draws.rows, draws.v))
     keys = jax.random.split(jax.random.key(seed + 1), len(thin[0]))
     made = np.asarray(_replicate(layout, frame, thin, keys))
     return made.reshape(chains, -1, frame.size)

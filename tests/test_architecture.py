@@ -15,7 +15,7 @@ import bayescal
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "bayescal"
 MODELS = ROOT / "models" / "bayescal_models"
-LONGEST = 400  # lines; about 300 is the aim
+LONGEST = 450  # lines; about 300 is the aim
 
 # From the ground up. A module imports only what stands before it, on its own floor too.
 FLOORS = {

@@ -68,7 +68,9 @@ def bound(model: bc.Model, data: bc.Measurements) -> SimpleNamespace:
 # Derivatives.
 
 
-@pytest.mark.parametrize("promoted", [(), ("bias.temperature", "scale.constant")], ids=["x", "promoted"])
+@pytest.mark.parametrize(
+    "promoted", [(), ("bias.temperature", "scale.constant")], ids=["x", "promoted"]
+)
 def test_jacobian_is_the_derivative_of_the_mean(promoted) -> None:
     b = bound(RICH, readings())
     layout = b.layout.promote(*promoted)
@@ -96,7 +98,10 @@ def test_jacobian_agrees_with_finite_differences() -> None:
     mean = jax.jit(lambda x, rows: composition.mean(b.layout, b.frame, x, rows, b.hyper))
     step = 1e-4 * np.asarray(composition.prior_sd(b.layout, b.hyper))
     shift = np.diag(step)
-    difference = [(mean(b.x + s, b.rows) - mean(b.x - s, b.rows)) / (2 * h) for s, h in zip(shift, step)]
+    difference = [
+        (mean(b.x + s, b.rows) - mean(b.x - s, b.rows)) / (2 * h)
+        for s, h in zip(shift, step, strict=True)
+    ]
     np.testing.assert_allclose(line.jacobian.T, difference, rtol=1e-6, atol=1e-7)
     moved = (mean(b.x, b.rows + 1e-4) - mean(b.x, b.rows - 1e-4)) / 2e-4
     np.testing.assert_allclose(line.rows[:, 0], moved, rtol=1e-6)
@@ -113,7 +118,9 @@ def test_columns_of_a_missing_effect_are_those_it_has_in_the_model() -> None:
     line = composition.linearise(larger.layout, larger.frame, x, b.rows, b.hyper)
     # The column sees the recorded temperature, the model the corrected one.
     corrected = np.asarray(b.frame.centred() + b.rows[:, 0])
-    np.testing.assert_allclose(column[:, 0] / b.frame.centred(), line.jacobian[:, -1] / corrected, rtol=1e-12)
+    np.testing.assert_allclose(
+        column[:, 0] / b.frame.centred(), line.jacobian[:, -1] / corrected, rtol=1e-12
+    )
     assert size == effect.coefficients[0].prior.sd
 
 
@@ -303,7 +310,9 @@ def test_rate_over_slow_sampling_is_that_of_the_last_step() -> None:
 def test_constants_of_the_bases_are_those_of_the_fit() -> None:
     data = readings(20)
     found = bc.fit(INSTRUMENT.baseline(), data, bc.LeastSquares(), strict=False)
-    later = data.select(data["run"] == "down").with_column("temperature", data["temperature"][10:] + 30)
+    later = data.select(data["run"] == "down").with_column(
+        "temperature", data["temperature"][10:] + 30
+    )
     old, new = found.frame, found.frame_of(later)
     for name, value in old.reference.items():
         assert new.reference[name] == value
@@ -350,17 +359,25 @@ def test_closed_form_is_the_multivariate_normal(model, known) -> None:
     gain = D @ J.T @ np.linalg.inv(V)
     mean = prior.mean + gain @ (b.y - centre)
     np.testing.assert_allclose(found.mean, mean, rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(found.covariance, D - gain @ J @ D, atol=1e-8 * max(1.0, D.max(initial=0)))
+    np.testing.assert_allclose(
+        found.covariance, D - gain @ J @ D, atol=1e-8 * max(1.0, D.max(initial=0))
+    )
 
 
 def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     flat = bc.Model(
         INSTRUMENT,
-        (effects.constant("bias", None, "deg/s", source="none"), INSTRUMENT.effect("bias.temperature")),
+        (
+            effects.constant("bias", None, "deg/s", source="none"),
+            INSTRUMENT.effect("bias.temperature"),
+        ),
         bc.White(),
     )
     b = bound(flat, readings())
-    sigma, sd = b.hyper["noise.white"], INSTRUMENT.effect("bias.temperature").coefficients[0].prior.sd
+    sigma, sd = (
+        b.hyper["noise.white"],
+        INSTRUMENT.effect("bias.temperature").coefficients[0].prior.sd,
+    )
     found = [
         linear.condition(
             linear.gram_function(b.layout, b.frame, b.y, linear.Point(b.x, b.rows))(b.hyper),
@@ -387,7 +404,10 @@ def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
 
 @pytest.mark.parametrize(
     "model",
-    [RICH, RICH.with_noise(bc.StudentT()).fix({"bias.thermal_lag.tau": 200.0, "bias.constant": 3.0})],
+    [
+        RICH,
+        RICH.with_noise(bc.StudentT()).fix({"bias.thermal_lag.tau": 200.0, "bias.constant": 3.0}),
+    ],
     ids=["white", "student, some fixed"],
 )
 def test_numpyro_program_has_the_same_density(model) -> None:
@@ -402,7 +422,9 @@ def test_numpyro_program_has_the_same_density(model) -> None:
         sites = {h.name: hyper[h.name] for h in b.layout.hypers}
         x, ours = [], composition.hyper_log_prior(b.layout, v)
         for i, h in enumerate(b.layout.hypers):
-            ours -= jnp.log(jax.grad(h.prior.value)(v[i]))  # density in the value, not in its coordinate
+            ours -= jnp.log(
+                jax.grad(h.prior.value)(v[i])
+            )  # density in the value, not in its coordinate
         for block in b.layout.x_blocks:
             z = jnp.asarray(rng.normal(size=block.size))
             c = block.coefficient

@@ -71,7 +71,10 @@ def test_prior_draws_follow_the_stated_priors(found) -> None:
 
 
 def test_log_prior_is_the_density_of_each_unknown_in_its_own_unit(found) -> None:
-    densities, posterior = found.tree["log_prior"].to_dataset(), found.tree["posterior"].to_dataset()
+    densities, posterior = (
+        found.tree["log_prior"].to_dataset(),
+        found.tree["posterior"].to_dataset(),
+    )
     assert set(densities) == set(posterior)
     exact = {
         "bias.constant": stats.norm(0, 50),
@@ -82,7 +85,9 @@ def test_log_prior_is_the_density_of_each_unknown_in_its_own_unit(found) -> None
     }
     for name, law in exact.items():
         assert densities[name].dims == posterior[name].dims
-        np.testing.assert_allclose(densities[name], law.logpdf(posterior[name]), rtol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            densities[name], law.logpdf(posterior[name]), rtol=1e-9, err_msg=name
+        )
 
 
 def test_log_prior_knows_a_spread_that_is_held(readings) -> None:

@@ -103,7 +103,9 @@ def exact_moments(data: bc.Measurements) -> dict[str, tuple[float, float]]:
     }
 
 
-def assert_exact(found: bc.Calibration, exact: dict[str, tuple[float, float]], effective: float) -> None:
+def assert_exact(
+    found: bc.Calibration, exact: dict[str, tuple[float, float]], effective: float
+) -> None:
     for name, (mean, sd) in exact.items():
         draws = found.samples(name)
         assert abs(draws.mean() - mean) < 4 * sd / np.sqrt(effective), name

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bayescal_models import mems_gyro
-from bayescal_models.mems_gyro.campaign import SIZES
 
 import bayescal as bc
+from bayescal_models import mems_gyro
+from bayescal_models.mems_gyro.campaign import SIZES
 
 INSTRUMENT = mems_gyro.INSTRUMENT
 CANDIDATES = tuple(name for name in SIZES if name != "bias.temperature")
@@ -57,7 +57,9 @@ def hidden_and_found(name: str, seed: int) -> None:
     before, after = trail.steps[0].holdout_rmse, trail.final.holdout_rmse
     assert before is not None
     assert after is not None
-    assert after <= 1.02 * before, f"{name} = {size:g}: held-out error rose from {before:g} to {after:g}"
+    assert after <= 1.02 * before, (
+        f"{name} = {size:g}: held-out error rose from {before:g} to {after:g}"
+    )
     if factor < DETECTABLE:
         return  # too small to be seen here: only harm is forbidden
     final = trail.final.calibration.model.names

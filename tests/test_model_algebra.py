@@ -65,25 +65,33 @@ def test_models_of_equal_parts_are_equal_and_share_a_hash() -> None:
 
 
 def test_adding_twice_is_refused_and_says_how_to_replace() -> None:
-    with pytest.raises(bc.ModelError, match=r"'bias.temperature' is in the model already .*model - 'bias"):
+    with pytest.raises(
+        bc.ModelError, match=r"'bias.temperature' is in the model already .*model - 'bias"
+    ):
         BASELINE + "bias.temperature"
 
 
 def test_taking_away_what_is_not_there_is_refused() -> None:
-    with pytest.raises(bc.ModelError, match=r"'bias.drift' is not in the model; it has: bias.constant, "):
+    with pytest.raises(
+        bc.ModelError, match=r"'bias.drift' is not in the model; it has: bias.constant, "
+    ):
         BASELINE - "bias.drift"
     with pytest.raises(bc.ModelError, match=r"'bias.drift' is not in the model"):
         BASELINE.effect("bias.drift")
 
 
 def test_an_unknown_effect_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(bc.ModelError, match=r"knows no effect 'bias.moon'; it knows bias.constant, .*--effects"):
+    with pytest.raises(
+        bc.ModelError, match=r"knows no effect 'bias.moon'; it knows bias.constant, .*--effects"
+    ):
         BASELINE + "bias.moon"
 
 
 def test_an_unknown_slot_is_refused_with_the_known_ones() -> None:
     lost = effects.constant("tilt", 1.0, "rad", source="none")
-    with pytest.raises(bc.ModelError, match=r"has no slot 'tilt'; an effect can add to bias, scale"):
+    with pytest.raises(
+        bc.ModelError, match=r"has no slot 'tilt'; an effect can add to bias, scale"
+    ):
         BASELINE + lost
     with pytest.raises(bc.ModelError, match=r"has no slot 'output'"):
         BASELINE + effects.constant("output", 1.0, "deg/s", source="none")
@@ -155,7 +163,10 @@ def test_freeing_undoes_fixing_one_or_all() -> None:
     fixed = BASELINE.fix({"bias.temperature": 0.041, "noise.white": 0.1})
     assert fixed.free("noise.white") == BASELINE.fix({"bias.temperature": 0.041})
     assert fixed.free() == BASELINE
-    assert dict(fixed.fix({"noise.white": 0.2}).fixed) == {"bias.temperature": 0.041, "noise.white": 0.2}
+    assert dict(fixed.fix({"noise.white": 0.2}).fixed) == {
+        "bias.temperature": 0.041,
+        "noise.white": 0.2,
+    }
 
 
 def test_taking_an_effect_away_frees_what_was_fixed_of_it() -> None:
@@ -164,7 +175,9 @@ def test_taking_an_effect_away_frees_what_was_fixed_of_it() -> None:
 
 
 def test_fixing_what_is_not_there_or_no_number_is_refused() -> None:
-    with pytest.raises(bc.ModelError, match=r"nothing in the model is called 'bias.drift'; it has: bias"):
+    with pytest.raises(
+        bc.ModelError, match=r"nothing in the model is called 'bias.drift'; it has: bias"
+    ):
         BASELINE.fix({"bias.drift": 0.0})
     with pytest.raises(bc.ModelError, match=r"'bias.temperature' cannot be fixed to nan"):
         BASELINE.fix({"bias.temperature": np.nan})
@@ -176,9 +189,13 @@ def test_a_scale_cannot_be_fixed_to_zero_or_less() -> None:
     with pytest.raises(bc.ModelError, match=r"'noise.white' cannot be fixed to 0.0: .*positive"):
         BASELINE.fix({"noise.white": 0.0})
     lagging = BASELINE + "bias.thermal_lag"
-    with pytest.raises(bc.ModelError, match=r"'bias.thermal_lag.tau' cannot be fixed to -5.0: .*positive"):
+    with pytest.raises(
+        bc.ModelError, match=r"'bias.thermal_lag.tau' cannot be fixed to -5.0: .*positive"
+    ):
         lagging.fix({"bias.thermal_lag.tau": -5.0})
-    with pytest.raises(bc.ModelError, match=r"'bias.run.spread' cannot be fixed to -1.0: .*positive"):
+    with pytest.raises(
+        bc.ModelError, match=r"'bias.run.spread' cannot be fixed to -1.0: .*positive"
+    ):
         (BASELINE + "bias.run").fix({"bias.run.spread": -1.0})
 
 
@@ -220,10 +237,14 @@ def test_missing_columns_are_named_with_what_there_is() -> None:
 
 def test_a_group_effect_without_members_is_refused() -> None:
     cell = bc.Effect(
-        "bias.cell", "bias", basis=lambda r: 1.0, coefficients=(bc.Coefficient("deg/s", per="cell"),)
+        "bias.cell",
+        "bias",
+        basis=lambda r: 1.0,
+        coefficients=(bc.Coefficient("deg/s", per="cell"),),
     )
     with pytest.raises(
-        bc.ModelError, match=r"'bias.cell' has one coefficient for each cell, and .* has none: name them"
+        bc.ModelError,
+        match=r"'bias.cell' has one coefficient for each cell, and .* has none: name them",
     ):
         bc.fit(BASELINE + cell, readings())
     with pytest.raises(bc.ModelError, match=r"'bias.run' needs the column 'run'"):
@@ -252,7 +273,9 @@ def test_as_many_flat_coefficients_as_readings_are_refused() -> None:
         ),
         bc.White(),
     )
-    with pytest.raises(bc.ModelError, match=r"has 3 readings for 3 coefficients with a flat prior: measure"):
+    with pytest.raises(
+        bc.ModelError, match=r"has 3 readings for 3 coefficients with a flat prior: measure"
+    ):
         bc.fit(flat, readings(rows=3))
     layout, _ = bind(flat, readings(rows=4))
     assert layout.improper
@@ -261,7 +284,10 @@ def test_as_many_flat_coefficients_as_readings_are_refused() -> None:
 
 
 def test_promoting_what_is_not_there_is_refused() -> None:
-    with pytest.raises(bc.ModelError, match=r"promote: nothing that could be promoted is called 'bias.temprature'.*bias.temperature"):
+    with pytest.raises(
+        bc.ModelError,
+        match=r"promote: nothing that could be promoted is called 'bias.temprature'.*bias.temperature",
+    ):
         bc.fit(BASELINE, readings(), bc.Marginal(promote=("bias.temprature",)))
 
 

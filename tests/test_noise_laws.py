@@ -14,7 +14,9 @@ from bayescal import effects
 from bayescal._frame import build_frame, reference_of
 from bayescal_models.mems_gyro import INSTRUMENT
 
-CONSTANT = bc.Model(INSTRUMENT, (effects.constant("bias", 10.0, "deg/s", source="none"),), bc.White())
+CONSTANT = bc.Model(
+    INSTRUMENT, (effects.constant("bias", 10.0, "deg/s", source="none"),), bc.White()
+)
 STEP = 0.5
 LAWS = {
     "white": (bc.White(), {"noise.white": 0.3}),
@@ -60,7 +62,10 @@ def test_quantised_is_the_probability_of_the_rounding_interval() -> None:
     found = log_density(*LAWS["quantised"], grid, 0.4)
     normal = stats.norm(0.4, 0.3)
     upper = grid > 0.4  # there from the far side, where scipy keeps its digits
-    near, far = np.where(upper, -1, 1) * (grid - STEP / 2), np.where(upper, -1, 1) * (grid + STEP / 2)
+    near, far = (
+        np.where(upper, -1, 1) * (grid - STEP / 2),
+        np.where(upper, -1, 1) * (grid + STEP / 2),
+    )
     other = stats.norm(-0.4, 0.3)
     interval = np.where(upper, other.cdf(near) - other.cdf(far), normal.cdf(far) - normal.cdf(near))
     np.testing.assert_allclose(np.exp(found) * STEP, interval, rtol=1e-6, atol=1e-300)
@@ -153,9 +158,13 @@ def test_steps_must_be_positive() -> None:
 def test_prior_of_a_scale_is_its_law_whatever_the_coordinate(prior, exact, key) -> None:
     for v in (-2.0, 0.0, 0.7):
         value, slope = jax.value_and_grad(prior.value)(v)
-        assert float(prior.log_density(v)) == pytest.approx(exact.logpdf(value) + np.log(slope), rel=1e-9)
+        assert float(prior.log_density(v)) == pytest.approx(
+            exact.logpdf(value) + np.log(slope), rel=1e-9
+        )
         assert prior.coordinate(float(value)) == pytest.approx(v, abs=1e-12)
-        assert float(prior.distribution().log_prob(value)) == pytest.approx(exact.logpdf(value), rel=1e-6)
+        assert float(prior.distribution().log_prob(value)) == pytest.approx(
+            exact.logpdf(value), rel=1e-6
+        )
     drawn = jax.vmap(lambda k: prior.value(prior.sample(k)))(jax.random.split(key, 4000))
     assert stats.kstest(np.asarray(drawn), exact.cdf).pvalue > 0.01
 
@@ -197,7 +206,9 @@ def test_student_t_resists_outliers(rng) -> None:
     output[[3, 17, 30]] += [6.0, 8.0, 5.0]
     data = readings(output)
     white = bc.fit(CONSTANT, data)
-    robust = bc.fit(CONSTANT.with_noise(bc.StudentT(bc.HalfCauchy(0.1))), data, bc.Marginal(draws=2000))
+    robust = bc.fit(
+        CONSTANT.with_noise(bc.StudentT(bc.HalfCauchy(0.1))), data, bc.Marginal(draws=2000)
+    )
     assert white.samples("bias.constant").mean() > 5.2
     constant = robust.samples("bias.constant")
     assert constant.mean() == pytest.approx(5, abs=0.06)

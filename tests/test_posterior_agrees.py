@@ -229,7 +229,10 @@ def test_a_flat_prior_has_no_evidence(table) -> None:
 
     flat = bc.Model(
         INSTRUMENT,
-        (effects.constant("bias", None, "deg/s", source="none"), INSTRUMENT.effect("bias.temperature")),
+        (
+            effects.constant("bias", None, "deg/s", source="none"),
+            INSTRUMENT.effect("bias.temperature"),
+        ),
         INSTRUMENT.noise,
     )
     found = bc.fit(flat, table)
@@ -256,6 +259,8 @@ def test_pointwise_likelihood_is_that_of_scipy(marginal, table) -> None:
     assert found["output"].shape == (4, 250, 18)
     draws = marginal.tree["posterior"].to_dataset().isel(draw=slice(None, None, 4))
     t = table["temperature"] - 57
-    mean = draws["bias.constant"].values[..., None] + draws["bias.temperature"].values[..., None] * t
+    mean = (
+        draws["bias.constant"].values[..., None] + draws["bias.temperature"].values[..., None] * t
+    )
     exact = stats.norm(mean, draws["noise.white"].values[..., None]).logpdf(table["output"])
     np.testing.assert_allclose(found["output"], exact, rtol=1e-9, atol=1e-9)

@@ -33,7 +33,9 @@ def line() -> bc.Calibration:
 def own() -> bc.Calibration:
     """With an effect of the user's own, a coefficient fixed and thermometer errors; by least squares."""
     model = (INSTRUMENT.baseline() + SQUARE + THERMOMETER).fix({"bias.temperature": 0.05})
-    return bc.fit(model, bc.read(TABLE, INSTRUMENT), bc.LeastSquares(draws=400), reference={"T0": 50.0})
+    return bc.fit(
+        model, bc.read(TABLE, INSTRUMENT), bc.LeastSquares(draws=400), reference={"T0": 50.0}
+    )
 
 
 def same(one: bc.Calibration, other: bc.Calibration) -> None:
@@ -51,7 +53,11 @@ def same(one: bc.Calibration, other: bc.Calibration) -> None:
     assert one.levels == other.levels
     assert one.model == other.model
     assert one.layout == other.layout
-    assert (one.method, one.seed, one.log_evidence) == (other.method, other.seed, other.log_evidence)
+    assert (one.method, one.seed, one.log_evidence) == (
+        other.method,
+        other.seed,
+        other.log_evidence,
+    )
     for name, value in one.mode._asdict().items():
         if name == "point":
             np.testing.assert_array_equal(value.x, other.mode.point.x)
@@ -144,7 +150,8 @@ def fields(c: bc.Calibration) -> dict:
 def test_an_effect_that_is_not_installed_is_refused_by_name(own, tmp_path) -> None:
     path = own.save(tmp_path / "own.nc")
     with pytest.raises(
-        bc.InputError, match=r"own.nc uses the effect bias.square, which 'mems_gyro' does not have.*--effects"
+        bc.InputError,
+        match=r"own.nc uses the effect bias.square, which 'mems_gyro' does not have.*--effects",
     ):
         bc.load(path)
 
@@ -154,13 +161,17 @@ def test_an_effect_of_the_same_name_but_another_prior_is_refused(tmp_path) -> No
     model = INSTRUMENT.baseline() - "bias.temperature" + narrow
     found = bc.fit(model, bc.read(TABLE, INSTRUMENT), bc.LeastSquares(draws=400))
     path = found.save(tmp_path / "narrow.nc")
-    with pytest.raises(bc.InputError, match=r"narrow.nc .*'bias.temperature'.*sd=0.001.*sd=0.05.*--effects"):
+    with pytest.raises(
+        bc.InputError, match=r"narrow.nc .*'bias.temperature'.*sd=0.001.*sd=0.05.*--effects"
+    ):
         bc.load(path)
     same(found, bc.load(path, effects=[narrow]))
 
 
 def test_what_is_no_calibration_is_refused(tmp_path) -> None:
-    with pytest.raises(bc.InputError, match=r"There is no file .*missing.nc: give a calibration saved by"):
+    with pytest.raises(
+        bc.InputError, match=r"There is no file .*missing.nc: give a calibration saved by"
+    ):
         bc.load(tmp_path / "missing.nc")
     text = tmp_path / "text.nc"
     text.write_text("temperature,output\n1,2\n")
@@ -168,7 +179,9 @@ def test_what_is_no_calibration_is_refused(tmp_path) -> None:
         bc.load(text)
     foreign = tmp_path / "foreign.nc"
     xr.Dataset({"a": ("x", [1.0, 2.0])}).to_netcdf(foreign, engine="h5netcdf")
-    with pytest.raises(bc.InputError, match=r"foreign.nc is no calibration .* schema is None, expected"):
+    with pytest.raises(
+        bc.InputError, match=r"foreign.nc is no calibration .* schema is None, expected"
+    ):
         bc.load(foreign)
 
 
@@ -189,7 +202,9 @@ def test_another_instrument_is_refused_by_name(line, tmp_path) -> None:
     described = json.loads(tree.attrs["bayescal"])
     tree.attrs["bayescal"] = json.dumps({**described, "instrument": "sundial"})
     tree.to_netcdf(tmp_path / "sundial.nc", engine="h5netcdf")
-    with pytest.raises(bc.InputError, match=r"calibration of 'sundial', which is not installed .*mems_gyro"):
+    with pytest.raises(
+        bc.InputError, match=r"calibration of 'sundial', which is not installed .*mems_gyro"
+    ):
         bc.load(tmp_path / "sundial.nc")
 
 

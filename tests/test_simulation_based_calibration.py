@@ -26,7 +26,7 @@ BASELINE = INSTRUMENT.baseline()
 
 def drawn(model: bc.Model, count: int, plan: bc.Measurements, seed: int = SEED):
     """Data sets drawn from the model's own priors and noise, and the truth of every unknown, (count, …)."""
-    layout, levels = bind(model, plan)
+    layout, _ = bind(model, plan)
     frame = build_frame(plan, reference_of(plan))
 
     def one(key):
@@ -84,7 +84,9 @@ def test_ranks_are_uniform_for_runs_over_a_parabola_on_many_data_sets() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [bc.HalfNormal(0.1), bc.HalfCauchy(0.1)], ids=lambda n: type(n).__name__)
+@pytest.mark.parametrize(
+    "noise", [bc.HalfNormal(0.1), bc.HalfCauchy(0.1)], ids=lambda n: type(n).__name__
+)
 def test_ranks_are_uniform_for_the_baseline(noise) -> None:
     check(BASELINE.with_noise(bc.White(noise)), 200)
 

@@ -70,7 +70,9 @@ def test_the_listener_hears_compilations() -> None:
     assert compiled(lambda: jax.jit(lambda x: x + 1.2345)(np.ones(3)))
 
 
-@pytest.mark.parametrize("method", [bc.Marginal(), bc.LeastSquares(draws=400)], ids=lambda m: m.name)
+@pytest.mark.parametrize(
+    "method", [bc.Marginal(), bc.LeastSquares(draws=400)], ids=lambda m: m.name
+)
 def test_a_second_fit_of_the_same_structure_compiles_nothing(method) -> None:
     first, second = readings(1), readings(2)
     calibration = bc.fit(MODEL, first, method)

@@ -9,7 +9,9 @@ from bayescal._prior import Normal
 _POWERS = {1: ("", ""), 2: ("_quadratic", "²"), 3: ("_cubic", "³")}
 
 
-def _power(slot: str, order: int, column: str, size: float, unit: str, name: str, source: str) -> Effect:
+def _power(
+    slot: str, order: int, column: str, size: float, unit: str, name: str, source: str
+) -> Effect:
     suffix, sign = _POWERS[order]
     return Effect(
         f"{slot}.{name}{suffix}",
@@ -24,18 +26,36 @@ def _power(slot: str, order: int, column: str, size: float, unit: str, name: str
 
 
 def linear(
-    slot: str, size: float, unit: str, *, source: str, column: str = "temperature", name: str = "temperature"
+    slot: str,
+    size: float,
+    unit: str,
+    *,
+    source: str,
+    column: str = "temperature",
+    name: str = "temperature",
 ) -> Effect:
     return _power(slot, 1, column, size, unit, name, source)
 
 
 def quadratic(
-    slot: str, size: float, unit: str, *, source: str, column: str = "temperature", name: str = "temperature"
+    slot: str,
+    size: float,
+    unit: str,
+    *,
+    source: str,
+    column: str = "temperature",
+    name: str = "temperature",
 ) -> Effect:
     return _power(slot, 2, column, size, unit, name, source)
 
 
 def cubic(
-    slot: str, size: float, unit: str, *, source: str, column: str = "temperature", name: str = "temperature"
+    slot: str,
+    size: float,
+    unit: str,
+    *,
+    source: str,
+    column: str = "temperature",
+    name: str = "temperature",
 ) -> Effect:
     return _power(slot, 3, column, size, unit, name, source)

@@ -7,7 +7,10 @@ from pathlib import Path
 import bayescal as bc
 from bayescal_models.mems_gyro.simulate import TABLE, simulate
 
-PUBLISHED = {"bias.constant": 19.80, "bias.temperature": 0.041}  # source 1, as printed: 0.041·T + 19.80
+PUBLISHED = {
+    "bias.constant": 19.80,
+    "bias.temperature": 0.041,
+}  # source 1, as printed: 0.041·T + 19.80
 HIDDEN = {"bias.thermal_lag": 0.05}  # °/s per °C between die and thermometer
 
 
@@ -21,9 +24,13 @@ def run(out: Path, seed: int) -> None:
     from bayescal_models.mems_gyro.model import INSTRUMENT as instrument  # it holds this function
 
     readings = bc.read(TABLE, instrument)
-    print(f"1. A MEMS GYROSCOPE'S TABLE ({len(readings)} rows, source 1) AGAINST THE LINE ITS PAPER PRINTS\n")
+    print(
+        f"1. A MEMS GYROSCOPE'S TABLE ({len(readings)} rows, source 1) AGAINST THE LINE ITS PAPER PRINTS\n"
+    )
     print("   rate = 0.041·T + 19.80\n")
-    published = bc.fit(instrument.baseline().fix(PUBLISHED), readings, seed=seed, reference={"T0": 0.0})
+    published = bc.fit(
+        instrument.baseline().fix(PUBLISHED), readings, seed=seed, reference={"T0": 0.0}
+    )
     checked = bc.check(published)
     print(checked)
     bc.plot.save(bc.plot.residuals(published, checked), out / "published_line.png")
@@ -50,4 +57,6 @@ def run(out: Path, seed: int) -> None:
         f"noise floor {trail.final.noise_floor:.3f} °/s"
     )
     trail.save(out)
-    print(f"\npictures: {out / 'published_line.png'}, {out / 'loop.png'}\nnumbers: {out / 'result.json'}")
+    print(
+        f"\npictures: {out / 'published_line.png'}, {out / 'loop.png'}\nnumbers: {out / 'result.json'}"
+    )

@@ -4,11 +4,13 @@ Measurement equation, output in °/s:
 
     output = bias + (1 + κ)·Ω
 
-| slot | unit | effects that add to it |
-|---|---|---|
-| `bias` | °/s | `bias.constant`, `bias.temperature` (the baseline: a line), `bias.temperature_quadratic`, `bias.temperature_cubic`, `bias.rate`, `bias.thermal_lag`, `bias.reference_voltage`, `bias.warm_up`, `bias.drift`, `bias.run`, `bias.resonance`, `bias.resonance_force` |
-| `scale` | 1 | `scale.constant`, `scale.temperature` |
-| `temperature` | °C | `temperature.reading`: the thermometer's own error (errors in variables) |
+Slots, and the effects that add to them:
+
+- `bias`, °/s: `bias.constant` and `bias.temperature` (the baseline: a line), `bias.temperature_quadratic`,
+  `bias.temperature_cubic`, `bias.rate`, `bias.thermal_lag`, `bias.reference_voltage`, `bias.warm_up`, `bias.drift`,
+  `bias.run`, and the structures `bias.resonance` and `bias.resonance_force`
+- `scale`, 1: `scale.constant`, `scale.temperature`
+- `temperature`, °C: `temperature.reading`, the thermometer's own error (errors in variables)
 
 Raw outputs in volt become °/s by V = 1.2000 V + 0.83 mV/(°/s)·rate (source 1; the 1.2000 V follows from its table).
 
@@ -74,7 +76,9 @@ REFERENCE = bc.Effect(
     "bias.reference_voltage",
     "bias",
     basis=lambda r: r.centred("board_temperature"),
-    coefficients=(bc.Coefficient("deg/s/degC", bc.Normal(0.0, _size("bias.reference_voltage")[0])),),
+    coefficients=(
+        bc.Coefficient("deg/s/degC", bc.Normal(0.0, _size("bias.reference_voltage")[0])),
+    ),
     columns=("board_temperature",),
     varies=("board_temperature",),
     equation="c·(T_board − T_board,0)",
@@ -114,7 +118,9 @@ INSTRUMENT = bc.Instrument(
         bc.Column("run", None, "label of the run", required=False),
         bc.Column("time", "s", "one origin over all runs", required=False),
         bc.Column("temperature", "degC", "ambient thermometer", low=-273.15, high=400.0),
-        bc.Column("board_temperature", "degC", "electronics", required=False, low=-273.15, high=400.0),
+        bc.Column(
+            "board_temperature", "degC", "electronics", required=False, low=-273.15, high=400.0
+        ),
         bc.Column("rate_input", "deg/s", "rate of the table about the input axis", required=False),
         bc.Column("output", "deg/s", "output, or V with the nominal scale"),
     ),
@@ -147,14 +153,19 @@ INSTRUMENT = bc.Instrument(
         ("resonance, force held", lambda: INSTRUMENT.baseline() - LINE + RESONANCE_FORCE),
         ("line, thermometer error", lambda: INSTRUMENT.baseline() + THERMOMETER),
         ("quadratic, thermometer error", lambda: INSTRUMENT.baseline() + QUADRATIC + THERMOMETER),
-        ("cubic, thermometer error", lambda: INSTRUMENT.baseline() + QUADRATIC + CUBIC + THERMOMETER),
+        (
+            "cubic, thermometer error",
+            lambda: INSTRUMENT.baseline() + QUADRATIC + CUBIC + THERMOMETER,
+        ),
         (
             "resonance, thermometer error",
             lambda: INSTRUMENT.baseline() - LINE + RESONANCE + THERMOMETER,
         ),
         (
             "line, voltage rounded",
-            lambda: INSTRUMENT.baseline().with_noise(bc.Quantised(VOLTAGE_STEP, bc.HalfCauchy(0.1))),
+            lambda: INSTRUMENT.baseline().with_noise(
+                bc.Quantised(VOLTAGE_STEP, bc.HalfCauchy(0.1))
+            ),
         ),
     ),
     simulate=simulate,

@@ -53,7 +53,9 @@ def _resonance(name: str, basis, equation: str) -> bc.Effect:
     )
 
 
-RESONANCE = _resonance("bias.resonance", _held_amplitude, "q·(D(T0)/D(T) − 1), drive amplitude held")
+RESONANCE = _resonance(
+    "bias.resonance", _held_amplitude, "q·(D(T0)/D(T) − 1), drive amplitude held"
+)
 RESONANCE_FORCE = _resonance(
     "bias.resonance_force", _held_force, "q·((1−ε_d)^−½·D(T0)/D(T) − 1), drive force held"
 )
