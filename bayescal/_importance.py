@@ -23,9 +23,11 @@ from bayescal import _linear as linear
 from bayescal._batches import over
 from bayescal._frame import Frame
 from bayescal._layout import Layout
+from bayescal._prior import Flat, FlatLine
 
 FREEDOM = 5.0  # of the Student-t proposals
 WIDE = 1.7  # second component: wider than the Laplace fit, against tails that are heavier
+PRIOR = 0.2  # share of proposals from the prior, so that no weight exceeds likelihood over 0.2 times evidence
 BATCH = 256  # proposals evaluated at once, to bound memory
 
 
@@ -86,13 +88,12 @@ def sample(
     adapt_key, draw_key, place_key = jax.random.split(key, 3)
 
     def adapt(proposal, key):
-        v = proposal.draw(key, proposals // 2)
+        v, log_proposal = _propose(layout, proposal, key, proposals // 2)
         log_phi = over(lambda one: density(one)[0], v, BATCH)
-        return _match(mode, v, log_phi - proposal.log_density(v)), None
+        return _match(mode, v, log_phi - log_proposal), None
 
     proposal, _ = jax.lax.scan(adapt, _around_mode(mode), jax.random.split(adapt_key, rounds))
-    v = proposal.draw(draw_key, proposals)
-    log_proposal = proposal.log_density(v)
+    v, log_proposal = _propose(layout, proposal, draw_key, proposals)
 
     def finish(args):
         one, key = args
@@ -124,6 +125,21 @@ def sample_batch(
         return sample(layout, frame, y, mode, key, proposals, rounds)
 
     return jax.vmap(one)(frames, ys, keys)
+
+
+def _propose(
+    layout: Layout, proposal: _Proposal, key: Array, count: int
+) -> tuple[Float[Array, "s d"], Float[Array, "s"]]:
+    """Coordinates of φ with the log density that they are drawn from: near the mode and, where proper, the prior."""
+    k1, k2, k3 = jax.random.split(key, 3)
+    near = proposal.draw(k1, count)
+    if not layout.hypers or any(isinstance(h.prior, (Flat, FlatLine)) for h in layout.hypers):
+        return near, proposal.log_density(near)
+    keys = jax.random.split(k2, (len(layout.hypers), count))
+    far = [jax.vmap(h.prior.sample)(k) for h, k in zip(layout.hypers, keys, strict=True)]
+    v = jnp.where(jax.random.bernoulli(k3, PRIOR, (count, 1)), jnp.stack(far, axis=1), near)
+    log_prior = jax.vmap(lambda one: composition.hyper_log_prior(layout, one))(v)
+    return v, jnp.logaddexp(jnp.log1p(-PRIOR) + proposal.log_density(v), jnp.log(PRIOR) + log_prior)
 
 
 def draw_coefficients(layout, frame, y, point, v, found: linear.Conditional, key):

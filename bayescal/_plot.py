@@ -146,7 +146,7 @@ def loop(found: Trail) -> Figure:
         title = "1  where the first model fails"
         _residual_panel(axes[0, 0], first.calibration, first.check, entry, title)
         after = next(e for e in final.check.entries if e.against == entry.against)
-        title = "3  the same residuals, with what was found"
+        title = "3  the same, with what was found"
         _residual_panel(axes[1, 0], final.calibration, final.check, after, title)
         axes[1, 0].set_ylim(axes[0, 0].get_ylim())
     if first.discovery is not None:

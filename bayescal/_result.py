@@ -155,6 +155,7 @@ def check_data(check: Check, step: int) -> list[dict[str, Any]]:
                 "size": e.worst.size,
                 "unit": check.unit,
                 "z": e.worst.z,
+                "covariate_unit": e.worst.covariate_unit,
             },
         }
         for e in check.entries

@@ -88,19 +88,19 @@ def named(
 
 
 def _log_prior(layout: Layout, levels: Levels, posterior: xr.Dataset, draws: Draws) -> xr.Dataset:
-    """Log prior density of each unknown given the hyper-parameters, per draw; flat ones are left out."""
+    """Log prior density of each unknown in its own unit, given the hyper-parameters, per draw; no flat ones."""
     found: dict[str, tuple] = {}
+    fixed = dict(layout.model.fixed)
     for i, h in enumerate(layout.hypers):
         if h.kind == "promoted" or h.name not in posterior:
             continue
-        found[h.name] = (
-            ("chain", "draw"),
-            np.asarray(h.prior.log_density(jnp.asarray(draws.v[..., i]))),
-        )
+        v = jnp.asarray(draws.v[..., i])
+        _, slope = jax.jvp(h.prior.value, (v,), (jnp.ones_like(v),))  # the value by its coordinate
+        found[h.name] = (("chain", "draw"), np.asarray(h.prior.log_density(v) - jnp.log(slope)))
     for b in layout.blocks:
         if b.place == "fixed" or b.coefficient.flat or b.name not in posterior:
             continue
-        spread = posterior.get(b.spread_name, b.coefficient.size)
+        spread = posterior.get(b.spread_name, fixed.get(b.spread_name, b.coefficient.size))
         z = (posterior[b.name] - b.coefficient.mean) / spread
         density = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
         found[b.name] = (posterior[b.name].dims, density.transpose(*posterior[b.name].dims).values)

@@ -1,7 +1,4 @@
-"""Draw docs/error_falls.png: a simulated campaign with two hidden effects, the error by step.
-
-python docs/picture.py
-"""
+"""Draw docs/error_falls.png, the whole loop on a simulated campaign: python docs/picture.py."""
 
 from __future__ import annotations
 
@@ -20,9 +17,9 @@ def main() -> None:
     kept_apart = mems_gyro.simulate(HIDDEN, seed=SEED_KEPT_APART)
     trail = bc.calibrate(instrument.baseline(), readings, holdout=kept_apart)
     print(trail)
-    figure = bc.plot.trail(trail)
-    title = f"A simulated gyroscope with two hidden effects (seed {SEED})"
-    figure.axes[0].set_title(title, fontsize=10, loc="left")
+    figure = bc.plot.loop(trail)
+    hidden = " and ".join(HIDDEN)
+    figure.suptitle(f"A simulated gyroscope (seed {SEED}) with {hidden} hidden in it", fontsize=11)
     print(bc.plot.save(figure, Path(__file__).parent / "error_falls.png"))
 
 

@@ -13,12 +13,22 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import GYRO, OWN_INSTRUMENT, QUICK, TABLE, Ran, run
+from command_line import (
+    GYRO,
+    OWN_INSTRUMENT,
+    QUICK,
+    TABLE,
+    Ran,
+    needs_installation,
+    run,
+    write_bent_table,
+)
 
 import bayescal as bc
 from bayescal import _cli as cli
 from bayescal_models import mems_gyro
 
+pytestmark = needs_installation
 ROOT = Path(__file__).resolve().parents[1]
 PRINTED_LINE = (
     *("--reference", "T0=0"),
@@ -74,10 +84,10 @@ def saved(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def loop(folder: Path) -> Ran:
-    """The whole loop, from the line as its paper prints it, with readings kept apart (in volts)."""
-    kept = ("--holdout", mems_gyro.TABLE_VOLTS)
+    """The whole loop on a table that a line does not fit, with readings kept apart."""
+    bent, kept = (write_bent_table(folder / name) for name in ("bent.csv", "kept.csv"))
     return run(
-        *("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE, *kept),
+        *("calibrate", bent, *GYRO, *QUICK, "--holdout", kept),
         *("--out", folder / "loop", "--json"),
     )
 
@@ -227,14 +237,14 @@ def test_the_loop_finds_what_is_missing_and_writes_what_it_says(loop: Ran, folde
     assert names == {"result.json", "calibration.nc", "loop.png"}
 
 
-def test_readings_kept_apart_change_nothing_but_their_own_error(loop: Ran) -> None:
-    without = run("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE, "--json").data
+def test_readings_kept_apart_change_nothing_but_their_own_error(loop: Ran, folder: Path) -> None:
+    without = run("calibrate", folder / "bent.csv", *GYRO, *QUICK, "--json").data
     with_them = loop.data
     assert without["holdout"] is None
     assert with_them["holdout"]["rows"] == 18
     errors = [step.pop("holdout_rmse") for step in with_them["steps"]]
     assert [step.pop("holdout_rmse") for step in without["steps"]] == [None] * len(errors)
-    assert errors[-1] < 0.3 * errors[0]
+    assert errors[-1] < 0.6 * errors[0]
     with_them["holdout"] = None
     assert with_them == without
 
@@ -250,7 +260,8 @@ def test_the_printed_line_leaves_every_residual_positive() -> None:
     done = run("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE)
     assert "18 of 18 residuals are positive, mean 0.51 (0.19 to 0.93) °/s" in done.out
     assert "fixed: bias.constant = 19.8, bias.temperature = 0.041" in done.out
-    assert done.status == 0, "the quadratic term takes up what the printed line leaves"
+    assert done.status == 1, "a calibration on trial failed, and nothing is added to save it"
+    assert "The fixed coefficients leave residuals of" in done.said[-1]
 
 
 @pytest.mark.slow
@@ -274,22 +285,6 @@ def test_the_demonstration(tmp_path: Path) -> None:
     assert done.data["steps"][-1]["added"] == "bias.thermal_lag"
     assert "AGAINST THE LINE ITS PAPER PRINTS" in done.err
     assert (tmp_path / "demo" / "loop.png").is_file()
-
-
-def test_an_effect_of_ones_own_can_be_added_and_saved(folder: Path, tmp_path: Path) -> None:
-    own = ("--effects", folder / "my_effects.py")
-    done = run(
-        *("fit", TABLE, *GYRO, *QUICK, *own, "--add", "bias.elbow"),
-        *("--out", tmp_path / "elbow", "--json"),
-    )
-    assert done.status == 0, done.err
-    assert "bias.elbow" in {c["name"] for c in done.data["coefficients"]}
-    written = tmp_path / "elbow" / "calibration.nc"
-    assert run("predict", written, TABLE, *own).status == 0
-    refused = run("predict", written, TABLE)
-    assert refused.status == 2
-    assert "uses the effect bias.elbow" in refused.err
-    assert "--effects my_effects.py" in refused.err
 
 
 def test_an_instrument_of_ones_own(folder: Path, tmp_path: Path) -> None:
@@ -371,9 +366,8 @@ def test_a_fit_that_did_not_converge_leaves_with_1_and_its_result(
 
 
 def test_a_gate_that_failed_leaves_with_1_and_its_result(tmp_path: Path) -> None:
-    far_off = ("--fix", "bias.constant=10", "--fix", "bias.temperature=0.041")
-    done = run("calibrate", TABLE, *GYRO, *QUICK, *far_off, "--out", tmp_path, "--json")
+    done = run("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE, "--out", tmp_path, "--json")
     assert done.status == 1
     assert done.data["gate"]["ok"] is False
-    assert "The fixed coefficients leave residuals of" in done.said[-1]
-    assert (tmp_path / "result.json").is_file()
+    assert done.data["gate"]["reason"] in done.said[-1]
+    assert done.data == json.loads((tmp_path / "result.json").read_text("utf-8"))

@@ -6,11 +6,12 @@ import shlex
 from pathlib import Path
 
 import pytest
-from command_line import GYRO, OWN_INSTRUMENT, QUICK, TABLE, run
+from command_line import GYRO, OWN_INSTRUMENT, QUICK, TABLE, needs_installation, run
 
 import bayescal as bc
 from bayescal_models import mems_gyro
 
+pytestmark = needs_installation
 FIT = "fit {table} --instrument mems_gyro --out {new}"
 CALIBRATE = "calibrate {table} --instrument mems_gyro --out {new}"
 COMPARE = "compare {table} --instrument mems_gyro --structure line"
