@@ -111,7 +111,7 @@ def instrument_named(name: str) -> Instrument:
     known = installed_instruments()
     if name not in known:
         raise InputError(
-            f"no instrument is called {name!r}; installed: {', '.join(known)}. "
+            f"no instrument is called {name!r}; installed: {', '.join(known) or 'none'}. "
             "For one of your own give my.py:INSTRUMENT"
         )
     return known[name]

@@ -248,7 +248,8 @@ def comparison_text(found: Comparison) -> str:
         evidence = "null" if r.log_evidence is None else f"{r.log_evidence:.1f}"
         loo = _gap(r.loo_difference, r.loo_error)
         rows.append([*cells, f"{r.loo:.1f}", loo, evidence, f"{r.weight:.2f}"])
-    lines = [table(head, rows), f"chosen by {found.chosen_by} ({found.groups} of them)"]
+    count = f" ({found.groups} of them)" if grouped else ""
+    lines = [table(head, rows), f"chosen by {found.chosen_by}{count}"]
     return "\n".join([*lines, *(textwrap.fill(w, WIDTH) for w in found.warnings)])
 
 

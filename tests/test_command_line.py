@@ -56,9 +56,10 @@ EFFECTS = (
 
 def run_apart(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
     """Run a command in a process of its own."""
+    path = os.pathsep.join((str(ROOT), str(ROOT / "models"), os.environ.get("PYTHONPATH", "")))
     return subprocess.run(
         [sys.executable, "-W", "error", "-m", "bayescal._cli", *arguments],
-        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'models'}", **variables},
+        env={**os.environ, "PYTHONPATH": path.rstrip(os.pathsep), **variables},
         capture_output=True,
         encoding="utf-8",
         timeout=120,
