@@ -7,11 +7,15 @@ from typing import Any
 
 from bayescal._units import pretty
 
-HEAD = """\
+CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "acc_x", "acc_y", "acc_z")
+
+TITLE = """\
 # A real record: one inertial unit on a temperature ramp
 
 Rendered by `python -m benchmarks thermal_ramp` from `benchmarks/results/thermal_ramp.json`.
+"""
 
+HEAD = """\
 One MEMS inertial unit stood still in a chamber for 71 minutes while its temperature went from 52 to
 −18, to 74 and to 36 °C (8,400 readings; public record of the repository tofupilot/examples, MIT
 licence). Whatever moves in its six channels is the sensor's. Each channel is calibrated by itself
@@ -45,13 +49,23 @@ def write(channels: dict[str, Any], folder: Path) -> Path:
         channels: name → split → summary.
         folder: of the documents and pictures.
     """
-    parts = [HEAD]
+    parts = [TITLE, *_incomplete(channels), HEAD]
     for split in ("last fifth", "alternate blocks"):
         parts += [f"## {split.capitalize()} held out\n", _table(channels, split)]
     parts += [_channel(name, splits) for name, splits in channels.items()]
     path = folder / "thermal_ramp.md"
     path.write_text("\n".join(parts), encoding="utf-8")
     return path
+
+
+def _incomplete(channels: dict[str, Any]) -> list[str]:
+    """What a reader must know where not every channel has been measured, or not alike."""
+    missing = [name for name in CHANNELS if name not in channels]
+    remarks = [
+        s["remark"] for splits in channels.values() for s in splits.values() if "remark" in s
+    ]
+    said = [f"Not measured yet: {', '.join(missing)}."] if missing else []
+    return [f"**Incomplete.** {' '.join([*said, *remarks])}\n"] if said or remarks else []
 
 
 def _table(channels: dict[str, Any], split: str) -> str:
