@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal._check import check
-from bayescal._discover import discover, laplace_evidence
+from bayescal._discover import discover
 from bayescal._effect import Effect
 from bayescal._fit import fit
 from bayescal._folds import leave_one_group_out
@@ -21,6 +21,7 @@ from bayescal._predict import predict
 from bayescal._progress import stage
 from bayescal._spikes import without_spikes
 from bayescal._trail import Step, Trail, gate, noise_floor
+from bayescal._verification import laplace_evidence
 
 WIDER = 1.0  # log evidence that correlated noise must gain over white before it is believed
 SHORT = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -22,15 +23,22 @@ from bayescal._susie import Item
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
 SEVERAL_SHAPES = 32  # of several at once, a Sobol sequence
-SPREAD_POINTS = 5  # of a learned spread
+WIDEST = 256  # columns of one candidate over all its grid points
+SPREAD_POINTS = 7  # of a learned spread
+UNKNOWN_SHARE = 0.1  # of the prior, for what no named effect describes
 
 
 @dataclass(frozen=True)
 class GridPoint:
-    """One candidate at one point of its shapes and spreads: where its columns stand."""
+    """One candidate at one point of its shapes and spreads: where its columns stand.
+
+    `amplitude` is the learned spread of a group (`spread`: true), or the amplitude of an unknown dependence; None for
+    single coefficients.
+    """
 
     shapes: dict[str, float]
-    spread: float | None
+    amplitude: float | None
+    spread: bool
     columns: tuple[int, ...]
 
 
@@ -43,12 +51,14 @@ class Columns:
         items: for the sum of single effects.
         points: for each item, what it stands for.
         effects: the candidates, in order.
+        prior: each candidate's share of the prior probability that something is missing.
     """
 
     matrix: np.ndarray
     items: tuple[Item, ...]
     points: tuple[GridPoint, ...]
     effects: tuple[Effect, ...]
+    prior: np.ndarray
 
     def of(self, candidate: int) -> list[int]:
         """Positions of a candidate's items."""
@@ -81,10 +91,19 @@ def lay_out(calibration: Calibration, effects: Sequence[Effect]) -> Columns:
             matrix.append(block)
             items.append(Item(candidate, weight, at))
             named = {s.name: float(v) for s, v in zip(effect.shapes, shape, strict=True)}
-            points.append(GridPoint(named, spread, at))
+            amplitude = named[effect.measure] if effect.measure else spread
+            points.append(GridPoint(named, amplitude, spread is not None, at))
     rows = len(calibration.readings)
     whole = np.concatenate(matrix, axis=1) if matrix else np.zeros((rows, 0))
-    return Columns(whole, tuple(items), tuple(points), tuple(effects))
+    return Columns(whole, tuple(items), tuple(points), tuple(effects), _prior(effects))
+
+
+def _prior(effects: Sequence[Effect]) -> np.ndarray:
+    """Equal shares for named effects, and a small one for all unknown dependences together."""
+    unknown = np.array([e.measure is not None for e in effects])
+    if unknown.all() or not unknown.any():
+        return np.full(len(effects), 1 / len(effects))
+    return np.where(unknown, UNKNOWN_SHARE / unknown.sum(), (1 - UNKNOWN_SHARE) / (~unknown).sum())
 
 
 @eqx.filter_jit
@@ -114,7 +133,12 @@ def _shape_grid(effect: Effect) -> np.ndarray:
     if count == 1:
         levels = ((np.arange(SHAPE_POINTS) + 0.5) / SHAPE_POINTS)[:, None]
     else:
-        levels = qmc.Sobol(count, scramble=True, rng=0).random(SEVERAL_SHAPES)
+        points = max(8, min(SEVERAL_SHAPES, WIDEST // len(effect.coefficients)))
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore", UserWarning
+            )  # not a power of two: balance is not needed
+            levels = qmc.Sobol(count, scramble=True, rng=0).random(points)
     v = ndtri(levels)
     return np.stack(
         [np.asarray(s.prior.value(jnp.asarray(v[:, i]))) for i, s in enumerate(effect.shapes)],

@@ -38,6 +38,8 @@ class Effect(eqx.Module):
         columns: what the readings must have.
         equation, source: for people; the source is a document, data sheet, standard or script.
         varies: a column that must take more than one value for the effect to be testable.
+        measure: the shape that says how large the effect is, as an amplitude of standard normal coefficients;
+            None where its first coefficient does.
         untestable: why readings that have all this still cannot test the effect, or None where they can.
     """
 
@@ -50,6 +52,7 @@ class Effect(eqx.Module):
     equation: str = eqx.field(static=True, default="")
     source: str = eqx.field(static=True, default="the user's own")
     varies: tuple[str, ...] = eqx.field(static=True, default=())
+    measure: str | None = eqx.field(static=True, default=None)
     untestable: Callable[[Measurements], str | None] | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:

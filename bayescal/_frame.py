@@ -19,6 +19,7 @@ from bayescal._startup import configure_jax
 
 configure_jax()
 
+GROUPS = ("run", "axis", "device")  # columns of text that coefficients may be given per member of
 RATE_WINDOW = 60.0  # s, of the causal least-squares slope
 Reference = dict[str, float | dict[str, float]]
 
@@ -28,6 +29,8 @@ class Frame(eqx.Module):
 
     Attributes:
         columns: measured columns, (n,) each.
+        labels: for each label of a column of text that is no group of its own ("group=outer"), 1 where a reading
+            has it and 0 elsewhere, (n,) each.
         rates: causal slope of each column that has one, unit per second, (n,) each.
         codes: index of each reading's group member, −1 where it belongs to none.
         reference: scalars such as T0.
@@ -37,6 +40,7 @@ class Frame(eqx.Module):
     """
 
     columns: dict[str, Float[Array, "n"]]
+    labels: dict[str, Float[Array, "n"]]
     rates: dict[str, Float[Array, "n"]]
     codes: dict[str, Int[Array, "n"]]
     reference: dict[str, Float[Array, ""]]
@@ -54,6 +58,17 @@ class Frame(eqx.Module):
     def centred(self, name: str = "temperature") -> Float[Array, "n"]:
         """A column minus its reference value, such as T − T0, °C."""
         return self.columns[name] - self.reference[reference_name(name)]
+
+    def has_label(self, name: str, label: str) -> Float[Array, "n"]:
+        """1 where the column of text `name` reads `label`, 0 elsewhere."""
+        return self.labels.get(f"{name}={label}", jnp.zeros(self.size))
+
+    def position(self, name: str) -> Float[Array, "n"]:
+        """Where a covariate stands in its range at the fit, 0 to 1; a rate is called "temperature rate"."""
+        column = name.removesuffix(" rate")
+        values = self.columns[name] if name in self.columns else self.rates[column]
+        low, high = self.reference[f"{name}_low"], self.reference[f"{name}_high"]
+        return (values - low) / jnp.where(high > low, high - low, 1.0)
 
     def rate(self, name: str = "temperature") -> Float[Array, "n"]:
         """dT/dt, causal least-squares slope within the run, °C/s."""
@@ -97,16 +112,47 @@ class Frame(eqx.Module):
         return eqx.tree_at(lambda f: f.columns[name], self, values)
 
 
+def derived(readings: Measurements) -> dict[str, np.ndarray]:
+    """What a dependence can be on: numeric columns but the output, time within the run, rates of temperatures, °C/s.
+
+    A rate is called "temperature rate".
+    """
+    own = ("output", "output_uncertainty", "temperature_point")
+    found = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in own}
+    if readings.has("time"):
+        time, (names, codes) = readings["time"], run_codes(readings)
+        starts = np.array([np.min(time[codes == i]) for i in range(len(names))])
+        order, step = _sequence(time, codes)
+        found |= {
+            f"{n} rate": causal_slope(time, readings[n], order, step)
+            for n in readings.columns
+            if readings.unit(n) == "degC" and n not in own
+        }
+        if len(names) > 1:
+            found["elapsed"] = time - starts[codes]
+    return found
+
+
+def _sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The order of time within runs, and the time since the previous reading of the run, −1 at its first."""
+    order = np.lexsort((time, codes))
+    step = np.diff(time[order], prepend=time[order][:1])
+    step[np.diff(codes[order], prepend=-1) != 0] = -1.0
+    return order, step
+
+
 def reference_name(column: str) -> str:
     return {"temperature": "T0", "lab_temperature": "L0"}.get(column, f"{column}_0")
 
 
 def reference_of(readings: Measurements) -> Reference:
-    """The constants of the bases for these readings: T0, L0, mean time and span, run starts."""
+    """The constants of the bases for these readings: T0, L0, mean time and span, run starts, ranges."""
     found: Reference = {}
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
             found[reference_name(name)] = float(np.round(np.mean(readings[name])))
+    for name, values in derived(readings).items():
+        found[f"{name}_low"], found[f"{name}_high"] = float(values.min()), float(values.max())
     if readings.has("time"):
         time = readings["time"]
         found["time_mean"] = float(np.mean(time))
@@ -147,6 +193,12 @@ def build_frame(
         for name in readings.columns
         if readings.unit(name) is not None and name != "temperature_point"
     }
+    labels = {
+        f"{name}={label}": jnp.asarray(readings[name] == label, dtype=float)
+        for name in readings.columns
+        if readings.unit(name) is None and name not in GROUPS
+        for label in readings.groups(name)[0]
+    }
     rates: dict[str, Array] = {}
     order, step = np.arange(len(readings)), -np.ones(len(readings))
     if readings.has("time"):
@@ -159,14 +211,12 @@ def build_frame(
             [starts.get(n, own[n]) if starts.get(n, own[n]) <= own[n] else own[n] for n in names]
         )
         columns["elapsed"] = jnp.asarray(time - start[codes])
-        order = np.lexsort((time, codes))
-        step = np.diff(time[order], prepend=time[order][:1])
-        step[np.diff(codes[order], prepend=-1) != 0] = -1.0
+        order, step = _sequence(time, codes)
         for name in readings.columns:
             if readings.unit(name) == "degC" and name != "temperature_point":
                 rates[name] = jnp.asarray(causal_slope(time, readings[name], order, step))
     group_codes = {}
-    for group in ("run", "cell", "axis", "device"):
+    for group in ("cell", *GROUPS):
         own_levels, own_codes = readings.groups(group)
         if levels is not None:
             known = {level: i for i, level in enumerate(levels.get(group, ()))}
@@ -175,7 +225,14 @@ def build_frame(
         group_codes[group] = jnp.asarray(own_codes)
     scalars = {k: jnp.asarray(v) for k, v in reference.items() if not isinstance(v, dict)}
     return Frame(
-        columns, rates, group_codes, scalars, jnp.asarray(order), jnp.asarray(step), dict(columns)
+        columns,
+        labels,
+        rates,
+        group_codes,
+        scalars,
+        jnp.asarray(order),
+        jnp.asarray(step),
+        dict(columns),
     )
 
 

@@ -5,6 +5,7 @@ Instruments are not subclasses. A new one is a set of columns, slots and one fun
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,11 +18,14 @@ from bayescal._errors import ModelError
 from bayescal._frame import Frame
 from bayescal._measurements import Column, Measurements, NominalScale
 from bayescal._noise import Noise, White
+from bayescal._units import ANY, coefficient_factor, same_dimension
+from bayescal.effects.unknown import unknown
 
 if TYPE_CHECKING:
     from bayescal._model import Model
 
 Slots = Mapping[str, Float[Array, "n"]]
+UNKNOWN = re.compile(r"unknown\((.+)\)")
 
 
 class Slot(eqx.Module):
@@ -50,6 +54,8 @@ class Instrument(eqx.Module):
         structures: further models to compare, by name.
         simulate: `simulate(effects, seed=…, **options)` gives measurements of a simulated campaign.
         demo: writes a demonstration to a folder, under a seed.
+        pairs: of an instrument whose devices are chosen in pairs: `pairs(calibration, criterion=…)` gives a table
+            that prints itself and has `data()`, plain JSON.
         source: document that the equations come from.
         tailor: of an instrument whose output may be anything: `tailor(readings, **settings)` gives the
             instrument in the unit of these readings, with plausible sizes to match; settings that are given
@@ -70,6 +76,7 @@ class Instrument(eqx.Module):
     structures: tuple[tuple[str, Callable[[], Model]], ...] = eqx.field(static=True, default=())
     simulate: Callable[..., Any] | None = eqx.field(static=True, default=None)
     demo: Callable[[Path, int], None] | None = eqx.field(static=True, default=None)
+    pairs: Callable[..., Any] | None = eqx.field(static=True, default=None)
     source: str = eqx.field(static=True, default="")
     tailor: Callable[..., Instrument] | None = eqx.field(static=True, default=None)
     settings: tuple[tuple[str, str | float], ...] = eqx.field(static=True, default=())
@@ -120,7 +127,7 @@ class Instrument(eqx.Module):
         )
 
     def effect(self, name: str) -> Effect:
-        """One of the instrument's own effects, by canonical name.
+        """One of the instrument's own effects by canonical name, or "unknown(covariate)".
 
         Raises:
             ModelError: it has none of that name.
@@ -128,8 +135,40 @@ class Instrument(eqx.Module):
         for effect in (*self.effects, *self.candidates):
             if effect.name == name:
                 return effect
+        if found := UNKNOWN.fullmatch(name):
+            return self.unknown(found[1])
         raise ModelError(
             f"instrument {self.name!r} knows no effect {name!r}; it knows "
             f"{', '.join(e.name for e in (*self.effects, *self.candidates))}. "
             "Give a bayescal.Effect of your own, or load one with --effects"
         )
+
+    def unknown(self, covariate: str) -> Effect:
+        """An unknown smooth dependence of the output on a covariate.
+
+        Its plausible amplitudes are those of the instrument's own effects that are stated in the output's unit.
+
+        Args:
+            covariate: a numeric column, "elapsed" (time within the run), or a temperature's rate such as
+                "temperature rate".
+
+        Raises:
+            ModelError: no slot has the output's unit.
+        """
+        slot = next((s for s in self.slots if s.unit == self.unit != ANY), None)
+        if slot is None:
+            raise ModelError(
+                f"instrument {self.name!r} has no slot in the unit of its output, [{self.unit}]: an unknown "
+                "dependence has nothing to add to"
+            )
+        sizes = [
+            c.size * coefficient_factor(c.unit, slot.unit)
+            for e in (*self.effects, *self.candidates)
+            for c in e.coefficients
+            if not e.name.endswith(".constant")
+            and (c.slot or e.slot) == slot.name
+            and same_dimension(c.unit, slot.unit)
+        ]
+        noise = getattr(getattr(self.noise, "scale", None), "scale", 1.0)
+        low, high = min(sizes, default=noise) / 3, max(sizes, default=noise) * 3
+        return unknown(covariate, slot.name, low, high, slot.unit)

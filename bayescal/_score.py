@@ -36,6 +36,14 @@ class Score(NamedTuple):
         at = np.ix_(columns, columns)
         return Score(self.u[columns], self.information[at], self.before[columns])
 
+    def given(self, columns: list[int]) -> Score:
+        """What the readings say of every column once these, under their unit priors, are nuisances too."""
+        inner = self.information[np.ix_(columns, columns)] + np.eye(len(columns))
+        cross = self.information[columns]
+        pull = np.linalg.solve(inner, np.column_stack([cross, self.u[columns]]))
+        left = self.information - cross.T @ pull[:, :-1]
+        return Score(self.u - cross.T @ pull[:, -1], left, self.before)
+
 
 class Null(NamedTuple):
     """The fitted model as a linear one: residual at the prior mean, and all nuisance columns."""

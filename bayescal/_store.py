@@ -21,7 +21,7 @@ from bayescal import _noise
 from bayescal._calibration import Calibration, Verdict
 from bayescal._effect import Effect
 from bayescal._errors import InputError
-from bayescal._instrument import Instrument
+from bayescal._instrument import UNKNOWN, Instrument
 from bayescal._laplace import Mode
 from bayescal._layout import Layout
 from bayescal._linear import Point
@@ -230,6 +230,9 @@ def _model_from(path: Path, described, readings: Measurements, effects, instrume
     catalogue = {
         e.name: e for e in (*structural, *instrument.effects, *instrument.candidates, *effects)
     }
+    for n in described["effects"]:
+        if n not in catalogue and (unknown := UNKNOWN.fullmatch(n)):
+            catalogue[n] = instrument.unknown(unknown[1])
     missing = [n for n in described["effects"] if n not in catalogue]
     if missing:
         raise InputError(

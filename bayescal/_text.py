@@ -184,7 +184,12 @@ def discovery_text(found: Discovery) -> str:
         names = " or ".join(s.effects)
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
-    tested = [c for c in found.candidates if c.kind != "not testable"]
+    quiet = (None, "not visible")  # an unknown dependence without evidence is not worth a line
+    tested = [
+        c
+        for c in found.candidates
+        if c.kind != "not testable" and not (c.effect.startswith("unknown(") and c.kind in quiet)
+    ]
     head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
     lines.append(table(head, [_candidate_row(c) for c in tested], fold=29) if tested else "")
     if any(c.source == "refit" for c in tested):

@@ -100,7 +100,9 @@ def _log_prior(layout: Layout, levels: Levels, posterior: xr.Dataset, draws: Dra
     for b in layout.blocks:
         if b.place == "fixed" or b.coefficient.flat or b.name not in posterior:
             continue
-        spread = posterior.get(b.spread_name, fixed.get(b.spread_name, b.coefficient.size))
+        spread = fixed.get(b.spread_name, b.coefficient.size)
+        if b.spread_name in posterior.data_vars:  # `get` would take ".spread" for an attribute
+            spread = posterior[b.spread_name]
         z = (posterior[b.name] - b.coefficient.mean) / spread
         density = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
         found[b.name] = (posterior[b.name].dims, density.transpose(*posterior[b.name].dims).values)

@@ -22,12 +22,14 @@ FLOORS = {
     "ground": "_errors _startup _progress _batches _optimise",
     "readings": "_units _column _table _plausible _write _match _extra_columns _admit "
     "_measurements _read_csv _read_binary _read",
-    "parts of a model": "_prior _coefficient _frame _effect _noise _instrument _model "
-    "effects.constant effects.temperature effects.thermal effects.thermometer effects.time effects",
+    "parts of a model": "_prior _coefficient _frame _effect _noise "
+    "effects.constant effects.temperature effects.thermal effects.thermometer effects.time effects.unknown "
+    "effects _instrument _model",
     "the model as numbers": "_layout _composition _linear _laplace",
     "a calibration": "_calibration _store _tree _method _predict _score _summary _text",
     "methods and their verb": "_promotion _importance _chains _least_squares _marginal _nuts _fit",
-    "verbs on a calibration": "_susie_models _susie _candidates _blocks _regions _check _discover "
+    "verbs on a calibration": "_susie_models _susie _candidates _blocks _regions _check "
+    "_judgement _verification _discover "
     "_folds _compare _spikes _trail _calibrate",
     "for people": "_plot _result",
     "the public face": "bayescal",

@@ -15,3 +15,4 @@ from bayescal.effects.thermal import thermal_lag as thermal_lag
 from bayescal.effects.thermometer import thermometer as thermometer
 from bayescal.effects.time import drift as drift
 from bayescal.effects.time import warm_up as warm_up
+from bayescal.effects.unknown import unknown as unknown

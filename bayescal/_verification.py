@@ -1,0 +1,114 @@
+"""The leading candidates are refitted: evidence in place of the score's, and what it changes.
+
+The score is taken where noise still has to cover what is missing, which makes rivals look more alike than they are;
+a refit does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import logsumexp
+
+from bayescal import _susie as susie
+from bayescal._calibration import Calibration
+from bayescal._effect import Effect
+from bayescal._fit import bind
+from bayescal._frame import build_frame
+from bayescal._judgement import Candidate
+from bayescal._marginal import laplace_of
+from bayescal._model import Model
+from bayescal._progress import stage
+
+LEAD = 1.0  # log Bayes factor from which an effect that is not a finding is a lead
+RIVAL = (
+    0.5  # part of the best log Bayes factor by score from which another candidate is refitted too
+)
+VERIFIED = 4  # candidates that are refitted: the leading set's members, then other leads
+
+
+def laplace_evidence(model: Model, calibration: Calibration) -> float:
+    """Log evidence of a model on a calibration's readings, by Laplace."""
+    model.require(calibration.readings)
+    layout, _ = bind(model, calibration.readings)
+    extra = [n for n in calibration.layout.promoted if n in model.unknowns]
+    layout = layout.promote(*extra)
+    frame = build_frame(calibration.readings, calibration.reference)
+    y = jnp.asarray(calibration.readings["output"])
+    return float(laplace_of(layout, frame, y).log_evidence)
+
+
+def leading(found: susie.SingleEffects, judged: Sequence[Candidate]) -> list[int]:
+    """Candidates worth a refit: the leading set's members, and leads that come near the best."""
+    chosen = list(found.sets[0].members[:VERIFIED]) if found.sets else []
+    factors = np.array([_weighed(c, c.log_bayes_factor) for c in judged])
+    enough = max(LEAD + np.log(max(c.prior for c in judged)), RIVAL * factors.max())
+    for i in np.argsort(-factors):
+        if factors[i] > enough and i not in chosen and len(chosen) < VERIFIED:
+            chosen.append(int(i))
+    return chosen
+
+
+def verify(calibration: Calibration, effects: Sequence[Effect]) -> dict[str, float]:
+    """Log Bayes factor of each effect against none, both models fitted anew; without those that found no mode."""
+    with stage("verifying by refit"):
+        base = laplace_evidence(calibration.model, calibration)
+        found = {
+            e.name: laplace_evidence(calibration.model + e, calibration) - base for e in effects
+        }
+    return {name: factor for name, factor in found.items() if np.isfinite(factor)}
+
+
+def _weighed(c: Candidate, factor: float | None) -> float:
+    """Log of Bayes factor times prior share."""
+    return (factor or 0.0) + float(np.log(c.prior))
+
+
+def nothing_after(
+    judged: Sequence[Candidate], verified: dict[str, float], by_score: float
+) -> float:
+    """P(nothing) with refitted evidence in place of the score's, where there is any.
+
+    The score's P(nothing) may rest on several effects at once; the refit judges one. So the odds by score are
+    corrected by what the refit changed in the sum over single effects.
+    """
+    factors = [_weighed(c, c.log_bayes_factor) for c in judged]
+    refit = [_weighed(c, verified.get(c.effect, c.log_bayes_factor or 0.0)) for c in judged]
+    change = float(logsumexp(refit) - logsumexp(factors))
+    log_odds = np.log1p(-by_score) - np.log(max(by_score, 1e-300)) + change
+    return float(1 / (1 + np.exp(np.clip(log_odds, -700, 700))))
+
+
+def members(judged: Sequence[Candidate], verified: dict[str, float]) -> tuple[str, ...]:
+    """The verified candidates that together hold 95 % of their posterior, the most probable first."""
+    names = [c.effect for c in judged if c.effect in verified]
+    factor = np.array([_weighed(c, verified[c.effect]) for c in judged if c.effect in verified])
+    share = np.exp(factor - logsumexp(factor))
+    order = np.argsort(-share)
+    kept = order[: int(np.searchsorted(np.cumsum(share[order]), susie.COVERAGE)) + 1]
+    return tuple(names[i] for i in kept)
+
+
+def after_refit(
+    judged: Sequence[Candidate], verified: dict[str, float], nothing: float
+) -> list[Candidate]:
+    """Log Bayes factors by refit where there are any, and the probability among those shared out by them."""
+    updated = [
+        replace(c, log_bayes_factor=verified[c.effect], source="refit")
+        if c.effect in verified
+        else c
+        for c in judged
+    ]
+    total = logsumexp([_weighed(c, c.log_bayes_factor) for c in updated])
+    among = logsumexp([_weighed(c, c.log_bayes_factor) for c in updated if c.effect in verified])
+    by_score = sum(c.probability or 0.0 for c in judged if c.effect in verified)
+    mass = min(1.0, max(by_score, (1 - nothing) * float(np.exp(among - total))))
+    return [
+        replace(c, probability=mass * float(np.exp(_weighed(c, c.log_bayes_factor) - among)))
+        if c.effect in verified
+        else c
+        for c in updated
+    ]

@@ -1,0 +1,59 @@
+"""What no named effect describes: an unknown smooth dependence on one covariate, a Gaussian process.
+
+Its columns are the eigenfunctions of the Laplacian on an interval somewhat wider than the covariate's range, weighted
+with the root of the process's spectral density (Solin & Särkkä, Stat. Comput. 30 (2020) 419): linear in standard normal
+coefficients, given its length and amplitude, which are shapes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+
+from bayescal._coefficient import Coefficient, Shape
+from bayescal._effect import Effect
+from bayescal._prior import Normal
+
+TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
+WIDER = 1.5  # interval over range
+LENGTHS = (0.1, 0.8)  # plausible lengths of the process, in parts of the range
+
+
+def unknown(
+    covariate: str, slot: str, low: float, high: float, unit: str, *, name: str = ""
+) -> Effect:
+    """An unknown smooth dependence of a slot on a covariate: its amplitude and length are learned.
+
+    Args:
+        covariate: a numeric column, "elapsed" (time within the run), or "temperature rate".
+        low, high: plausible amplitudes (standard deviation over the range), in `unit`.
+        name: canonical; `unknown(covariate)` if not given.
+    """
+
+    def basis(r, length, amplitude):
+        centred = 2 * r.position(covariate) - 1  # −1 … 1 over the range
+        order = jnp.arange(1, TERMS + 1) * math.pi / (2 * WIDER)
+        scale = 2 * length
+        root = jnp.sqrt(scale * math.sqrt(2 * math.pi)) * jnp.exp(-((scale * order) ** 2) / 4)
+        waves = jnp.sin(order * (centred[:, None] + WIDER)) / math.sqrt(WIDER)
+        return amplitude * root * waves
+
+    measured = covariate.removesuffix(" rate")
+    derived = covariate in ("elapsed", f"{measured} rate")
+    columns = ("time",) if covariate == "elapsed" else (measured,)
+    return Effect(
+        name or f"unknown({covariate})",
+        slot,
+        basis,
+        coefficients=tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(TERMS)),
+        shapes=(
+            Shape("length", "1", *LENGTHS),
+            Shape("amplitude", unit, low, high),
+        ),
+        measure="amplitude",
+        columns=columns + (("time",) if derived and covariate != "elapsed" else ()),
+        varies=() if covariate == "elapsed" else (measured,),
+        equation=f"f({covariate}),  f a Gaussian process",
+        source="ours: not in the catalogue; find out what it is, and name it",
+    )
