@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from bayescal import _plot as plot
 
     # what did it find, and was it right
+    from bayescal._budget import Budget as Budget
+    from bayescal._budget import budget as budget
     from bayescal._calibrate import calibrate as calibrate
     from bayescal._calibration import Calibration as Calibration
     from bayescal._calibration import Verdict as Verdict
@@ -36,9 +38,14 @@ if TYPE_CHECKING:
     from bayescal._coefficient import Shape as Shape
     from bayescal._compare import Comparison as Comparison
     from bayescal._compare import compare as compare
+    from bayescal._compensate import Compensator as Compensator
+    from bayescal._compensate import compensator as compensator
+    from bayescal._compensate import load_compensator as load_compensator
     from bayescal._discover import Discovery as Discovery
     from bayescal._discover import discover as discover
     from bayescal._effect import Effect as Effect
+    from bayescal._experiment import NextExperiment as NextExperiment
+    from bayescal._experiment import next_experiment as next_experiment
     from bayescal._errors import BayescalError as BayescalError
     from bayescal._errors import InputError as InputError
     from bayescal._errors import ModelError as ModelError
@@ -52,6 +59,7 @@ if TYPE_CHECKING:
     from bayescal._frame import Frame as Frame
     from bayescal._instrument import Instrument as Instrument
     from bayescal._instrument import Slot as Slot
+    from bayescal._instrument import Use as Use
     from bayescal._least_squares import LeastSquares as LeastSquares
     from bayescal._marginal import Marginal as Marginal
     from bayescal._measurements import Column as Column
@@ -70,15 +78,19 @@ if TYPE_CHECKING:
     from bayescal._prior import HalfNormal as HalfNormal
     from bayescal._prior import Normal as Normal
     from bayescal._read import read as read
+    from bayescal._template import shape_of as shape_of
+    from bayescal._template import template as template
 
 _HOMES = {
     "BayescalError": "_errors",
     "Batch": "_fit",
+    "Budget": "_budget",
     "Calibration": "_calibration",
     "Check": "_check",
     "Coefficient": "_coefficient",
     "Column": "_measurements",
     "Comparison": "_compare",
+    "Compensator": "_compensate",
     "Discovery": "_discover",
     "Effect": "_effect",
     "Flat": "_prior",
@@ -93,6 +105,7 @@ _HOMES = {
     "Model": "_model",
     "ModelError": "_errors",
     "NUTS": "_nuts",
+    "NextExperiment": "_experiment",
     "Noise": "_noise",
     "OrnsteinUhlenbeck": "_noise",
     "NominalScale": "_measurements",
@@ -103,18 +116,25 @@ _HOMES = {
     "Slot": "_instrument",
     "StudentT": "_noise",
     "Trail": "_trail",
+    "Use": "_instrument",
     "Verdict": "_calibration",
     "White": "_noise",
+    "budget": "_budget",
     "calibrate": "_calibrate",
     "check": "_check",
     "compare": "_compare",
+    "compensator": "_compensate",
     "discover": "_discover",
     "fit": "_fit",
     "fit_batch": "_fit",
     "load": "_fit",
+    "next_experiment": "_experiment",
+    "load_compensator": "_compensate",
     "plot": "_plot",
     "predict": "_predict",
     "read": "_read",
+    "shape_of": "_template",
+    "template": "_template",
 }
 
 __all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]

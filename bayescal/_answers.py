@@ -14,6 +14,7 @@ from bayescal._effect import Effect
 from bayescal._instrument import Instrument
 from bayescal._result import clean
 from bayescal._summary import null_directions, summary
+from bayescal._template import template
 from bayescal._text import WIDTH, number, pretty, table
 
 UNEXPLAINED = 3.0  # log Bayes factor from which structure in the residuals is worth a sentence
@@ -135,6 +136,9 @@ def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
         parts.append(f"WHAT IS MISSING FROM STEP {i} ({step.title})\n\n{said}")
     unexplained = unexplained_text(final.calibration, final.check, own)
     parts += [unexplained] if unexplained else []
+    for name in (e.name for e in final.calibration.model.effects if e.measure is not None):
+        draft = template(final.calibration, name)
+        parts.append(f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}")
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
     parts.append(f"COEFFICIENTS\n\n{final.calibration}")
     parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))

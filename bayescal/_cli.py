@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import bayescal as bc
 from bayescal import _options as options
+from bayescal._commands import commands
+from bayescal._commands import leave as _leave
+from bayescal._commands import say as _say
 from bayescal._errors import BayescalError, InputError, NotConverged
 
 if TYPE_CHECKING:
@@ -201,19 +203,24 @@ def discover(
     effects_file: options.OwnEffects = None,
     instrument: options.OwnInstrument = None,
     max_effects: options.MostEffects = 5,
+    next_experiment: options.Next = False,
     json_: options.Json = False,
 ) -> None:
-    """Which effect is missing from a fitted model."""
+    """Which effect is missing from a fitted model; and which experiment would tell rivals apart."""
     from bayescal import _doors as doors
     from bayescal._answers import unexplained_text
-    from bayescal._result import clean, missing_data
+    from bayescal._result import clean, experiment_data, missing_data
 
     loaded = doors.saved(calibration, effects_file, instrument)
     own = doors.user_effects(effects_file)
     found, checked = bc.discover(loaded, effects=own, max_effects=max_effects), bc.check(loaded)
-    unexplained = unexplained_text(loaded, checked, own)
-    text = f"{found}\n{unexplained}".rstrip()
-    _say(clean(missing_data(found, 0, checked)) if json_ else text)
+    text = f"{found}\n{unexplained_text(loaded, checked, own)}".rstrip()
+    data = missing_data(found, 0, checked)
+    if next_experiment:
+        ranked = bc.next_experiment(loaded, found.rivals) if len(found.rivals) > 1 else None
+        text += f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
+        data["next_experiment"] = None if ranked is None else experiment_data(ranked)
+    _say(clean(data) if json_ else text)
 
 
 @app.command(
@@ -349,6 +356,36 @@ def calibrate(
     _leave(trail.ok, trail.gate.reason)
 
 
+@app.command(epilog="Example: bayescal pairs readings.csv")
+def pairs(
+    files: options.Files,
+    instrument: Annotated[
+        str, typer.Option("--instrument", help="Whose devices are chosen in pairs.")
+    ] = "differential_pair",
+    criterion: Annotated[
+        str, typer.Option(help="residual, ratio-variance or ratio-variance-raw.")
+    ] = "residual",
+    columns: options.Columns = None,
+    unit: options.Units = None,
+    local_gravity: options.Gravity = GRAVITY,
+    add: options.Add = None,
+    seed: options.Seed = 0,
+    json_: options.Json = False,
+) -> None:
+    """Which two devices make the best pair, each pair with its probability."""
+    from bayescal import _doors as doors
+
+    asked = doors.Request(instrument, columns, unit, local_gravity, None, None, add, None, None)
+    chosen, model, readings = doors.open_up(asked, files)
+    if chosen.pairs is None:
+        raise InputError(f"instrument {chosen.name!r} does not choose its devices in pairs")
+    _say_flags(readings)
+    fitted = bc.fit(model, readings, seed=seed, strict=False)
+    found = chosen.pairs(fitted, criterion=criterion)
+    _say(found.data() if json_ else found)
+    _leave(fitted.verdict.ok, " ".join(fitted.verdict.reasons))
+
+
 @app.command(epilog="Example: bayescal demo --out demo_output")
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("demo_output"),
@@ -380,17 +417,7 @@ def _say_flags(readings: Measurements, but: tuple[str, ...] = ()) -> None:
         print(f"bayescal: note: {flag}", file=sys.stderr)
 
 
-def _say(answer: Any) -> None:
-    """Data as JSON, anything else as the text that it prints as."""
-    if isinstance(answer, dict | list):
-        answer = json.dumps(answer, indent=2, ensure_ascii=False, allow_nan=False)
-    print(answer)
-
-
-def _leave(ok: bool, why: str) -> None:
-    if not ok:
-        print(f"bayescal: not to be trusted as it is: {why}", file=sys.stderr)
-        raise typer.Exit(1)
+app.add_typer(commands)  # compensate, export, budget
 
 
 if __name__ == "__main__":

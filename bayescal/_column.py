@@ -31,6 +31,7 @@ class Column:
         low: least plausible value, in `unit`; what lies below is refused.
         high: greatest plausible value, in `unit`.
         allowed: the labels that are known; empty allows any.
+        also: further names under which files hold it.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Column:
     low: float | None = None
     high: float | None = None
     allowed: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a column that contradicts itself.

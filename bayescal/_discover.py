@@ -24,6 +24,7 @@ from bayescal._model import testable
 from bayescal._progress import stage
 from bayescal._verification import LEAD
 
+RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 VISIBLE = 0.01  # share of the information left after the nuisances below which nothing can be seen
 
 
@@ -45,6 +46,8 @@ class Discovery:
         candidates: every candidate, the most probable first.
         best: the effects to add, so that `model + discovery.best` is the next model; empty for none.
         verified: log Bayes factor by refit, of each effect refitted.
+        rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
+            with those that come nearest; without a set, the leads.
     """
 
     nothing_missing: float
@@ -52,6 +55,7 @@ class Discovery:
     candidates: tuple[Candidate, ...]
     best: tuple[Effect, ...]
     verified: dict[str, float]
+    rivals: tuple[Effect, ...] = ()
 
     def __str__(self) -> str:
         from bayescal._text import discovery_text  # tables for people stand above this floor
@@ -121,7 +125,23 @@ def discover(
     in_sets = {name for s in sets for name in s.effects}
     judged = [_kind(c, in_sets) for c in judged]
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
-    return Discovery(nothing, sets, (*ranked, *shut), best, verified)
+    rivals = tuple(known[name] for name in _rivals(sets, ranked))
+    return Discovery(nothing, sets, (*ranked, *shut), best, verified, rivals)
+
+
+def _rivals(sets: tuple[Found, ...], ranked: Sequence[Candidate]) -> list[str]:
+    """Names of what another experiment should tell apart, the most probable first."""
+    first = sets[0].effects if sets else ()
+    if len(first) > 1:
+        return list(first)
+    near = [
+        c.effect
+        for c in ranked
+        if c.effect not in first
+        and (c.kind == "lead" or set(first) & set(c.indistinguishable_from))
+        and not (first and c.effect.startswith("unknown("))
+    ]
+    return [*first, *near][:RIVALS]
 
 
 def _unknowns(calibration: Calibration) -> list[Effect]:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration import Calibration
+from bayescal._compensate import Compensator, compensator, load_compensator
 from bayescal._effect import Effect
 from bayescal._errors import InputError
 from bayescal._frame import Reference
@@ -219,6 +220,19 @@ def saved(path: Path, effects: Path | None, instrument: str | None) -> Calibrati
     """A saved calibration; of an instrument of the user's own, if one is named."""
     own = () if instrument is None else (instrument_named(instrument),)
     return load_calibration(path, user_effects(effects), own)
+
+
+def compensator_from(
+    path: Path, effects: Path | None, instrument: str | None, members: list[str] | None
+) -> Compensator:
+    """The compensator of a saved calibration, or one exported as JSON."""
+    if path.suffix.lower() == ".json":
+        if members:
+            raise InputError(
+                f"{path.name} is an export, made for its members: give the calibration"
+            )
+        return load_compensator(path)
+    return compensator(saved(path, effects, instrument), members=pairs(members, "--member"))
 
 
 @contextmanager

@@ -21,6 +21,7 @@ configure_jax()
 
 GROUPS = ("run", "axis", "device")  # columns of text that coefficients may be given per member of
 RATE_WINDOW = 60.0  # s, of the causal least-squares slope
+GAP = 10.0  # windows without a reading, after which nothing is known of the rate
 Reference = dict[str, float | dict[str, float]]
 
 
@@ -241,7 +242,8 @@ def causal_slope(
 ) -> np.ndarray:
     """Least-squares slope over the last minute (or the last step, if longer) within each run, unit/s.
 
-    The first reading of a run has no past and gets 0.
+    The first reading of a run has no past and gets 0; so does the first after a gap of ten windows, such as the
+    soak before a tumble, for the change over hours says nothing of the rate now.
     """
     t, y = time[order], values[order]
     steps = step[step > 0]
@@ -260,7 +262,7 @@ def causal_slope(
         past = slice(max(min(left, earlier), run_begin[i]), i + 1)
         dt = t[past] - t[past].mean()
         scatter = dt @ dt
-        if scatter > 0:
+        if scatter > 0 and t[i] - t[past.start] <= GAP * window:
             slopes[i] = dt @ (y[past] - y[past].mean()) / scatter
     result = np.zeros_like(slopes)
     result[order] = slopes

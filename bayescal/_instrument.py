@@ -36,6 +36,28 @@ class Slot(eqx.Module):
     meaning: str = eqx.field(static=True, default="")
 
 
+class Use(eqx.Module):
+    """How a calibrated instrument is used: which quantity a reading is turned back into.
+
+        use=bc.Use("rate_input", "deg/s")                  # a column that the response is a function of
+        use=bc.Use("acceleration", "ug", equation=lambda a, slots, r: slots["bias"] + (1 + slots["scale"]) * a)
+
+    Attributes:
+        stimulus: name of the quantity; a column, if there is no equation.
+        unit: its fixed unit.
+        equation: the expected output in use, a function of (stimulus, slots, frame), output unit. None takes the
+            instrument's response with the stimulus in place of its column.
+        slots: those that act in use; empty for all. A test rig's own (fixture tilt, base tilt) do not.
+    """
+
+    stimulus: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    equation: Callable[[Float[Array, "n"], Slots, Frame], Float[Array, "n"]] | None = eqx.field(
+        static=True, default=None
+    )
+    slots: tuple[str, ...] = eqx.field(static=True, default=())
+
+
 class Instrument(eqx.Module):
     """What is measured, by which equation, and which effects may play a part.
 
@@ -53,9 +75,12 @@ class Instrument(eqx.Module):
             function of a temperature slope (output unit per °C) that gives them.
         structures: further models to compare, by name.
         simulate: `simulate(effects, seed=…, **options)` gives measurements of a simulated campaign.
+        experiments: feasible changes of the campaign, in words, and what each would record: `next_experiment` ranks
+            them.
         demo: writes a demonstration to a folder, under a seed.
         pairs: of an instrument whose devices are chosen in pairs: `pairs(calibration, criterion=…)` gives a table
             that prints itself and has `data()`, plain JSON.
+        use: which quantity the calibrated instrument measures; None where no single reading tells it.
         source: document that the equations come from.
         tailor: of an instrument whose output may be anything: `tailor(readings, **settings)` gives the
             instrument in the unit of these readings, with plausible sizes to match; settings that are given
@@ -75,11 +100,28 @@ class Instrument(eqx.Module):
     known_noise: Callable[[float], dict[str, float]] | None = eqx.field(static=True, default=None)
     structures: tuple[tuple[str, Callable[[], Model]], ...] = eqx.field(static=True, default=())
     simulate: Callable[..., Any] | None = eqx.field(static=True, default=None)
+    experiments: tuple[tuple[str, Callable[[], Measurements]], ...] = eqx.field(
+        static=True, default=()
+    )
     demo: Callable[[Path, int], None] | None = eqx.field(static=True, default=None)
     pairs: Callable[..., Any] | None = eqx.field(static=True, default=None)
+    use: Use | None = None
     source: str = eqx.field(static=True, default="")
     tailor: Callable[..., Instrument] | None = eqx.field(static=True, default=None)
     settings: tuple[tuple[str, str | float], ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self) -> None:
+        if self.use is None:
+            return
+        names = [s.name for s in self.slots]
+        for slot in self.use.slots:
+            if slot not in names:
+                raise ModelError(
+                    f"instrument {self.name!r}: use counts on slot {slot!r}, which it does not have "
+                    f"(it has {', '.join(names)})"
+                )
+        if self.use.equation is None:
+            self.column(self.use.stimulus)
 
     def for_readings(self, readings: Measurements) -> Instrument:
         """The instrument tailored to readings, where it has to be; else the same."""

@@ -138,8 +138,35 @@ def _best_start(layout: Layout, frame: Frame, y: Array, point: linear.Point, fla
     draws = 1.5 * jax.random.normal(jax.random.key(0), (STARTS, dim))
     density = density_of_phi(layout, frame, y, point, flat)
     starts = jnp.concatenate([jnp.zeros((1, dim)), draws])
+    if layout.promoted:
+        starts = jnp.concatenate([starts, _with_least_squares(layout, frame, y, starts)])
     values = over(lambda v: density(v)[0], starts, 16)
     return starts[jnp.argmax(values)]
+
+
+def _with_least_squares(
+    layout: Layout, frame: Frame, y: Array, starts: Float[Array, "s d"]
+) -> Float[Array, "s d"]:
+    """Starts whose promoted coefficients stand where least squares puts them, together with all others.
+
+    A product of unknowns has another mode where both factors change sign; prior draws of one factor may start there.
+    """
+    own = Layout(layout.model, layout.counts)
+    zero = jnp.zeros(len(own.hypers))
+    hyper = composition.hyper_values(own, zero)
+    point = start_point(own, frame)
+    flat = column_scale(composition.linearise(own, frame, point.x, point.rows, hyper).jacobian)
+    x = mode_of_x(own, frame, y, point, zero, flat).x
+    sd = composition.prior_sd(own, hyper, jnp.ones(own.size))
+    at = {h.name: i for i, h in enumerate(layout.hypers)}
+    for block in own.x_blocks:
+        if block.name in layout.promoted:
+            members = slice(block.start, block.start + block.size)
+            mean = 0.0 if block.coefficient.flat else block.coefficient.mean
+            scale = block.coefficient.size if block.coefficient.flat else sd[members]
+            places = jnp.asarray([at[name] for name in block.member_names()])
+            starts = starts.at[:, places].set((x[members] - mean) / scale)
+    return starts
 
 
 def _at_mode(layout, frame, y, point, v, change, flat) -> Mode:

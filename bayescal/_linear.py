@@ -84,14 +84,13 @@ def condition(gram: Gram, size: int, prior: Prior, at: Float[Array, "p"]) -> Con
     precision = prior.sd[:, None] * gram.jtj * prior.sd + jnp.diag(prior.weight)
     chol = jnp.linalg.cholesky(precision)
     u = solve_triangular(chol, prior.sd * jtr, lower=True)
+    rest = rtr - u @ u
     flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
     log_marginal = flat_volume - 0.5 * (
-        size * jnp.log(2 * jnp.pi)
-        + gram.logdet
-        + 2 * jnp.sum(jnp.log(jnp.diag(chol)))
-        + rtr
-        - u @ u
+        size * jnp.log(2 * jnp.pi) + gram.logdet + 2 * jnp.sum(jnp.log(jnp.diag(chol))) + rest
     )
+    # A sum of squares that came out negative has no digits left (noise far below any residual): no density there.
+    log_marginal = jnp.where(rest > 0, log_marginal, -jnp.inf)
     return Conditional(log_marginal, at + offset, prior.sd, chol, u)
 
 

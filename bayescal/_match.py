@@ -127,6 +127,7 @@ def match(table: Table, expected: Mapping[str, Column], wishes: Wishes) -> dict[
                 f"{header.name!r} out of columns="
             )
         places[header.name] = position
+    _rename(table, expected, places)
     for name, column in expected.items():
         if (
             column.unit is None
@@ -138,6 +139,22 @@ def match(table: Table, expected: Mapping[str, Column], wishes: Wishes) -> dict[
                 f"{name!r} is a label (text). Remove the unit, or rename the column"
             )
     return places
+
+
+def _rename(table: Table, expected: Mapping[str, Column], places: dict[str, int]) -> None:
+    """Give columns that a file holds under another of their names our own.
+
+    Raises:
+        InputError: a file holds a column under two names.
+    """
+    for name, column in expected.items():
+        for other in (n for n in column.also if n in places and n not in expected):
+            if name in places:
+                first, second = (table.headers[places[n]].raw for n in (name, other))
+                raise InputError(
+                    f"{table.file!r} has two columns for {name!r}: {first!r} and {second!r}. Remove one"
+                )
+            places[name] = places.pop(other)
 
 
 def refuse_missing(

@@ -87,7 +87,11 @@ class Measurements:
         Raises:
             InputError: what `read` refuses, and columns of unequal length.
         """
-        own = {c.name: None if c.unit == ANY else c.unit for c in instrument.columns}
+        own = {
+            name: None if c.unit == ANY else c.unit
+            for c in instrument.columns
+            for name in (c.name, *c.also)
+        }
         own.setdefault("output_uncertainty", own.get(output_name(instrument)))
         headers = tuple(Header(name, name, own.get(name)) for name in columns)
         arrays = _equally_long(columns)

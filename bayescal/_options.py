@@ -66,9 +66,19 @@ OwnEffects = Annotated[
     Path | None,
     typer.Option("--effects", help="Python file with EFFECTS of your own."),
 ]
+Members = Annotated[
+    list[str] | None,
+    typer.Option("--member", help="device=A17: which device is used; repeat for more."),
+]
 MethodName = Annotated[str, typer.Option("--method", help="marginal, least-squares or nuts.")]
 MostEffects = Annotated[
     int, typer.Option("--max-effects", min=1, help="Most effects that may be missing.")
+]
+Next = Annotated[
+    bool,
+    typer.Option(
+        "--next-experiment", help="Rank feasible campaigns by how well they tell rivals apart."
+    ),
 ]
 Hidden = Annotated[
     list[str] | None,

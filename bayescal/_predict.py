@@ -51,7 +51,8 @@ def predict(
         calibration: a fit.
         readings: to predict; the fitted ones if not given.
         new_groups: take every run, cell or device as one that the fit has not seen: its deviation is zero,
-            give or take its spread. False uses the deviations of members that the fit knows by name.
+            give or take its spread. False uses the deviations of members that the fit knows by name. An axis
+            is part of its instrument: one that the fit knows is itself either way.
         draws: posterior draws to average over, at most.
 
     Raises:
@@ -63,7 +64,9 @@ def predict(
     frame = calibration.frame_of(readings)
     if new_groups:
         frame = eqx.tree_at(
-            lambda f: f.codes, frame, {k: -jnp.ones_like(c) for k, c in frame.codes.items()}
+            lambda f: f.codes,
+            frame,
+            {k: c if k == "axis" else -jnp.ones_like(c) for k, c in frame.codes.items()},
         )
     x, rows, v = calibration.draws(draws)
     if not (known and not new_groups) or rows.shape[1] != len(readings):

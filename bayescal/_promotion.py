@@ -18,7 +18,7 @@ from bayescal import _composition as composition
 from bayescal import _laplace as laplace
 from bayescal._errors import ModelError
 from bayescal._frame import Frame
-from bayescal._layout import Layout
+from bayescal._layout import Block, Layout
 
 THRESHOLD = 0.3  # root-sum-square over the readings, noise standard deviations
 MOST = 6  # entries of φ that promotion may add
@@ -54,16 +54,40 @@ def choose(
         strength = [
             float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in candidates
         ]
-        best = int(np.argmax(strength))
+        # Either factor of a product will do. In units of a spread that is learned itself, a coefficient would make a
+        # funnel with it, so such a one is only taken where no other matters.
+        free_of_spread = [
+            s * (b.coefficient.spread is None) for s, b in zip(strength, candidates, strict=True)
+        ]
+        best = int(np.argmax(free_of_spread))
+        if free_of_spread[best] < THRESHOLD:
+            best = int(np.argmax(strength))
         if strength[best] < THRESHOLD:
             return layout, notes
-        name = candidates[best].name
-        layout = layout.promote(name)
+        chosen = _with_its_parts(candidates, strength, best, free)
+        layout = layout.promote(*(b.name for b in chosen))
+        several = len(chosen) > 1
         notes = (
             *notes,
-            f"{name} is sampled with the hyper-parameters: its product with other unknowns amounts to "
-            f"{strength[best]:.2g} noise standard deviations.",
+            f"{', '.join(b.name for b in chosen)} {'are' if several else 'is'} sampled with the hyper-parameters: "
+            f"{'the' if several else 'its'} product with other unknowns amounts to {strength[best]:.2g} noise "
+            "standard deviations.",
         )
+        if not bends(layout, frame):
+            return layout, notes
+
+
+def _with_its_parts(
+    candidates: list[Block], strength: list[float], best: int, free: int
+) -> list[Block]:
+    """A coefficient with the other parts of its effect in the same slot, which bend with it, where all fit in φ."""
+    one = candidates[best]
+    parts = [
+        b
+        for b, s in zip(candidates, strength, strict=True)
+        if (b.effect is one.effect and b.slot == one.slot and s >= 0.1 * THRESHOLD) or b is one
+    ]
+    return parts if sum(b.size for b in parts) <= free else [one]
 
 
 def bends(layout: Layout, frame: Frame) -> bool:

@@ -46,6 +46,26 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
     return Table(file, headers, rows, sha256_of(path), load, _place)
 
 
+def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordBatch, Table]]:
+    """A Parquet file a stretch of rows at a time: as it stands, and as a table."""
+    with _as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
+        done = 0
+        for batch in opened.iter_batches(batch_size=rows):
+            fields = [batch.schema.field(position) for position in range(len(batch.schema))]
+            headers = tuple(Header.parse(f.name, _field_unit(f)) for f in fields)
+
+            def load(wanted: Mapping[int, bool], batch=batch) -> dict[int, Cells]:
+                columns = {p: pa.chunked_array([batch.column(p)]) for p in wanted}
+                return {p: _arrow_cells(columns[p], number) for p, number in wanted.items()}
+
+            def place(index: int, start=done) -> str:
+                return _place(start + index)
+
+            if batch.num_rows:
+                yield batch, Table(file, headers, batch.num_rows, "", load, place)
+            done += batch.num_rows
+
+
 def _field_unit(field: pa.Field) -> str | None:
     unit = (field.metadata or {}).get(b"units")
     return None if unit is None else unit.decode("utf-8", "replace")

@@ -9,8 +9,10 @@ from __future__ import annotations
 import csv
 import hashlib
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import BinaryIO
 
@@ -68,6 +70,59 @@ def open_csv(path: Path, file: str) -> Table:
 
     headers = tuple(Header.parse(text) for text in scan.header)
     return Table(file, headers, rows, scan.sha256, load, scan.place)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some lines of a file as they stand.
+
+    Attributes:
+        lines: with their ends; blank ones among them.
+        table: their readings; None for the header.
+        separator: between fields.
+        before: of the header: the lines above it.
+    """
+
+    lines: list[bytes]
+    table: Table | None
+    separator: str
+    before: list[bytes] = field(default_factory=list)
+
+
+def csv_parts(path: Path, file: str, rows: int) -> Iterator[Part]:
+    """A file that `open_csv` let pass, a stretch of rows at a time: its header first, then its readings.
+
+    Args:
+        path: where it is.
+        file: its name in messages.
+        rows: readings in a stretch, at most.
+    """
+    with path.open("rb") as handle:
+        scan = _scan(handle, file)
+    headers = tuple(Header.parse(text) for text in scan.header)
+    done = 0
+    with path.open("rb") as handle:
+        above: list[bytes] = []
+        while handle.tell() < scan.offset:
+            above.append(handle.readline())
+        yield Part([above.pop()], None, scan.separator, above)
+        while lines := list(islice(handle, rows)):
+            while not any(line.strip() for line in lines) and (more := handle.readline()):
+                lines.append(more)  # a stretch of blank lines is no table
+            count = sum(bool(line.strip()) for line in lines)
+            if count:
+                start = done
+
+                def load(wanted: Mapping[int, bool], lines=lines) -> dict[int, Cells]:
+                    return _cells(BytesIO(b"".join(lines)), scan, wanted)
+
+                def place(index: int, start=start) -> str:
+                    return scan.place(start + index)
+
+                yield Part(
+                    lines, Table(file, headers, count, scan.sha256, load, place), scan.separator
+                )
+            done += count
 
 
 def _scan(handle: BinaryIO, file: str) -> _Scan:
@@ -200,33 +255,37 @@ def _refuse_ragged(scan: _Scan, row: int, line: bytes, fields: int) -> None:
 
 
 def _load(path: Path, scan: _Scan, wanted: Mapping[int, bool]) -> dict[int, Cells]:
+    with path.open("rb") as handle:
+        handle.seek(scan.offset)
+        return _cells(handle, scan, wanted)
+
+
+def _cells(handle: BinaryIO, scan: _Scan, wanted: Mapping[int, bool]) -> dict[int, Cells]:
     """The wanted columns, a stretch of rows at a time, so that only one stretch is held as text."""
     parts: dict[int, list[np.ndarray]] = {position: [] for position in wanted}
     bad: dict[int, tuple[int, str]] = {}
     done = 0
-    with path.open("rb") as handle:
-        handle.seek(scan.offset)
-        stretches = pd.read_csv(
-            handle,
-            sep=scan.separator,
-            header=None,
-            names=list(range(len(scan.header))),
-            usecols=sorted(wanted),
-            index_col=False,
-            dtype=str,
-            na_filter=False,
-            chunksize=_ROWS,
-        )
-        for frame in stretches:
-            for position, number in wanted.items():
-                if not number:
-                    parts[position].append(frame[position].str.strip().to_numpy(object))
-                    continue
-                cells = numbers_of(frame[position])
-                parts[position].append(cells.values)
-                if cells.bad and position not in bad:
-                    bad[position] = (done + cells.bad[0], cells.bad[1])
-            done += len(frame)
+    stretches = pd.read_csv(
+        handle,
+        sep=scan.separator,
+        header=None,
+        names=list(range(len(scan.header))),
+        usecols=sorted(wanted),
+        index_col=False,
+        dtype=str,
+        na_filter=False,
+        chunksize=_ROWS,
+    )
+    for frame in stretches:
+        for position, number in wanted.items():
+            if not number:
+                parts[position].append(frame[position].str.strip().to_numpy(object))
+                continue
+            cells = numbers_of(frame[position])
+            parts[position].append(cells.values)
+            if cells.bad and position not in bad:
+                bad[position] = (done + cells.bad[0], cells.bad[1])
+        done += len(frame)
     return {
         position: Cells(np.concatenate(found), bad.get(position))
         for position, found in parts.items()

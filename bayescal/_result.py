@@ -12,6 +12,7 @@ from typing import Any
 
 from bayescal._check import Check
 from bayescal._discover import Discovery
+from bayescal._experiment import NextExperiment
 from bayescal._folds import groups_of
 from bayescal._measurements import Measurements
 from bayescal._summary import null_directions, summary
@@ -196,6 +197,23 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
             }
             for e in check.entries
             if e.log_bayes_factor > 0
+        ],
+    }
+
+
+def experiment_data(found: NextExperiment) -> dict[str, Any]:
+    return {
+        "members": list(found.members),
+        "experiments": [
+            {
+                "name": e.name,
+                "least_expected_log_bayes_factor": e.worst,
+                "expected_log_bayes_factors": [
+                    {"truth": truth, "rival": rival, "value": value}
+                    for (truth, rival), value in e.expected.items()
+                ],
+            }
+            for e in found.experiments
         ],
     }
 

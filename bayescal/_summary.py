@@ -7,12 +7,14 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from bayescal import _directions as directions
 from bayescal import _score as scores
 from bayescal._calibration import Calibration
 from bayescal._layout import Block
 
 WEAK = 0.1  # information against the prior below which a direction counts as not measured
 SHARE = 0.1  # of a direction's squared length below which a coefficient is left out of its words
+LONGEST = 8  # terms of a combination that are written out
 
 
 def summary(calibration: Calibration) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -78,23 +80,23 @@ def _prior_sd(prior: Any) -> float | None:
 def null_directions(calibration: Calibration) -> list[dict[str, str]]:
     """Combinations of coefficients that the readings leave as the prior had them, in words.
 
-    Eigenvectors of the information of the readings, in units of the prior: where it is below a tenth, the
-    posterior is the prior.
+    First the exact ones: combinations that change no reading whatsoever, in the coefficients' own units and with
+    as few coefficients in each as can be. Then those whose information, in units of the prior, is below a tenth:
+    there the posterior is the prior.
     """
     y = jnp.asarray(calibration.readings["output"])
-    null = scores.null_model(calibration.layout, calibration.frame, y, calibration.mode)
+    frame, noise = calibration.frame, calibration.model.noise
+    null = scores.null_model(calibration.layout, frame, y, calibration.mode)
     count = calibration.layout.size
     if count == 0:
         return []
+    sd = np.asarray(null.prior.sd[:count])
     scaled = null.nuisance[:, :count] * null.prior.sd[:count]
-    frame, noise = calibration.frame, calibration.model.noise
-    gram = noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
-    values, vectors = np.linalg.eigh(np.asarray(gram.jtj))
+    white = np.asarray(noise.whiten(scaled, null.extra, null.hyper, frame)[0])
     names = _entry_names(calibration)
-    found = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value < WEAK:
-            found.append(_words(vector, value, names))
+    exact = directions.exact(white)
+    found = [_exact_words(vector * sd, names) for vector in exact]
+    found += [_weak_words(vector, names) for vector in directions.weak(white, exact, WEAK)]
     return found
 
 
@@ -112,13 +114,27 @@ def _members(block: Block, levels: dict[str, tuple[str, ...]]) -> list[str]:
     return [f"{block.name}({m})" for m in levels[per]]
 
 
-def _words(vector: np.ndarray, value: float, names: list[str]) -> dict[str, str]:
+def _exact_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
+    """Of a combination that leaves no trace; `vector` in the coefficients' own units."""
+    vector, order = directions.simple(vector), np.flatnonzero(vector)
+    combination = _sum([(vector[i], names[i]) for i in order])
+    if len(order) == 1:
+        words = f"{names[order[0]]}: these readings say nothing of it; its interval is the prior's (exactly)"
+    else:
+        words = (
+            f"{combination}: moved together so, these coefficients change no reading; only other "
+            "combinations of them are measured, this one keeps the prior's width (exactly)"
+        )
+    return {"combination": combination, "in_words": words}
+
+
+def _weak_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
+    """Of a direction that readings hardly tell; `vector` in prior standard deviations."""
+    vector = vector / np.linalg.norm(vector)
     order = [i for i in np.argsort(-np.abs(vector)) if vector[i] ** 2 > SHARE]
+    order = order or [int(np.argmax(np.abs(vector)))]
     sign = np.sign(vector[order[0]])
-    terms = [
-        f"{'+' if sign * vector[i] > 0 else '−'} {abs(vector[i]):.2f}·{names[i]}" for i in order
-    ]
-    combination = " ".join(terms).removeprefix("+ ") + "  (in prior standard deviations)"
+    combination = _sum([(sign * round(vector[i], 2), names[i]) for i in order])
     who = " and ".join(names[i] for i in order)
     if len(order) == 1:
         words = f"{who}: these readings say nothing of it; its interval is the prior's"
@@ -126,5 +142,15 @@ def _words(vector: np.ndarray, value: float, names: list[str]) -> dict[str, str]
         words = (
             f"{who}: only another combination of them is measured; this one keeps the prior's width"
         )
-    exact = " (exactly)" if value < 1e-8 else ""
-    return {"combination": combination, "in_words": words + exact}
+    return {"combination": f"{combination}  (in prior standard deviations)", "in_words": words}
+
+
+def _sum(terms: list[tuple[float, str]]) -> str:
+    """A sum for people: a − b − 2·c."""
+    shown = []
+    for factor, name in terms[:LONGEST]:
+        size = "" if abs(factor) == 1 else f"{abs(factor):.3g}·"
+        shown.append(f"{'+' if factor > 0 else '−'} {size}{name}")
+    if len(terms) > LONGEST:
+        shown.append(f"… and {len(terms) - LONGEST} more")
+    return " ".join(shown).removeprefix("+ ")

@@ -11,12 +11,15 @@ from bayescal._summary import null_directions, summary
 from bayescal._units import pretty as pretty_unit
 
 if TYPE_CHECKING:
+    from bayescal._budget import Budget
     from bayescal._calibration import Calibration
     from bayescal._check import Check, Region
     from bayescal._compare import Comparison
     from bayescal._discover import Candidate, Discovery
+    from bayescal._experiment import NextExperiment
     from bayescal._trail import Trail
 
+CLEAR = 5.0  # expected log Bayes factor from which an experiment tells two effects apart
 WIDTH = 110  # columns that a table or a sentence should fit in
 
 
@@ -264,6 +267,23 @@ def _gap(value: float | None, error: float | None) -> str:
     return f"{value:.1f} ± {error:.1f}"
 
 
+def experiment_text(found: NextExperiment) -> str:
+    """Feasible experiments, the most telling first."""
+    rows = []
+    for e in found.experiments:
+        (truth, rival), least = min(e.expected.items(), key=lambda item: item[1])
+        rows.append([e.name, f"{least:.1f}", f"{truth} against {rival}"])
+    lines = [
+        f"to tell apart: {', '.join(found.members)}",
+        table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
+    ]
+    if found.experiments[0].worst < CLEAR:
+        lines.append(
+            f"None of these is expected to tell them apart (a log Bayes factor of {CLEAR:g} would)."
+        )
+    return "\n".join(lines)
+
+
 def trail_text(trail: Trail) -> str:
     """The error, step by step."""
     unit = pretty(trail.final.calibration.unit)
@@ -317,3 +337,38 @@ def calibration_text(calibration: Calibration) -> str:
     lines += [f"not measured: {d['in_words']}" for d in null_directions(calibration)]
     lines.append(str(calibration.verdict))
     return "\n".join([lines[0], *(textwrap.fill(line, WIDTH) for line in lines[1:])])
+
+
+def budget_text(found: Budget) -> str:
+    """Both tables of an uncertainty budget; k and the kind of each interval said."""
+    unit = pretty(found.unit)
+    at = ", ".join(f"{name} = {number(value, 4)}" for name, value in found.at.items())
+    parts = [
+        f"Uncertainty budget of {found.stimulus} at {at}",
+        table(
+            ["coefficient", "estimate", "sensitivity", f"contribution {unit}".strip(), "share"],
+            [
+                [
+                    c.name,
+                    f"{with_error(c.value, c.uncertainty)} {pretty(c.unit)}".strip(),
+                    number(c.sensitivity),
+                    number(c.contribution),
+                    f"{100 * c.share:.1f} %",
+                ]
+                for c in found.coefficients
+            ],
+        ),
+        "Shares count correlations and add up to 100 %; one below zero takes away.",
+        table(
+            ["the same by where it comes from", "type", f"contribution {unit}".strip(), "share"],
+            [
+                [s.name, s.kind, number(s.contribution), f"{100 * s.share:.1f} %"]
+                for s in found.sources
+            ],
+        ),
+        f"Combined standard uncertainty {number(found.uncertainty)} {unit}; with the noise of one reading "
+        f"({number(found.noise)} {unit}): {number(found.expanded_reading / found.k)} {unit}.",
+        f"Expanded uncertainty (k = {found.k:g}): {number(found.expanded)} {unit}; with the noise of one reading: "
+        f"{number(found.expanded_reading)} {unit}.",
+    ]
+    return "\n\n".join(parts)

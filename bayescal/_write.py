@@ -6,7 +6,8 @@ Everything is written beside its place and then renamed, so a file is there whol
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -45,23 +46,34 @@ def write(dataset: xr.Dataset, path: str | Path) -> Path:
             f"{path.name!r}: readings cannot be written as "
             f"{path.suffix or 'a file without a suffix'!r}; choose {', '.join(FORMATS)}"
         )
+    with beside(path) as partial:
+        writer(dataset, partial)
+    return path
+
+
+@contextmanager
+def beside(path: Path) -> Iterator[Path]:
+    """A file beside a path, which takes its place once it is whole; nothing is left of one that is not.
+
+    Raises:
+        InputError: no such folder, or a place that cannot be written to.
+    """
     if not path.parent.is_dir():
         raise InputError(
             f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}. Make it, "
             "or choose another"
         )
-    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        writer(dataset, beside)
-        beside.replace(path)
+        yield partial
+        partial.replace(path)
     except OSError as error:
         raise InputError(
             f"{str(path)!r} cannot be written: {error.strerror or error}. Choose a folder that may "
             "be written to"
         ) from error
     finally:
-        beside.unlink(missing_ok=True)
-    return path
+        partial.unlink(missing_ok=True)
 
 
 def _columns(dataset: xr.Dataset) -> dict[str, np.ndarray]:
@@ -97,3 +109,15 @@ def _write_netcdf(dataset: xr.Dataset, path: Path) -> None:
                 "write .csv or .parquet"
             )
     dataset.to_netcdf(path, engine="h5netcdf")
+
+
+def write_text(text: str, path: str | Path) -> Path:
+    """Write text as UTF-8, beside its place and then renamed.
+
+    Raises:
+        InputError: no such folder, or a place that cannot be written to.
+    """
+    path = Path(path)
+    with beside(path) as partial:
+        partial.write_text(text, encoding="utf-8", newline="\n")
+    return path

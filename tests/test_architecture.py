@@ -26,14 +26,16 @@ FLOORS = {
     "effects.constant effects.temperature effects.thermal effects.thermometer effects.time effects.unknown "
     "effects _instrument _model",
     "the model as numbers": "_layout _composition _linear _laplace",
-    "a calibration": "_calibration _store _tree _method _predict _score _summary _text",
+    "a calibration": "_calibration _store _tree _method _predict _score _directions _summary _text",
     "methods and their verb": "_promotion _importance _chains _least_squares _marginal _nuts _fit",
     "verbs on a calibration": "_susie_models _susie _candidates _blocks _regions _check "
-    "_judgement _verification _discover "
+    "_judgement _verification _discover _experiment _template "
     "_folds _compare _spikes _trail _calibrate",
+    "what the user takes away": "_in_use _inverse _export_graph _export_trace _export_text _export _export_about "
+    "_compensate _compensate_files _budget",
     "for people": "_plot _result",
     "the public face": "bayescal",
-    "the command line": "_doors _answers _options _cli",
+    "the command line": "_doors _answers _options _commands _cli",
 }
 ORDER = " ".join(FLOORS.values()).split()
 
@@ -42,15 +44,18 @@ LATE = {
     ("_instrument", "_model"): "instrument.baseline() makes a model, which holds the instrument",
     ("_calibration", "_store"): "calibration.save() is a verb above it, offered as a method",
     ("_calibration", "_text"): "printing is above it, offered as str()",
+    ("_budget", "_text"): "as above",
     ("_check", "_text"): "as above",
     ("_compare", "_text"): "as above",
     ("_discover", "_text"): "as above",
     ("_trail", "_text"): "as above",
+    ("_experiment", "_text"): "as above",
     ("_trail", "_plot"): "trail.save() draws, above it; Matplotlib loads only to draw",
     ("_trail", "_result"): "trail.save() writes the result, which is above it",
     ("_fit", "_store"): "loading is seldom",
+    ("_export_about", "bayescal"): "its version, which stands on the face",
 }
-LATE_ANYWHERE = {"_cli"}  # its commands load what they need: `bayescal --help` answers at once
+LATE_ANYWHERE = {"_cli", "_commands"}  # their commands load what they need: `bayescal --help` answers at once
 
 
 class Import(NamedTuple):

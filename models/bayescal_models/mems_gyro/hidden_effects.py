@@ -42,6 +42,7 @@ SIZES: Mapping[str, Size] = MappingProxyType(
         "bias.drift": Size(0.1, "deg/s"),
         "bias.run": Size(0.05, "deg/s"),
         "scale.temperature": Size(300.0, "ppm/degC"),
+        "scale.constant": Size(10000.0, "ppm"),
     }
 )
 """Prior standard deviations of a gyro's effects, ours; `bias.temperature` is the baseline's."""
@@ -121,6 +122,11 @@ def _scale_temperature(size: float, campaign: Campaign, world: World) -> Array:
     return 1e-6 * size * (world.package - campaign.T0) * world.rate
 
 
+def _scale_constant(size: float, campaign: Campaign, world: World) -> Array:
+    """Scale factor is off by a constant share: `κ·Ω`; nothing at rest."""
+    return 1e-6 * size * world.rate
+
+
 def _periodic(size: float, campaign: Campaign, world: World) -> Array:
     """Pick-up of a cycle such as the chamber's compressor; `size` is the amplitude."""
     return size * np.sin(2.0 * np.pi * world.time / campaign.period)
@@ -149,6 +155,7 @@ LAWS: Mapping[str, Callable[[float, Campaign, World], Array]] = MappingProxyType
         "bias.drift": _drift,
         "bias.run": _run,
         "scale.temperature": _scale_temperature,
+        "scale.constant": _scale_constant,
         "unlisted.periodic": _periodic,
         "unlisted.step": _step,
         "unlisted.humidity": _humidity,

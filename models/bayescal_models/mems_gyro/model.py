@@ -29,6 +29,7 @@ import bayescal as bc
 from bayescal import effects
 from bayescal_models.mems_gyro.campaign import SIZES
 from bayescal_models.mems_gyro.demo import run
+from bayescal_models.mems_gyro.experiments import EXPERIMENTS
 from bayescal_models.mems_gyro.simulate import simulate
 from bayescal_models.mems_gyro.structures import RESONANCE, RESONANCE_FORCE
 
@@ -169,6 +170,8 @@ INSTRUMENT = bc.Instrument(
         ),
     ),
     simulate=simulate,
+    experiments=EXPERIMENTS,
     demo=run,
+    use=bc.Use("rate_input", "deg/s"),
     source="source 1",
 )

@@ -85,6 +85,7 @@ def instrument(
             ("cubic", lambda: made.baseline() + candidates[:2]),
         ),
         simulate=simulate,
+        use=bc.Use("input", unit, equation=lambda true, slots, r: slots["bias"] + true),
         source="ours",
         settings=(("unit", unit), *settings.items()),
     )

@@ -1,0 +1,118 @@
+"""Directions of the unknowns that readings do not tell: exact null spaces and weak ones, by few coefficients each.
+
+Eigenvectors of a null space of several dimensions come out mixed, and say nothing to anyone. A reduced echelon form,
+its pivots the largest entries that are left, gives each direction a coefficient of its own and keeps apart what has
+no coefficient in common.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+EXACT = 3e-14  # of the largest singular value of normalised columns: rounding, no information
+DUST = 1e-9  # of a direction's largest entry: rounding
+TRACE = 1e-4  # of it: may be what a nearly null direction leaves
+ALONE = 0.99  # of a coefficient's unit vector within the weak directions: it is not measured at all
+
+
+def exact(columns: np.ndarray) -> np.ndarray:
+    """Directions along which a matrix does nothing.
+
+    Args:
+        columns: (n, p), such as a whitened Jacobian; any units.
+
+    Returns:
+        A basis (k, p) of its null space, few entries in each row, the others exactly zero; k may be 0.
+    """
+    norm = np.linalg.norm(columns, axis=0)
+    norm = np.where(norm > 0, norm, 1.0)
+    small = _small(columns / norm)
+    _, values, rows = np.linalg.svd(small, full_matrices=True)
+    values = np.concatenate([values, np.zeros(len(rows) - len(values))])
+    basis = echelon(rows[values <= EXACT * max(values[0], 1.0)])
+    basis = np.array([_swept(small, row) for row in basis]).reshape(basis.shape)
+    basis = _in_order(basis / norm)
+    return basis / np.abs(basis).max(axis=1, keepdims=True, initial=1e-300)
+
+
+def _swept(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """The null direction of a row's large entries alone, if they have one; else the row.
+
+    Nearly null directions leave traces of themselves in computed null spaces.
+    """
+    large = np.abs(row) > TRACE * np.abs(row).max()
+    if large.all():
+        return row
+    _, values, rows = np.linalg.svd(_small(columns[:, large]), full_matrices=True)
+    if len(values) < len(rows) or values[-1] > EXACT * max(values[0], 1.0):
+        return row
+    swept = np.zeros_like(row)
+    swept[large] = rows[-1]
+    return swept
+
+
+def weak(columns: np.ndarray, exact: np.ndarray, limit: float) -> np.ndarray:
+    """Directions of information below `limit` beside the exact ones.
+
+    Args:
+        columns: (n, p), whitened, per prior standard deviation.
+        exact: (k, p), what `exact` found of these columns.
+        limit: largest information (|columns·z|² for a unit z).
+
+    Returns:
+        Directions (m, p); coefficients of which nothing is known first, each a unit vector.
+    """
+    count = columns.shape[1]
+    _, values, rows = np.linalg.svd(_small(columns), full_matrices=True)
+    values = np.concatenate([values, np.zeros(count - len(values))])
+    space = _without(rows[values**2 < limit], exact)
+    alone = [i for i in range(count) if np.sum(space[:, i] ** 2) > ALONE]
+    units = np.eye(count)[alone]
+    rest = echelon(_without(space, units))
+    return np.concatenate([units, rest])
+
+
+def _small(columns: np.ndarray) -> np.ndarray:
+    """A square matrix with the same singular values and right vectors."""
+    return np.linalg.qr(columns, mode="r") if len(columns) > columns.shape[1] else columns
+
+
+def _without(space: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Orthonormal rows that span what of `space` (orthonormal rows) is orthogonal to `others`."""
+    left = len(space) - len(others)
+    if left <= 0 or not len(others):
+        return space[: max(left, 0)]
+    basis, _ = np.linalg.qr(others.T)
+    _, _, rows = np.linalg.svd(space - space @ basis @ basis.T, full_matrices=False)
+    return rows[:left]
+
+
+def echelon(rows: np.ndarray) -> np.ndarray:
+    """Reduced row echelon form with complete pivoting, dust swept off, ordered by each row's first entry."""
+    reduced = np.array(rows, dtype=float)
+    free = np.ones(len(reduced), dtype=bool)
+    for _ in range(len(reduced)):
+        candidates = np.where(free[:, None], np.abs(reduced), -1.0)
+        at, pivot = np.unravel_index(np.argmax(candidates), candidates.shape)
+        reduced[at] /= reduced[at, pivot]
+        others = np.arange(len(reduced)) != at
+        reduced[others] -= np.outer(reduced[others, pivot], reduced[at])
+        free[at] = False
+    largest = np.abs(reduced).max(axis=1, keepdims=True, initial=0.0)
+    reduced[np.abs(reduced) < DUST * largest] = 0.0
+    return _in_order(reduced)
+
+
+def _in_order(rows: np.ndarray) -> np.ndarray:
+    """Rows in the order of their first entry that is not zero."""
+    return rows[np.argsort([int(np.flatnonzero(row)[0]) for row in rows], kind="stable")]
+
+
+def simple(vector: np.ndarray) -> np.ndarray:
+    """The direction in small whole numbers if it has them, else with a largest entry of one; the first is positive."""
+    entries = np.abs(vector[vector != 0])
+    whole = vector / entries.min()
+    near = np.abs(whole - np.rint(whole)) < 1e-5
+    small = near.all() and np.abs(whole).max() < 100
+    made = np.rint(whole) if small else vector / entries.max()
+    return made * np.sign(made[np.flatnonzero(made)[0]])
