@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-NAMES = ("certified", "thermal_ramp", "wandering_noise")  # each a module here with `main()`
+NAMES = ("certified", "thermal_ramp", "wandering_noise", "coverage", "hidden_effects")  # each a module here with `main()`
 
 
 def main(names: list[str]) -> int:

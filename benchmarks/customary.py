@@ -1,0 +1,161 @@
+"""Customary selections of effects, side by side with ours: stepwise by BIC, LASSO, sequential thresholding.
+
+All see the same columns: ∂μ/∂θ of every candidate at the fitted baseline (shapes at the middle of their priors),
+the baseline's own columns taken out first by least squares. None knows priors or correlated noise.
+Sources: G. Schwarz, Ann. Stat. 6 (1978) 461; R. Tibshirani, J. R. Stat. Soc. B 58 (1996) 267 (by scikit-learn);
+S. Brunton, J. Proctor & J. Kutz, PNAS 113 (2016) 3932 (sequentially thresholded least squares, after its description).
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+import bayescal as bc
+from bayescal import _candidates as candidates
+from bayescal import _score as scores
+from bayescal._model import testable
+
+SELECTIONS = ("stepwise BIC", "LASSO", "STLSQ")
+MOST = 5
+SEEN = 0.02  # standard deviation of a contribution, in those of the residuals, below which it does not count
+
+
+def select(name: str, calibration: bc.Calibration, later: bc.Measurements) -> dict[str, Any]:
+    """Effects selected by one of the customary ways, and the error of the held-out readings.
+
+    Args:
+        name: one of `SELECTIONS`.
+        calibration: of the baseline.
+        later: held-out readings.
+    """
+    columns, owners = _columns(calibration, calibration.readings)
+    y = calibration.readings["output"] - bc.predict(calibration).mean
+    null, _ = _baseline(calibration, calibration.readings)
+    chosen = {"stepwise BIC": _stepwise, "LASSO": _lasso, "STLSQ": _stlsq}[name](
+        *_projected(columns, y, null), owners
+    )
+    error = _held_out(calibration, later, chosen, columns, owners, y, null)
+    return {"effects": sorted(chosen), "held_out": error}
+
+
+def _open(calibration: bc.Calibration) -> list[bc.Effect]:
+    model = calibration.model
+    return [
+        e
+        for e in model.instrument.candidates
+        if e.name not in model.names and testable(e, calibration.readings) is None
+    ]
+
+
+def _columns(
+    calibration: bc.Calibration, readings: bc.Measurements
+) -> tuple[np.ndarray, np.ndarray]:
+    """Candidate columns (n, P) on these readings, and the name of each one's effect."""
+    from dataclasses import replace
+
+    effects = _open(calibration)
+    seen = (
+        calibration if readings is calibration.readings else replace(calibration, readings=readings)
+    )
+    laid = candidates.lay_out(seen, effects)
+    at, owners = [], []
+    for i, effect in enumerate(effects):
+        items = laid.of(i)
+        middle = laid.items[items[len(items) // 2]].columns
+        at += middle
+        owners += [effect.name] * len(middle)
+    return laid.matrix[:, at], np.array(owners)
+
+
+def _baseline(calibration: bc.Calibration, readings: bc.Measurements) -> tuple[np.ndarray, None]:
+    from dataclasses import replace
+
+    import jax.numpy as jnp
+
+    seen = (
+        calibration if readings is calibration.readings else replace(calibration, readings=readings)
+    )
+    y = jnp.asarray(readings["output"])
+    null = scores.null_model(seen.layout, seen.frame, y, seen.mode)
+    return np.asarray(null.nuisance), None
+
+
+def _projected(
+    columns: np.ndarray, y: np.ndarray, null: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and residuals with the baseline's columns taken out, columns of unit length."""
+    both = np.column_stack([columns, y])
+    left = both - null @ np.linalg.lstsq(null, both, rcond=None)[0]
+    x, y = left[:, :-1], left[:, -1]
+    norm = np.sqrt(np.mean(x**2, axis=0))
+    keep = norm > 1e-9 * np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+    return np.where(keep, x / np.where(keep, norm, 1.0), 0.0), y
+
+
+def _bic(x: np.ndarray, y: np.ndarray) -> float:
+    rest = y - x @ np.linalg.lstsq(x, y, rcond=None)[0] if x.shape[1] else y
+    n = y.size
+    return n * np.log(max(float(np.mean(rest**2)), 1e-300)) + x.shape[1] * np.log(n)
+
+
+def _stepwise(x: np.ndarray, y: np.ndarray, owners: np.ndarray) -> set[str]:
+    chosen: set[str] = set()
+    best = _bic(x[:, :0], y)
+    while len(chosen) < MOST:
+        trials = {
+            name: _bic(x[:, np.isin(owners, [*chosen, name])], y) for name in set(owners) - chosen
+        }
+        name = min(trials, key=trials.get, default=None)
+        if name is None or trials[name] >= best:
+            return chosen
+        chosen.add(name)
+        best = trials[name]
+    return chosen
+
+
+def _lasso(x: np.ndarray, y: np.ndarray, owners: np.ndarray) -> set[str]:
+    from sklearn.linear_model import LassoCV
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = LassoCV(cv=5, fit_intercept=False, max_iter=20000).fit(x, y / y.std())
+    return {str(n) for n, c in zip(owners, found.coef_, strict=True) if abs(c) > SEEN}
+
+
+def _stlsq(x: np.ndarray, y: np.ndarray, owners: np.ndarray, threshold: float = 0.1) -> set[str]:
+    scale = y.std()
+    active = np.ones(x.shape[1], bool)
+    for _ in range(20):
+        inner = x[:, active]
+        gram = inner.T @ inner + 1e-6 * len(y) * np.eye(inner.shape[1])
+        size = np.zeros(x.shape[1])
+        size[active] = np.linalg.solve(gram, inner.T @ y) if active.any() else 0.0
+        now = np.abs(size) > threshold * scale
+        if (now == active).all():
+            break
+        active = now
+    return {str(n) for n in owners[active]}
+
+
+def _held_out(
+    calibration: bc.Calibration,
+    later: bc.Measurements,
+    chosen: set[str],
+    columns: np.ndarray,
+    owners: np.ndarray,
+    y: np.ndarray,
+    null: np.ndarray,
+) -> float | None:
+    """Error of the held-out readings with the chosen columns fitted by least squares beside the baseline's."""
+    at = np.isin(owners, list(chosen))
+    moving, _ = _columns(calibration, later)
+    if moving.shape[1] != columns.shape[1]:
+        return None  # groups differ
+    null_later, _ = _baseline(calibration, later)
+    size = np.linalg.lstsq(np.column_stack([null, columns[:, at]]), y, rcond=None)[0]
+    guess = bc.predict(calibration, later).mean
+    guess = guess + np.column_stack([null_later, moving[:, at]]) @ size
+    return float(np.sqrt(np.mean((later["output"] - guess) ** 2)))
