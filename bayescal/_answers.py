@@ -138,7 +138,9 @@ def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
     parts += [unexplained] if unexplained else []
     for name in (e.name for e in final.calibration.model.effects if e.measure is not None):
         draft = template(final.calibration, name)
-        parts.append(f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}")
+        parts.append(
+            f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"
+        )
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
     parts.append(f"COEFFICIENTS\n\n{final.calibration}")
     parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))

@@ -18,14 +18,17 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from bayescal import _inverse as inverse
 from bayescal import _score as scores
 from bayescal._calibration import PREDICTIVE_CELLS, Calibration
 from bayescal._compensate import Compensator, compensator
 from bayescal._errors import InputError
+from bayescal._frame import Frame
 from bayescal._layout import Layout
 
 REST = "spreads, shapes, curvature"
@@ -146,7 +149,7 @@ def budget(
     found = inverse.at_point(
         chosen.equation, chosen._inverse.reference, chosen._known.mean, point, chosen._inverse.names
     )
-    gradient = -found.gradient / found.slope
+    gradient = 0.0 - found.gradient / found.slope
     covariance = chosen._known.covariance
     variance = float(gradient @ covariance @ gradient)
     return Budget(
@@ -259,22 +262,27 @@ def _places(calibration: Calibration) -> dict[str, tuple[int, float]]:
     return found
 
 
+@eqx.filter_jit
+def _information(layout: Layout, frame: Frame, y: Array, mode: Any):
+    """Information of the readings in units of the prior; prior standard deviations; 0 where a prior is flat."""
+    null = scores.null_model(layout, frame, y, mode)
+    scaled = null.nuisance * null.prior.sd
+    gram = layout.model.noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
+    return gram.jtj, null.prior.sd, null.prior.weight
+
+
 def _posterior_split(
     calibration: Calibration, weights: np.ndarray
 ) -> tuple[float, dict[str, float]]:
     """Variance of weights·(x, shapes) that comes from the readings' noise, and from each prior."""
-    layout, frame = calibration.layout, calibration.frame
-    y = jnp.asarray(calibration.readings["output"])
-    null = scores.null_model(layout, frame, y, calibration.mode)
-    sd, weight = np.asarray(null.prior.sd), np.asarray(null.prior.weight)
-    scaled = null.nuisance * null.prior.sd
-    gram = layout.model.noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
-    information = np.asarray(gram.jtj)
+    layout, y = calibration.layout, jnp.asarray(calibration.readings["output"])
+    found = _information(layout, calibration.frame, y, calibration.mode)
+    information, sd, weight = (np.asarray(a) for a in found)
     try:
         pulled = np.linalg.solve(information + np.diag(weight), weights * sd)
     except np.linalg.LinAlgError:
         return float("nan"), {}
-    noise = float(pulled @ information @ pulled)
+    noise = max(0.0, float(pulled @ information @ pulled))  # zero, but for rounding
     names = [b.name for b in layout.x_blocks for _ in range(b.size)]
     names += [layout.hypers[i].name for i in _moving(layout)]
     priors: dict[str, float] = {}
@@ -303,13 +311,15 @@ def prior_sensitivity(calibration: Calibration) -> Any:
     keep = PREDICTIVE_CELLS // max(1, sizes["chain"] * len(calibration.readings))
     step = -(-sizes["draw"] // max(1, min(sizes["draw"], keep)))
     priors = tree["log_prior"].to_dataset()
-    own = [
+    posterior = tree["posterior"].to_dataset()
+    own = [  # what is held at an estimate has no distribution to move
         n
-        for n in map(str, tree["posterior"].data_vars)
-        if "reading" not in tree["posterior"][n].dims
+        for n in posterior
+        if "reading" not in posterior[n].dims
+        and float(posterior[n].std()) > 1e-12 * abs(float(posterior[n].mean()))
     ]
     thinned = {
-        "posterior": tree["posterior"].to_dataset()[own].isel(draw=slice(None, None, step)),
+        "posterior": posterior[own].isel(draw=slice(None, None, step)),
         "log_prior": priors[[n for n in priors if "reading" not in priors[n].dims]].isel(
             draw=slice(None, None, step)
         ),

@@ -5,7 +5,17 @@ from __future__ import annotations
 import importlib
 import sys
 
-NAMES = ("certified", "thermal_ramp", "wandering_noise", "coverage", "hidden_effects")  # each a module here with `main()`
+NAMES = (  # each a module here with `main()`
+    "certified",
+    "thermal_ramp",
+    "wandering_noise",
+    "coverage",
+    "ng_accelerometer",
+    "quartz_beam_accelerometer",
+    "differential_pair",
+    "inclinometer",
+    "hidden_effects",
+)
 
 
 def main(names: list[str]) -> int:

@@ -55,7 +55,10 @@ LATE = {
     ("_fit", "_store"): "loading is seldom",
     ("_export_about", "bayescal"): "its version, which stands on the face",
 }
-LATE_ANYWHERE = {"_cli", "_commands"}  # their commands load what they need: `bayescal --help` answers at once
+LATE_ANYWHERE = {
+    "_cli",
+    "_commands",
+}  # their commands load what they need: `bayescal --help` answers at once
 
 
 class Import(NamedTuple):

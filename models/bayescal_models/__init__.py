@@ -3,4 +3,11 @@
 Each instrument's module holds `INSTRUMENT`; its docstring is the data sheet.
 """
 
-INSTRUMENTS = ("mems_gyro", "still_sensor")
+INSTRUMENTS = (
+    "ng_accelerometer",
+    "mems_gyro",
+    "quartz_beam_accelerometer",
+    "differential_pair",
+    "inclinometer",
+    "still_sensor",
+)

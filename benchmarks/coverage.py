@@ -1,0 +1,228 @@
+"""Do the intervals cover? Simulation-based calibration of every instrument on its proving ground.
+
+    python -m benchmarks coverage                            1000 data sets for each instrument
+    python -m benchmarks.coverage mems_gyro --replicates 100
+
+Data sets are drawn from the priors that the fit uses (`bayescal_models/NAME/proving.py`) and fitted by `Marginal`.
+Resumable: results/coverage_NAME.jsonl holds a line for each chunk, and chunks that stand there for the same model
+are not computed again. Writes results/coverage.json and a figure for each instrument, results/coverage_NAME.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import time
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+import bayescal as bc
+from bayescal import _promotion as promotion
+from bayescal._fit import bind
+from bayescal._frame import build_frame, reference_of
+from bayescal_models import INSTRUMENTS
+from benchmarks.ranks import Judgement, band, drawn, judge, ranks
+from benchmarks.record import ROOT, write
+
+RESULTS = ROOT / "benchmarks" / "results"
+REPLICATES = 1000
+LEVEL = 0.01  # chance that right programs fail somewhere, over all instruments and unknowns
+PROPOSALS, ROUNDS = 2048, 3
+UNEVEN = 0.7  # k̂ above which importance weights are not trusted
+NUMBERS = 2**25  # of one intermediate array, from which a chunk's size follows: under 3 GB in all
+LARGEST = 50  # data sets in a chunk
+
+
+@dataclass(frozen=True)
+class Ground:
+    """An instrument's proving ground.
+
+    Attributes:
+        name: of the instrument.
+        model: baseline effects, proper priors.
+        plan: readings whose columns every data set shares.
+    """
+
+    name: str
+    model: bc.Model
+    plan: bc.Measurements
+
+    @classmethod
+    def of(cls, name: str) -> Ground:
+        proving = import_module(f"bayescal_models.{name}.proving")
+        return cls(name, proving.model(), proving.readings())
+
+    @cached_property
+    def method(self) -> bc.Marginal:
+        """What is promoted is chosen once, on the proving readings, because one program serves all data sets."""
+        layout, _ = bind(self.model, self.plan)
+        frame = build_frame(self.plan, reference_of(self.plan))
+        chosen, _ = promotion.choose(layout, frame, jnp.asarray(self.plan["output"]), None)
+        return bc.Marginal(proposals=PROPOSALS, rounds=ROUNDS, promote=chosen.promoted)
+
+    @cached_property
+    def chunk(self) -> int:
+        """Data sets fitted at once, so that memory stays bounded."""
+        layout, _ = bind(self.model, self.plan)
+        one = 256 * (layout.size + 8) * max(len(self.plan), layout.size)
+        return int(np.clip(NUMBERS // one, 2, LARGEST))
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Changes with the model, its priors, its response, the plan or the method."""
+        data, _ = drawn(self.model, 1, self.plan, self.seed(0))
+        numbers = [f"{value:.6e}" for value in data[0]["output"]]
+        parts = [*self.model.unknowns, *numbers, repr(self.method), str(self.chunk)]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+    def seed(self, index: int) -> int:
+        """Of one chunk; unlike from instrument to instrument, so that their data sets are independent."""
+        return zlib.crc32(f"{self.name} {index}".encode())
+
+    def run(self, index: int) -> dict[str, Any]:
+        """One chunk: ranks of every unknown, k̂ of every data set."""
+        begun, seed = time.perf_counter(), self.seed(index)
+        data, truth = drawn(self.model, self.chunk, self.plan, seed)
+        batch = bc.fit_batch(self.model, data, self.method, seed=seed)
+        found = ranks(batch, truth, seed)
+        return {
+            "fingerprint": self.fingerprint,
+            "chunk": index,
+            "seed": seed,
+            "ranks": {name: [round(r, 5) for r in values] for name, values in found.items()},
+            "pareto_k": [round(float(k), 3) for k in batch.pareto_k],
+            "seconds": round(time.perf_counter() - begun, 1),
+        }
+
+
+def collect(ground: Ground, replicates: int, file: Path | None = None) -> list[dict[str, Any]]:
+    """At least so many data sets, in chunks; those that a file holds are taken from it, the others added to it."""
+    done: dict[int, dict[str, Any]] = {}
+    if file is not None and file.is_file():
+        lines = [json.loads(line) for line in file.read_text("utf-8").splitlines()]
+        done = {r["chunk"]: r for r in lines if r["fingerprint"] == ground.fingerprint}
+    wanted = range(-(-replicates // ground.chunk))
+    for index in wanted:
+        if index not in done:
+            done[index] = ground.run(index)
+            if file is not None:
+                file.parent.mkdir(exist_ok=True)
+                with file.open("a", encoding="utf-8") as out:
+                    out.write(json.dumps(done[index], ensure_ascii=False) + "\n")
+                counted = f"{ground.name}: {(index + 1) * ground.chunk} of {replicates}"
+                print(counted, end="\r", file=sys.stderr)
+    return [done[index] for index in wanted]
+
+
+def joined(rows: list[dict[str, Any]]) -> dict[str, np.ndarray]:
+    """Ranks of every unknown over all chunks."""
+    return {name: np.concatenate([row["ranks"][name] for row in rows]) for name in rows[0]["ranks"]}
+
+
+def own_level(unknowns: int) -> float:
+    """Level of the test of one unknown: shared over the instruments, then over an instrument's unknowns."""
+    return LEVEL / (len(INSTRUMENTS) * unknowns)
+
+
+def judged(found: dict[str, np.ndarray]) -> dict[str, Judgement]:
+    return {name: judge(values, own_level(len(found))) for name, values in found.items()}
+
+
+def uneven(rows: list[dict[str, Any]]) -> float:
+    """Share of the data sets whose weights are not to be trusted."""
+    return float(np.mean(np.concatenate([row["pareto_k"] for row in rows]) > UNEVEN))
+
+
+def picture(name: str, found: dict[str, np.ndarray], path: Path) -> None:
+    """Departure of each unknown's ECDF from uniform, within the simultaneous band."""
+    import matplotlib.pyplot as plt  # only where there is something to draw
+
+    count = len(next(iter(found.values())))
+    limits = band(count, own_level(len(found)) / 2)
+    figure, axes = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
+    low, high = (edge / count - limits.points for edge in (limits.low, limits.high))
+    axes.fill_between(
+        limits.points, low, high, color="0.88", label="99 % band, all unknowns at once"
+    )
+    grid = np.linspace(0, 1, 401)
+    for values in found.values():
+        ecdf = np.searchsorted(np.sort(values), grid, side="right") / count
+        axes.plot(grid, ecdf - grid, lw=0.8)
+    axes.set(
+        title=f"{name}: {len(found)} unknowns, {count} data sets drawn from the priors",
+        xlabel="rank of the truth among the draws",
+        ylabel="ECDF − uniform",
+        xlim=(0, 1),
+    )
+    axes.legend(loc="upper right", frameon=False)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def summary(ground: Ground, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """What is written of one instrument."""
+    found = joined(rows)
+    verdicts = judged(found)
+    count = len(next(iter(found.values())))
+    coverage = {name: v.covered / count for name, v in verdicts.items()}
+    return {
+        "data_sets": count,
+        "unknowns": len(found),
+        "readings": len(ground.plan),
+        "promoted": list(ground.method.promote or ()),
+        "uneven_weights": uneven(rows),
+        "largest_distance": max(v.distance for v in verdicts.values()),
+        "coverage95": {"least": min(coverage.values()), "most": max(coverage.values())},
+        "fails": {n: v._asdict() for n, v in verdicts.items() if not v.ok},
+        "by_unknown": {
+            n: {"distance": round(v.distance, 4), "coverage95": coverage[n]}
+            for n, v in verdicts.items()
+        },
+        "seconds": round(sum(row["seconds"] for row in rows), 1),
+    }
+
+
+HEAD = f"{'instrument':26} {'data sets':>9} {'unknowns':>8} {'max KS':>7} {'95 % covers':>15} {'k̂ > 0.7':>8}  fails"
+
+
+def line(name: str, s: dict[str, Any]) -> str:
+    covers = f"{s['coverage95']['least']:.3f} … {s['coverage95']['most']:.3f}"
+    fails = ", ".join(s["fails"]) or "none"
+    return (
+        f"{name:26} {s['data_sets']:9} {s['unknowns']:8} {s['largest_distance']:7.4f} {covers:>15} "
+        f"{s['uneven_weights']:8.1%}  {fails}"
+    )
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Compute what is missing, print the table, write results and figures."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage", description=__doc__)
+    parser.add_argument("names", nargs="*", default=[], help="instruments; all if none is named")
+    parser.add_argument("--replicates", type=int, default=REPLICATES)
+    asked = parser.parse_args(argv if argv is not None else [])
+    if unknown := set(asked.names) - set(INSTRUMENTS):
+        parser.error(f"no instrument is called {', '.join(unknown)}: {', '.join(INSTRUMENTS)}")
+    summaries = {}
+    print(HEAD)
+    for name in asked.names or INSTRUMENTS:
+        ground = Ground.of(name)
+        rows = collect(ground, asked.replicates, RESULTS / f"coverage_{name}.jsonl")
+        summaries[name] = summary(ground, rows)
+        picture(name, joined(rows), RESULTS / f"coverage_{name}.png")
+        print(line(name, summaries[name]), flush=True)
+    before = RESULTS / "coverage.json"
+    kept = json.loads(before.read_text("utf-8"))["instruments"] if before.is_file() else {}
+    write("coverage", {"level": LEVEL, "instruments": {**kept, **summaries}})
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,179 @@
+"""Writes `certified.json` of an instrument: the posterior of its proving ground, by long NUTS.
+
+    python -m benchmarks.make_certified mems_gyro
+    python -m benchmarks.make_certified ng_accelerometer --sampler whitened
+
+The reference must not rest on what it certifies, so the coefficients are never integrated out. `program` is NumPyro's
+NUTS on the plain program (`bc.NUTS`); `whitened` runs the same kernel on the same exact log density in coordinates in
+which its curvature is even, for posteriors so correlated that the plain program does not mix. Runs are lengthened
+until every Monte-Carlo error of a mean is below 0.02 posterior standard deviations, and nothing is written
+unless R-hat < 1.01, no transition in a thousand diverges, and the errors are met.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from arviz_stats.base import array_stats
+
+import bayescal as bc
+from bayescal import _chains as chains
+from bayescal import _laplace as laplace
+from bayescal._batches import over
+from bayescal._fit import bind
+from bayescal._frame import build_frame, reference_of
+from bayescal._tree import named
+from bayescal_models import INSTRUMENTS
+from benchmarks.record import ROOT, surroundings
+
+SEED = 20261121
+CHAINS, WARMUP = 4, 2000
+DRAWS = 2500  # per chain, at first; then twice, four times as many
+LENGTHENED = 3
+MCSE = 0.02  # of a mean, in posterior standard deviations
+R_HAT = 1.01
+DIVERGENT = 1e-3  # share of transitions
+AGREEMENT = {"mean": 0.1, "sd": 0.07}  # what a method is held to: sds, relative; and 4 errors
+
+
+def _program(model: bc.Model, readings: bc.Measurements, draws: int):
+    """Posterior by variable, and the number of divergent transitions."""
+    method = bc.NUTS(warmup=WARMUP, draws=draws, chains=CHAINS)
+    found = bc.fit(model, readings, method, seed=SEED, strict=False)
+    return found.tree["posterior"].to_dataset(), found.verdict.divergences or 0
+
+
+def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
+    """The same, in whitened coordinates about the Laplace mode; the log density is the exact one."""
+    import jax
+    import jax.numpy as jnp
+
+    layout, levels = bind(model, readings)
+    frame, y = build_frame(readings, reference_of(readings)), jnp.asarray(readings["output"])
+    mode = jax.jit(lambda: laplace.find_mode(layout, frame, y))()
+    density, unpack, start, covariance = chains.whitened(layout, frame, y, mode)
+    key = jax.random.key(SEED)
+    ran = chains.run(
+        density, start, covariance, key, warmup=WARMUP, draws=draws, chains=CHAINS, dense=True
+    )
+    place = jax.jit(lambda q: over(lambda one: unpack(one)[:3], q, 64))
+    flat = place(ran.draws.reshape(-1, start.size))
+    shaped = (np.asarray(a).reshape(CHAINS, draws, *a.shape[1:]) for a in flat)
+    return named(layout, levels, *shaped), ran.divergences
+
+
+SAMPLERS = {"program": _program, "whitened": _whitened}
+
+
+def _columns(posterior) -> dict[str, tuple[np.ndarray, str]]:
+    """Draws (chains, draws) and unit of every unknown; members of a group each by number."""
+    found = {}
+    for name in posterior:
+        variable = posterior[name]
+        values, unit = variable.values, str(variable.attrs.get("units", ""))
+        if values.ndim == 2:
+            found[str(name)] = (values, unit)
+        else:
+            found |= {f"{name}({i})": (values[:, :, i], unit) for i in range(values.shape[2])}
+    return found
+
+
+def _diagnosed(values: np.ndarray) -> dict[str, float]:
+    """Mean, sd and mcse of draws (chains, draws), with what is needed to trust them."""
+    axes = {"chain_axis": 0, "draw_axis": 1}
+    return {
+        "mean": float(values.mean()),
+        "sd": float(values.std(ddof=1)),
+        "mcse": float(array_stats.mcse(values, method="mean", **axes)),
+        "mcse_sd": float(array_stats.mcse(values, method="sd", **axes)),
+        "r_hat": float(array_stats.rhat(values, **axes)),
+        "ess": float(array_stats.ess(values, method="bulk", **axes)),
+    }
+
+
+def certify(name: str, sampler: str = "program") -> dict[str, Any]:
+    """The reference posterior of an instrument's proving ground.
+
+    Raises:
+        SystemExit: it could not be had to the tolerances.
+    """
+    proving = import_module(f"bayescal_models.{name}.proving")
+    model, readings = proving.model(), proving.readings(seed=0)
+    begun, draws = time.perf_counter(), DRAWS
+    for _ in range(LENGTHENED):
+        posterior, divergences = SAMPLERS[sampler](model, readings, draws)
+        columns = _columns(posterior)
+        found = {n: _diagnosed(values) for n, (values, _) in columns.items()}
+        r_hat = max(f["r_hat"] for f in found.values())
+        worst = max(f["mcse"] / f["sd"] for f in found.values())
+        ess = min(f["ess"] for f in found.values())
+        divergent = divergences / (CHAINS * draws)
+        print(
+            f"{name}: {sampler}, {CHAINS} × {draws} draws, R-hat {r_hat:.4f}, mcse {worst:.4f} sd, "
+            f"ess {ess:.0f}, {divergences} divergent, {time.perf_counter() - begun:.0f} s",
+            file=sys.stderr,
+        )
+        if r_hat < R_HAT and worst < MCSE and divergent <= DIVERGENT:
+            break
+        draws *= 2
+    else:
+        raise SystemExit(f"{name}: no certificate: see the last figures above; try another sampler")
+    shown = ("mean", "sd", "mcse", "mcse_sd")
+    return {
+        "made_by": f"python -m benchmarks.make_certified {name} --sampler {sampler}",
+        "sampler": {
+            "kind": sampler,
+            "numpyro": version("numpyro"),
+            "warmup": WARMUP,
+            "chains": CHAINS,
+            "seed": SEED,
+        },
+        "readings": f"bayescal_models.{name}.proving.readings(seed=0), {len(readings)} rows",
+        "surroundings": surroundings(),
+        "tolerances": {
+            "mcse": MCSE,
+            "r_hat": R_HAT,
+            "divergent": DIVERGENT,
+            "agreement": AGREEMENT,
+        },
+        "draws": CHAINS * draws,
+        "max_r_hat": round(r_hat, 5),
+        "min_ess": round(ess),
+        "divergences": divergences,
+        "coefficients": {
+            n: {**{k: float(f"{f[k]:.7g}") for k in shown}, "unit": columns[n][1]}
+            for n, f in found.items()
+        },
+    }
+
+
+def write_certificate(name: str, certificate: dict[str, Any]) -> Path:
+    """Write it beside the instrument's model."""
+    path = ROOT / "models" / "bayescal_models" / name / "certified.json"
+    draft = path.with_suffix(".part")
+    text = json.dumps(certificate, indent=1, ensure_ascii=False)
+    draft.write_text(text + "\n", encoding="utf-8")
+    draft.replace(path)
+    return path
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Certify the instruments named, one after the other."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.make_certified")
+    parser.add_argument("names", nargs="+", choices=INSTRUMENTS, metavar="instrument")
+    parser.add_argument("--sampler", choices=SAMPLERS, default="program")
+    asked = parser.parse_args(argv)
+    for name in asked.names:
+        print(write_certificate(name, certify(name, asked.sampler)).relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

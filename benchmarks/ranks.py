@@ -1,0 +1,161 @@
+"""Simulation-based calibration: data sets from the priors, the truth's place among the draws, and its test.
+
+Over data sets drawn from the very priors that the fit uses, the place of the truth among the posterior's draws
+is uniform, for every unknown, if model, simulator and inference agree.
+
+Source: A. Talts et al., arXiv:1804.06788 (2018); the band: T. Säilynoja, P.-C. Bürkner, A. Vehtari, Statistics
+and Computing 32 (2022) 32, arXiv:2103.10522.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from scipy import stats
+
+import bayescal as bc
+from bayescal import _composition as composition
+from bayescal._fit import bind
+from bayescal._frame import build_frame, reference_of
+
+MEMBERS = 4  # of each group: the others are exchangeable with them
+POINTS = 50  # at which an ECDF is compared with its band
+INTERVAL = 0.95
+
+
+def drawn(
+    model: bc.Model, count: int, plan: bc.Measurements, seed: int
+) -> tuple[list[bc.Measurements], dict[str, np.ndarray]]:
+    """Data sets drawn from the model's own priors and noise, and the truth of every unknown, (count, …).
+
+    Args:
+        model: all its priors proper.
+        count: how many.
+        plan: the readings' columns; their output is replaced.
+        seed: of every random number.
+    """
+    layout, _ = bind(model, plan)
+    frame = build_frame(plan, reference_of(plan))
+
+    def one(key):
+        k1, k2 = jax.random.split(key)
+        x, rows, v = composition.draw_prior(layout, frame, k1)
+        hyper = composition.hyper_values(layout, v)
+        values = composition.coefficients(layout, x, rows, hyper)
+        return composition.draw_readings(layout, frame, x, rows, v, k2), {**hyper, **values}
+
+    outputs, truth = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), count))
+    data = [plan.with_column("output", np.asarray(y)) for y in outputs]
+    return data, {name: np.asarray(value) for name, value in truth.items()}
+
+
+def ranks(batch: bc.Batch, truth: dict[str, np.ndarray], seed: int = 0) -> dict[str, list[float]]:
+    """Share of the weighted draws below the truth, for each unknown and group member, one per data set.
+
+    Of S equally weighted draws the truth's rank is uniform over 0 … S; with a uniform number U added,
+    (rank + U)/(S + 1) is uniform over [0, 1]. S is here what the weights are worth (Kish).
+    """
+    weights = batch.weights()
+    random = np.random.default_rng(seed)
+    found: dict[str, list[float]] = {}
+    for i, weight in enumerate(weights):
+        worth = 1 / np.sum(weight**2)
+        for name, draws in batch.samples(i).items():
+            single = draws.ndim == 1
+            draws = draws[:, None] if single else draws
+            actual = np.atleast_1d(truth[name][i])
+            for member in range(min(draws.shape[1], MEMBERS)):
+                below = min(weight[draws[:, member] < actual[member]].sum(), 1.0)
+                place = (worth * below + random.random()) / (worth + 1)
+                label = name if single else f"{name}({member})"
+                found.setdefault(label, []).append(float(place))
+    return found
+
+
+class Band(NamedTuple):
+    """Counts of ranks at or below each point, within which all of them lie with a given probability."""
+
+    points: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+@cache
+def band(count: int, level: float) -> Band:
+    """The simultaneous band of the ECDF of `count` uniform numbers, exact at its points.
+
+    At each point the count is binomial; its central interval is taken with one and the same tail probability,
+    the largest at which all points hold together with probability 1 − `level`.
+
+    Args:
+        count: of ranks.
+        level: chance that uniform numbers leave the band.
+    """
+    points = np.arange(1, POINTS) / POINTS
+    low_tail, high_tail = np.log(level / (2 * POINTS)) - 1.0, np.log(level / 2)
+    for _ in range(30):
+        middle = 0.5 * (low_tail + high_tail)
+        if _inside(count, points, *_limits(count, points, np.exp(middle))) >= 1 - level:
+            low_tail = middle
+        else:
+            high_tail = middle
+    return Band(points, *_limits(count, points, np.exp(low_tail)))
+
+
+def _limits(count: int, points: np.ndarray, tail: float) -> tuple[np.ndarray, np.ndarray]:
+    law = stats.binom(count, points)
+    return law.ppf(tail).astype(int), law.isf(tail).astype(int)
+
+
+def _inside(count: int, points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+    """Probability that the counts of uniform numbers stay within limits at all points: a Markov chain."""
+    here, probability, at = np.array([0]), np.array([1.0]), 0.0
+    for point, lowest, highest in zip(points, low, high, strict=True):
+        there = np.arange(lowest, highest + 1)
+        # Of those that are above `at`, a binomial number lies between it and the next point.
+        step = stats.binom.pmf(
+            there[None, :] - here[:, None], count - here[:, None], (point - at) / (1 - at)
+        )
+        here, probability, at = there, probability @ step, point
+    return float(probability.sum())
+
+
+class Judgement(NamedTuple):
+    """What the ranks of one unknown say.
+
+    Attributes:
+        count: of data sets.
+        uniform: whether their ECDF stays within its band.
+        distance: the Kolmogorov–Smirnov distance from uniform.
+        covered: in how many the 95 % interval held the truth.
+        coverage_holds: whether that is within its binomial band.
+    """
+
+    count: int
+    uniform: bool
+    distance: float
+    covered: int
+    coverage_holds: bool
+
+    @property
+    def ok(self) -> bool:
+        return self.uniform and self.coverage_holds
+
+
+def judge(values: np.ndarray | list[float], level: float) -> Judgement:
+    """Judge the ranks of one unknown, each of the two tests at half of `level`."""
+    values = np.asarray(values)
+    count = len(values)
+    limits = band(count, level / 2)
+    counts = np.searchsorted(np.sort(values), limits.points, side="right")
+    uniform = bool(np.all((limits.low <= counts) & (counts <= limits.high)))
+    covered = int(np.sum(np.abs(values - 0.5) < INTERVAL / 2))
+    low, high = (
+        stats.binom.ppf(level / 4, count, INTERVAL),
+        stats.binom.isf(level / 4, count, INTERVAL),
+    )
+    distance = float(stats.kstest(values, "uniform").statistic)
+    return Judgement(count, uniform, distance, covered, bool(low <= covered <= high))

@@ -1,0 +1,84 @@
+"""The two criteria by which a pair is judged, and the document's estimator of the environment ratio.
+
+Ratio variance (source 3, step 1): records are fitted by y = Σ c_i·t^i, i = 0 … 3, t from the start of the record in
+parts of its length, not centred; a pair's ratios are c_i(outer)/c_i(inner), and their variance over i is to be least.
+The degree is ours (the source leaves n open).
+
+Residual (ours, physical): rms over the record of [env1 − λbd·env2]/(λ1 + λbd·λ2), what the pair's measurement leaves
+of the environment, with λbd as calibrated.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+DEGREE = 3
+
+
+def polynomial(time: Array, records: Array) -> Array:
+    """Coefficients c_0 … c_3 of records (…, T) in powers of t from the start, (…, 4)."""
+    t = (time - time[0]) / (time[-1] - time[0])
+    return records @ np.linalg.pinv(np.vander(t, DEGREE + 1, increasing=True)).T
+
+
+def ratio_variance(coefficients: Array, outer: int) -> Array:
+    """Variance over the orders of c_i(outer)/c_i(inner).
+
+    Args:
+        coefficients: of each device, outer first, (…, K, 4).
+        outer: number of outer devices.
+
+    Returns:
+        (…, outer, inner).
+    """
+    above = coefficients[..., :outer, None, :]
+    below = coefficients[..., None, outer:, :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.var(above / below, axis=-1)
+    return np.where(np.isfinite(found), found, np.inf)
+
+
+def residual(environment: Array, scale: Array, ratio: Array) -> Array:
+    """What differencing leaves of the environment: rms over the record, µg.
+
+    Args:
+        environment: of each device, outer first, µg, (…, K, T).
+        scale: 1 + κ, (…, K).
+        ratio: λbd of each pair, (outer, inner).
+
+    Returns:
+        (…, outer, inner).
+    """
+    outer = len(ratio)
+    product = environment @ np.swapaxes(environment, -1, -2) / environment.shape[-1]
+    own = np.diagonal(product, axis1=-2, axis2=-1)
+    above, below = own[..., :outer, None], own[..., None, outer:]
+    square = above - 2 * ratio * product[..., :outer, outer:] + ratio**2 * below
+    divisor = scale[..., :outer, None] + ratio * scale[..., None, outer:]
+    return np.sqrt(np.maximum(square, 0.0)) / np.abs(divisor)
+
+
+def document_ratio(removed: Array, outer: int) -> Array:
+    """Step 2 of source 3: Σ(a1 − λ1·a − Σw1)/Σ(a2 + λ2·a − Σw2) over the record, (outer, inner).
+
+    It needs a Σu away from zero, and takes whatever offset is left in the records for environment.
+    """
+    total = removed.sum(axis=-1)
+    return total[:outer, None] / total[None, outer:]
+
+
+def median(values: Array, weights: Array) -> Array:
+    """Weighted median over the first axis."""
+    return quantile(values, weights, 0.5)
+
+
+def quantile(values: Array, weights: Array, level: float) -> Array:
+    """Weighted quantile over the first axis."""
+    order = np.argsort(values, axis=0)
+    ladder = np.cumsum(weights[order], axis=0)
+    at = np.argmax(ladder >= level * ladder[-1], axis=0)
+    ordered = np.take_along_axis(values, order, axis=0)
+    return np.take_along_axis(ordered, at[None], axis=0)[0]

@@ -1,0 +1,230 @@
+"""What a calibration says of each device: draws of its scale, its sensitivity and its environment over the record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bayescal as bc
+from bayescal_models.differential_pair.environment import (
+    DEPARTURE,
+    DEPARTURE_FALLING,
+    DEPARTURE_SHARE,
+    DISTURBANCE,
+    SENSITIVITY,
+    SHARED,
+    departure_weights,
+    order_names,
+    polynomials,
+)
+
+Array = NDArray[np.float64]
+
+MEASURABLE = ("scale.device", SHARED.name, DEPARTURE.name, "environment.temperature", "bias.device")
+
+
+@dataclass(frozen=True)
+class Devices:
+    """Joint draws of every device, outer ones first.
+
+    Attributes:
+        names: of the devices, (K,).
+        outer: number of outer devices.
+        time: of the readings, s, (T,).
+        weights: of the draws, adding up to one, (d,).
+        scale: 1 + κ, (d, K).
+        sensitivity: λd, (d, K).
+        shared: u(t), µg, (d, T).
+        environment: λd·u + v, µg, (d, K, T).
+        departure: rms that a device's own departure has in a record, µg, (d,).
+        bias: µg, (d, K).
+        noise: of one reading, µg, (d,).
+        commanded: a(t), µg, (T,).
+        records: the outputs, µg, (K, T).
+        known: part of the records that is no environment and no noise, posterior mean, µg, (K, T).
+        others: effects of the model that a measurement with a pair does not allow for.
+    """
+
+    names: tuple[str, ...]
+    outer: int
+    time: Array
+    weights: Array
+    scale: Array
+    sensitivity: Array
+    shared: Array
+    environment: Array
+    departure: Array
+    bias: Array
+    noise: Array
+    commanded: Array
+    records: Array
+    known: Array
+    others: tuple[str, ...] = ()
+
+    @property
+    def sign(self) -> Array:
+        """+1 for outer devices, −1 for inner ones, (K,)."""
+        return np.where(np.arange(len(self.names)) < self.outer, 1.0, -1.0)
+
+    def place(self, name: str, outer: bool) -> int:
+        """Position of a device by name.
+
+        Raises:
+            InputError: there is none in that group.
+        """
+        group = self.names[: self.outer] if outer else self.names[self.outer :]
+        if name not in group:
+            side = "outer" if outer else "inner"
+            raise bc.InputError(
+                f"no {side} device is called {name!r}; there are: {', '.join(group)}"
+            )
+        return self.names.index(name)
+
+
+def devices_of(calibration: bc.Calibration) -> Devices:
+    """The devices of a calibration.
+
+    Raises:
+        InputError: the readings cannot be paired (one group only, unequal times, several runs), or the model
+            has no shared environment.
+    """
+    if SHARED.name not in calibration.model.names:
+        raise bc.InputError(
+            f"the model has no {SHARED.name!r} (it has: {', '.join(calibration.model.names)}): pairs are chosen "
+            "by it. Fit the instrument's baseline"
+        )
+    names = [n for n in calibration.tree["posterior"].to_dataset() if "reading" not in str(n)]
+    samples = {str(n): calibration.samples(str(n)) for n in names}
+    samples |= {
+        n: np.broadcast_to(value, (len(samples[SENSITIVITY]),))
+        for n, value in calibration.model.fixed
+    }
+    made = devices_from(samples, calibration.readings, reference=calibration.reference)
+    fitted = bc.predict(calibration, calibration.readings, new_groups=False).mean
+    table = _table(calibration.readings)
+    known = fitted[table.rows] - np.einsum("d,dkt->kt", made.weights, made.environment)
+    others = tuple(n for n in calibration.model.names if n not in MEASURABLE)
+    return Devices(**{**vars(made), "known": known, "others": others})
+
+
+def devices_from(
+    samples: Mapping[str, Array],
+    readings: bc.Measurements,
+    *,
+    weights: Array | None = None,
+    reference: Mapping[str, Any] | None = None,
+) -> Devices:
+    """The devices from draws by name, such as `bc.fit_batch` gives; the baseline is the known part.
+
+    Args:
+        samples: of every unknown.
+        readings: that they were fitted to.
+        weights: of the draws; equal if not given.
+        reference: constants of the bases; those of the readings if not given.
+
+    Raises:
+        InputError: the readings cannot be paired.
+    """
+    table = _table(readings)
+    sensitivity = np.asarray(samples[SENSITIVITY])[:, table.order]
+    count = len(sensitivity)
+    weights = np.full(count, 1 / count) if weights is None else np.asarray(weights)
+    reference = reference or {
+        "time_mean": float(readings["time"].mean()),
+        "time_span": float(np.ptp(readings["time"])),
+    }
+    progress = (table.time - reference["time_mean"]) / reference["time_span"]
+    basis = np.stack(polynomials(progress))
+    shared = np.stack([samples[n] for n in order_names(SHARED.name)], axis=1) @ basis
+    u = shared[:, None, :]
+    if "environment.temperature" in samples:
+        warmth = readings["temperature"][table.rows] - reference["T0"]
+        u = u + np.asarray(samples["environment.temperature"])[:, None, None] * warmth
+    environment = sensitivity[:, :, None] * u
+    departure = np.zeros(count)
+    if DEPARTURE_SHARE in samples:
+        share = np.asarray(samples[DEPARTURE_SHARE])
+        own = np.stack([samples[n][:, table.order] for n in order_names(DEPARTURE.name)], axis=-1)
+        own = own * departure_weights(np.asarray(samples[DEPARTURE_FALLING]))[:, None, :]
+        environment = environment + share[:, None, None] * (own @ basis)
+        departure = share * DISTURBANCE
+    zero = np.zeros_like(sensitivity)
+    scale = 1.0 + 1e-6 * np.asarray(samples.get("scale.device", zero))[..., table.order]
+    bias = np.asarray(samples.get("bias.device", zero))[..., table.order]
+    commanded = readings["acceleration"][table.rows]
+    sign = np.where(np.arange(len(table.names)) < table.outer, 1.0, -1.0)
+    known = (sign * (weights @ scale))[:, None] * commanded + (weights @ bias)[:, None]
+    return Devices(
+        table.names,
+        table.outer,
+        table.time,
+        weights,
+        scale,
+        sensitivity,
+        u.mean(axis=1),
+        environment,
+        departure,
+        bias,
+        np.asarray(samples["noise.white"]),
+        commanded.mean(axis=0),
+        readings["output"][table.rows],
+        known,
+    )
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Records side by side: names, outer first; row of each reading (K, T); place of each device in the samples."""
+
+    names: tuple[str, ...]
+    outer: int
+    time: Array
+    rows: NDArray[np.int64]
+    order: NDArray[np.int64]
+
+
+def _table(readings: bc.Measurements) -> _Table:
+    """One record for each device, over the same times.
+
+    Raises:
+        InputError: they are not; says which.
+    """
+    names, codes = readings.groups("device")
+    groups = readings["group"]
+    sides = {}
+    for i, name in enumerate(names):
+        own = sorted(set(groups[codes == i].tolist()))
+        if len(own) > 1:
+            raise bc.InputError(
+                f"{readings.file}, column 'group': device {name!r} is in both groups, {' and '.join(own)}; a "
+                "device has one place on the arm. Give it another label in its second place"
+            )
+        sides[i] = own[0]
+    for side, other in (("outer", "inner"), ("inner", "outer")):
+        if side not in sides.values():
+            raise bc.InputError(
+                f"{readings.file}, column 'group': has {other} devices only; a pair is one outer and one inner "
+                f"device. Record both groups together"
+            )
+    if len(readings.groups("run")[0]) > 1:
+        raise bc.InputError(
+            f"{readings.file} has {len(readings.groups('run')[0])} runs; pairs are chosen on one record. "
+            "Give one run at a time"
+        )
+    order = np.array(sorted(sides, key=lambda i: sides[i] == "inner"))
+    rows = [np.flatnonzero(codes == i) for i in order]
+    rows = [r[np.argsort(readings["time"][r], kind="stable")] for r in rows]
+    time = readings["time"][rows[0]]
+    for i, own in zip(order, rows, strict=True):
+        if len(own) != len(time) or not np.allclose(readings["time"][own], time, atol=1e-3):
+            raise bc.InputError(
+                f"{readings.file}, column 'time': device {names[i]!r} was read at other times than "
+                f"{names[order[0]]!r} ({len(own)} and {len(time)} readings); devices are compared reading by "
+                "reading. Interpolate the records to common times first"
+            )
+    outer = sum(side == "outer" for side in sides.values())
+    return _Table(tuple(names[i] for i in order), outer, time, np.stack(rows), order)

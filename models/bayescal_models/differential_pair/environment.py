@@ -1,0 +1,111 @@
+"""The shared environment u(t), each device's sensitivity to it, and each device's own departure v(t).
+
+env_k(t) = λd_k·u(t) + v_k(t). Both u and v are random polynomials: Legendre polynomials over the record, of unit rms,
+whose prior standard deviations fall by a constant ratio from order to order. For v both the size and the ratio are
+learned: what a slow v hides behind scale and sensitivity is judged by the orders that show. The scale of u is fixed by
+the population of λd, whose mean is 1; without v exact differencing would leave nothing for any pair (source 3 has
+u1 = u2, hence v = 0; the departures are ours).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bayescal as bc
+
+ORDERS = 6  # of u and v: 0 … 5
+RATIO = 0.6  # of the prior standard deviations of neighbouring orders of u
+FALLING = (0.25, 0.95)  # 95 % of the prior of the same ratio for v
+DISTURBANCE = 1000.0  # µg rms, of u
+SENSITIVITY_SPREAD = 0.2  # of λd over devices of one type
+SHARE = (0.012, 0.21)  # 95 % of the prior of v's size, in parts of 1 mg; its middle is 5 %
+SOURCE = "source 3; sizes ours"
+
+SENSITIVITY = "environment.shared[sensitivity]"
+DEPARTURE_SHARE = "departure.device.share"
+DEPARTURE_FALLING = "departure.device.falling"
+
+
+def order_sizes() -> NDArray[np.float64]:
+    """Prior standard deviations of the orders of u, µg; their squares add up to 1 mg²."""
+    falling = RATIO ** np.arange(ORDERS)
+    return DISTURBANCE * falling / np.sqrt(np.sum(falling**2))
+
+
+def polynomials(progress: Any) -> list[Any]:
+    """Legendre polynomials of unit rms over the record, orders 0 to 5.
+
+    Args:
+        progress: (t − t̄)/(tmax − tmin), −½ … ½ on an even record; NumPy or JAX.
+    """
+    z = 2.0 * progress
+    found = [1.0 + 0.0 * z, z]
+    for n in range(1, ORDERS - 1):
+        found.append(((2 * n + 1) * z * found[n] - n * found[n - 1]) / (n + 1))
+    return [np.sqrt(2 * n + 1) * p for n, p in enumerate(found)]
+
+
+def order_names(effect: str) -> list[str]:
+    """Names of an effect's orders."""
+    return [f"{effect}[order {n}]" for n in range(ORDERS)]
+
+
+def _stack(columns: list[Any]) -> Any:
+    import jax.numpy as jnp  # the simulator and the selection need no JAX
+
+    return jnp.stack(columns, axis=1)
+
+
+def _shared(r: bc.Frame) -> Any:
+    parts = polynomials(r.progress)
+    return _stack([1.0 + 0.0 * parts[0], *parts])
+
+
+def departure_weights(falling: Any) -> Any:
+    """Standard deviations of the orders of v in parts of its rms, (…, 6)."""
+    powers = falling[..., None] ** np.arange(ORDERS)
+    return powers / (powers**2).sum(axis=-1, keepdims=True) ** 0.5
+
+
+def _departure(r: bc.Frame, share: Any, falling: Any) -> Any:
+    return share * departure_weights(falling) * _stack(polynomials(r.progress))
+
+
+SHARED = bc.Effect(
+    "environment.shared",
+    "environment",
+    basis=_shared,
+    coefficients=(
+        bc.Coefficient(
+            "1",
+            bc.Normal(1.0, SENSITIVITY_SPREAD),
+            part="sensitivity",
+            slot="sensitivity",
+            per="device",
+            spread=bc.HalfNormal(SENSITIVITY_SPREAD),
+        ),
+        *(
+            bc.Coefficient("ug", bc.Normal(0.0, float(sd)), part=f"order {n}")
+            for n, sd in enumerate(order_sizes())
+        ),
+    ),
+    columns=("device", "time"),
+    equation="λd[device]·u(t),  u = Σ c_n·P_n(t),  λd ~ N(1, s²)",
+    source=SOURCE,
+)
+DEPARTURE = bc.Effect(
+    "departure.device",
+    "departure",
+    basis=_departure,
+    coefficients=tuple(
+        bc.Coefficient("ug", bc.Normal(0.0, DISTURBANCE), part=f"order {n}", per="device")
+        for n in range(ORDERS)
+    ),
+    shapes=(bc.Shape("share", "1", *SHARE), bc.Shape("falling", "1", *FALLING)),
+    columns=("device", "time"),
+    equation="v[device](t) = share·Σ falling^n·c_n[device]·P_n(t), normalised",
+    source="ours: 5 % of the shared disturbance; size and spectrum learned",
+)

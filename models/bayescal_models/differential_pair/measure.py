@@ -1,0 +1,87 @@
+"""Acceleration from a differential pair, with its uncertainty (source 3, step 3).
+
+    a = [a10 − λbd·a20 − Σλ1w·w1 + λbd·Σλ2w·w2]/(λ1 + λbd·λ2)
+
+λbd is the calibrated ratio, the posterior median. What it does not cancel is part of the uncertainty: the next record
+has another u and other departures, of the sizes that this one shows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import bayescal as bc
+from bayescal_models.differential_pair import criteria
+from bayescal_models.differential_pair.devices import Devices, devices_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Acceleration over time.
+
+    Attributes:
+        acceleration: along the arm, outward, µg.
+        sd: standard uncertainty of each reading, µg.
+        calibration_sd, environment_sd, noise_sd: its parts, µg: what is unknown of scale and bias; what
+            differencing leaves of the environment, rms over a record; noise of the two readings.
+        ratio: λbd that was used.
+    """
+
+    acceleration: Array
+    sd: Array
+    calibration_sd: Array
+    environment_sd: float
+    noise_sd: float
+    ratio: float
+
+
+def measure(
+    found: bc.Calibration | Devices,
+    outer: str,
+    inner: str,
+    outer_output: ArrayLike,
+    inner_output: ArrayLike,
+) -> Measured:
+    """Acceleration from the outputs of a calibrated pair.
+
+    Args:
+        found: a calibration of a batch, or its devices.
+        outer, inner: names of the two devices.
+        outer_output, inner_output: what they read at the same times, µg.
+
+    Raises:
+        InputError: no such devices, outputs of unequal length, or a model with effects that the equation
+            above does not allow for.
+    """
+    devices = found if isinstance(found, Devices) else devices_of(found)
+    if devices.others:
+        raise bc.InputError(
+            f"the model has {', '.join(devices.others)}, which depend on the acceleration or on time, and the pair's "
+            "equation has no place for them: correct the outputs first, and calibrate the baseline"
+        )
+    i, j = devices.place(outer, outer=True), devices.place(inner, outer=False)
+    one, two = (np.asarray(a, dtype=float) for a in (outer_output, inner_output))
+    if one.shape != two.shape or one.ndim != 1:
+        raise bc.InputError(
+            f"the outputs of {outer!r} and {inner!r} have shapes {one.shape} and {two.shape}: give one reading of "
+            "each at the same times"
+        )
+    weights, sensitivity = devices.weights, devices.sensitivity
+    ratio = float(criteria.median(sensitivity[:, i] / sensitivity[:, j], weights))
+    divisor = devices.scale[:, i] + ratio * devices.scale[:, j]
+    bias = devices.bias[:, i] - ratio * devices.bias[:, j]
+    draws = ((one - ratio * two)[None, :] - bias[:, None]) / divisor[:, None]
+    mean = weights @ draws
+    calibration = np.sqrt(weights @ (draws - mean) ** 2)
+    size = np.mean(devices.shared**2, axis=1)  # of u, in a record like this one
+    left = (sensitivity[:, i] - ratio * sensitivity[:, j]) ** 2 * size
+    left = left + devices.departure**2 * (1 + ratio**2)
+    environment = float(np.sqrt(weights @ (left / divisor**2)))
+    noise = float(np.sqrt(weights @ (devices.noise**2 * (1 + ratio**2) / divisor**2)))
+    total = np.sqrt(calibration**2 + environment**2 + noise**2)
+    return Measured(mean, total, calibration, environment, noise, ratio)

@@ -1,0 +1,25 @@
+"""A small problem with proper priors, on which methods are proven: their coverage, and that they agree.
+
+    model, readings = proving.model(), proving.readings()
+
+`certified.json` holds its posterior for `readings(seed=0)`, by long NUTS.
+"""
+
+from __future__ import annotations
+
+import bayescal as bc
+from bayescal_models.differential_pair.campaign import Campaign, simulate
+from bayescal_models.differential_pair.model import INSTRUMENT
+
+# Two outer and two inner devices, 16 readings each: 64 rows.
+CAMPAIGN = Campaign(outer=2, inner=2, samples=16, thermometer=None)
+
+
+def model() -> bc.Model:
+    """The baseline: every prior is proper; the noise has a half-normal one, so that no draw of it is enormous."""
+    return INSTRUMENT.baseline().with_noise(bc.White(bc.HalfNormal(50.0)))
+
+
+def readings(seed: int = 0) -> bc.Measurements:
+    """64 readings, µg, of four devices on an arm that goes through six plateaus."""
+    return simulate(seed=seed, campaign=CAMPAIGN)

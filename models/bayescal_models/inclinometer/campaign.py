@@ -1,0 +1,188 @@
+"""Plans of the zero test and of the verification, and the accelerometers in them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+
+from bayescal_models.inclinometer.geometry import possible
+
+
+@dataclass(frozen=True)
+class Accelerometer:
+    """What one accelerometer adds to its reading; angles in arcsec unless said.
+
+    Attributes:
+        constant: zero at ω = 0 that follows the flange axis (S_p at ω = 0, or what a line has).
+        slope: its change with the placement angle, arcsec/deg; 0 where the projections have it all.
+        electrical: S_e, which does not tilt with the axis.
+        pendulum, door: S_p and S_d.
+        scale: κ, ppm.
+        share: hidden effects on the accelerometer come at this multiple of their size; no two are alike.
+    """
+
+    constant: float = 0.0
+    slope: float = 0.0
+    electrical: float = 0.0
+    pendulum: float = 0.0
+    door: float = 0.0
+    scale: float = 0.0
+    share: float = 1.0
+
+    def mechanical(self, angle: np.ndarray) -> np.ndarray:
+        """Zero that is an angle of the axis, at a placement angle in rad, arcsec."""
+        line = self.constant + self.slope * np.rad2deg(angle)
+        return line + self.pendulum * np.cos(angle) + self.door * np.sin(angle)
+
+
+X = Accelerometer(constant=62.6211, slope=0.72105)  # source 4: Sx
+Y = Accelerometer(constant=96.3284, slope=0.06818, share=-0.6)  # source 4: Sy
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A zero test on a dividing table or, with a `grid`, a verification on a two-axis one.
+
+    The defaults are source 4's zero test, ±45° by 5°, gone through forward and backward in each of two mountings
+    of each axis: 152 readings. Sizes are ours unless said.
+
+    Attributes:
+        axes: accelerometers by label.
+        devices: inclinometers; further ones differ by `device_spread` and `device_slope`.
+        device_spread, device_slope: standard deviations between devices, arcsec and arcsec/deg.
+        angles: placement angles of a sweep, deg.
+        runs: mountings of each axis.
+        backward: each sweep is gone through backward, too.
+        grid: tilts of a verification, deg: all pairs that a body can take; empty for a zero test.
+        exact: a verification obeys the exact geometry; otherwise the document's ω = y.
+        interval: between readings, s.
+        pause: between runs, s.
+        noise: standard deviation of a reading, arcsec (source 4 has only the table's 2″).
+        dividing: the table's angles are good to this, uniformly, arcsec (source 4: 2″).
+        repeatability: standard deviation between mountings, arcsec.
+        swing: the laboratory's temperature goes up and down by this, °C.
+        period: of that swing, s.
+        lag_time: of the hinge behind the thermometer, s.
+        settling_time: of a base that goes on tilting, s.
+        reversal: after turning round, hysteresis follows within this angle, deg.
+
+    Raises:
+        ValueError: an option is out of its range.
+    """
+
+    axes: tuple[tuple[str, Accelerometer], ...] = (("x", X), ("y", Y))
+    devices: int = 1
+    device_spread: float = 30.0
+    device_slope: float = 0.3
+    angles: tuple[float, ...] = tuple(float(a) for a in range(-45, 46, 5))
+    runs: int = 2
+    backward: bool = True
+    grid: tuple[float, ...] = ()
+    exact: bool = False
+    interval: float = 120.0
+    pause: float = 1800.0
+    noise: float = 2.0
+    dividing: float = 2.0
+    repeatability: float = 0.5
+    swing: float = 2.0
+    period: float = 4 * 3600.0
+    lag_time: float = 300.0
+    settling_time: float = 12 * 3600.0
+    reversal: float = 2.0
+
+    def __post_init__(self) -> None:
+        counts = {"devices": self.devices, "runs": self.runs, "axes": len(self.axes)}
+        for name, count in counts.items():
+            if count < 1:
+                raise ValueError(f"Campaign({name}): {count} of them; give at least 1.")
+        for name in ("interval", "period", "lag_time", "settling_time", "reversal"):
+            if not getattr(self, name) > 0:
+                raise ValueError(
+                    f"Campaign({name}={getattr(self, name)!r}): give a number above 0."
+                )
+        for name in ("noise", "dividing", "repeatability", "swing", "pause", "device_spread"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"Campaign({name}={getattr(self, name)!r}): give 0 or more.")
+        if len(self.grid) and {label for label, _ in self.axes} != {"x", "y"}:
+            raise ValueError("Campaign(grid=…): a verification needs the axes x and y.")
+        for angle in (*self.angles, *self.grid):
+            if not (math.isfinite(angle) and abs(angle) <= 90):
+                raise ValueError(f"Campaign: an angle of {angle!r}°; give degrees from −90 to 90.")
+
+    def pairs(self) -> np.ndarray:
+        """Tilts (x, y) of a verification in the order of the test, rad, (points, 2)."""
+        points = np.deg2rad(list(product(self.grid, self.grid)))
+        return points[possible(points[:, 0], points[:, 1])]
+
+
+VERIFICATION = Campaign(grid=tuple(float(a) for a in range(-45, 46, 15)), runs=1)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Where and when each reading is taken; one entry per reading.
+
+    Attributes:
+        device, axis, run: labels.
+        placement: placement angle as set (ω, or the other axis' tilt), rad.
+        tilt: along the own axis as set, rad; 0 in a zero test.
+        time: s.
+        forward: +1 in forward sweeps, −1 in backward ones.
+        turned: angle gone since the direction last changed, deg; infinite before it ever did.
+        verification: whether this is one.
+    """
+
+    device: np.ndarray
+    axis: np.ndarray
+    run: np.ndarray
+    placement: np.ndarray
+    tilt: np.ndarray
+    time: np.ndarray
+    forward: np.ndarray
+    turned: np.ndarray
+    verification: bool = field(default=False)
+
+
+def plan(campaign: Campaign) -> Plan:
+    """Lay a campaign out, device by device, mounting by mounting."""
+    rows, clock = [], 0.0
+    make = _verification if len(campaign.grid) else _zero_test
+    for device in range(campaign.devices):
+        prefix = f"{device + 1}" if campaign.devices > 1 else ""
+        for labels, columns in make(campaign, prefix):
+            count = len(columns[0])
+            # Both axes of a verification are read at one time.
+            step = np.arange(count) % (count // 2) if len(campaign.grid) else np.arange(count)
+            time = clock + campaign.interval * step
+            clock = float(time.max()) + campaign.pause
+            rows.append(([str(device + 1)] * count, *labels, *columns, time))
+    joined = [np.concatenate(parts) for parts in zip(*rows, strict=True)]
+    device, axis, run, placement, tilt, forward, turned, time = joined
+    return Plan(device, axis, run, placement, tilt, time, forward, turned, bool(campaign.grid))
+
+
+def _zero_test(campaign: Campaign, prefix: str):
+    """Of each mounting: labels (axis, run), and columns (placement, tilt, forward, turned)."""
+    sweep = np.asarray(campaign.angles, dtype=float)
+    angles, forward, turned = sweep, np.ones(sweep.size), np.full(sweep.size, np.inf)
+    if campaign.backward:
+        angles = np.concatenate([sweep, sweep[::-1]])
+        forward = np.concatenate([forward, -forward])
+        turned = np.concatenate([turned, np.abs(sweep[::-1] - sweep[-1])])
+    zero = np.zeros(angles.size)
+    for (axis, _), run in product(campaign.axes, range(1, campaign.runs + 1)):
+        labels = [axis] * angles.size, [f"{prefix}{axis}{run}"] * angles.size
+        yield labels, (np.deg2rad(angles), zero, forward, turned)
+
+
+def _verification(campaign: Campaign, prefix: str):
+    points = campaign.pairs()
+    one, ever = np.ones(2 * len(points)), np.full(2 * len(points), np.inf)
+    for run in range(1, campaign.runs + 1):
+        axis = ["x"] * len(points) + ["y"] * len(points)
+        labels = axis, [f"{prefix}{a}{run}" for a in axis]
+        own, cross = points.T.ravel(), points[:, ::-1].T.ravel()
+        yield labels, (cross, own, one, ever)

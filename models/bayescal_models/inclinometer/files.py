@@ -1,0 +1,66 @@
+"""Files of a zero test: read, with corrections negated; and labels that tell accelerometers apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import bayescal as bc
+from bayescal_models.inclinometer.model import INSTRUMENT
+
+
+def read(
+    path_or_paths: str | Path | Sequence[str | Path], *, corrections: bool = False, **options: Any
+) -> bc.Measurements:
+    """Read zero offsets; the column may be called `output` or `zero_offset`.
+
+    Args:
+        path_or_paths: the files.
+        corrections: the files hold what has to be added to a reading, as source 4's S; it is negated, because
+            here a zero offset is what the instrument reads at no tilt.
+        options: of `bayescal.read`.
+
+    Raises:
+        InputError: what `bayescal.read` refuses.
+    """
+    readings = bc.read(path_or_paths, INSTRUMENT, **options)
+    return negated(readings) if corrections else readings
+
+
+def negated(readings: bc.Measurements) -> bc.Measurements:
+    """Corrections as zero offsets, or the reverse.
+
+    Raises:
+        InputError: the readings are of a verification: readings of tilts are no corrections.
+    """
+    if readings.has("true_angle"):
+        raise bc.InputError(
+            f"{readings.file} holds readings of tilts (it has the column 'true_angle'), which are no "
+            "corrections: leave corrections=True out"
+        )
+    flag = "the outputs were taken as corrections and negated"
+    turned = readings.with_column("output", -readings["output"])
+    return replace(turned, flags=(*turned.flags, flag))
+
+
+def accelerometers(readings: bc.Measurements) -> bc.Measurements:
+    """The same readings with labels that tell every accelerometer, and each of its mountings, apart.
+
+    Axis x of device 7 becomes axis "7 x", its run 1 becomes "7 x 1". Without this, devices share an axis' own
+    coefficients, and axes share a run's deviation where their runs are called alike.
+    """
+    axis = _joined(readings, ("device", "axis"))
+    run = _joined(readings, ("device", "axis", "run"))
+    return readings.with_column("axis", axis).with_column("run", run)
+
+
+def _joined(readings: bc.Measurements, names: tuple[str, ...]) -> np.ndarray:
+    """Labels put together from those columns that the readings have."""
+    parts = [readings[name].astype(str) for name in names if readings.has(name)]
+    if not parts:
+        return np.full(len(readings), "1")
+    return np.array([" ".join(labels) for labels in zip(*parts, strict=True)])

@@ -1,0 +1,157 @@
+"""Verification data: two axes read at known tilts, as a table of its own and as readings of the instrument.
+
+Each row of `true_x, true_y, reading_x, reading_y` becomes two readings: of axis x at true_angle x and placement
+angle y, and of axis y the other way round. Both kinds of data are then one instrument's, and can be fitted alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+import bayescal as bc
+from bayescal_models.inclinometer.geometry import ARCSEC, possible
+from bayescal_models.inclinometer.model import INSTRUMENT
+
+_MOST = np.pi / 2 + 0.01  # rad; degrees under a [rad] header are refused by it
+
+
+@dataclass(frozen=True)
+class _Door:
+    """What a file of verification data holds, as `bayescal.read` asks it of an instrument."""
+
+    name: str = "inclinometer verification"
+    output: str = "reading_x"
+    nominal_scale: bc.NominalScale | None = None
+    columns: tuple[bc.Column, ...] = (
+        *(
+            bc.Column(name, "rad", meaning, low=-_MOST, high=_MOST)
+            for name, meaning in (
+                ("true_x", "known tilt along x"),
+                ("true_y", "known tilt along y"),
+                ("reading_x", "tilt that x reads"),
+                ("reading_y", "tilt that y reads"),
+            )
+        ),
+        bc.Column("device", None, "label of the inclinometer", required=False),
+        bc.Column("run", None, "label of the run", required=False),
+        bc.Column(
+            "temperature", "degC", "of the inclinometer", required=False, low=-273.15, high=400.0
+        ),
+        bc.Column("time", "s", "one origin over all runs", required=False),
+    )
+
+
+DOOR = _Door()
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Readings of both axes at known tilts, one entry per set-up, rad.
+
+    Attributes:
+        true_x, true_y: known tilts.
+        reading_x, reading_y: what the axes read.
+        others: further columns (device, run, temperature, time) by name.
+
+    Raises:
+        InputError: lengths differ, or no body can be tilted so.
+    """
+
+    true_x: np.ndarray
+    true_y: np.ndarray
+    reading_x: np.ndarray
+    reading_y: np.ndarray
+    others: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        columns = {n: getattr(self, n) for n in ("true_x", "true_y", "reading_x", "reading_y")}
+        lengths = {n: np.shape(c) for n, c in {**columns, **self.others}.items()}
+        if len(set(lengths.values())) != 1:
+            raise bc.InputError(
+                f"verification data need columns of one length, these are: {lengths}"
+            )
+        wrong = ~possible(self.true_x, self.true_y)
+        if np.any(wrong):
+            row = int(np.argmax(wrong))
+            x, y = np.rad2deg([self.true_x[row], self.true_y[row]])
+            raise bc.InputError(
+                f"verification data, row {row + 1}: no body has tilts of {x:.4g}° and {y:.4g}°, since "
+                "sin²x + sin²y is above 1. Tilts are what each axis feels of gravity, A = g·sin x"
+            )
+
+    def __len__(self) -> int:
+        return len(self.true_x)
+
+    @property
+    def errors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Readings of x and of y less the truth, rad."""
+        return self.reading_x - self.true_x, self.reading_y - self.true_y
+
+    def readings(self) -> bc.Measurements:
+        """As readings of the instrument, those of x above those of y; runs get the axis before their label."""
+        columns: dict[str, Any] = {n: np.concatenate([c, c]) for n, c in self.others.items()}
+        axis = np.repeat(["x", "y"], len(self))
+        run = columns.get("run", np.full(2 * len(self), "1"))
+        columns["run"] = np.array([f"{a}{label}" for a, label in zip(axis, run, strict=True)])
+        return bc.Measurements.from_arrays(
+            INSTRUMENT,
+            **columns,
+            axis=axis,
+            true_angle=np.concatenate([self.true_x, self.true_y]),
+            placement_angle=np.concatenate([self.true_y, self.true_x]),
+            output=np.concatenate([self.reading_x, self.reading_y]) / ARCSEC,
+        )
+
+    @classmethod
+    def of(cls, readings: bc.Measurements) -> Verification:
+        """The table behind readings that hold every set-up twice, x above y, as `readings()` gives them.
+
+        Raises:
+            InputError: they hold something else.
+        """
+        if not readings.has("true_angle") or not readings.has("axis"):
+            raise bc.InputError(
+                f"{readings.file} is no verification data: it lacks 'true_angle' or 'axis'"
+            )
+        of_x, of_y = readings["axis"] == "x", readings["axis"] == "y"
+        x, y = (readings.select(chosen) for chosen in (of_x, of_y))
+        same = len(x) == len(y) and len(x) + len(y) == len(readings)
+        if not same or not (
+            np.array_equal(x["true_angle"], y["placement_angle"])
+            and np.array_equal(y["true_angle"], x["placement_angle"])
+        ):
+            raise bc.InputError(
+                f"{readings.file}: verification data have a reading of y for each of x, in the same order, each "
+                "at the other's true tilt"
+            )
+        kept = [n for n in ("device", "temperature", "time") if readings.has(n)]
+        return cls(
+            x["true_angle"],
+            y["true_angle"],
+            ARCSEC * x["output"],
+            ARCSEC * y["output"],
+            {
+                **{n: x[n] for n in kept},
+                "run": np.array([r.removeprefix("x") for r in x["run"]]),
+            },
+        )
+
+
+def read_verification(path_or_paths: Any, **options: Any) -> Verification:
+    """Read files of `true_x, true_y, reading_x, reading_y`.
+
+    Args:
+        path_or_paths: the files.
+        options: of `bayescal.read`.
+
+    Raises:
+        InputError: what `bayescal.read` refuses, and tilts that no body has.
+    """
+    found = bc.read(path_or_paths, DOOR, **options)
+    names = ("true_x", "true_y", "reading_x", "reading_y")
+    others = {n: found[n] for n in ("device", "run", "temperature", "time") if found.has(n)}
+    return Verification(*(found[n] for n in names), others)

@@ -1,0 +1,183 @@
+"""The plan of a test on the tilted table: positions, tilts, temperatures, runs; and what is true of the instrument.
+
+Campaign()                                   instrument A as source 0 tested it: 12 positions at 0.45°
+replace(INSTRUMENT_B, positions=4)           four positions at 0.06°
+Campaign(tilts=(0.45 * DEGREE, -0.45 * DEGREE))    each cell at two tilts: tells γ2⊥ from the scale factor
+Campaign(tilts=(0.45 * DEGREE, 179.55 * DEGREE))   the face turned over: tells γ1 from the bias
+fixed_point_heating()                        one position a run, temperature stepped
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import NamedTuple
+
+from bayescal_models.ng_accelerometer.sizes import DEGREE, HOUR
+
+GRID = 10.0
+"""Step of the grid on which the test is integrated, s."""
+
+TRUTH_A: Mapping[str, float] = MappingProxyType(
+    {
+        "bias.constant": 850.0,
+        "bias.temperature": 10.0,
+        "bias.cell": 2.0,
+        "scale.constant": 1500.0,
+        "scale.temperature": 60.0,
+        "scale.cell": 30.0,
+        "fixture_tilt.constant": 150.0,
+        "fixture_tilt.cell": 6.0,
+        "base_tilt.constant[parallel]": 0.6,
+        "base_tilt.constant[perp]": -0.5,
+        "base_tilt.cell": 0.5,
+        "rotation.constant": 0.05,
+        "tilt.setting": 0.4,
+    }
+)
+"""Instrument A's true coefficients, ours, with the scatter between cells that source 0 saw (60 to 100 ppm)."""
+
+TRUTH_B: Mapping[str, float] = MappingProxyType(
+    {
+        **TRUTH_A,
+        "bias.constant": -320.0,
+        "bias.temperature": 44.0,
+        "scale.constant": -4000.0,
+        "scale.temperature": 1831.0,
+        "fixture_tilt.cell": 70.0,
+        "base_tilt.cell": 3.5,
+    }
+)
+"""Instrument B's: tempcos from source 0, and the scatter of its cells (70 µg, 3400 ppm) that their intervals imply."""
+
+
+class SetUp(NamedTuple):
+    """A tilt γ and a position θ, rad, that a run of fixed-point heating stays at."""
+
+    tilt: float
+    position: float
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Plan of a test, the surroundings it is made in, and the instrument's own truth.
+
+    The defaults are source 0's test of instrument A, and give 180 readings: 12 positions × 5 temperatures × 3 runs.
+    What source 0 does not say is ours.
+
+    Attributes:
+        tilts: γ of the face, rad; each cell goes through all positions at each.
+        positions: how many, equally spaced over a turn from θ = 0.
+        set_ups: tilt and position of each run, which then stays there (fixed-point heating) in place of `tilts`,
+            `positions` and `runs`.
+        repeats: readings at each position.
+        temperatures: set points in the order of the first run, °C.
+        runs: how many times the series is gone through.
+        alternate: every second run goes through the set points backwards.
+        soak: time at a set point before the first reading, s.
+        ramp: pace of the chamber's set point, °C/min.
+        reading_time: over which the output is averaged, s; a whole number of grid steps.
+        move_time: turning to a position and coming to rest, s.
+        pause: between runs, power off, the chamber going to the next start, s.
+        full_scale: greatest input, µg.
+        noise: standard deviation of a reading, µg.
+        thermometer_noise: of an averaged temperature, °C.
+        chamber_wander: standard deviation of the chamber's temperature, °C (source 0: held to 0.1 °C).
+        laboratory: mean temperature of the laboratory, °C (source 0: 23 ± 1).
+        laboratory_wander: its standard deviation from hour to hour, °C.
+        laboratory_daily: amplitude of its daily course, °C.
+        lag_time: of the sensing element behind the device's thermometer, s.
+        warm_up_time: of the electronics after power-on, s.
+        begin: start of the test, days since 2000-01-01 12:00 UT: when the Moon and the Sun stand where.
+        latitude, longitude: of the laboratory, degrees north and east (source 0: Wuhan).
+        truth: true baseline coefficients, by name and in their units; for `.cell`, the standard deviation.
+    """
+
+    tilts: tuple[float, ...] = (0.45 * DEGREE,)
+    positions: int = 12
+    set_ups: tuple[SetUp, ...] = ()
+    repeats: int = 1
+    temperatures: tuple[float, ...] = (20.0, 25.0, 30.0, 35.0, 40.0)
+    runs: int = 3
+    alternate: bool = False
+    soak: float = HOUR
+    ramp: float = 1.0
+    reading_time: float = 60.0
+    move_time: float = 60.0
+    pause: float = 12 * HOUR
+    full_scale: float = 10e3
+    noise: float = 0.5
+    thermometer_noise: float = 0.002
+    chamber_wander: float = 0.03
+    laboratory: float = 23.0
+    laboratory_wander: float = 0.3
+    laboratory_daily: float = 0.4
+    lag_time: float = 1800.0
+    warm_up_time: float = 1800.0
+    begin: float = 7730.0
+    latitude: float = 30.5
+    longitude: float = 114.4
+    truth: Mapping[str, float] = field(default_factory=lambda: TRUTH_A)
+
+    def __post_init__(self) -> None:
+        """Refuse a plan that cannot be carried out.
+
+        Raises:
+            ValueError: it has no reading, one temperature, a time that is negative or off the grid, or an input
+                beyond full scale.
+        """
+        for name in ("positions", "runs", "repeats"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"Campaign({name}={getattr(self, name)}): needs at least 1")
+        if not self.tilts:
+            raise ValueError("Campaign(tilts=()): needs at least one tilt of the face, rad")
+        if len(set(self.temperatures)) < 2:
+            raise ValueError(
+                f"Campaign(temperatures={self.temperatures}): a temperature model needs at least "
+                "two different set points"
+            )
+        if self.reading_time <= 0 or self.reading_time % GRID:
+            raise ValueError(
+                f"Campaign(reading_time={self.reading_time:g}): must be a positive multiple of "
+                f"{GRID:g} s, the step of the simulation"
+            )
+        for name in ("soak", "move_time", "pause", "noise", "thermometer_noise", "chamber_wander"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"Campaign({name}={getattr(self, name)}): must not be negative")
+        if not self.ramp > 0:
+            raise ValueError(f"Campaign(ramp={self.ramp}): must be positive, °C/min")
+        for tilt, position in self.set_ups or [(tilt, math.pi / 2) for tilt in self.tilts]:
+            asked = abs(1e6 * math.sin(tilt) * math.sin(position))
+            if asked > self.full_scale:
+                raise ValueError(
+                    f"Campaign: a tilt of {tilt / DEGREE:g}° gives {asked / 1e3:.3g} mg, beyond the full scale of "
+                    f"{self.full_scale / 1e3:g} mg: tilt less, or give full_scale"
+                )
+
+    @property
+    def T0(self) -> float:
+        """Mean set point rounded to 1 °C, about which the true polynomials are, °C."""
+        return float(round(sum(self.temperatures) / len(self.temperatures)))
+
+
+INSTRUMENT_A = Campaign()
+"""Range 10 mg, γ = 0.45° (7.9 mg), 12 positions, 20 to 40 °C by 5 °C, 1 h soak, three runs upwards (source 0)."""
+
+INSTRUMENT_B = replace(
+    INSTRUMENT_A, tilts=(0.06 * DEGREE,), full_scale=2e3, noise=0.2, truth=TRUTH_B
+)
+"""Range 2 mg, γ = 0.06° (1.05 mg), otherwise as A: source 0 gives no other plan of its test."""
+
+
+def fixed_point_heating(campaign: Campaign = INSTRUMENT_A, readings: int = 12) -> Campaign:
+    """The older method: zero input, near + and near − full scale, one position a run while the temperature steps.
+
+    Args:
+        campaign: whose tilt (the first), temperatures and truth are taken.
+        readings: at each temperature.
+    """
+    tilt = campaign.tilts[0]
+    set_ups = tuple(SetUp(tilt, angle * DEGREE) for angle in (0.0, 90.0, 270.0))
+    return replace(campaign, set_ups=set_ups, repeats=readings)

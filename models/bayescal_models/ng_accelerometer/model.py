@@ -1,0 +1,231 @@
+"""ng accelerometer on a tilted, turning table over temperature (source 0).
+
+Measurement equation, output in µg of nominal scale (volts become µg by the nominal scale factor):
+
+    output = K0 + (1 + κ)·a + K2·a² + K3·a³ + Kip·a·ap
+
+with a and ap from the exact geometry of `geometry.py`: the table's face is tilted by γ (column `tilt`) and turned
+to θ (column `position_angle`), nominally a = g·sin γ·sin θ; a in µg (mg under K2 and K3), ap in g. K0 is not
+multiplied by 1 + κ.
+
+Slots: `bias` = K0, µg; `scale` = κ; `fixture_tilt` = γ1, rad; `base_tilt_parallel` = γ2∥ and `base_tilt_perp` =
+γ2⊥, rad; `second_order` = K2, µg/mg²; `third_order` = K3, µg/mg³; `cross_coupling` = Kip, 1/g; `rotation`, added
+to θ, rad. A *cell* is a run × temperature point. Prior standard deviations, ours unless said:
+
+Baseline                      slot            form                              size
+`bias.constant`               bias            c                                 5 mg
+`bias.temperature`            bias            b0·(T−T0)                         50 µg/°C
+`bias.cell`                   bias            one for each cell, spread learned 10 µg
+`scale.constant`              scale           c                                 1 %
+`scale.temperature`           scale           b1·(T−T0)                         1000 ppm/°C
+`scale.cell`                  scale           one for each cell, spread learned 100 ppm
+`fixture_tilt.constant`       fixture_tilt    c                                 1′ = 291 µrad (source 0: 2′ at most)
+`fixture_tilt.cell`           fixture_tilt    one for each cell, spread learned 5 µrad
+`base_tilt.constant`          base_tilt ∥, ⊥  c                                 1″ (source 0: the table's angles)
+`base_tilt.cell`              base_tilt ∥, ⊥  one for each cell, spread learned 1 µrad
+`rotation.constant`           rotation        azimuth δ of the input axis       0.1°
+`tilt.setting`                base_tilt ⊥     error of the tilt that was set    1″ (source 0)
+
+An error of the set tilt γ enters only as γ + γ2⊥, so `tilt.setting` is an exact alias of
+`base_tilt.constant[perp]`; both are kept, because they are two causes with a budget line each and together leave
+the scale factor √2·617 ppm at 0.45°. Within a cell are aliases too: bias with the fixture tilt, scale factor with
+γ2⊥ and with Kip, γ2∥ with δ. Their priors, time, laboratory temperature and other set-ups are all that parts them.
+
+Candidates                    slot            form                              size
+`bias.temperature_quadratic`  bias            c·(T−T0)²                         0.05 µg/°C²
+`bias.temperature_cubic`      bias            c·(T−T0)³                         0.003 µg/°C³
+`scale.temperature_quadratic` scale           c·(T−T0)²                         1 ppm/°C²
+`scale.temperature_cubic`     scale           c·(T−T0)³                         0.1 ppm/°C³
+`bias.drift`                  bias            c·(t−t̄)/(tmax−tmin)               10 µg
+`bias.warm_up`                bias            c·exp(−t/τ) in a run, 2 min…3 h   10 µg
+`bias.run`                    bias            one for each run, spread learned  10 µg
+`scale.run`                   scale           one for each run, spread learned  100 ppm
+`bias.rate`                   bias            c·dT/dt                           2 µg per °C/h
+`bias.thermal_lag`            bias            c·(T̃−T), τ 1 min…3 h              10 µg/°C; start of a run 5 µg
+`bias.hysteresis`             bias            c·sign(T − previous cell's)       10 µg
+`fixture_tilt.temperature`    fixture_tilt    c·(T−T0)                          5 µrad/°C
+`fixture_tilt.run`            fixture_tilt    one for each run (set-up)         20 µrad
+`fixture_tilt.run_temperature` fixture_tilt   d[run]·(T−T0), spread learned     2 µrad/°C
+`fixture_tilt.position`       fixture_tilt    (T−T0)·(cos, sin of 2θ, 3θ)       0.3 µrad/°C
+`base_tilt.lab_temperature`   base_tilt ∥, ⊥  c·(L−L0)                          5 µrad/°C (source 0: below 47)
+`base_tilt.temperature`       base_tilt ∥, ⊥  c·(T−T0)                          1 µrad/°C
+`base_tilt.tide`              base_tilt ∥, ⊥  cos, sin of M2 S2 N2 K1 O1        50, 25, 10, 30, 20 nrad
+`base_tilt.drift`             base_tilt ∥, ⊥  c·(t−t̄)/(tmax−tmin)               5 µrad
+`second_order`                second_order    K2                                0.05 µg/mg²
+`third_order`                 third_order     K3                                0.01 µg/mg³
+`cross_coupling`              cross_coupling  Kip                               1e-4 /g
+`cross_coupling.temperature`  cross_coupling  c·(T−T0)                          1e-5 /g/°C
+`rotation.harmonic`           rotation        cos, sin of θ                     1″ (source 0)
+`rotation.wobble`             fixture_tilt    cos, sin of 2θ, 3θ                1″
+
+`base_tilt.temperature[perp]` is an exact alias of b1, `fixture_tilt.temperature` all but one of b0: to add them
+widens those tempcos to what their priors leave, which no number of readings of the same kind narrows.
+
+Noise: white, of unknown size (0.05 to 5 µg; source 0 gives 3 ng/√Hz for the sensor alone).
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+import bayescal as bc
+from bayescal import effects
+from bayescal_models.ng_accelerometer.candidates import CANDIDATES, SIDES, SOURCE
+from bayescal_models.ng_accelerometer.geometry import accelerations
+from bayescal_models.ng_accelerometer.simulate import simulate
+from bayescal_models.ng_accelerometer.sizes import BASELINE_SIZES
+
+VOLTS = 5e-4  # V per µg: 5 V at 10 mg, ours
+
+
+def _response(slots, r):
+    a, ap = accelerations(
+        r["tilt"],
+        r["position_angle"] + slots["rotation"],
+        slots["fixture_tilt"],
+        slots["base_tilt_parallel"],
+        slots["base_tilt_perp"],
+    )
+    mg = a / 1e3
+    return (
+        slots["bias"]
+        + (1 + slots["scale"]) * a
+        + slots["second_order"] * mg**2
+        + slots["third_order"] * mg**3
+        + slots["cross_coupling"] * a * ap
+    )
+
+
+def _in_use(a, slots, r):
+    """Without the table: the acceleration along the input axis is what is asked for, none across it is known."""
+    mg = a / 1e3
+    bent = slots["second_order"] * mg**2 + slots["third_order"] * mg**3
+    return slots["bias"] + (1 + slots["scale"]) * a + bent
+
+
+def _constant(slot: str, source: str = SOURCE) -> bc.Effect:
+    return effects.constant(slot, *BASELINE_SIZES[f"{slot}.constant"], source=source)
+
+
+def _line(slot: str) -> bc.Effect:
+    return effects.linear(slot, *BASELINE_SIZES[f"{slot}.temperature"], source=SOURCE)
+
+
+def _cells(name: str, parts: tuple[str, ...] = ("",)) -> bc.Effect:
+    """A deviation of each cell whose spread is known to an order of magnitude or two."""
+    size, unit = BASELINE_SIZES[name]
+    slots = [f"base_tilt_{p}" if p else name.removesuffix(".cell") for p in parts]
+    return bc.Effect(
+        name,
+        slots[0],
+        basis=lambda r: jnp.ones((r.size, len(parts))),
+        coefficients=tuple(
+            bc.Coefficient(
+                unit,
+                bc.Normal(0.0, size),
+                part=part,
+                slot=slot,
+                per="cell",
+                spread=bc.HalfCauchy(size),
+            )
+            for part, slot in zip(parts, slots, strict=True)
+        ),
+        columns=("temperature_point",),
+        equation="d[cell],  d ~ N(0, s²)",
+        source=SOURCE,
+    )
+
+
+BASE_CONSTANT = bc.Effect(
+    "base_tilt.constant",
+    "base_tilt_parallel",
+    basis=lambda r: jnp.ones((r.size, 2)),
+    coefficients=tuple(
+        bc.Coefficient(
+            BASELINE_SIZES["base_tilt.constant"].unit,
+            bc.Normal(0.0, BASELINE_SIZES["base_tilt.constant"].value),
+            part=side,
+            slot=f"base_tilt_{side}",
+        )
+        for side in SIDES
+    ),
+    equation="c, one for each component",
+    source=SOURCE,
+)
+TILT_SETTING = bc.Effect(
+    "tilt.setting",
+    "base_tilt_perp",
+    basis=lambda r: 1.0,
+    coefficients=(
+        bc.Coefficient(
+            BASELINE_SIZES["tilt.setting"].unit,
+            bc.Normal(0.0, BASELINE_SIZES["tilt.setting"].value),
+        ),
+    ),
+    columns=("tilt",),
+    equation="c, added to γ as γ2⊥ is",
+    source="source 0: the table's angles are good to 1″",
+)
+
+INSTRUMENT = bc.Instrument(
+    name="ng_accelerometer",
+    title="ng accelerometer on a tilted table: bias and scale factor over temperature",
+    columns=(
+        bc.Column("run", None, "label of the run, or of the set-up", required=False),
+        bc.Column("temperature_point", "degC", "set point of the chamber", low=-273.15, high=400.0),
+        bc.Column("time", "s", "one origin over all runs"),
+        bc.Column("temperature", "degC", "the device's own thermometer", low=-273.15, high=400.0),
+        bc.Column(
+            "lab_temperature", "degC", "of the laboratory", required=False, low=-50.0, high=60.0
+        ),
+        bc.Column("position_angle", "rad", "θ, to which the face is turned", low=-7.0, high=7.0),
+        bc.Column("tilt", "rad", "γ, of the face", low=-3.2, high=3.2),
+        bc.Column("output", "ug", "output, or V with the nominal scale"),
+    ),
+    slots=(
+        bc.Slot("bias", "ug", "K0"),
+        bc.Slot("scale", "1", "κ, relative deviation of the scale factor"),
+        bc.Slot("fixture_tilt", "rad", "γ1, of the input axis out of the face"),
+        bc.Slot("base_tilt_parallel", "rad", "γ2∥, of the base along θ = 0"),
+        bc.Slot("base_tilt_perp", "rad", "γ2⊥, of the base along θ = 90°"),
+        bc.Slot("second_order", "ug/mg^2", "K2"),
+        bc.Slot("third_order", "ug/mg^3", "K3"),
+        bc.Slot("cross_coupling", "1/g", "Kip, the pendulous axis along the face's normal"),
+        bc.Slot("rotation", "rad", "added to θ"),
+    ),
+    response=_response,
+    effects=(
+        _constant("bias"),
+        _line("bias"),
+        _cells("bias.cell"),
+        _constant("scale"),
+        _line("scale"),
+        _cells("scale.cell"),
+        _constant("fixture_tilt", "source 0: within 2′, taken as 95 %"),
+        _cells("fixture_tilt.cell"),
+        BASE_CONSTANT,
+        _cells("base_tilt.cell", SIDES),
+        _constant("rotation"),
+        TILT_SETTING,
+    ),
+    candidates=CANDIDATES,
+    noise=bc.White(bc.HalfCauchy(1.0)),
+    nominal_scale=bc.NominalScale("V", gain=VOLTS),
+    structures=(
+        ("line", lambda: INSTRUMENT.baseline()),
+        (
+            "quadratic",
+            lambda: (
+                INSTRUMENT.baseline() + "bias.temperature_quadratic" + "scale.temperature_quadratic"
+            ),
+        ),
+        ("line, fixture warms", lambda: INSTRUMENT.baseline() + "fixture_tilt.temperature"),
+        (
+            "line, base follows the laboratory",
+            lambda: INSTRUMENT.baseline() + "base_tilt.lab_temperature",
+        ),
+    ),
+    simulate=simulate,
+    use=bc.Use("acceleration", "ug", _in_use, ("bias", "scale", "second_order", "third_order")),
+    source="source 0",
+)

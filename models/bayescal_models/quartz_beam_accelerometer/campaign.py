@@ -1,0 +1,140 @@
+"""The plan of a test: soaked four-position tumbles, and continuous ramps at several attitudes.
+
+    Campaign()                                    # both kinds, −40 … +70 °C
+    Campaign(attitudes=())                        # soaked points alone
+    Campaign(repeats=0, ramp_speeds=(1.0, 3.0))   # ramps alone, at two speeds
+    Campaign(device="beams")                      # a device whose truth is no polynomial
+
+Source: source 2 (soak, four-position tumble, two repeats or more); ranges, times and sizes are ours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+GRID = 5.0
+"""Step on which temperatures are integrated, s."""
+
+POSITIONS = (0.0, 1.0, 0.0, -1.0)
+"""Accelerations of the four-position tumble, g (source 2)."""
+
+DEVICES = ("cubic", "beams")
+NOISE_LAWS = ("white", "ornstein_uhlenbeck")
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Plan of a test, and the world it is made in. The defaults give 563 readings in five runs.
+
+    Every run begins with power-on at room temperature, after a pause without power. A tumble run takes one
+    reading then (so that the record knows when power came), goes through the temperatures, soaks at each and
+    reads the four positions. A ramp run holds one attitude, reads all the time, and goes room → coldest →
+    hottest → room.
+
+    Attributes:
+        temperatures: soak temperatures in the order of the first run, °C; ramps span them.
+        repeats: tumble runs; every second one goes backwards.
+        soak: time at each temperature before the tumble, s.
+        position_time: from position to position, s.
+        attitudes: input accelerations of the ramp runs, g.
+        ramp_speeds: °C/min; each attitude is gone through at each speed.
+        hold: time at the start and at both ends of a ramp run, s.
+        interval: between readings of a ramp, s.
+        average: time averaged into one reading, s, at most `interval` and `position_time`.
+        room: temperature at power-on, °C.
+        pause: time without power between runs, s.
+        chamber_speed: of the chamber between soak temperatures, °C/min.
+        air_time: first-order time constant of the chamber's air, s.
+        circuit_time, head_time: time constants of circuit and head, s.
+        coupling: share of the head's surroundings that is the circuit, the rest being air.
+        self_heating: how much warmer than its surroundings the powered circuit ends up, °C.
+        beam_time: the beams' lag behind the head's thermometer, s.
+        device: "cubic", whose bias and scale factor follow the head's temperature by a cubic, so that the baseline
+            is right unless something is hidden; or "beams", two beams with their own lag, unlike in their
+            temperature coefficients, and a circuit: no polynomial.
+        noise: standard deviation of one reading, µg.
+        noise_law: "white", or "ornstein_uhlenbeck" (a wander of the same size beside it, time 300 s).
+        thermometer_noise: white error of both thermometers' readings, °C (standard deviation).
+        frequency_sum: record the sum of both beams' frequencies, Hz.
+        lag_time, warm_up_time: time constants of the hidden lag and warm-up, s.
+        T0: temperature about which every law of the world is written, °C.
+
+    Raises:
+        ValueError: an option is out of its range.
+    """
+
+    temperatures: tuple[float, ...] = tuple(float(t) for t in range(-40, 71, 10))
+    repeats: int = 2
+    soak: float = 5400.0
+    position_time: float = 180.0
+    attitudes: tuple[float, ...] = (1.0, 0.0, -1.0)
+    ramp_speeds: tuple[float, ...] = (2.0,)
+    hold: float = 900.0
+    interval: float = 60.0
+    average: float = 60.0
+    room: float = 25.0
+    pause: float = 7200.0
+    chamber_speed: float = 2.0
+    air_time: float = 60.0
+    circuit_time: float = 300.0
+    head_time: float = 720.0
+    coupling: float = 0.15
+    self_heating: float = 4.0
+    beam_time: float = 90.0
+    device: str = "cubic"
+    noise: float = 5.0
+    noise_law: str = "white"
+    thermometer_noise: float = 0.002
+    frequency_sum: bool = False
+    lag_time: float = 600.0
+    warm_up_time: float = 900.0
+    T0: float = 15.0
+
+    def __post_init__(self) -> None:
+        positive = ("soak", "position_time", "interval", "average", "chamber_speed", "air_time")
+        for name in (
+            *positive,
+            "circuit_time",
+            "head_time",
+            "beam_time",
+            "lag_time",
+            "warm_up_time",
+        ):
+            if not getattr(self, name) > 0:
+                raise ValueError(
+                    f"Campaign({name}={getattr(self, name)!r}): give a number above 0."
+                )
+        for name in ("repeats", "hold", "pause", "noise", "thermometer_noise"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"Campaign({name}={getattr(self, name)!r}): give 0 or more.")
+        if not 0 <= self.coupling < 1:
+            raise ValueError(
+                f"Campaign(coupling={self.coupling!r}): give a share from 0 to below 1."
+            )
+        if len(set(self.temperatures)) < 2:
+            raise ValueError(
+                f"Campaign(temperatures={self.temperatures!r}): a temperature model needs at least two."
+            )
+        if not self.repeats and not (self.attitudes and self.ramp_speeds):
+            raise ValueError(
+                "Campaign: neither a tumble run nor a ramp is left; plan at least one."
+            )
+        if any(not speed > 0 for speed in self.ramp_speeds):
+            raise ValueError(f"Campaign(ramp_speeds={self.ramp_speeds!r}): give speeds above 0.")
+        self._check_times()
+        for name, known in (("device", DEVICES), ("noise_law", NOISE_LAWS)):
+            if getattr(self, name) not in known:
+                raise ValueError(
+                    f"Campaign({name}={getattr(self, name)!r}): choose one of {', '.join(known)}."
+                )
+
+    def _check_times(self) -> None:
+        """A reading's average fits between readings, and is a whole number of grid steps."""
+        for name in ("interval", "position_time"):
+            if self.average > getattr(self, name):
+                raise ValueError(
+                    f"Campaign(average={self.average!r}): longer than {name} ({getattr(self, name):g} s); "
+                    "shorten the average, or lengthen the other."
+                )
+        if self.average < GRID:
+            raise ValueError(f"Campaign(average={self.average!r}): give at least {GRID:g} s.")

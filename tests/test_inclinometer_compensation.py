@@ -1,0 +1,173 @@
+"""Two axes compensate each other; verification data, corrections and files of either kind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal_models import inclinometer
+from bayescal_models.inclinometer.campaign import Accelerometer
+from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement
+
+INSTRUMENT = inclinometer.INSTRUMENT
+GRID = replace(inclinometer.VERIFICATION, grid=(-40.0, -20.0, 0.0, 20.0, 40.0))
+
+
+@pytest.fixture(scope="module")
+def lines() -> bc.Calibration:
+    return bc.fit(INSTRUMENT.baseline(), inclinometer.simulate(seed=0))
+
+
+@pytest.fixture(scope="module")
+def table() -> inclinometer.Verification:
+    return inclinometer.Verification.of(inclinometer.simulate(seed=5, campaign=GRID))
+
+
+@pytest.mark.parametrize("law", ["document", "exact"])
+def test_compensation_leaves_the_noise(lines, table, law) -> None:
+    made = inclinometer.compensate(lines, table.reading_x, table.reading_y, law=law)
+    for before, after, sd in zip(
+        table.errors,
+        (made.x - table.true_x, made.y - table.true_y),
+        (made.sd_x, made.sd_y),
+        strict=True,
+    ):
+        assert np.abs(after).max() < 0.15 * np.abs(before).max()
+        assert np.mean(np.abs(after) < 2 * sd) > 0.85
+        assert sd.max() < 6 * ARCSEC  # noise 2″, mounting, coefficients
+
+
+def test_the_exact_law_inverts_the_equation(lines, table) -> None:
+    """Readings that the calibrated equation itself expects go back to their tilts."""
+    expected = bc.predict(lines, table.readings()).mean * ARCSEC
+    x, y = expected[: len(table)], expected[len(table) :]
+    made = inclinometer.compensate(lines, x, y)
+    worst = max(np.abs(made.x - table.true_x).max(), np.abs(made.y - table.true_y).max())
+    assert worst < 1e-3 * ARCSEC
+    assert made.passes <= 6
+    crude = inclinometer.compensate(lines, x, y, law="document")
+    assert (
+        np.abs(crude.x - table.true_x).max() > 1e-3 * ARCSEC
+    )  # ω taken from an uncompensated reading
+
+
+def test_what_a_line_cannot_compensate_is_the_size_of_the_published_remainder(lines) -> None:
+    """S_e = 60″ and κ = 100 ppm leave 25″ and 21″ at 45°; source 4 publishes 31″ and 33″ after compensation."""
+    electrical = Accelerometer(slope=0.72105, constant=2.6, electrical=60.0, scale=100.0)
+    axes = (("x", electrical), ("y", replace(electrical, slope=0.06818, constant=36.3)))
+    campaign = replace(
+        inclinometer.VERIFICATION, grid=(-45.0, 0.0, 45.0), axes=axes, noise=0.0, repeatability=0.0
+    )
+    table = inclinometer.Verification.of(inclinometer.simulate(seed=0, campaign=campaign))
+    made = inclinometer.compensate(lines, table.reading_x, table.reading_y, law="document")
+    for left in (made.x - table.true_x, made.y - table.true_y):
+        assert 38 * ARCSEC < np.abs(left).max() < 55 * ARCSEC
+
+
+def test_zero_of_gives_the_line_with_its_uncertainty(lines) -> None:
+    zero = inclinometer.zero_of(lines, np.deg2rad([-45.0, 45.0]), axis="x")
+    np.testing.assert_allclose(zero.mean(axis=0), [62.6211 - 32.447, 62.6211 + 32.447], atol=4.0)
+    assert (zero.std(axis=0) > 0.3).all()
+
+
+def test_placement_angles_at_large_tilts() -> None:
+    x = np.deg2rad([30.0, 0.0, 45.0])
+    found = np.rad2deg(exact_placement(x, np.deg2rad([30.0, 40.0, 30.0]), np))
+    np.testing.assert_allclose(found, [35.26, 40.0, 45.0], atol=0.01)
+
+
+def test_a_file_of_corrections_is_negated(tmp_path: Path) -> None:
+    readings = inclinometer.simulate(seed=0)
+    lines = ["axis,run,placement_angle [deg],zero_offset [arcsec]"]
+    for axis, run, angle, zero in zip(
+        *(readings[n] for n in ("axis", "run", "placement_angle", "output")), strict=True
+    ):
+        lines.append(f"{axis},{run},{np.rad2deg(angle):.6f},{-zero:.6f}")
+    path = tmp_path / "corrections.csv"
+    path.write_text("\n".join(lines) + "\n")
+    turned = inclinometer.read(path, corrections=True)
+    np.testing.assert_allclose(turned["output"], readings["output"], atol=1e-5)
+    assert any("negated" in flag for flag in turned.flags)
+    np.testing.assert_allclose(inclinometer.read(path)["output"], -readings["output"], atol=1e-5)
+    tilts = inclinometer.simulate(seed=0, campaign=GRID)
+    with pytest.raises(bc.InputError, match=r"holds readings of tilts.*leave corrections=True out"):
+        inclinometer.negated(tilts)
+
+
+def test_a_column_has_one_of_its_names(tmp_path: Path) -> None:
+    both = tmp_path / "both.csv"
+    both.write_text("placement_angle [deg],output [arcsec],zero_offset [arcsec]\n0,1,1\n5,2,2\n")
+    with pytest.raises(
+        bc.InputError, match=r"two columns for 'output': 'output \[arcsec\]' and 'zero"
+    ):
+        bc.read(both, INSTRUMENT)
+    made = bc.Measurements.from_arrays(
+        INSTRUMENT, placement_angle=[0.0, 0.1], zero_offset=[1.0, 2.0]
+    )
+    np.testing.assert_array_equal(made["output"], [1.0, 2.0])
+
+
+def test_verification_data_go_both_ways(table, tmp_path: Path) -> None:
+    again = inclinometer.Verification.of(table.readings())
+    for name in ("true_x", "true_y", "reading_x", "reading_y"):
+        np.testing.assert_allclose(getattr(again, name), getattr(table, name), rtol=1e-12)
+    path = tmp_path / "verification.csv"
+    columns = np.rad2deg([table.true_x, table.true_y, table.reading_x, table.reading_y]).T
+    names = ("true_x", "true_y", "reading_x", "reading_y")
+    header = ",".join(f"{n} [deg]" for n in names)
+    np.savetxt(path, columns, delimiter=",", header=header, comments="", fmt="%.9f")
+    read = inclinometer.read_verification(path)
+    np.testing.assert_allclose(read.reading_y, table.reading_y, atol=1e-10)
+    path.write_text(path.read_text().replace("[deg]", "[rad]"))
+    with pytest.raises(bc.InputError, match=r"Are the numbers in deg"):
+        inclinometer.read_verification(path)
+
+
+def test_what_no_body_and_no_calibration_has_is_refused(lines, table) -> None:
+    tilts = np.deg2rad([10.0, 60.0])
+    with pytest.raises(bc.InputError, match=r"row 2: no body has tilts of 60° and 60°"):
+        inclinometer.Verification(tilts, tilts, tilts, tilts)
+    with pytest.raises(bc.InputError, match=r"no axis 'z'; it has: x, y"):
+        inclinometer.compensate(lines, 0.1, 0.1, axes=("x", "z"))
+    with pytest.raises(bc.InputError, match=r'choose "exact" or "document"'):
+        inclinometer.compensate(lines, 0.1, 0.1, law="magic")
+    with pytest.raises(bc.InputError, match="vectors of one length"):
+        inclinometer.compensate(lines, [0.1, 0.2], [0.1])
+    with pytest.raises(bc.InputError, match=r"reading 2 of axis 'y' is 30 rad.*np\.deg2rad"):
+        inclinometer.compensate(lines, [0.1, 0.2], [0.1, 30.0])
+    with pytest.raises(bc.InputError, match="is no verification data"):
+        inclinometer.Verification.of(inclinometer.simulate(seed=0))
+
+
+def test_an_effect_in_use_asks_for_its_covariate(lines) -> None:
+    warm = replace(lines, model=lines.model + "zero.temperature")
+    with pytest.raises(
+        bc.ModelError, match=r"'zero\.temperature' acts in use and needs 'temperature'"
+    ):
+        inclinometer.compensate(warm, 0.1, 0.1)
+    tilted = replace(lines, model=lines.model + "zero.electrical_tilt")
+    with pytest.raises(bc.ModelError, match=r'needs \'true_angle\'.*law="exact"'):
+        inclinometer.compensate(tilted, 0.1, 0.1, law="document")
+
+
+@pytest.mark.slow
+def test_the_whole_equation_is_learned_from_verification_data() -> None:
+    axes = (
+        ("x", Accelerometer(electrical=60.0, pendulum=2.6, door=41.3, scale=100.0)),
+        ("y", Accelerometer(electrical=60.0, pendulum=36.3, door=3.9, scale=100.0)),
+    )
+    campaign = replace(inclinometer.VERIFICATION, axes=axes, exact=True)
+    known, other = (inclinometer.simulate(seed=s, campaign=campaign) for s in (1, 2))
+    whole = bc.fit(dict(INSTRUMENT.structures)["projection, exact geometry"](), known)
+    scale = whole.samples("scale.constant")
+    assert (np.abs(scale.mean(axis=0) - 100.0) < 3.5 * scale.std(axis=0)).all()
+    held = inclinometer.Verification.of(other)
+    made = inclinometer.compensate(whole, held.reading_x, held.reading_y)
+    for before, after in zip(
+        held.errors, (made.x - held.true_x, made.y - held.true_y), strict=True
+    ):
+        assert np.abs(after).max() < 0.1 * np.abs(before).max()

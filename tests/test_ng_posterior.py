@@ -1,0 +1,101 @@
+"""A ng accelerometer's posterior recovers the truth and keeps the width that nuisance angles leave."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal_models import ng_accelerometer as ng
+from bayescal_models.ng_accelerometer import proving
+from bayescal_models.ng_accelerometer.sizes import BASELINE_SIZES
+
+LINE = ("bias.constant", "bias.temperature", "scale.constant", "scale.temperature")
+
+
+@pytest.fixture(scope="module")
+def proved() -> bc.Calibration:
+    return bc.fit(proving.model(), proving.readings(0), bc.LeastSquares())
+
+
+def test_the_line_is_recovered_within_its_uncertainty(proved: bc.Calibration) -> None:
+    assert proved.verdict.ok
+    for name in LINE:
+        draws = proved.samples(name)
+        assert abs(draws.mean() - proving.CAMPAIGN.truth[name]) < 3 * draws.std(), name
+    for name in ("bias.temperature", "scale.temperature"):
+        sd = proved.model.effect(name).coefficients[0].size
+        assert proved.samples(name).std() < 0.2 * sd, name  # learned, not the prior
+
+
+def test_bias_keeps_the_width_that_the_fixture_tilt_leaves(proved: bc.Calibration) -> None:
+    bias, tilt = proved.samples("bias.constant"), proved.samples("fixture_tilt.constant")
+    # priors of 200 µg and 291 µg for what only adds up: 1/√(1/200² + 1/291²) = 165 µg
+    assert bias.std() == pytest.approx(165.0, rel=0.1)
+    assert np.std(bias + tilt) < 10.0
+    scale = proved.samples("scale.constant").std()  # γ2⊥ and the setting, 617 ppm each
+    assert np.sqrt(2) * 617 * 0.85 < scale < np.sqrt(2) * 617 * 1.15
+
+
+def test_setting_and_base_tilt_are_told_apart_by_their_priors_alone(proved: bc.Calibration) -> None:
+    setting, base = (proved.samples(n) for n in ("tilt.setting", "base_tilt.constant[perp]"))
+    assert setting.std() == pytest.approx(1.0, rel=0.15)
+    assert base.std() == pytest.approx(1.0, rel=0.15)
+
+
+def test_the_proving_model_is_the_baseline_with_proper_priors() -> None:
+    model = proving.model()
+    assert model.names == ng.INSTRUMENT.baseline().names
+    assert len(proving.readings(0)) == 72
+    for effect in model.effects:
+        for coefficient in effect.coefficients:
+            assert not coefficient.flat
+            assert coefficient.size <= BASELINE_SIZES[effect.name].value
+
+
+def test_hysteresis_needs_both_directions() -> None:
+    effect = ng.INSTRUMENT.effect("bias.hysteresis")
+    assert effect.untestable is not None
+    assert "only rises" in (effect.untestable(ng.simulate(seed=1)) or "")
+    both = ng.simulate(seed=1, campaign=replace(ng.INSTRUMENT_A, alternate=True))
+    assert effect.untestable(both) is None
+
+
+def test_an_effect_that_lacks_its_column_says_so() -> None:
+    readings = ng.simulate(seed=1)
+    bare = replace(readings, data=readings.data.drop_vars("lab_temperature"))
+    model = ng.INSTRUMENT.baseline() + "base_tilt.lab_temperature"
+    with pytest.raises(bc.ModelError, match="needs the column 'lab_temperature'"):
+        bc.fit(model, bare)
+
+
+@pytest.fixture(scope="module")
+def full() -> bc.Calibration:
+    return bc.fit(ng.INSTRUMENT.baseline(), ng.simulate(seed=2), seed=2)
+
+
+@pytest.mark.slow
+def test_one_factor_of_scale_times_fixture_tilt_is_promoted(full: bc.Calibration) -> None:
+    assert any("fixture_tilt.constant is sampled with" in note for note in full.verdict.notes)
+    for name in LINE:
+        low, high = np.quantile(full.samples(name), [0.005, 0.995])
+        assert low < ng.INSTRUMENT_A.truth[name] < high, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("base_tilt.lab_temperature", 10.0),
+        ("second_order", 0.2),
+        ("rotation.wobble", 1.0),
+        ("bias.hysteresis", 30.0),
+    ],
+)
+def test_a_hidden_effect_is_found(name: str, size: float) -> None:
+    plan = replace(ng.INSTRUMENT_A, alternate=True)
+    readings = ng.simulate({name: size}, seed=3, campaign=plan)
+    found = bc.discover(bc.fit(ng.INSTRUMENT.baseline(), readings, bc.LeastSquares()))
+    assert name in [effect.name for effect in found.best]
