@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Any
 from bayescal import _startup as _startup  # before JAX: see the comment there
 
 if TYPE_CHECKING:
-    # pictures
+    # pictures, and the report to sign
     from bayescal import _plot as plot
+    from bayescal._report import report as report
 
     # what did it find, and was it right
     from bayescal._budget import Budget as Budget
@@ -133,6 +134,7 @@ _HOMES = {
     "plot": "_plot",
     "predict": "_predict",
     "read": "_read",
+    "report": "_report",
     "shape_of": "_template",
     "template": "_template",
 }

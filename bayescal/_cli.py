@@ -417,7 +417,7 @@ def _say_flags(readings: Measurements, but: tuple[str, ...] = ()) -> None:
         print(f"bayescal: note: {flag}", file=sys.stderr)
 
 
-app.add_typer(commands)  # compensate, export, budget
+app.add_typer(commands)  # compensate, export, budget, report
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Commands for what the user takes away: compensate, export, budget; and how every command answers.
+"""Commands for what the user takes away: compensate, export, budget, report; and how every command answers.
 
 Heavy modules load inside the commands, as in `_cli.py`, which offers these with its own.
 """
@@ -159,3 +159,30 @@ def budget(
     say(found)
     if priors is not None:
         print(f"\nPrior sensitivity (above 0.05 it matters):\n{priors}")
+
+
+@commands.command(epilog="Example: bayescal report result -o report.html")
+def report(
+    calibrations: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Saved calibrations (.nc), or folders that `bayescal calibrate --out` wrote.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="HTML file to write.")] = Path(
+        "report.html"
+    ),
+    title: Annotated[str, typer.Option("--title", help="Of the report.")] = "",
+    effects_file: options.OwnEffects = None,
+    instrument: options.OwnInstrument = None,
+    json_: options.Json = False,
+) -> None:
+    """Write the report to sign: one HTML file that needs nothing else."""
+    from bayescal import _doors as doors
+
+    given = doors.chapters_from(calibrations, effects_file, instrument)
+    written = bc.report(given, out, title=title)
+    reasons = [reason for c in given for reason in c.data["verdict"]["reasons"]]
+    say({"file": str(written), "chapters": len(given)} if json_ else f"written: {written}")
+    leave(all(c.data["verdict"]["ok"] for c in given), " ".join(reasons))

@@ -32,6 +32,7 @@ from bayescal._model import Model
 from bayescal._nuts import NUTS
 from bayescal._predict import Prediction
 from bayescal._read import read
+from bayescal._report_chapter import Chapter, chapters, of_folder
 from bayescal._store import installed_instruments, load_calibration
 
 METHODS: dict[str, type[Method]] = {
@@ -233,6 +234,17 @@ def compensator_from(
             )
         return load_compensator(path)
     return compensator(saved(path, effects, instrument), members=pairs(members, "--member"))
+
+
+def chapters_from(paths: list[Path], effects: Path | None, instrument: str | None) -> list[Chapter]:
+    """What a report is of: saved calibrations, and folders with the trail that led to one."""
+    own = () if instrument is None else (instrument_named(instrument),)
+    return chapters(
+        of_folder(path, user_effects(effects), own)
+        if path.is_dir()
+        else saved(path, effects, instrument)
+        for path in paths
+    )
 
 
 @contextmanager

@@ -104,9 +104,10 @@ def next_experiment(
         )
     with stage("fitting each possibility"):
         fits = {e.name: _fitted(calibration, e) for e in chosen}
+    longest = min(MOST, max(len(readings) for readings in plans.values()))
     with stage("expecting the outcome of each experiment"):
         found = [
-            Experiment(name, _expected(fits, _thinned(readings)), readings)
+            Experiment(name, _expected(fits, readings, longest), readings)
             for name, readings in plans.items()
         ]
     return NextExperiment(tuple(fits), tuple(sorted(found, key=lambda e: -e.worst)))
@@ -122,16 +123,11 @@ def _fitted(calibration: Calibration, effect: Effect) -> Calibration:
     )
 
 
-def _thinned(readings: Measurements) -> Measurements:
-    step = -(-len(readings) // MOST)
-    return readings if step == 1 else readings.select(np.arange(0, len(readings), step))
-
-
 def _expected(
-    fits: Mapping[str, Calibration], readings: Measurements
+    fits: Mapping[str, Calibration], readings: Measurements, length: int
 ) -> dict[tuple[str, str], float]:
     """Expected log Bayes factors, truth against rival, in nats."""
-    outlooks = {name: _outlook(c, readings) for name, c in fits.items()}
+    outlooks = {name: outlook(c, readings, length) for name, c in fits.items()}
     return {
         (truth, rival): divergence(outlooks[truth], outlooks[rival])
         for truth, rival in permutations(fits, 2)
@@ -155,8 +151,20 @@ def divergence(truth: Outlook, rival: Outlook) -> float:
     return float(0.5 * (np.sum(own**2) + gap @ gap - gap.size) - logs)
 
 
-def _outlook(calibration: Calibration, readings: Measurements) -> Outlook:
+def outlook(calibration: Calibration, readings: Measurements, length: int | None = None) -> Outlook:
+    """What a fitted model expects of a campaign.
+
+    Args:
+        calibration: the fit.
+        readings: the campaign's plan.
+        length: campaigns of unlike length are brought to this one, so that one compiled program serves all: longer
+            ones are thinned; rows repeated at the end of shorter ones are left out of the answer.
+    """
     calibration.model.require(readings)
+    length = len(readings) if length is None else length
+    kept = np.arange(0, len(readings), -(-len(readings) // length))
+    count = kept.size
+    readings = readings.select(np.concatenate([kept, np.full(length - count, kept[-1])]))
     frame = build_frame(readings, calibration.reference)
     counts = {
         **dict(calibration.layout.counts),
@@ -178,7 +186,7 @@ def _outlook(calibration: Calibration, readings: Measurements) -> Outlook:
         same = (codes[:, None] == codes[None, :]) & (codes[:, None] >= 0)
         for column in np.asarray(columns):
             covariance += same * np.outer(column, column)
-    return Outlook(means.mean(axis=0), covariance)
+    return Outlook(means.mean(axis=0)[:count], covariance[:count, :count])
 
 
 @eqx.filter_jit

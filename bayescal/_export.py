@@ -181,7 +181,7 @@ class Program:
             InputError: another suffix or format, or a place that cannot be written to.
         """
         path = Path(path)
-        format = format or FORMATS.get(path.suffix.lower())
+        format = format or FORMATS.get(path.suffix.lower(), "")
         if format not in FORMATS.values():
             raise InputError(
                 f"a compensator cannot be written as {format or path.name!r}: choose json, c or python "

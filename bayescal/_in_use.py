@@ -168,11 +168,11 @@ class InUse(eqx.Module):
 
     def _sums(self, theta: Scalars, frame: Frame, correcting: bool) -> Scalars:
         own = [s.name for s in self.layout.model.instrument.slots]
-        sums, basis = {}, (None, None)
+        sums, basis = {}, None
         for b in self.blocks:
             if (b.slot not in own) != correcting or (correcting and b.slot not in frame.columns):
                 continue
-            if basis[0] is not b.effect:
+            if basis is None or basis[0] is not b.effect:
                 shapes = {s.name: theta[b.effect.shape_name(s)] for s in b.effect.shapes}
                 basis = (b.effect, b.effect.evaluate(frame, shapes))
             value = theta[b.name] if b.place != "fixed" else b.value

@@ -21,12 +21,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from arviz_stats.base import array_stats
 
 import bayescal as bc
 from bayescal import _chains as chains
 from bayescal import _laplace as laplace
+from bayescal import _promotion as promotion
 from bayescal._batches import over
 from bayescal._fit import bind
 from bayescal._frame import build_frame, reference_of
@@ -52,12 +55,14 @@ def _program(model: bc.Model, readings: bc.Measurements, draws: int):
 
 
 def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
-    """The same, in whitened coordinates about the Laplace mode; the log density is the exact one."""
-    import jax
-    import jax.numpy as jnp
+    """The same, in whitened coordinates about the Laplace mode; the log density is the exact one.
 
+    Where a product of unknowns bends the model, one factor stands beside the hyper-parameters, so that the
+    coordinates of the others follow it.
+    """
     layout, levels = bind(model, readings)
     frame, y = build_frame(readings, reference_of(readings)), jnp.asarray(readings["output"])
+    layout, _ = promotion.choose(layout, frame, y, None)
     mode = jax.jit(lambda: laplace.find_mode(layout, frame, y))()
     density, unpack, start, covariance = chains.whitened(layout, frame, y, mode)
     key = jax.random.key(SEED)

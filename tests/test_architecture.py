@@ -33,7 +33,8 @@ FLOORS = {
     "_folds _compare _spikes _trail _calibrate",
     "what the user takes away": "_in_use _inverse _export_graph _export_trace _export_text _export _export_about "
     "_compensate _compensate_files _budget",
-    "for people": "_plot _result",
+    "for people": "_result _plot_style _plot_residuals _plot_error _plot_posterior _plot "
+    "_report_chapter _report_figures _report_tables _report_words _report",
     "the public face": "bayescal",
     "the command line": "_doors _answers _options _commands _cli",
 }

@@ -36,7 +36,7 @@ PRINTED_LINE = (
 )
 COMMANDS = (
     *("instruments", "effects", "simulate", "fit", "check", "discover"),
-    *("compare", "predict", "calibrate", "demo"),
+    *("compare", "predict", "calibrate", "pairs", "demo"),
 )
 
 OWN_EFFECTS = """

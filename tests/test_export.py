@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from typing import Any
 
 import bent_sensor
 import jax.numpy as jnp
@@ -11,7 +13,10 @@ import pytest
 from export_check import needs_compiler, run_header
 
 import bayescal as bc
+from bayescal._export import program_of
 from bayescal._export_graph import Graph
+from bayescal._in_use import known
+from bayescal._inverse import Inverse
 
 ROWS = 10_000
 pytestmark = pytest.mark.filterwarnings("ignore::bayescal._compensate.OutsideCalibration")
@@ -34,7 +39,7 @@ def rows(compensator) -> np.ndarray:
     return np.column_stack(columns)
 
 
-def inputs(compensator: bc.Compensator, rows: np.ndarray) -> dict[str, np.ndarray]:
+def inputs(compensator: bc.Compensator, rows: np.ndarray) -> dict[str, Any]:
     return {i.name: rows[:, 1 + k] for k, i in enumerate(compensator.inputs)}
 
 
@@ -67,7 +72,7 @@ def test_the_header_in_single_precision_agrees_to_its_own_rounding(
         rows[:, 0], inputs(compensator, rows), np.float32
     )
     noisy = np.hypot(uncertainty, compensator.noise * inclination)
-    eps = np.finfo(np.float32).eps
+    eps = float(np.finfo(np.float32).eps)
     # The same operations rounded the same way; libraries may differ in the last bits of tanh and exp.
     size = np.abs(rows[:, 0]) + 1000 * eps * np.abs(rows[:, 0]).max()
     assert np.max(np.abs(found[:, 0] - value) / size) < 8 * eps
@@ -153,10 +158,8 @@ def test_a_damaged_or_foreign_json_is_refused(change, said, tmp_path) -> None:
 
 
 def test_an_effect_that_firmware_cannot_compute_is_named() -> None:
-    from bayescal._in_use import known
-    from bayescal._inverse import Inverse
-
     compensator = bc.compensator(bent_sensor.gyro())
+    assert compensator.equation is not None and compensator.calibration is not None
     sorting = bc.Effect(
         "bias.sorted",
         "bias",
@@ -164,16 +167,12 @@ def test_an_effect_that_firmware_cannot_compute_is_named() -> None:
         coefficients=(bc.Coefficient("deg/s"),),
         columns=("temperature",),
     )
-    from dataclasses import replace
-
     layout = replace(compensator.equation.layout, model=bent_sensor.gyro().model + sorting)
-    equation = replace(compensator.equation, layout=layout.model and layout)
+    equation = replace(compensator.equation, layout=layout)
     mean = np.zeros(len(equation.entries()))
     made = known(compensator.equation, compensator.calibration, 10)._replace(mean=mean)
     frame = compensator.calibration.frame
     inverse = Inverse(equation, frame.reference, tuple(equation.known))
-    from bayescal._export import program_of
-
     with pytest.raises(
         bc.ModelError, match=r"effect 'bias.sorted' cannot be exported: the operation 'sort'"
     ):

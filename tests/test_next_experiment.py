@@ -27,15 +27,15 @@ def ranked(line) -> bc.NextExperiment:
     return bc.next_experiment(line, RIVALS)
 
 
-def outlook(mean, covariance) -> experiment.Outlook:
+def normal(mean, covariance) -> experiment.Outlook:
     return experiment.Outlook(np.asarray(mean, float), np.asarray(covariance, float))
 
 
 def test_the_divergence_is_that_of_two_normals() -> None:
     rng = np.random.default_rng(1)
     roots = rng.standard_normal((2, 3, 3))
-    one = outlook([0, 1, 2], roots[0] @ roots[0].T + np.eye(3))
-    other = outlook([1, 1, 0], roots[1] @ roots[1].T + np.eye(3))
+    one = normal([0, 1, 2], roots[0] @ roots[0].T + np.eye(3))
+    other = normal([1, 1, 0], roots[1] @ roots[1].T + np.eye(3))
     draws = rng.multivariate_normal(one.mean, one.covariance, 200_000)
 
     def log_density(o):
@@ -47,6 +47,13 @@ def test_the_divergence_is_that_of_two_normals() -> None:
     error = ratio.std() / np.sqrt(ratio.size)
     assert abs(experiment.divergence(one, other) - ratio.mean()) < 5 * error
     assert experiment.divergence(one, one) == pytest.approx(0, abs=1e-9)
+
+
+def test_rows_that_only_fill_up_change_nothing(line: bc.Calibration) -> None:
+    plan = mems_gyro.simulate({}, seed=9).select(np.arange(60))
+    exact, filled = experiment.outlook(line, plan), experiment.outlook(line, plan, 75)
+    assert np.allclose(exact.mean, filled.mean)
+    assert np.allclose(exact.covariance, filled.covariance, rtol=1e-6, atol=1e-12)
 
 
 def test_every_listed_experiment_is_ranked(ranked: bc.NextExperiment) -> None:
@@ -74,7 +81,7 @@ def test_the_first_experiment_separates_what_the_last_does_not(
     truth, rival = RIVALS
     reached = {}
     for best in (ranked.experiments[0], ranked.experiments[-1]):
-        a, b = (experiment._outlook(fits[name], best.readings) for name in (truth, rival))
+        a, b = (experiment.outlook(fits[name], best.readings) for name in (truth, rival))
         # Campaigns that the possibility which is the truth expects, as it expects them.
         draws = np.random.default_rng(2).multivariate_normal(a.mean, a.covariance, 400)
         gain = []

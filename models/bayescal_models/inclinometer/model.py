@@ -67,6 +67,7 @@ import jax.numpy as jnp
 
 import bayescal as bc
 from bayescal_models.inclinometer import terms
+from bayescal_models.inclinometer.experiments import EXPERIMENTS
 from bayescal_models.inclinometer.geometry import ARCSEC, sensed
 from bayescal_models.inclinometer.simulate import simulate
 
@@ -164,6 +165,7 @@ INSTRUMENT = bc.Instrument(
         ("projection, exact geometry", _exact_projection),
     ),
     simulate=simulate,
+    experiments=EXPERIMENTS,
     use=bc.Use("true_angle", "rad", slots=("zero", "scale", "cross_axis")),
     source="source 4",
 )

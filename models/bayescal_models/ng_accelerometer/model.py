@@ -71,6 +71,7 @@ import jax.numpy as jnp
 import bayescal as bc
 from bayescal import effects
 from bayescal_models.ng_accelerometer.candidates import CANDIDATES, SIDES, SOURCE
+from bayescal_models.ng_accelerometer.experiments import EXPERIMENTS
 from bayescal_models.ng_accelerometer.geometry import accelerations
 from bayescal_models.ng_accelerometer.simulate import simulate
 from bayescal_models.ng_accelerometer.sizes import BASELINE_SIZES
@@ -226,6 +227,7 @@ INSTRUMENT = bc.Instrument(
         ),
     ),
     simulate=simulate,
+    experiments=EXPERIMENTS,
     use=bc.Use("acceleration", "ug", _in_use, ("bias", "scale", "second_order", "third_order")),
     source="source 0",
 )

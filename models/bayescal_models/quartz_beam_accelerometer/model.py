@@ -49,6 +49,7 @@ from __future__ import annotations
 import bayescal as bc
 from bayescal_models.quartz_beam_accelerometer import terms
 from bayescal_models.quartz_beam_accelerometer.device import SCALE_FACTOR
+from bayescal_models.quartz_beam_accelerometer.experiments import EXPERIMENTS
 from bayescal_models.quartz_beam_accelerometer.hidden_effects import SECOND_ORDER
 from bayescal_models.quartz_beam_accelerometer.simulate import simulate
 
@@ -170,6 +171,7 @@ INSTRUMENT = bc.Instrument(
         ("two thermometers, t1 in the products", lambda: two_thermometers("circuit")),
     ),
     simulate=simulate,
+    experiments=EXPERIMENTS,
     use=bc.Use("acceleration", "ug"),
     source="source 2",
 )
