@@ -18,7 +18,7 @@ PYTEST  := $(IN_VENV)/python -m pytest -n $(WORKERS) --dist loadfile
 .DELETE_ON_ERROR:
 
 help:  ## this list
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /  make \1	/'
+	@grep -hE '^[a-z%-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z%-]+):[^#]*## /  make \1	/'
 
 demo: $(READY)  ## calibrate the simulated gyroscope; results in demo_output/
 	$(IN_VENV)/bayescal demo --out demo_output $(ARGS)
@@ -34,21 +34,24 @@ lint: $(READY)-test-lint  ## format, lint rules and types
 	$(IN_VENV)/ruff check .
 	$(IN_VENV)/pyright --pythonpath $(IN_VENV)/python
 
-bench: $(READY)-test  ## speed and coverage, as JSON with versions and machine
+bench: $(READY)-test-bench  ## speed and coverage, as JSON with versions and machine
 	$(IN_VENV)/python -m benchmarks $(ARGS)
+
+bench-%: $(READY)-test-bench  ## one benchmark, such as bench-hidden-effects; goes on where it was stopped
+	$(IN_VENV)/python -m benchmarks $(subst -,_,$*)
 
 clean:  ## remove what these targets made
 	rm -rf $(VENV) build dist demo_output .pytest_cache .hypothesis .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # One stamp per interpreter and set of extras: .ready-3.11.7, .ready-3.11.7-test, .ready-3.11.7-test-lint.
-$(READY) $(READY)-test $(READY)-test-lint: pyproject.toml
+$(READY) $(READY)-test $(READY)-test-lint $(READY)-test-bench: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null || { \
 	  echo "bayescal needs Python 3.11, 3.12 or 3.13; '$(PYTHON)' is $(or $(VERSION),not a command here)." >&2; \
 	  echo "Name another one: make $(MAKECMDGOALS) PYTHON=python3.13" >&2; exit 1; }
 	@[ "$$($(IN_VENV)/python -c 'import platform; print(platform.python_version())' 2>/dev/null)" = "$(VERSION)" ] \
 	  || { echo "making $(VENV) with Python $(VERSION)"; $(PYTHON) -m venv --clear $(VENV); }
-	$(IN_VENV)/python -m pip install --quiet -e '.$(if $(findstring -test,$@),[test$(if $(findstring -lint,$@),$(comma)lint)])'
+	$(IN_VENV)/python -m pip install --quiet -e '.$(if $(findstring -test,$@),[test$(if $(findstring -lint,$@),$(comma)lint)$(if $(findstring -bench,$@),$(comma)bench)])'
 	@touch $@
 
 comma := ,
