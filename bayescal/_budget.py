@@ -302,7 +302,7 @@ def prior_sensitivity(calibration: Calibration) -> Any:
         InputError: no unknown has a proper prior.
     """
     import xarray as xr
-    from arviz_stats import psense_summary  # a second that only this needs
+    from arviz_stats.psense import psense_summary  # a second that only this needs
 
     tree = calibration.tree
     if not len(tree["log_prior"].data_vars):

@@ -151,7 +151,9 @@ def budget(
 
     chosen = doors.compensator_from(calibration, effects_file, instrument, member)
     found = bc.budget(chosen, doors.numbers(at, "--at"), k=k)
-    priors = _budget.prior_sensitivity(chosen.calibration) if prior_sensitivity else None
+    priors = None
+    if prior_sensitivity and chosen.calibration is not None:
+        priors = _budget.prior_sensitivity(chosen.calibration)
     if json_:
         more = {} if priors is None else {"prior_sensitivity": priors.to_dict("index")}
         say({**found.data(), **more})

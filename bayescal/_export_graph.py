@@ -232,7 +232,7 @@ class Graph:
         for place, row in enumerate(data if isinstance(data, list) else [None]):
             if not isinstance(row, list) or not row or not isinstance(row[0], str):
                 raise InputError(f"its operation {place} is none: {str(row)[:60]}")
-            op, rest = row[0], row[1:]
+            op, rest = str(row[0]), list(row[1:])
             if op == "const" and rest in (["nan"], ["inf"], ["-inf"]):
                 made = Node(op, value=float(rest[0]))
             elif op == "const" and len(rest) == 1 and isinstance(rest[0], int | float):

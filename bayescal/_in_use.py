@@ -163,7 +163,8 @@ class InUse(eqx.Module):
         labels = {f"{group}={member}": jnp.ones(1) for group, member in self.members}
         lags = tuple(one[lag.name] for lag in self.lags)
         still = jnp.zeros(1, int), -jnp.ones(1)
-        codes = dict.fromkeys(("run", "cell", "axis", "device"), -jnp.ones(1, int))
+        groups: list[str] = ["run", "cell", "axis", "device"]
+        codes = dict.fromkeys(groups, -jnp.ones(1, int))
         return _UseFrame(columns, labels, rates, codes, reference, *still, dict(columns), lags, [])
 
     def _sums(self, theta: Scalars, frame: Frame, correcting: bool) -> Scalars:

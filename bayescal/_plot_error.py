@@ -89,7 +89,11 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
         [vars(c) for c in found.candidates] if isinstance(found, Discovery) else found["candidates"]
     )
     tested = [c for c in everyone if c["log_bayes_factor"] is not None]
-    shown = [c for c in tested if not _quiet(c)][:MOST][::-1]
+    ranked = sorted(
+        (c for c in tested if not _quiet(c)),
+        key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]),
+    )
+    shown = ranked[-MOST:]
     figure = new_figure(5.6, 0.3 * len(shown) + 1.3) if ax is None else ax.figure
     ax = figure.subplots() if ax is None else ax
     values = [c["log_bayes_factor"] for c in shown]
@@ -105,7 +109,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     rest = "explained by the finding, or none" if "finding" in kinds else "no evidence"
     names = [Patch(color=KINDS.get(k or "", BLUE), label=k or rest) for k in kinds]
     if names:
-        below = {"loc": "upper center", "bbox_to_anchor": (0.4, -0.55 / (0.3 * len(shown)))}
+        below = {"loc": "upper center", "bbox_to_anchor": (0.4, -0.45 / (0.3 * max(1, len(shown))))}
         ax.legend(handles=names, frameon=False, fontsize=8, ncols=len(names), **below)
     open_sides(ax)
     return figure

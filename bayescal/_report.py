@@ -66,6 +66,7 @@ def page(found: list[Chapter], title: str = "") -> str:
         "number": number,
         "pretty": pretty,
         "probability": probability,
+        "minus": lambda text: text.replace("-", "−"),
         "measured": tables.measured,
     }
     pictures = figures.Pictures()
@@ -103,7 +104,11 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
         "effects": tables.effects(chapter),
         "noise": c.model.noise.law.replace("_", "–"),
         "fixed": [(n, number(v, 6)) for n, v in c.model.fixed],
-        "reference": [(n, number(v, 6)) for n, v in c.reference.items() if isinstance(v, float)],
+        "reference": [
+            (n, tables.measured(v, "degC"))
+            for n, v in c.reference.items()
+            if isinstance(v, float) and n.endswith("0")
+        ],
         "coefficients": rows[: 4 * MANY],
         "skewed": tables.skewed(chapter),
         "check": chapter.check,
@@ -117,9 +122,10 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
 
 
 def _groups(data: dict[str, Any]) -> str:
-    groups = data["readings"]["groups"]
-    counts = [f"{n} {k}{'s' if n != 1 else ''}" for k, n in groups.items() if isinstance(n, int)]
-    return ", ".join(t for t in counts if not t.endswith("left_out_counts") and "left_out" not in t)
+    """How many runs, cells, axes and devices, where there are several."""
+    counted = [(k, data["readings"]["groups"].get(k, 0)) for k in ("run", "cell", "axis", "device")]
+    plural = {"axis": "axes"}
+    return ", ".join(f"{n} {plural.get(k, k + 's')}" for k, n in counted if n > 1)
 
 
 def _checks(data: dict[str, Any], last: int) -> list[dict[str, Any]]:

@@ -92,8 +92,8 @@ def _range(name: str, meaning: str, values: np.ndarray, unit: str, part: str) ->
     return {
         "name": name,
         "meaning": meaning,
-        "low": number(low, 5),
-        "high": number(high, 5),
+        "low": number(low, 4).replace("-", "−"),
+        "high": number(high, 4).replace("-", "−"),
         "unit": pretty(unit),
         "part": part,
         "constant": low == high,

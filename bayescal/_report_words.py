@@ -37,15 +37,25 @@ def use_and_limits(chapter: Chapter) -> tuple[list[str], list[str]]:
 
 
 def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
+    use = chapter.calibration.model.instrument.use
     not_for = [
         "Outside these ranges: nothing was measured there, and nothing warns but the compensator."
     ]
     for r in rows:
-        if r["constant"] and r["name"] != "output":
+        if r["constant"] and r["name"] != "output" and (use is None or r["name"] != use.stimulus):
             at = f"{r['low']} {r['unit']}".strip()
             not_for.append(
                 f"Under another {r['name']} than {at}, at which all readings were taken."
             )
+    if (
+        use is not None
+        and use.equation is None
+        and use.stimulus not in {r["name"] for r in rows if not r["constant"]}
+    ):
+        not_for.append(
+            f"To tell how the output follows {use.stimulus}: it was not varied, so the model's own equation stands "
+            "untested."
+        )
     last = last_discovery(chapter)
     by_reason: dict[str, list[str]] = {}
     blind = []

@@ -196,7 +196,7 @@ def tide() -> dict[str, Any]:
             tilts=(tilt * DEGREE,),
             positions=4,
             temperatures=(29.0, 31.0),
-            runs=330,
+            runs=570,
             soak=1200.0,
             move_time=30.0,
             pause=1200.0,

@@ -30,7 +30,7 @@ def test_shares_count_correlations_by_hand() -> None:
     found = bc.budget(fit, {"temperature": 70.0, "rate_input": 0.0})
     names = ["bias.constant", "bias.temperature"]
     covariance = np.cov(np.array([fit.samples(n) for n in names]))
-    lever = np.array([1.0, 70.0 - fit.reference["T0"]]) / (
+    lever = np.array([1.0, 70.0 - float(fit.frame.reference["T0"])]) / (
         1 + 1e-6 * fit.samples("scale.constant").mean()
     )
     new_run = np.mean(fit.samples("bias.run.spread") ** 2) * lever[0] ** 2

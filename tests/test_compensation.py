@@ -73,6 +73,7 @@ def test_a_new_run_brings_its_spread(gyro) -> None:
     assert any("bias.run(new run)" in note for note in gyro.program.about.notes)
     (known,) = [r for r in bent_sensor.gyro().levels["run"] if r == "1"]
     same = bc.compensator(bent_sensor.gyro(), members={"run": known})
+    assert same.equation is not None
     names = [e.name for e in same.equation.entries()]
     assert "bias.run(1)" in names and "bias.run(new run)" not in names
 
@@ -98,7 +99,7 @@ def test_a_still_sensor_gives_its_output_less_its_bias() -> None:
     found = bc.compensator(fit)(sensor, method="first order")
     predicted = bc.predict(fit, sensor)
     np.testing.assert_allclose(
-        found.value, predicted.residual, atol=1e-6 * np.std(sensor["output"])
+        found.value, predicted.residual, atol=1e-6 * float(np.std(sensor["output"]))
     )
 
 

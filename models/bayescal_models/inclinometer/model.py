@@ -53,7 +53,9 @@ mounting of one axis, its label unique to it (x1, y1, …): `accelerometers` mak
 **Aliases.** `dividing.face` is a constant as S_e is, exactly; so is `dividing.wobble` of m = 1 the projection of one
 axis (a second axis on the same table, with projections of its own, tells them apart). `zero.cross_axis` is S_d·sin ω
 where ω = y: exactly in the zero test, but for cos x in verification data. cos ω falls by 29 % over ±45°, so S_p and S_e
-are weakly separated, and a parabola is nearly a projection. The last three effects on tilt need verification data.
+are weakly separated, and a parabola is nearly a projection. Every mounting's own deviation hides all of a base's
+drift but what happens within a mounting: in the default plan some 30″ over the test are seen. Electrical tilt, exact
+placement and scale factor need verification data.
 
 Noise: white, of unknown size. Source 4 gives none but the table's 2″, which stands for it here.
 Sizes are prior standard deviations for a first calibration, ours where no source is named.

@@ -67,7 +67,7 @@ def _electrical(w: _World, size: float) -> _Sum:
 
 def _wobble(w: _World) -> np.ndarray:
     """The spindle's axis goes round a cone, once and twice a turn; every sine and cosine of size 1."""
-    return sum(np.sqrt(2.0) * np.cos(m * w.cross - np.pi / 4) for m in (1, 2))
+    return np.sqrt(2.0) * (np.cos(w.cross - np.pi / 4) + np.cos(2 * w.cross - np.pi / 4))
 
 
 _LAWS: dict[str, Callable[[_World, float], _Sum]] = {
@@ -121,7 +121,7 @@ def simulate(
     temperature, world = _world(campaign, laid, random)
     output = _reading(campaign, laid, world, effects, _repeated(campaign, laid, random["run"]))
     output = output + campaign.noise * random["noise"].standard_normal(output.size)
-    columns: dict[str, np.ndarray] = {
+    columns: dict[str, Any] = {
         "axis": laid.axis,
         "run": laid.run,
         "placement_angle": laid.placement,

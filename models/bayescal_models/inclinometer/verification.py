@@ -152,6 +152,6 @@ def read_verification(path_or_paths: Any, **options: Any) -> Verification:
         InputError: what `bayescal.read` refuses, and tilts that no body has.
     """
     found = bc.read(path_or_paths, DOOR, **options)
-    names = ("true_x", "true_y", "reading_x", "reading_y")
     others = {n: found[n] for n in ("device", "run", "temperature", "time") if found.has(n)}
-    return Verification(*(found[n] for n in names), others)
+    tilts = found["true_x"], found["true_y"], found["reading_x"], found["reading_y"]
+    return Verification(*tilts, others)
