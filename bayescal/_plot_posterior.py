@@ -257,11 +257,16 @@ def _chosen(calibration: Calibration, names: Sequence[str] | None, most: int) ->
         raise InputError(
             f"no unknown with one value is called {', '.join(unknown)}; there are: {', '.join(single)}"
         )
-    moving = [n for n in single if float(posterior[n].std()) > 0]
+    moving = [n for n in single if _moves(posterior[n].values)]
     chosen = list(names or moving)[:most]
     if not chosen:
         raise InputError("every unknown is held at a value: there is nothing to draw")
     return posterior[chosen].isel(draw=_thin(posterior))
+
+
+def _moves(draws: np.ndarray) -> bool:
+    """Whether an unknown was drawn, and not held at an estimate."""
+    return float(np.std(draws)) > 1e-9 * abs(float(np.mean(draws)))
 
 
 def _thin(data: xr.Dataset) -> slice:

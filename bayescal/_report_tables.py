@@ -147,7 +147,7 @@ def skewed(chapter: Chapter) -> list[str]:
             continue
         draws = c.samples(name)
         sd = draws.std(axis=0)
-        if np.all(sd > 0):
+        if np.all(sd > 1e-9 * np.abs(draws.mean(axis=0))):
             inside = float(np.mean(np.abs(draws - draws.mean(axis=0)) <= K * sd))
             if abs(inside - GAUSSIAN) > 0.01:
                 found.append(f"{name} {100 * inside:.1f} %")
