@@ -35,6 +35,7 @@ def listed(sheet: str) -> tuple[set[str], set[str]]:
                 if not NAME.fullmatch(name) or name.endswith(FILES):
                     continue
                 (dotted if "." in name else plain).add(name)
+                plain.add(name.partition("[")[0])  # a coefficient names its effect too
                 if in_family:
                     plain |= {f"{family}.{name}" for family in families}
     return dotted, plain

@@ -143,7 +143,7 @@ def made_up(instrument: bc.Instrument, rows: int = 12) -> bc.Measurements:
     columns = {}
     for column in instrument.columns:
         if column.unit is None:
-            columns[column.name] = np.resize(np.repeat(["a", "b"], 3), rows)
+            columns[column.name] = np.resize(np.repeat(column.allowed or ["a", "b"], 3), rows)
         elif column.name == "time":
             columns[column.name] = np.cumsum(rng.uniform(20.0, 300.0, rows))
         elif column.name == "temperature_point":
