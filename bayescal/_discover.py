@@ -25,7 +25,8 @@ from bayescal._progress import stage
 from bayescal._verification import LEAD
 
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
-VISIBLE = 0.01  # share of the information left after the nuisances below which nothing can be seen
+VISIBLE = 0.01  # share of the information left after the nuisances, below which a plausible size must still be seen
+HOPELESS = 10.0  # plausible sizes that an effect would need to be found, above which this experiment cannot see it
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,8 @@ def discover(
     else:
         sets = ()
     in_sets = {name for s in sets for name in s.effects}
-    judged = [_kind(c, in_sets) for c in judged]
+    plausible = {e.name: _plausible(e) for e in tested}
+    judged = [_kind(c, in_sets, plausible[c.effect]) for c in judged]
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     rivals = tuple(known[name] for name in _rivals(sets, ranked))
     return Discovery(nothing, sets, (*ranked, *shut), best, verified, rivals)
@@ -152,7 +154,13 @@ def _unknowns(calibration: Calibration) -> list[Effect]:
     return [instrument.unknown(name) for name, v in derived(readings).items() if np.ptp(v) > 0]
 
 
-def _kind(candidate: Candidate, in_sets: set[str]) -> Candidate:
+def _plausible(effect: Effect) -> float:
+    """The size that an effect plausibly has, in the unit in which it is reported."""
+    amplitude = next((s for s in effect.shapes if s.name == effect.measure), None)
+    return effect.coefficients[0].size if amplitude is None else amplitude.high
+
+
+def _kind(candidate: Candidate, in_sets: set[str], plausible: float) -> Candidate:
     if candidate.effect in in_sets:
         return replace(candidate, kind="finding")
     by_itself = candidate.log_bayes_factor or 0.0
@@ -160,6 +168,8 @@ def _kind(candidate: Candidate, in_sets: set[str]) -> Candidate:
     factor = by_itself if candidate.conditional is None else min(by_itself, candidate.conditional)
     if factor > LEAD:
         return replace(candidate, kind="lead")
-    if (candidate.visibility or 0.0) < VISIBLE or candidate.minimum_detectable is None:
+    least = candidate.minimum_detectable
+    hidden = (candidate.visibility or 0.0) < VISIBLE
+    if least is None or least > HOPELESS * plausible or (hidden and least > plausible):
         return replace(candidate, kind="not visible", reason="this experiment cannot see it")
     return candidate

@@ -1,0 +1,125 @@
+"""Draws up faults.md: what each missing effect looks like, how large it must be, what it is taken for.
+
+    python docs/faults.py [INSTRUMENT …]
+
+For every instrument and candidate: the standard campaign is simulated with that effect alone in it, at three times the
+smallest size that would be found, and the baseline is fitted to it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import bayescal as bc
+from bayescal._text import number, pretty
+
+HERE = Path(__file__).parent
+KEPT = HERE.parent / "benchmarks" / "results" / "faults.json"
+INSTRUMENTS = (
+    "mems_gyro",
+    "ng_accelerometer",
+    "quartz_beam_accelerometer",
+    "inclinometer",
+    "still_sensor",
+)
+TIMES = 3.0  # the smallest size that would be found
+SEED = 41
+METHOD = bc.LeastSquares(draws=200)
+
+
+def faults(name: str) -> list[dict[str, Any]]:
+    """One entry for each candidate of an instrument."""
+    plain = importlib.import_module(f"bayescal_models.{name}").INSTRUMENT
+    readings = plain.simulate(seed=SEED)
+    instrument = plain.for_readings(readings)
+    empty = bc.discover(bc.fit(instrument.baseline(), readings, METHOD, strict=False), verify=False)
+    entries = []
+    for seen in empty.candidates:
+        if seen.effect.startswith("unknown("):
+            continue
+        effect = instrument.effect(seen.effect)
+        entry: dict[str, Any] = {
+            "effect": seen.effect,
+            "unit": effect.coefficients[0].unit,
+            "plausible": effect.coefficients[0].size,
+            "needed": seen.minimum_detectable,
+            "remark": seen.reason,
+        }
+        if seen.kind not in ("not testable", "not visible"):
+            entry |= looks(plain, seen.effect, TIMES * (seen.minimum_detectable or 0.0))
+        entries.append(entry)
+        print(name, entry, flush=True)
+    return entries
+
+
+def looks(instrument: bc.Instrument, effect: str, size: float) -> dict[str, Any]:
+    """What the baseline's residuals show of one hidden effect, and what it is taken for."""
+    readings = instrument.simulate({effect: size}, seed=SEED)
+    model = instrument.for_readings(readings).baseline()
+    calibration = bc.fit(model, readings, METHOD, strict=False)
+    checked = bc.check(calibration)
+    found = bc.discover(calibration, verify=False)
+    own = next(c for c in found.candidates if c.effect == effect)
+    named = [n for n in own.indistinguishable_from if not n.startswith("unknown(")]
+    return {
+        "size": size,
+        "leans_on": [
+            [e.against, e.log_bayes_factor] for e in checked.entries[:2] if e.log_bayes_factor > 3
+        ],
+        "autocorrelation": checked.autocorrelation[0],
+        "rms": [checked.rms, checked.unit],
+        "first": found.candidates[0].effect,
+        "confused_with": named,
+    }
+
+
+def page(all_: dict[str, list[dict[str, Any]]]) -> str:
+    """The gallery in Markdown."""
+    parts = [
+        "# Faults, and what they look like\n",
+        "Drawn up by `python docs/faults.py`. Each effect alone was hidden in its instrument's standard campaign, at "
+        "three times the size *needed* (the smallest that is found with 80 % power), and the baseline fitted. "
+        "*Residuals lean on*: covariates with the strongest evidence of structure (natural logarithm). *Taken for*: "
+        "effects that this campaign cannot tell from it; `bayescal discover --next-experiment` says which campaign "
+        "could.\n",
+    ]
+    for name, entries in all_.items():
+        parts += [
+            f"## {name}\n",
+            "| effect | plausible | needed | residuals lean on | neighbours | taken for |",
+        ]
+        parts.append("|---|---|---|---|---|---|")
+        parts += [_line(entry) for entry in entries]
+        parts.append("")
+    return "\n".join(parts)
+
+
+def _line(entry: dict[str, Any]) -> str:
+    unit = pretty(entry["unit"])
+    cells = [f"`{entry['effect']}`", f"{number(entry['plausible'], 2)} {unit}"]
+    cells.append("–" if entry["needed"] is None else f"{number(entry['needed'], 2)} {unit}")
+    if "leans_on" in entry:
+        leans = ", ".join(f"{a} ({f:.0f})" for a, f in entry["leans_on"]) or "nothing clearly"
+        cells += [leans, f"{entry['autocorrelation']:.2f}"]
+        cells.append(", ".join(f"`{n}`" for n in entry["confused_with"]) or "–")
+    else:
+        cells += [entry["remark"] or "this experiment cannot see it", "", ""]
+    return "| " + " | ".join(cell.strip() for cell in cells) + " |"
+
+
+def main(names: list[str]) -> None:
+    """Measure the instruments named, keep the others' entries, write the page."""
+    kept = json.loads(KEPT.read_text("utf-8")) if KEPT.is_file() else {}
+    for name in names or INSTRUMENTS:
+        kept[name] = faults(name)
+        KEPT.write_text(json.dumps(kept, indent=1), "utf-8")
+        ordered = {n: kept[n] for n in INSTRUMENTS if n in kept}
+        (HERE / "faults.md").write_text(page(ordered), "utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
