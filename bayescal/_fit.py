@@ -22,6 +22,7 @@ from bayescal._marginal import Marginal, smoothed
 from bayescal._measurements import Measurements
 from bayescal._method import Method
 from bayescal._model import Model
+from bayescal._startup import spare_memory_maps
 from bayescal._tree import build_tree, named
 
 GROUPS = ("run", "cell", "axis", "device")
@@ -50,6 +51,7 @@ def fit(
         ModelError: readings lack a column or have too few rows for the flat coefficients.
         NotConverged: the verdict is not good; carries the calibration.
     """
+    spare_memory_maps()
     method = Marginal() if method is None else method
     model.require(readings)
     reference = {**reference_of(readings), **(reference or {})}

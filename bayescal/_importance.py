@@ -1,9 +1,12 @@
 """Adaptive importance sampling of φ, with the coefficients drawn back exactly.
 
-φ is proposed from Student-t mixtures around its Laplace fit, all proposals evaluated in batches; no draw waits
-for the one before, and the log evidence comes for free. What nonlinearity the closed form left is corrected by
-the same weights: each joint draw (x, φ) carries true over linearised likelihood.
-Source: A. Owen and Y. Zhou, JASA 95 (2000) 135 (defensive mixtures); Vehtari et al., JMLR 25 (2024) 72 (k̂).
+φ is proposed from Student-t mixtures, first around its Laplace fit, then around many draws of the round before:
+spreads that readings know only by their sum of squares have a density with arms, which one ellipse does not cover.
+All proposals are evaluated in batches; no draw waits for the one before, and the log evidence comes for free. What
+nonlinearity the closed form left is corrected by the same weights: each joint draw (x, φ) carries true over
+linearised likelihood.
+Source: A. Owen and Y. Zhou, JASA 95 (2000) 135 (defensive mixtures); M. West, J. R. Stat. Soc. B 55 (1993) 409
+(mixtures around weighted draws); Vehtari et al., JMLR 25 (2024) 72 (k̂).
 """
 
 from __future__ import annotations
@@ -26,7 +29,9 @@ from bayescal._layout import Layout
 from bayescal._prior import Flat, FlatLine
 
 FREEDOM = 5.0  # of the Student-t proposals
-WIDE = 1.7  # second component: wider than the Laplace fit, against tails that are heavier
+KERNELS = 256  # draws of the round before, around each of which the next one proposes
+KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
+WIDE = 1.7  # last component: wider than the Laplace fit, against tails that are heavier
 PRIOR = 0.2  # share of proposals from the prior, so that no weight exceeds likelihood over 0.2 times evidence
 BATCH = 256  # proposals evaluated at once, to bound memory
 
@@ -45,33 +50,45 @@ class Weighted(NamedTuple):
 
 
 class _Proposal(NamedTuple):
-    """Two Student-t components."""
+    """Student-t components: equally likely ones of one shape, and a wide one with the rest of the probability."""
 
-    centre: Float[Array, "2 d"]
-    chol: Float[Array, "2 d d"]
-    share: Float[Array, "2"]
+    centre: Float[Array, "m d"]
+    chol: Float[Array, "d d"]
+    middle: Float[Array, "d"]
+    wide: Float[Array, "d d"]
+    share: Float[Array, ""]  # of the wide one
 
     def draw(self, key: Array, count: int) -> Float[Array, "s d"]:
-        k1, k2, k3 = jax.random.split(key, 3)
+        k1, k2, k3, k4 = jax.random.split(key, 4)
         dim = self.centre.shape[1]
-        which = jax.random.bernoulli(k1, self.share[1], (count,)).astype(int)
         heavy = jnp.sqrt(FREEDOM / (2 * jax.random.gamma(k2, FREEDOM / 2, (count,))))
         normal = jax.random.normal(k3, (count, dim)) * heavy[:, None]
-        return self.centre[which] + jnp.einsum("sij,sj->si", self.chol[which], normal)
+        which = jax.random.randint(k4, (count,), 0, len(self.centre))
+        narrow = self.centre[which] + normal @ self.chol.T
+        apart = jax.random.bernoulli(k1, self.share, (count, 1))
+        return jnp.where(apart, self.middle + normal @ self.wide.T, narrow)
 
     def log_density(self, v: Float[Array, "s d"]) -> Float[Array, "s"]:
-        dim = v.shape[1]
+        dim = self.centre.shape[1]
+        half = 0.5 * (FREEDOM + dim)
+        norm = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dim * jnp.log(FREEDOM * jnp.pi)
 
-        def one(centre, chol):
-            z = solve_triangular(chol, (v - centre).T, lower=True)
-            half = 0.5 * (FREEDOM + dim)
-            norm = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dim * jnp.log(FREEDOM * jnp.pi)
-            volume = jnp.sum(jnp.log(jnp.diag(chol)))
-            return norm - volume - half * jnp.log1p(jnp.sum(z**2, axis=0) / FREEDOM)
+        def whitened(chol, v):
+            return solve_triangular(chol, v.T, lower=True).T if dim else v
 
-        return logsumexp(
-            jax.vmap(one)(self.centre, self.chol) + jnp.log(self.share)[:, None], axis=0
-        )
+        def log_t(chol, distance):
+            return -jnp.sum(jnp.log(jnp.diag(chol))) - half * jnp.log1p(distance / FREEDOM)
+
+        centre = whitened(self.chol, self.centre)
+
+        def one(z):  # one draw at a time, so that memory does not grow with draws times components
+            distance = jnp.sum((z - centre) ** 2, axis=1)
+            return logsumexp(log_t(self.chol, distance)) - jnp.log(len(centre))
+
+        narrow = over(one, whitened(self.chol, v), BATCH)
+        wide = log_t(self.wide, jnp.sum(whitened(self.wide, v - self.middle) ** 2, axis=1))
+        parts = narrow + jnp.log1p(-self.share), wide + jnp.log(self.share)
+        return norm + jnp.logaddexp(*parts)
 
 
 def sample(
@@ -165,13 +182,12 @@ def draw_coefficients(layout, frame, y, point, v, found: linear.Conditional, key
 def _around_mode(mode: laplace.Mode) -> _Proposal:
     dim = mode.v.shape[0]
     chol = jnp.linalg.cholesky(mode.covariance) if dim else mode.covariance
-    return _Proposal(
-        jnp.stack([mode.v, mode.v]), jnp.stack([chol, WIDE * chol]), jnp.array([0.6, 0.4])
-    )
+    centre = jnp.broadcast_to(mode.v, (KERNELS, dim))
+    return _Proposal(centre, chol, mode.v, WIDE * chol, jnp.asarray(0.4))
 
 
 def _match(mode: laplace.Mode, v: Array, log_weight: Array) -> _Proposal:
-    """The next proposal: moments of the weighted draws, drawn towards the Laplace fit where few count."""
+    """The next proposal: around the weighted draws, as wide as the Laplace fit where few of them count."""
     if not v.shape[1]:
         return _around_mode(mode)
     weight = jax.nn.softmax(log_weight)
@@ -179,11 +195,11 @@ def _match(mode: laplace.Mode, v: Array, log_weight: Array) -> _Proposal:
     weight = weight / jnp.sum(weight)
     effective = 1 / jnp.sum(weight**2)
     trust = effective / (effective + 20.0 * v.shape[1])
-    centre = weight @ v
-    spread = (weight[:, None] * (v - centre)).T @ (v - centre)
-    # A Student-t with unit scale is wider than a normal; its covariance is the scale's times ν/(ν−2).
+    mean = weight @ v
+    spread = (weight[:, None] * (v - mean)).T @ (v - mean)
     covariance = trust * spread + (1 - trust) * mode.covariance
     chol = jnp.linalg.cholesky(covariance + 1e-10 * jnp.eye(v.shape[1]))
-    centre = trust * centre + (1 - trust) * mode.v
+    ladder = (jnp.arange(KERNELS) + 0.5) / KERNELS
+    pick = jnp.minimum(jnp.searchsorted(jnp.cumsum(weight), ladder), weight.size - 1)
     wide = WIDE * jnp.linalg.cholesky(mode.covariance)
-    return _Proposal(jnp.stack([centre, mode.v]), jnp.stack([chol, wide]), jnp.array([0.8, 0.2]))
+    return _Proposal(v[pick], KERNEL * chol, mode.v, wide, jnp.asarray(0.1))

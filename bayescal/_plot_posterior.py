@@ -103,9 +103,11 @@ def members(calibration: Calibration, name: str) -> Figure:
             f"{name!r} has no value for each member of a group; these have: {', '.join(grouped) or 'none'}"
         )
     data = posterior[[name]].isel(draw=_thin(posterior))
+    group = next(str(d) for d in data[name].dims if d not in ("chain", "draw"))
     made = plot_forest(
         xr.DataTree.from_dict({"posterior": data}),
         combined=True,
+        labels=[group],
         ci_kind="eti",
         ci_probs=(0.5, INTERVAL),
         point_estimate="mean",
@@ -116,6 +118,7 @@ def members(calibration: Calibration, name: str) -> Figure:
         },
     )
     figure = _taken(made)
+    figure.set_size_inches(6.4, 1.0 + 0.25 * data[name].sizes[group])
     figure.axes[-1].set_xlabel(axis_label(name, data[name].attrs["units"]))
     return figure
 
@@ -156,6 +159,9 @@ def pairs(calibration: Calibration, names: Sequence[str] | None = None) -> Figur
         figure_kwargs={"figsize": (side, side)},
     )
     figure = _taken(made)
+    for ax in figure.axes:
+        for points in ax.collections:
+            points.set_rasterized(True)  # thousands of points in a vector picture weigh too much
     _label_matrix(figure, data)
     return figure
 
@@ -169,7 +175,8 @@ def _label_matrix(figure: Figure, data: xr.Dataset) -> None:
             continue
         row, column = place.rowspan.start, place.colspan.start
         ax.tick_params(labelsize=7)
-        ax.locator_params(nbins=3)
+        ax.locator_params(axis="x", nbins=2)
+        ax.locator_params(axis="y", nbins=3)
         if row == len(shown) - 1:
             name = shown[column]
             ax.set_xlabel(

@@ -15,6 +15,7 @@ from bayescal._text import pretty
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, PALE, GREY = "#56B4E9", "#CC79A7", "#B0B0B0", "#7A7A7A"
+LONGEST = 32  # letters of a label; what is longer leaves no room for the picture
 CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)
 
 
@@ -26,8 +27,9 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def plain(text: str) -> str:
-    """A text from a file as a label: its dollar signs begin no formula."""
-    return text.replace("$", r"\$")
+    """A text from a file as a label: cut short, and its dollar signs begin no formula."""
+    short = text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+    return short.replace("$", r"\$")
 
 
 def axis_label(name: str, unit: str) -> str:

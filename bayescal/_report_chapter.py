@@ -70,8 +70,10 @@ def chapters(given: Iterable[Calibration | Trail | Chapter]) -> list[Chapter]:
 def of_trail(trail: Trail, titles: list[str] | None = None) -> Chapter:
     """The chapter of a trail in memory."""
     data = result(trail)
-    for step, title in zip(data["steps"], titles or [], strict=False):
-        step["title"] = title
+    for i, title in enumerate(titles or []):
+        step, before = data["steps"][i], data["steps"][max(i - 1, 0)]["effects"]
+        more = [n for n in step["effects"] if n not in before]
+        step |= {"title": title, "added": more[0] if len(more) == 1 else None}
     first, final = trail.steps[0], trail.final
     return Chapter(final.calibration, final.check, data, first.calibration, first.check)
 
@@ -202,7 +204,7 @@ def taken(given: Any) -> list[Calibration | Trail | Chapter]:
         InputError: nothing is given, or something else than calibrations and trails.
     """
     several = given if isinstance(given, (list, tuple)) else [given]
-    found = [
+    found: list[Any] = [
         g.calibration if isinstance(g, NotConverged) and g.calibration is not None else g
         for g in several
     ]

@@ -134,13 +134,16 @@ def unexplained(chapter: Chapter) -> list[str]:
 def story(chapter: Chapter) -> list[str]:
     """How the last model came about, a sentence each step."""
     steps, unit = chapter.data["steps"], chapter.calibration.unit
+    findings = {
+        m["step"]: {n for s in m["sets"] for n in s["effects"]} for m in chapter.data["missing"]
+    }
     said = [f"It began with {steps[0]['title']}: rms error {measured(steps[0]['rmse'], unit, 3)}."]
-    for before, step in pairwise(steps):
-        fall = f"from {measured(before['rmse'], unit, 3)} to {measured(step['rmse'], unit, 3)}"
-        missing = (
-            f"{step['added']} was missing. Added, it"
-            if step["added"]
-            else f"Step «{step['title']}»"
-        )
-        said.append(f"{missing} brought the rms error {fall}.")
+    for i, (before, step) in enumerate(pairwise(steps)):
+        name = step["added"]
+        if name and name in findings.get(i, ()):
+            what = f"{name} was found missing. Added, it"
+        else:
+            what = f"Adding {name}" if name else f"The step «{step['title']}»"
+        fell = f"from {measured(before['rmse'], unit, 3)} to {measured(step['rmse'], unit, 3)}"
+        said.append(f"{what} brought the rms error {fell}.")
     return said

@@ -19,6 +19,8 @@ from pathlib import Path
 
 MIN_WORKERS = 16
 
+MOST_MAPS = 30_000  # of 65,530 that Linux allows a process by default
+
 
 def enough_workers() -> None:
     """Give JAX at least `MIN_WORKERS` worker threads, unless the user has set `NPROC`.
@@ -93,6 +95,24 @@ def configure_jax() -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def spare_memory_maps() -> None:
+    """Drop compiled programs before they use up the maps that the kernel allows a process.
+
+    Every compiled program holds some ten memory maps. Linux allows 65,530 by default, after which the next program
+    aborts the process; a loop over many structures of model gets there. Programs that are needed again come back
+    from the cache on disk. Does nothing on other systems.
+    """
+    try:
+        with open("/proc/self/maps", "rb") as maps:
+            count = sum(1 for _ in maps)
+    except OSError:
+        return
+    if count > MOST_MAPS:
+        import jax
+
+        jax.clear_caches()
 
 
 def _writable(folder: Path) -> bool:

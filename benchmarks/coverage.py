@@ -211,7 +211,8 @@ def main(argv: list[str] | None = None) -> None:
     asked = parser.parse_args(argv if argv is not None else [])
     if unknown := set(asked.names) - set(INSTRUMENTS):
         parser.error(f"no instrument is called {', '.join(unknown)}: {', '.join(INSTRUMENTS)}")
-    summaries = {}
+    file = RESULTS / "coverage.json"
+    summaries = json.loads(file.read_text("utf-8"))["instruments"] if file.is_file() else {}
     print(HEAD)
     for name in asked.names or INSTRUMENTS:
         ground = Ground.of(name)
@@ -219,9 +220,7 @@ def main(argv: list[str] | None = None) -> None:
         summaries[name] = summary(ground, rows)
         picture(name, joined(rows), RESULTS / f"coverage_{name}.png")
         print(line(name, summaries[name]), flush=True)
-    before = RESULTS / "coverage.json"
-    kept = json.loads(before.read_text("utf-8"))["instruments"] if before.is_file() else {}
-    write("coverage", {"level": LEVEL, "instruments": {**kept, **summaries}})
+        write("coverage", {"level": LEVEL, "instruments": summaries})  # each as it comes
 
 
 if __name__ == "__main__":

@@ -226,7 +226,10 @@ def interval_widths() -> dict[str, Any]:
     for name, plan in (("A", ng.INSTRUMENT_A), ("B", ng.INSTRUMENT_B)):
         readings = ng.simulate(seed=14, campaign=plan)
         classical = ng.classical_estimates(readings)
-        for title, model in (("baseline", None), ("and what warms with T", warm)):
+        # B's cells scatter so much that scale factor × fixture tilt bends within each of them: the default method then
+        # runs exact chains for minutes, so B is fitted once.
+        models = (("baseline", None), ("and what warms with T", warm))
+        for title, model in models if name == "A" else models[:1]:
             found, how = fitted(readings, model)
             for unknown, published in PUBLISHED[name].items():
                 draws = found.samples(unknown)

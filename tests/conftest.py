@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,15 @@ hypothesis.settings.load_profile("bayescal")
 
 SEED = 20261121
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled_programs_go() -> Iterator[None]:
+    """Programs compiled for one file are dropped after it: a process may hold only so many memory maps."""
+    yield
+    import jax
+
+    jax.clear_caches()
 
 
 @pytest.fixture

@@ -70,6 +70,7 @@ def test_the_trail_shows_the_fall_to_the_floor(figures) -> None:
 
 def test_a_trail_is_drawn_alike_from_its_result() -> None:
     found = trail()
+    assert found.steps[0].discovery is not None
     for drawn, again in (
         (bc.plot.trail(found), bc.plot.trail(result(found))),
         (bc.plot.missing(found.steps[0].discovery), bc.plot.missing(result(found)["missing"][0])),

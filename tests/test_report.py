@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Opened, chromium
-from command_line import run
+from command_line import needs_installation, run
 from reported import HIDDEN, Page, trail
 
 import bayescal as bc
 from bayescal import _report as reports
 from bayescal._column import Source
 from bayescal._report_chapter import chapters, of_folder
+from bayescal_models import mems_gyro
 
 FIGURES = {
     "The error, step by step",
@@ -49,7 +50,7 @@ def pages(folder: Path) -> dict[str, Page]:
         "several": [first, final],
         "a trail": trail(),
         "not converged": bc.NotConverged("The chains disagree.", lost),
-        "a folder": of_folder(folder),
+        "a folder": of_folder(folder, instruments=[mems_gyro.INSTRUMENT]),
     }
     return {k: Page(bc.report(g, folder / f"{k.replace(' ', '_')}.html")) for k, g in given.items()}
 
@@ -128,9 +129,10 @@ def test_intervals_are_not_confused(pages) -> None:
     page = pages["a trail"]
     heads = re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", page.source)
     assert {"value ± U (k = 2)", "k = 2 interval", "95 % credible interval"} <= set(heads)
-    row = re.search(rf'<tr><th scope="row">{HIDDEN}</th><td>[^<]*</td>(.*?)</tr>', page.source)
+    table = page.source.split("Coefficients, spreads, shapes, noise</caption>")[1]
+    row = re.search(rf'<tr><th scope="row">{HIDDEN}</th>(.*?)</tr>', table)
     assert row is not None
-    value, u, k2, credible, _ = re.findall(r"<td[^>]*>(.*?)</td>", row[1])
+    _, value, u, k2, credible, _ = re.findall(r"<td[^>]*>(.*?)</td>", row[1])
     expanded = float(value.split(" ± ")[1])
     assert expanded == pytest.approx(2 * draws.std(ddof=1), rel=0.05)
     assert float(u) == pytest.approx(draws.std(ddof=1), rel=0.05)
@@ -163,27 +165,36 @@ def test_the_budget_is_in_it(pages) -> None:
 
 
 def test_readings_of_two_tests_make_two_chapters() -> None:
-    final = trail().final.calibration
-    other = replace(final, readings=final.readings.select(np.arange(len(final.readings)) < 300))
-    made = chapters([final, other])
-    assert [len(c.calibration.readings) for c in made] == [330, 300]
+    not_asked = bc.Verdict(False, ("Stopped early.",))  # what is missing is then not looked for
+    final = replace(trail().final.calibration, verdict=not_asked)
+    shifted = final.readings.with_column("output", final.readings["output"] + 1e-3)
+    other = replace(final, readings=shifted)
+    made = chapters([final, final, other])
+    assert [len(c.data["steps"]) for c in made] == [2, 1]
+    assert made[1].calibration is other
 
 
-def test_the_command_takes_folders(folder: Path, tmp_path: Path) -> None:
+@needs_installation
+def test_the_command_writes_it_or_nothing(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "report.html"
     ran = run("report", folder, "-o", out)
-    assert (ran.status, ran.said) == (0, [])
-    assert f"Finding: {HIDDEN}" in re.sub(r"\s+", " ", Page(out).text)
+    assert (ran.status, ran.out) == (0, f"written: {out}\n")
+    assert f"Finding: {HIDDEN}" in " ".join(Page(out).text.split())
+    ran = run("report", folder / "nothing.nc", "-o", tmp_path / "other.html")
+    assert ran.status == 2
+    assert "There is no file" in ran.err
+    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_a_folder_of_two_different_fits_is_refused(folder: Path, tmp_path: Path) -> None:
+    own = [mems_gyro.INSTRUMENT]
     data = json.loads((folder / "result.json").read_text("utf-8"))
     (tmp_path / "result.json").write_text(json.dumps(data), "utf-8")
     with pytest.raises(bc.InputError, match=r"has no calibration\.nc: give a folder"):
-        of_folder(tmp_path)
+        of_folder(tmp_path, instruments=own)
     (tmp_path / "calibration.nc").write_bytes((folder / "baseline.nc").read_bytes())
     with pytest.raises(bc.InputError, match="are of different fits: effects"):
-        of_folder(tmp_path)
+        of_folder(tmp_path, instruments=own)
 
 
 def test_an_interrupted_write_leaves_the_old_report_whole(tmp_path: Path, monkeypatch) -> None:

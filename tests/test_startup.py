@@ -130,3 +130,25 @@ def test_a_cache_that_the_user_configured_is_left_alone(tmp_path: Path) -> None:
     assert got["cache"] == own
     assert got["least_time"] != 0
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/maps").is_file(), reason="counts memory maps as Linux does"
+)
+def test_compiled_programs_are_dropped_before_the_memory_maps_run_out(monkeypatch) -> None:
+    import jax
+    import jax.numpy as jnp
+
+    from bayescal import _startup
+
+    def maps() -> int:
+        return len(Path("/proc/self/maps").read_text("ascii").splitlines())
+
+    for i in range(40):
+        jax.jit(lambda x, i=i: jnp.sin(x + i) @ x)(jnp.ones(3 + i))
+    held = maps()
+    _startup.spare_memory_maps()
+    assert maps() >= held - 50  # far from the limit, nothing is dropped
+    monkeypatch.setattr(_startup, "MOST_MAPS", 100)
+    _startup.spare_memory_maps()
+    assert maps() < held - 50
