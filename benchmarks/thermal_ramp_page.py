@@ -39,6 +39,10 @@ subtracted, first for the baseline (a line in temperature), then for the last mo
 white noise that no smooth model could remove. *Evidence*: natural logarithm gained over the
 baseline. *In the record*: the held-out readings predicted with the temperature's whole past, which
 a lag or a rate needs, rather than from a file that begins in the middle of a ramp.
+
+Where `unknown(time)` is added, no named effect describes a slow change of the record: a smooth curve in time
+does. Within the record (alternate blocks) it predicts well; beyond it (last fifth) such a curve says nothing,
+and the error may rise. It is a description, and no physics.
 """
 
 

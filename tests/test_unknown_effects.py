@@ -88,6 +88,7 @@ def test_all_unknown_dependences_together_have_a_small_share_of_the_prior(trail:
     assert share == pytest.approx(0.1)
 
 
+@pytest.mark.slow
 def test_a_named_effect_is_preferred_to_an_unknown_dependence_on_its_covariate() -> None:
     curved = mems_gyro.simulate({"bias.temperature_quadratic": 1e-3}, seed=34)
     found = bc.discover(bc.fit(INSTRUMENT.baseline(), curved))
