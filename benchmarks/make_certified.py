@@ -24,6 +24,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 from arviz_stats.base import array_stats
 
 import bayescal as bc
@@ -78,7 +79,7 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
 SAMPLERS = {"program": _program, "whitened": _whitened}
 
 
-def _columns(posterior) -> dict[str, tuple[np.ndarray, str]]:
+def columns_of(posterior: xr.Dataset) -> dict[str, tuple[np.ndarray, str]]:
     """Draws (chains, draws) and unit of every unknown; members of a group each by number."""
     found = {}
     for name in posterior:
@@ -115,7 +116,7 @@ def certify(name: str, sampler: str = "program") -> dict[str, Any]:
     begun, draws = time.perf_counter(), DRAWS
     for _ in range(LENGTHENED):
         posterior, divergences = SAMPLERS[sampler](model, readings, draws)
-        columns = _columns(posterior)
+        columns = columns_of(posterior)
         found = {n: _diagnosed(values) for n, (values, _) in columns.items()}
         r_hat = max(f["r_hat"] for f in found.values())
         worst = max(f["mcse"] / f["sd"] for f in found.values())

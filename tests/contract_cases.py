@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +26,8 @@ from bayescal._fit import bind
 from bayescal._frame import build_frame, reference_of
 from bayescal._layout import Layout
 from bayescal._model import testable
+
+from benchmarks import make_certified
 
 STEP = 1e-3  # of the finite differences, prior standard deviations
 SEED = 17
@@ -155,6 +158,11 @@ class Case:
         ].promoted
 
     @cached_property
+    def certified(self) -> dict[str, Any]:
+        """The reference posterior of the proving ground."""
+        return json.loads((self.folder / "certified.json").read_text("utf-8"))
+
+    @cached_property
     def marginal(self) -> bc.Calibration:
         return bc.fit(self.model, self.readings)
 
@@ -172,11 +180,5 @@ class Case:
 
 def columns_of(calibration: bc.Calibration) -> dict[str, np.ndarray]:
     """Draws (chains, draws) of every unknown; members of a group each by number, as in certified.json."""
-    found = {}
-    for name, variable in calibration.tree["posterior"].to_dataset().items():
-        if variable.ndim == 2:
-            found[str(name)] = variable.values
-        else:
-            members = range(variable.shape[2])
-            found |= {f"{name}({i})": variable.values[:, :, i] for i in members}
-    return found
+    posterior = calibration.tree["posterior"].to_dataset()
+    return {name: draws for name, (draws, _) in make_certified.columns_of(posterior).items()}

@@ -6,7 +6,6 @@ reference agree on its proving ground (`bayescal_models/NAME/proving.py`).
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -28,13 +27,16 @@ import bayescal as bc
 from bayescal import _composition as composition
 from bayescal import _units
 from bayescal_models import INSTRUMENTS
+from benchmarks import make_certified
 from benchmarks.ranks import drawn
 
 ROOT = Path(__file__).resolve().parents[1]
 CANONICAL = re.compile(r"[a-z][a-z0-9_]*\.[a-z][a-z0-9_]*")
 TRUTH = 4  # seed of the data set from which least squares has to recover its truth
 FAR = 5.0  # posterior sds, which no estimate may be off by
-HELD = 0.15  # least squares holds the scales at their estimate: sds up to so much apart
+# Least squares and the marginal method at the same scales: means apart in sds, log sds apart. The Gaussian about the
+# mode of λd·u is not its posterior: NUTS at those scales gives the marginal method's sds within 4 %.
+NEAR, NEAR_BENT = (0.2, 0.15), {"differential_pair": (0.5, 0.4)}
 
 
 # Products of unknowns and many spreads: their default fit takes long to compile, or is left to chains.
@@ -193,7 +195,12 @@ def _effective(calibration: bc.Calibration, values: np.ndarray) -> float:
     if calibration.verdict.r_hat is None:
         worth = calibration.verdict.ess
         return values.size if worth is None else 1 / (1 / worth + 1 / values.size)
-    return float(array_stats.ess(values, chain_axis=0, draw_axis=1, method="mean"))
+    return _independent(values)
+
+
+def _independent(chains: np.ndarray) -> float:
+    """How many independent draws chains (chains, draws) are worth for a mean."""
+    return float(array_stats.ess(chains, chain_axis=0, draw_axis=1, method="mean"))
 
 
 def _spread_error(values: np.ndarray, effective: float) -> float:
@@ -204,7 +211,7 @@ def _spread_error(values: np.ndarray, effective: float) -> float:
 
 @pytest.mark.parametrize("case", SLOW_WHERE_HEAVY, indirect=True)
 def test_marginal_agrees_with_the_certified_posterior(case: Case) -> None:
-    certified = json.loads((case.folder / "certified.json").read_text("utf-8"))
+    certified = case.certified
     assert certified["max_r_hat"] < certified["tolerances"]["r_hat"] <= 1.01
     own = columns_of(case.marginal)
     assert set(certified["coefficients"]) == set(own), "make certified.json anew: make_certified"
@@ -252,19 +259,22 @@ def test_marginal_agrees_with_least_squares(case: Case) -> None:
     others = [bc.fit(case.model.fix(scales), case.readings)]
     if not any(name.endswith(".spread") for name in scales):
         others.append(case.marginal)
+    means, sds = NEAR_BENT.get(case.name, NEAR)
     for full in map(columns_of, others):
         for name in set(held) - set(scales):
             one, other = full[name], held[name]
-            assert abs(one.mean() - other.mean()) < 0.2 * one.std(), name
-            assert abs(np.log(one.std() / other.std())) < HELD, (name, one.std(), other.std())
+            assert abs(one.mean() - other.mean()) < means * one.std(), name
+            assert abs(np.log(one.std() / other.std())) < sds, (name, one.std(), other.std())
 
 
 @pytest.mark.slow
 def test_marginal_agrees_with_nuts(case: Case) -> None:
-    chains = bc.fit(case.model, case.readings, bc.NUTS(), seed=3)
-    for name, draws in columns_of(chains).items():
+    # The plain program, or whitened coordinates where it does not mix: as the certificate was made, 1000 draws a chain.
+    kind = case.certified["sampler"]["kind"]
+    posterior, _ = make_certified.SAMPLERS[kind](case.model, case.readings, 1000)
+    for name, (draws, _) in make_certified.columns_of(posterior).items():
         own = columns_of(case.marginal)[name]
-        many = _effective(chains, draws), _effective(case.marginal, own)
+        many = _independent(draws), _effective(case.marginal, own)
         error = np.hypot(draws.std() / many[0] ** 0.5, own.std() / many[1] ** 0.5)
         assert abs(draws.mean() - own.mean()) < 4 * error, name
         relative = np.hypot(_spread_error(draws, many[0]), _spread_error(own, many[1]))
