@@ -26,7 +26,6 @@ from bayescal._fit import bind
 from bayescal._frame import build_frame, reference_of
 from bayescal._layout import Layout
 from bayescal._model import testable
-
 from benchmarks import make_certified
 
 STEP = 1e-3  # of the finite differences, prior standard deviations
