@@ -14,7 +14,7 @@ VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d.%d" % sys.version_info
 READY   := $(VENV)/.ready-$(VERSION)
 PYTEST  := $(IN_VENV)/python -m pytest -n $(WORKERS) --dist loadfile
 
-.PHONY: help demo test test-all lint bench clean
+.PHONY: help demo test test-all lint bench docs clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -40,18 +40,21 @@ bench: $(READY)-test-bench  ## speed and coverage, as JSON with versions and mac
 bench-%: $(READY)-test-bench  ## one benchmark, such as bench-hidden-effects; goes on where it was stopped
 	$(IN_VENV)/python -m benchmarks $(subst -,_,$*)
 
+docs: $(READY)-docs  ## the documentation site, into site/
+	$(IN_VENV)/python -m mkdocs build --strict $(ARGS)
+
 clean:  ## remove what these targets made
-	rm -rf $(VENV) build dist demo_output .pytest_cache .hypothesis .ruff_cache
+	rm -rf $(VENV) build dist demo_output site .pytest_cache .hypothesis .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # One stamp per interpreter and set of extras: .ready-3.11.7, .ready-3.11.7-test, .ready-3.11.7-test-lint.
-$(READY) $(READY)-test $(READY)-test-lint $(READY)-test-bench: pyproject.toml
+$(READY) $(READY)-test $(READY)-test-lint $(READY)-test-bench $(READY)-docs: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null || { \
 	  echo "bayescal needs Python 3.11, 3.12 or 3.13; '$(PYTHON)' is $(or $(VERSION),not a command here)." >&2; \
 	  echo "Name another one: make $(MAKECMDGOALS) PYTHON=python3.13" >&2; exit 1; }
 	@[ "$$($(IN_VENV)/python -c 'import platform; print(platform.python_version())' 2>/dev/null)" = "$(VERSION)" ] \
 	  || { echo "making $(VENV) with Python $(VERSION)"; $(PYTHON) -m venv --clear $(VENV); }
-	$(IN_VENV)/python -m pip install --quiet -e '.$(if $(findstring -test,$@),[test$(if $(findstring -lint,$@),$(comma)lint)$(if $(findstring -bench,$@),$(comma)bench)])'
+	$(IN_VENV)/python -m pip install --quiet -e '.$(if $(findstring -test,$@),[test$(if $(findstring -lint,$@),$(comma)lint)$(if $(findstring -bench,$@),$(comma)bench)])$(if $(findstring -docs,$@),[docs])'
 	@touch $@
 
 comma := ,

@@ -53,10 +53,19 @@ if TYPE_CHECKING:
     from bayescal._errors import NotConverged as NotConverged
 
     # fits
-    from bayescal._fit import Batch as Batch
     from bayescal._fit import fit as fit
-    from bayescal._fit import fit_batch as fit_batch
     from bayescal._fit import load as load
+
+    # many devices at once
+    from bayescal._batch import fit_batch as fit_batch
+    from bayescal._batch_devices import Devices as Devices
+    from bayescal._batch_split import split_devices as split_devices
+    from bayescal._batch_draws import Batch as Batch
+    from bayescal._batch_draws import weighted_draws as weighted_draws
+    from bayescal._batch_result import BatchResult as BatchResult
+    from bayescal._batch_result import load_batch as load_batch
+
+    # and what they need
     from bayescal._frame import Frame as Frame
     from bayescal._instrument import Instrument as Instrument
     from bayescal._instrument import Slot as Slot
@@ -84,7 +93,8 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "BayescalError": "_errors",
-    "Batch": "_fit",
+    "Batch": "_batch_draws",
+    "BatchResult": "_batch_result",
     "Budget": "_budget",
     "Calibration": "_calibration",
     "Check": "_check",
@@ -92,6 +102,7 @@ _HOMES = {
     "Column": "_measurements",
     "Comparison": "_compare",
     "Compensator": "_compensate",
+    "Devices": "_batch_devices",
     "Discovery": "_discover",
     "Effect": "_effect",
     "Flat": "_prior",
@@ -127,8 +138,9 @@ _HOMES = {
     "compensator": "_compensate",
     "discover": "_discover",
     "fit": "_fit",
-    "fit_batch": "_fit",
+    "fit_batch": "_batch",
     "load": "_fit",
+    "load_batch": "_batch_result",
     "next_experiment": "_experiment",
     "load_compensator": "_compensate",
     "plot": "_plot",
@@ -136,7 +148,9 @@ _HOMES = {
     "read": "_read",
     "report": "_report",
     "shape_of": "_template",
+    "split_devices": "_batch_split",
     "template": "_template",
+    "weighted_draws": "_batch_draws",
 }
 
 __all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -230,7 +230,7 @@ def _by_source(
 
 
 def _moving(layout: Layout) -> list[int]:
-    return [i for i, h in enumerate(layout.hypers) if h.kind in ("shape", "promoted")]
+    return [i for i, h in enumerate(layout.hypers) if h.moves]
 
 
 def _size(calibration: Calibration) -> int:

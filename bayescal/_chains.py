@@ -7,18 +7,21 @@ is exact for any likelihood and still well conditioned.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayescal import _checkpoint as checkpoint
 from bayescal import _composition as composition
 from bayescal import _laplace as laplace
 from bayescal import _linear as linear
 from bayescal._frame import Frame
 from bayescal._layout import Layout
+
+BLOCK = 100  # iterations between which a run can be stopped and taken up again
 
 
 class Chains(NamedTuple):
@@ -39,8 +42,12 @@ def run(
     draws: int,
     chains: int = 4,
     dense: bool = True,
+    name: str = "chains",
 ) -> Chains:
-    """NumPyro's NUTS on a log density, its chains in parallel, started from a Laplace fit."""
+    """NumPyro's NUTS on a log density, its chains in parallel, started from a Laplace fit.
+
+    `name` is that of these chains in a checkpoint.
+    """
     import numpyro.infer as infer  # only where chains are asked for
 
     k1, k2 = jax.random.split(key)
@@ -53,23 +60,86 @@ def run(
         return jnp.where(jnp.isfinite(value), -value, 1e300)
 
     kernel = infer.NUTS(potential_fn=potential, dense_mass=dense, target_accept_prob=0.9)
-    sampler = infer.MCMC(
-        kernel,
-        num_warmup=warmup,
-        num_samples=draws,
-        num_chains=chains,
-        chain_method="vectorized",
-        progress_bar=False,
-    )
     begin = 0.5 * jax.random.normal(k1, (chains, start.size))
-    sampler.run(k2, init_params=begin, extra_fields=("diverging", "num_steps"))
-    extra = sampler.get_extra_fields(group_by_chain=True)
-    q = sampler.get_samples(group_by_chain=True)
-    return Chains(
-        start + q @ chol.T,
-        int(np.sum(np.asarray(extra["diverging"]))),
-        float(np.mean(np.asarray(extra["num_steps"]))),
+    ran = iterate(kernel, k2, (), begin, warmup=warmup, draws=draws, chains=chains, name=name)
+    return Chains(start + ran.draws @ chol.T, ran.divergences, ran.steps)
+
+
+class Iterated(NamedTuple):
+    """Draws in the sampler's own unconstrained coordinates, (chains, draws, …) each."""
+
+    draws: Any
+    divergences: int
+    steps: float
+
+
+def iterate(
+    kernel: Any,
+    key: Array,
+    arguments: tuple,
+    begin: Any,
+    *,
+    warmup: int,
+    draws: int,
+    chains: int,
+    name: str,
+) -> Iterated:
+    """Run a NumPyro kernel, all chains side by side, in blocks of `BLOCK` iterations.
+
+    Where the fit keeps a checkpoint, the sampler's state is kept with the draws after each block. The blocks are
+    the same with a checkpoint and without one, hence the draws too.
+
+    Args:
+        kernel: of NumPyro.
+        key: split over the chains.
+        arguments: of the kernel's model.
+        begin: first point of each chain; None where the kernel finds it.
+        warmup, draws, chains: how many.
+        name: of these chains, in the checkpoint.
+    """
+    state = kernel.init(
+        jax.random.split(key, chains), warmup, begin, model_args=arguments, model_kwargs={}
     )
+
+    @jax.jit
+    def block(state, count):
+        def one(i, carried):
+            state, kept = carried
+            state = kernel.sample(state, arguments, {})
+            new = (state.z, state.diverging, state.num_steps)
+            return state, jax.tree.map(lambda a, b: a.at[i].set(b), kept, new)
+
+        kept = jax.tree.map(
+            lambda a: jnp.zeros((BLOCK, *a.shape), a.dtype),
+            (state.z, state.diverging, state.num_steps),
+        )
+        return jax.lax.fori_loop(0, count, one, (state, kept))
+
+    found = jax.tree.map(
+        lambda a: np.zeros((draws, *a.shape), a.dtype),
+        (state.z, state.diverging, state.num_steps),
+    )
+    store, done = checkpoint.current(), 0
+    if store is not None and name in store.arrays:
+        done = int(store.notes[name])
+        state, found = checkpoint.filled((state, found), store.arrays[name])
+        found = jax.tree.map(np.array, found)  # arrays that can be written to
+    while done < warmup + draws:
+        # A block ends where warm-up does.
+        count = min(BLOCK, (warmup if done < warmup else warmup + draws) - done)
+        state, kept = block(state, count)
+        if done >= warmup:
+            place = slice(done - warmup, done - warmup + count)
+            for all_of_it, new in zip(jax.tree.leaves(found), jax.tree.leaves(kept), strict=True):
+                all_of_it[place] = np.asarray(new)[:count]
+        done += count
+        if store is not None:
+            store.notes[name] = done
+            store.arrays[name] = checkpoint.leaves_of((state, found))
+            store.write_now_and_then()
+    z, diverging, steps = found
+    by_chain = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
+    return Iterated(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
 
 
 def whitened(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode):

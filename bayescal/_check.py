@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -142,7 +142,7 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
         if h.name in names:
             v[names[h.name]] = free.mode.v[i]
     mode = calibration.mode._replace(v=jnp.asarray(v))
-    judged = Calibration(**{**calibration.__dict__, "mode": mode}) if names else calibration
+    judged = replace(calibration, mode=mode) if names else calibration
     return judged, float(np.sqrt(np.mean(sd**2)))
 
 

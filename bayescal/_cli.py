@@ -9,6 +9,7 @@ Heavy modules load inside the commands, so that `bayescal --help` answers at onc
 from __future__ import annotations
 
 import contextlib
+import inspect
 import io
 import os
 import sys
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import bayescal as bc
+from bayescal import _batch_command as _batch_command  # adds its command to the others
 from bayescal import _options as options
 from bayescal._commands import commands
 from bayescal._commands import leave as _leave
@@ -126,9 +128,14 @@ def simulate(
     chosen = instrument_named(instrument)
     if chosen.simulate is None:
         raise InputError(f"instrument {chosen.name!r} has no simulator")
+    law = {} if noise_law == "white" else {"noise_law": noise_law}
+    if law and "noise_law" not in inspect.signature(chosen.simulate).parameters:
+        raise InputError(
+            f"the simulator of {chosen.name!r} has white noise only: leave --noise-law out"
+        )
     hidden = numbers(effect, "--effect")
     try:
-        readings = chosen.simulate(hidden, seed=seed, noise_law=noise_law)
+        readings = chosen.simulate(hidden, seed=seed, **law)
     except ValueError as error:
         raise InputError(str(error)) from None
     readings.write(out)
@@ -417,7 +424,7 @@ def _say_flags(readings: Measurements, but: tuple[str, ...] = ()) -> None:
         print(f"bayescal: note: {flag}", file=sys.stderr)
 
 
-app.add_typer(commands)  # compensate, export, budget, report
+app.add_typer(commands)  # compensate, export, budget, report, batch
 
 
 if __name__ == "__main__":

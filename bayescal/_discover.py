@@ -117,6 +117,14 @@ def discover(
         nothing = verification.nothing_after(judged, verified, nothing)
         judged = verification.after_refit(judged, verified, nothing)
         sets = (Found(verification.members(judged, verified), 1 - nothing), *sets[1:])
+        if nothing <= FINDING and known[sets[0].effects[0]].measure is not None:
+            together = _named_instead(columns, score, max_effects)
+            leaders = [known[s.effects[0]] for s in together]
+            share = verification.share_of(calibration, leaders, judged, verified)
+            if share > 0.5:
+                names = {name for found in together for name in found.effects}
+                judged = verification.shared_out(judged, names, share, 1 - nothing)
+                sets = together
     if nothing <= FINDING and sets:
         best = (known[sets[0].effects[0]],)
         names = [e.name for e in tested]
@@ -129,6 +137,28 @@ def discover(
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     rivals = tuple(known[name] for name in _rivals(sets, ranked))
     return Discovery(nothing, sets, (*ranked, *shut), best, verified, rivals)
+
+
+def _named_instead(
+    columns: candidates.Columns, score: scores.Score, max_effects: int
+) -> tuple[Found, ...]:
+    """What named effects together would explain: an unknown function can imitate a sum of several of them."""
+    named = [i for i, e in enumerate(columns.effects) if e.measure is None]
+    place = {candidate: i for i, candidate in enumerate(named)}
+    if not named:
+        return ()
+    found = susie.single_effects(
+        score.u,
+        score.information,
+        np.ones(len(score.u)),
+        [replace(i, candidate=place[i.candidate]) for i in columns.items if i.candidate in place],
+        rows=max_effects,
+        candidate_prior=columns.prior[named] / columns.prior[named].sum(),
+    )
+    return tuple(
+        Found(tuple(columns.effects[named[m]].name for m in s.members), s.probability)
+        for s in found.sets
+    )
 
 
 def _rivals(sets: tuple[Found, ...], ranked: Sequence[Candidate]) -> list[str]:

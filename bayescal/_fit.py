@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from bayescal import _importance as importance
-from bayescal import _promotion as promotion
 from bayescal._calibration import Calibration
+from bayescal._checkpoint import fingerprint, keeping
 from bayescal._effect import Effect
-from bayescal._errors import InputError, ModelError, NotConverged
-from bayescal._frame import Frame, Reference, build_frame, reference_of
-from bayescal._laplace import Mode
+from bayescal._errors import ModelError, NotConverged
+from bayescal._frame import Reference, build_frame, reference_of
 from bayescal._layout import Layout
-from bayescal._marginal import Marginal, smoothed
+from bayescal._marginal import Marginal
 from bayescal._measurements import Measurements
-from bayescal._method import Method
+from bayescal._method import Method, kept_outcome
 from bayescal._model import Model
 from bayescal._startup import spare_memory_maps
-from bayescal._tree import build_tree, named
+from bayescal._tree import build_tree
 
 GROUPS = ("run", "cell", "axis", "device")
 
@@ -36,6 +32,7 @@ def fit(
     seed: int = 0,
     strict: bool = True,
     reference: Reference | None = None,
+    checkpoint: str | Path | None = None,
 ) -> Calibration:
     """Fit a model to readings.
 
@@ -46,8 +43,11 @@ def fit(
         seed: of every random number; the same seed gives the same draws on the same machine.
         strict: raise if the fit did not converge; False returns it with its verdict.
         reference: constants of the bases, such as {"T0": 0.0}, to use in place of the data's own.
+        checkpoint: a file, …nc, that finished pieces of the fit are kept in. A fit that was stopped, killed even,
+            takes up from there and ends with the same draws, bit for bit; one that had ended does not sample again.
 
     Raises:
+        InputError: the checkpoint is none, or one of another model, readings, method, seed or version.
         ModelError: readings lack a column or have too few rows for the flat coefficients.
         NotConverged: the verdict is not good; carries the calibration.
     """
@@ -57,7 +57,9 @@ def fit(
     reference = {**reference_of(readings), **(reference or {})}
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference)
-    outcome = method.run(layout, frame, jnp.asarray(readings["output"]), seed)
+    y = jnp.asarray(readings["output"])
+    with keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)):
+        outcome = kept_outcome(layout, lambda: method.run(layout, frame, y, seed))
     tree = build_tree(outcome.layout, frame, readings, levels, outcome.draws, seed)
     calibration = Calibration(
         model,
@@ -113,92 +115,6 @@ def bind(model: Model, readings: Measurements) -> tuple[Layout, dict[str, tuple[
                 f"{readings.file} has none: name them in a column, or take the effect out"
             )
     return layout, levels
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Weighted joint draws of many data sets, fitted in one compiled program.
-
-    Attributes:
-        layout: of the model, common to all.
-        log_weight: (b, s), not normalised.
-        x, v: (b, s, p) and (b, s, d).
-        mode: φ̂ and x̂ of each.
-        log_evidence: (b,).
-        pareto_k: (b,).
-    """
-
-    layout: Layout
-    levels: dict[str, tuple[str, ...]]
-    log_weight: np.ndarray
-    x: np.ndarray
-    rows: np.ndarray
-    v: np.ndarray
-    mode: Mode
-    log_evidence: np.ndarray
-    pareto_k: np.ndarray
-
-    def weights(self) -> np.ndarray:
-        """Pareto-smoothed weights, summing to one for each data set, (b, s)."""
-        return np.stack([smoothed(w)[0] for w in self.log_weight])
-
-    def samples(self, index: int) -> dict[str, np.ndarray]:
-        """Draws of every unknown of one data set, (s,) or (s, members), to be weighted."""
-        made = named(
-            self.layout, self.levels, *(a[index][None] for a in (self.x, self.rows, self.v))
-        )
-        return {str(name): made[name].values[0] for name in made}
-
-
-def fit_batch(
-    model: Model, readings: Sequence[Measurements], method: Marginal | None = None, *, seed: int = 0
-) -> Batch:
-    """Fit one model to many data sets of one shape, each on its own, without compiling anew.
-
-    Args:
-        model: must have Gaussian noise.
-        readings: data sets with equal columns, numbers of rows and group sizes.
-        method: `Marginal`, whose `proposals`, `rounds` and `promote` count.
-        seed: of every random number.
-
-    Raises:
-        InputError: the data sets differ in shape.
-        ModelError: the noise law is not Gaussian, or a name to promote is no coefficient of the model.
-    """
-    method = Marginal() if method is None else method
-    if not model.noise.gaussian:
-        raise ModelError(f"fit_batch needs Gaussian noise, not {model.noise.law}: fit one by one")
-    bound = [bind(model, one) for one in readings]
-    for one in readings:
-        model.require(one)
-    frames = [build_frame(one, reference_of(one)) for one in readings]
-    shapes = {
-        (str(jax.tree.map(jnp.shape, f)), b[0].counts) for f, b in zip(frames, bound, strict=True)
-    }
-    if len(shapes) != 1:
-        raise InputError(
-            f"fit_batch needs data sets of one shape; these {len(readings)} have {len(shapes)} different "
-            "ones (rows, columns or group sizes differ)"
-        )
-    stacked: Frame = jax.tree.map(lambda *a: jnp.stack(a), *frames)
-    ys = jnp.stack([jnp.asarray(one["output"]) for one in readings])
-    layout, _ = promotion.choose(bound[0][0], frames[0], ys[0], method.promote or ())
-    keys = jax.random.split(jax.random.key(seed), len(readings))
-    found = importance.sample_batch(
-        layout, stacked, ys, keys, method.proposals or 8192, method.rounds
-    )
-    k_hat = np.array([smoothed(np.asarray(w))[1] for w in found.log_weight])
-    return Batch(
-        layout,
-        bound[0][1],
-        np.asarray(found.log_weight),
-        np.asarray(found.x),
-        np.asarray(found.rows),
-        np.asarray(found.v),
-        jax.tree.map(np.asarray, found.mode),
-        np.asarray(found.log_evidence),
-        k_hat,
-    )
 
 
 def load(path: str | Path, *, effects: Sequence[Effect] = ()) -> Calibration:

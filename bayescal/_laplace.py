@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
@@ -124,6 +125,10 @@ def find_mode(layout: Layout, frame: Frame, y: Float[Array, "n"]) -> Mode:
     first = (point, v, jnp.asarray(jnp.inf), jnp.asarray(0))
     point, v, change, _ = jax.lax.while_loop(going, one_round, first)
     return _at_mode(layout, frame, y, point, v, change, flat)
+
+
+# One compiled program for a layout, whoever asks: methods, evidence, batches of one.
+compiled_mode = eqx.filter_jit(find_mode)
 
 
 def _width(found: linear.Conditional) -> Float[Array, "p"]:

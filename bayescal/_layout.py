@@ -56,12 +56,17 @@ class Block:
 
 @dataclass(frozen=True)
 class Hyper:
-    """One entry of φ."""
+    """One entry of φ. A "process" entry is the amplitude or length of an unknown function."""
 
     name: str
     unit: str
     prior: Positive | Normal | FlatLine
-    kind: Literal["noise", "spread", "shape", "promoted"]
+    kind: Literal["noise", "spread", "shape", "process", "promoted"]
+
+    @property
+    def moves(self) -> bool:
+        """Whether the expected output's Jacobian depends on it."""
+        return self.kind in ("shape", "process", "promoted")
 
 
 class Layout(eqx.Module):
@@ -141,8 +146,9 @@ class Layout(eqx.Module):
                     )
                 )
         for effect in self.model.effects:
+            kind = "shape" if effect.measure is None else "process"
             for shape in effect.shapes:
-                found.append(Hyper(effect.shape_name(shape), shape.unit, shape.prior, "shape"))
+                found.append(Hyper(effect.shape_name(shape), shape.unit, shape.prior, kind))
         for block in self.blocks:
             if block.place == "phi":
                 found += [

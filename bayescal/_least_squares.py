@@ -52,7 +52,9 @@ class LeastSquares(Method):
 
     def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
         with stage("least squares"):
-            found = jax.tree.map(np.asarray, solve(layout, frame, y, self.curvature == "hessian"))
+            mode = laplace.compiled_mode(layout, frame, y)
+            made = refine(layout, frame, y, mode, self.curvature == "hessian")
+            found = jax.tree.map(np.asarray, made)
         reasons = []
         if not bool(found.converged):
             reasons.append("Levenberg–Marquardt stopped before its tolerance was met.")
@@ -77,17 +79,27 @@ class LeastSquares(Method):
 
 
 def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:
-    """Positions in φ of scales (noise, spreads) and of locations (shapes, promoted coefficients)."""
+    """Positions in φ of scales (noise, spreads) and of locations (shapes, promoted coefficients).
+
+    An unknown function's amplitude and length are neither: fitted together with the function, the amplitude would run
+    away and its coefficients to zero. They stay where the marginal likelihood has its maximum.
+    """
     kinds = [h.kind for h in layout.hypers]
     scales = [i for i, k in enumerate(kinds) if k in ("noise", "spread")]
-    return scales, [i for i in range(len(kinds)) if i not in scales]
+    return scales, [i for i, k in enumerate(kinds) if k in ("shape", "promoted")]
+
+
+def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool) -> Solution:
+    """The whole fit, from nothing. Traceable; can be mapped over data."""
+    return refine(layout, frame, y, laplace.find_mode(layout, frame, y), full_hessian)
 
 
 @eqx.filter_jit
-def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool) -> Solution:
-    """Alternate (x, shapes) by least squares and scales by restricted likelihood until both rest."""
+def refine(
+    layout: Layout, frame: Frame, y: Float[Array, "n"], mode: laplace.Mode, full_hessian: bool
+) -> Solution:
+    """From the mode: (x, shapes) by least squares and scales by restricted likelihood in turn, until both rest."""
     scales, places = split_hypers(layout)
-    mode = laplace.find_mode(layout, frame, y)
     scale_at, place_at = jnp.asarray(scales, int), jnp.asarray(places, int)
     rows, noise = mode.point.rows, layout.model.noise
     prior_weight = jnp.concatenate([composition.prior_weight(layout), jnp.ones(len(places))])

@@ -129,7 +129,7 @@ def condition_white(
 
 def needs_one_pass(layout: Layout, frame: Frame) -> bool:
     """Whether products over the readings can be computed once: J does not move with φ, and one variance."""
-    moving = any(h.kind in ("shape", "promoted") for h in layout.hypers)
+    moving = any(h.moves for h in layout.hypers)
     return not moving and not layout.row_blocks and layout.model.noise.constant(frame)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal import _chains as chains
+from bayescal import _checkpoint as checkpoint
 from bayescal import _importance as importance
 from bayescal import _laplace as laplace
 from bayescal import _linear as linear
@@ -18,7 +19,7 @@ from bayescal._batches import over
 from bayescal._calibration import Draws, Verdict
 from bayescal._frame import Frame
 from bayescal._layout import Layout
-from bayescal._method import Method, Outcome
+from bayescal._method import MODE, Method, Outcome
 from bayescal._progress import stage
 
 K_HAT = 0.7  # above it, importance weights are not to be trusted (Vehtari et al. 2024)
@@ -53,17 +54,21 @@ class Marginal(Method):
 
     def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
         with stage("finding the mode"):
-            layout, notes = promotion.choose(layout, frame, y, self.promote)
+            layout, notes = self._promoted(layout, frame, y)
         key = jax.random.key(seed)
         if not layout.model.noise.gaussian:
             notes = (*notes, f"{layout.model.noise.law} noise is not Gaussian: sampled jointly.")
-            return self._exact(layout, frame, y, key, laplace_of(layout, frame, y), notes)
+            return self._exact(layout, frame, y, key, kept_mode(layout, frame, y), notes)
         if self.sampler == "nuts" and layout.hypers:
             return self._nuts_on_phi(layout, frame, y, key, notes)
         with stage("sampling"):
-            mode = laplace_of(layout, frame, y)
+            mode = kept_mode(layout, frame, y)
             proposals = self.proposals or _proposals(layout, frame)
-            found = importance.sample_jit(layout, frame, y, mode, key, proposals, self.rounds)
+            found = checkpoint.once(
+                "weighted draws",
+                importance.Weighted(MODE, *range(7)),
+                lambda: importance.sample_jit(layout, frame, y, mode, key, proposals, self.rounds),
+            )
             found = jax.tree.map(np.asarray, found)
         weights, k_hat = smoothed(found.log_weight)
         of_phi, k_phi = smoothed(found.log_weight_phi)
@@ -77,6 +82,14 @@ class Marginal(Method):
         why = f"k̂ = {k_hat:.2f}, {worth(weights):.0f} effective draws"
         notes = (*notes, f"The model bends too much for its linear form ({why}): exact NUTS.")
         return self._exact(layout, frame, y, key, found.mode, notes)
+
+    def _promoted(self, layout, frame, y) -> tuple[Layout, tuple[str, ...]]:
+        def choose():
+            chosen, notes = promotion.choose(layout, frame, y, self.promote)
+            return [chosen.promoted, notes]
+
+        promoted, notes = checkpoint.noted("promotion", choose)
+        return Layout(layout.model, layout.counts, tuple(promoted)), tuple(notes)
 
     def _from_weights(self, layout, found, weights, k_hat, notes, seed) -> Outcome:
         effective = worth(weights)
@@ -94,7 +107,7 @@ class Marginal(Method):
         )
 
     def _nuts_on_phi(self, layout, frame, y, key, notes) -> Outcome:
-        mode = laplace_of(layout, frame, y)
+        mode = kept_mode(layout, frame, y)
         k1, k2 = jax.random.split(key)
         density = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)
         with stage("NUTS on φ"):
@@ -106,6 +119,7 @@ class Marginal(Method):
                 warmup=500,
                 draws=self.draws // CHAINS,
                 chains=CHAINS,
+                name="NUTS on phi",
             )
             flat = ran.draws.reshape(-1, ran.draws.shape[-1])
             x, rows, correction = _draw_back(layout, frame, y, mode, flat, k2)
@@ -135,6 +149,7 @@ class Marginal(Method):
                 draws=self.draws // CHAINS,
                 chains=CHAINS,
                 dense=start.size < 40,
+                name="exact NUTS",
             )
             place = jax.jit(lambda q: over(lambda one: unpack(one)[:3], q, 64))
             x, rows, v = place(ran.draws.reshape(-1, start.size))
@@ -161,7 +176,9 @@ def _draw_back(layout, frame, y, mode, v, key):
     return over(one, (v, jax.random.split(key, len(v))), importance.BATCH)
 
 
-laplace_of = eqx.filter_jit(laplace.find_mode)
+def kept_mode(layout: Layout, frame: Frame, y: Array) -> laplace.Mode:
+    """The mode, from the fit's checkpoint where it is there."""
+    return checkpoint.once("mode", MODE, lambda: laplace.compiled_mode(layout, frame, y))
 
 
 def smoothed(log_weight: np.ndarray) -> tuple[np.ndarray, float]:

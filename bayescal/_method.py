@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import abc
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from typing import ClassVar
 
 import equinox as eqx
+import jax
+import numpy as np
 from jaxtyping import Array, Float
 
+from bayescal import _checkpoint as checkpoint
 from bayescal._calibration import Draws, Verdict
 from bayescal._frame import Frame
 from bayescal._laplace import Mode
 from bayescal._layout import Layout
+from bayescal._linear import Point
+
+MODE = Mode(Point(0, 0), *range(7))  # pyright: ignore[reportArgumentType]  # for its structure alone
 
 
 @dataclass(frozen=True)
@@ -34,3 +41,44 @@ class Method(eqx.Module):
     @abc.abstractmethod
     def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
         """Fit. Never raises for lack of convergence: the verdict says it."""
+
+
+def kept_outcome(layout: Layout, run: Callable[[], Outcome]) -> Outcome:
+    """What a method hands back, from the fit's checkpoint where the method had ended."""
+    store = checkpoint.current()
+    if store is None:
+        return run()
+    if "outcome" not in store.notes:
+        _keep(store, run())
+    told = store.notes["outcome"]
+    names = told["stats"]
+    like = (0, 0, 0, dict.fromkeys(names, 0), MODE)
+    x, rows, v, stats, mode = jax.tree.map(
+        np.asarray, checkpoint.filled(like, store.arrays["outcome"])
+    )
+    verdict = told["verdict"]
+    words = {name: tuple(verdict[name]) for name in ("reasons", "notes")}
+    evidence = told["log_evidence"]
+    return Outcome(
+        Layout(layout.model, layout.counts, tuple(told["promoted"])),
+        Draws(x, rows, v, stats),  # pyright: ignore[reportArgumentType]
+        mode,
+        Verdict(**{**verdict, **words}),
+        None if evidence is None else (evidence[0], evidence[1]),
+    )
+
+
+def _keep(store: checkpoint.Checkpoint, made: Outcome) -> None:
+    """Write an outcome in place of the pieces that led to it."""
+    store.drop(*{*store.arrays, *store.notes})
+    draws = made.draws
+    store.arrays["outcome"] = checkpoint.leaves_of(
+        (draws.x, draws.rows, draws.v, draws.stats, made.mode)
+    )
+    store.notes["outcome"] = {
+        "promoted": made.layout.promoted,
+        "stats": sorted(draws.stats),
+        "verdict": asdict(made.verdict),
+        "log_evidence": made.log_evidence,
+    }
+    store.write()

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from bayescal import _chains as chains
 from bayescal import _composition as composition
+from bayescal import _laplace as laplace
 from bayescal import _marginal as marginal
 from bayescal._calibration import Draws
 from bayescal._frame import Frame
@@ -46,26 +47,23 @@ class NUTS(Method):
             target_accept_prob=0.9,
             init_strategy=infer.init_to_median(num_samples=50),
         )
-        sampler = infer.MCMC(
-            kernel,
-            num_warmup=self.warmup,
-            num_samples=self.draws,
-            num_chains=self.chains,
-            chain_method="vectorized",
-            progress_bar=False,
-        )
         with stage("NUTS on every unknown"):
-            sampler.run(jax.random.key(seed), y, extra_fields=("diverging", "num_steps"))
-            sites = sampler.get_samples(group_by_chain=True)
-        extra = sampler.get_extra_fields(group_by_chain=True)
+            found = chains.iterate(
+                kernel,
+                jax.random.key(seed),
+                (y,),
+                None,
+                warmup=self.warmup,
+                draws=self.draws,
+                chains=self.chains,
+                name="NUTS",
+            )
+            place = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn((y,), {}))))
+            sites = place(found.draws)
         x, rows, v = (np.asarray(sites[k]) for k in ("x", "rows", "v"))
-        mode = jax.tree.map(np.asarray, marginal.laplace_of(layout, frame, y))
+        mode = jax.tree.map(np.asarray, laplace.compiled_mode(layout, frame, y))
         joint = np.concatenate([x, v], axis=2)
-        ran = chains.Chains(
-            jnp.asarray(joint),
-            int(np.sum(np.asarray(extra["diverging"]))),
-            float(np.mean(np.asarray(extra["num_steps"]))),
-        )
+        ran = chains.Chains(jnp.asarray(joint), found.divergences, found.steps)
         verdict = marginal.chain_verdict(ran, mode, "NUTS", (), None)
         return Outcome(layout, Draws(x, rows, v), mode, verdict, None)
 

@@ -60,7 +60,7 @@ def null_model(layout: Layout, frame: Frame, y: Float[Array, "n"], mode) -> Null
     hyper = composition.hyper_values(layout, mode.v)
     point = mode.point
     line = composition.linearise(layout, frame, point.x, point.rows, hyper)
-    moving = [i for i, h in enumerate(layout.hypers) if h.kind in ("shape", "promoted")]
+    moving = [i for i, h in enumerate(layout.hypers) if h.moves]
     nuisance, prior = line.jacobian, linear.prior_of(layout, hyper, mode.flat)
     at = point.x
     if moving:

@@ -128,6 +128,10 @@ def cells_of(values: object, number: bool) -> Cells:
     """
     array = np.asarray(values)
     if array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType):
+        if not number and pd.api.types.infer_dtype(array, skipna=True) == "string":
+            codes, levels = pd.factorize(array.astype(object))  # labels repeat: each is read once
+            texts = np.array([*map(_text, levels), ""], dtype=object)  # the last for −1, missing
+            return Cells(texts[codes])
         texts = pd.Series([_text(value) for value in array.tolist()], dtype=object)
         return numbers_of(texts) if number else Cells(texts.str.strip().to_numpy(object))
     if not number:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import expit, logsumexp
 
 from bayescal import _susie as susie
 from bayescal._calibration import Calibration
@@ -19,7 +19,7 @@ from bayescal._effect import Effect
 from bayescal._fit import bind
 from bayescal._frame import build_frame
 from bayescal._judgement import Candidate
-from bayescal._marginal import laplace_of
+from bayescal._laplace import compiled_mode
 from bayescal._model import Model
 from bayescal._progress import stage
 
@@ -38,7 +38,7 @@ def laplace_evidence(model: Model, calibration: Calibration) -> float:
     layout = layout.promote(*extra)
     frame = build_frame(calibration.readings, calibration.reference)
     y = jnp.asarray(calibration.readings["output"])
-    return float(laplace_of(layout, frame, y).log_evidence)
+    return float(compiled_mode(layout, frame, y).log_evidence)
 
 
 def leading(found: susie.SingleEffects, judged: Sequence[Candidate]) -> list[int]:
@@ -65,6 +65,36 @@ def verify(calibration: Calibration, effects: Sequence[Effect]) -> dict[str, flo
 def _weighed(c: Candidate, factor: float | None) -> float:
     """Log of Bayes factor times prior share."""
     return (factor or 0.0) + float(np.log(c.prior))
+
+
+def share_of(
+    calibration: Calibration,
+    effects: Sequence[Effect],
+    judged: Sequence[Candidate],
+    verified: dict[str, float],
+) -> float:
+    """Probability of several effects together, against the best single one by refit. Each has its prior."""
+    if len(effects) < 2:
+        return 0.0
+    prior = {c.effect: float(np.log(c.prior)) for c in judged}
+    base = laplace_evidence(calibration.model, calibration)
+    with stage("verifying by refit"):
+        gain = laplace_evidence(calibration.model + effects, calibration) - base
+    together = gain + sum(prior[e.name] for e in effects)
+    alone = max(factor + prior[n] for n, factor in verified.items())
+    return float(expit(together - alone)) if np.isfinite(together) else 0.0
+
+
+def shared_out(
+    judged: Sequence[Candidate], names: set[str], share: float, mass: float
+) -> list[Candidate]:
+    """Probabilities where several effects together are more probable than the one that led."""
+    return [
+        replace(c, probability=max(c.probability or 0.0, share * mass))
+        if c.effect in names
+        else replace(c, probability=(1 - share) * (c.probability or 0.0))
+        for c in judged
+    ]
 
 
 def nothing_after(

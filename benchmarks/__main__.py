@@ -8,12 +8,14 @@ import sys
 NAMES = (  # each a module here with `main()`
     "certified",
     "thermal_ramp",
-    "wandering_noise",
+    "false_discoveries",
     "coverage",
     "ng_accelerometer",
     "quartz_beam_accelerometer",
     "differential_pair",
     "inclinometer",
+    "batches",
+    "samplers",
     "hidden_effects",
 )
 

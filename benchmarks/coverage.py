@@ -92,7 +92,7 @@ class Ground:
         """One chunk: ranks of every unknown, k̂ of every data set."""
         begun, seed = time.perf_counter(), self.seed(index)
         data, truth = drawn(self.model, self.chunk, self.plan, seed)
-        batch = bc.fit_batch(self.model, data, self.method, seed=seed)
+        batch = bc.weighted_draws(self.model, data, self.method, seed=seed)
         found = ranks(batch, truth, seed)
         return {
             "fingerprint": self.fingerprint,

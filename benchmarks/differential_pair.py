@@ -3,7 +3,7 @@
     python -m benchmarks differential_pair
     BAYESCAL_BATCHES=2000 python -m benchmarks differential_pair
 
-Each batch is three outer and three inner devices. Every one is fitted (`bc.fit_batch`), the pair of least expected
+Each batch is three outer and three inner devices. Every one is fitted (`bc.weighted_draws`), the pair of least expected
 residual is chosen, and its true residual is set beside that of the pairs which source 3's rule picks: on records with
 steps of acceleration, raw and after removing the commanded part, and on a raw record of the same devices at constant
 acceleration. Resumable: a line per batch in results/differential_pair.jsonl. Batches with k̂ above 0.7 are counted
@@ -51,7 +51,7 @@ CHOICES = {
 def chunk(seeds: Sequence[int]) -> Iterator[dict[str, Any]]:
     """Fit some batches in one compiled program, and judge their pairs."""
     made = [dp.simulate_batch(seed=seed, campaign=STEPS) for seed in seeds]
-    fitted = bc.fit_batch(
+    fitted = bc.weighted_draws(
         dp.INSTRUMENT.baseline(), [one.readings for one in made], METHOD, seed=seeds[0]
     )
     weights = fitted.weights()

@@ -1,13 +1,15 @@
 """Effects hidden in simulated campaigns: found, told apart, not invented; and what other selections make of them.
 
-    python -m benchmarks hidden_effects            every instrument that can be searched
+    python -m benchmarks hidden_effects            every instrument
     BAYESCAL_ONLY=inclinometer python -m benchmarks hidden_effects
 
 A bank of campaigns for each instrument, by its own simulator: each candidate hidden in turn at sizes drawn at random
-(a third to three times the plausible one), two at once, none, and effects outside the catalogue, which only follow
-a further recorded column. Every campaign is searched by `calibrate` with least squares (Laplace) fits, and by three
-customary selections on the same candidate columns. The oracle is the log Bayes factor of the true model against the
-baseline. One JSON line a campaign in results/hidden_effects_NAME.jsonl: stopped, it goes on where it was.
+(a third to three times the plausible one), two at once, none, and what no catalogue has: an output that follows a
+further recorded column, a wave and a step in time. Every campaign is searched by `calibrate` with least squares
+(Laplace) fits, and by three customary selections on the same candidate columns. The oracle is the log Bayes factor
+of the true model against the baseline. A bank of its own, drawn from the priors (half of it empty), is searched by
+`discover` alone: are the stated probabilities right? One JSON line a campaign in results/hidden_effects_NAME.jsonl:
+stopped, it goes on where it was.
 """
 
 from __future__ import annotations
@@ -16,37 +18,40 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import logsumexp
 
 import bayescal as bc
-from bayescal._model import testable
 from bayescal._verification import laplace_evidence
 from bayescal_models import INSTRUMENTS
 from benchmarks import hidden_effects_page
 from benchmarks.customary import SELECTIONS, select
+from benchmarks.hidden_effects_bank import (
+    Case,
+    instrument_named,
+    open_effects,
+    outside_effect,
+    plan,
+    simulated,
+)
 from benchmarks.record import ROOT
 
 RESULTS = ROOT / "benchmarks" / "results"
-SEARCHED = tuple(name for name in INSTRUMENTS if name != "differential_pair")
-SIZES = (1 / 3, 3.0)  # of the plausible size
-DEFAULT = {
-    "single": 2,
-    "empty": 24,
-    "pair": 4,
-    "outside": 4,
-}  # campaigns; single: for each candidate
 SECONDS = 3300.0  # of one instrument's part, after which it stops; run again to go on
 METHOD = bc.LeastSquares(draws=200)
+ENUMERATED = (
+    8.0  # oracle from which every candidate's evidence is computed, for the size of the exact set
+)
+COVERAGE = 0.95
 
 
 def main() -> None:
     """Run what is missing of each instrument's bank, then render the page."""
     only = os.environ.get("BAYESCAL_ONLY", "").split()
-    for name in only or SEARCHED:
+    for name in only or INSTRUMENTS:
         run(name, float(os.environ.get("BAYESCAL_SECONDS", SECONDS)))
     banks = {p.stem.removeprefix("hidden_effects_"): read(p) for p in lines_of()}
     hidden_effects_page.write(banks, ROOT / "docs" / "hidden_effects.md")
@@ -60,11 +65,6 @@ def read(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
 
 
-def instrument_named(name: str) -> bc.Instrument:
-    module = __import__(f"bayescal_models.{name}", fromlist=["INSTRUMENT"])
-    return module.INSTRUMENT
-
-
 def run(name: str, seconds: float) -> None:
     """One instrument's bank, resumed."""
     instrument = instrument_named(name)
@@ -73,82 +73,66 @@ def run(name: str, seconds: float) -> None:
     done = {row["seed"] for row in read(path)} if path.is_file() else set()
     begun = time.perf_counter()
     with path.open("a", encoding="utf-8") as out:
-        for kind, seed, hidden in plan(instrument):
-            if seed in done:
+        for case in plan(instrument):
+            if case.seed in done:
                 continue
             if time.perf_counter() - begun > seconds:
                 print(f"{name}: stopped after {seconds:.0f} s; run again to go on")
                 return
-            row = campaign(instrument, kind, seed, hidden)
+            row = (stated if case.kind == "prior" else campaign)(instrument, case)
             out.write(json.dumps(row) + "\n")
             out.flush()
-            print(f"{name} {seed} {kind} {list(hidden)} -> {row['added']}", file=sys.stderr)
+            told = f"{row['seconds']:.1f} s {case.kind} {list(case.hidden) or case.shape}"
+            print(f"{name} {case.seed} {told} -> {row.get('final')}", file=sys.stderr)
 
 
-def plan(instrument: bc.Instrument) -> Iterator[tuple[str, int, dict[str, float]]]:
-    """(kind, seed, hidden effects with their sizes), kinds in turn so that a part of it is a fair sample."""
-    readings = instrument.simulate(seed=0)
-    own = instrument.for_readings(readings)
-    model, catalogue = own.baseline(), own.candidates
-    names = [
-        e.name for e in catalogue if testable(e, readings) is None and e.name not in model.names
-    ]
-    sizes = {e.name: plausible(e) for e in catalogue}
-    rng = np.random.default_rng(20261121)
-    for round_ in range(max(DEFAULT.values())):
-        if round_ < DEFAULT["single"]:
-            for i, name in enumerate(names):
-                yield "single", 1000 + 100 * round_ + i, {name: drawn(sizes[name], rng)}
-        if round_ < DEFAULT["pair"] and len(names) > 1:
-            a, b = rng.choice(names, 2, replace=False)
-            yield "pair", 3000 + round_, {a: drawn(sizes[a], rng), b: drawn(sizes[b], rng)}
-        if round_ < DEFAULT["outside"]:
-            yield "outside", 4000 + round_, {}
-        if round_ < DEFAULT["empty"]:
-            yield "empty", 2000 + round_, {}
-
-
-def plausible(effect: bc.Effect) -> float:
-    return effect.coefficients[0].size
-
-
-def drawn(size: float, rng: np.random.Generator) -> float:
-    low, high = SIZES
-    return float(size * low * (high / low) ** rng.random() * rng.choice([-1.0, 1.0]))
-
-
-def campaign(
-    instrument: bc.Instrument, kind: str, seed: int, hidden: dict[str, float]
-) -> dict[str, Any]:
-    """One campaign, searched."""
-    hidden = {
-        n: abs(v) if n.endswith((".run", ".cell", ".device")) else v for n, v in hidden.items()
+def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
+    """What is said of a campaign drawn from the priors."""
+    readings = simulated(instrument, case)
+    begun = time.perf_counter()
+    model = instrument.for_readings(readings).baseline()
+    found = bc.discover(bc.fit(model, readings, METHOD, strict=False))
+    return {
+        "seed": case.seed,
+        "kind": case.kind,
+        "hidden": case.hidden,
+        "nothing": found.nothing_missing,
+        "probabilities": _probabilities(found),
+        "seconds": time.perf_counter() - begun,
     }
-    readings = instrument.simulate(hidden, seed=seed)
-    later = instrument.simulate(hidden, seed=seed + 500_000)
-    if kind == "outside":
-        readings, later = (outside(r, instrument, seed) for r in (readings, later))
+
+
+def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
+    """One campaign, searched by every way."""
+    readings, later = (simulated(instrument, case, held_out) for held_out in (False, True))
     model = instrument.for_readings(readings).baseline()
     begun = time.perf_counter()
     trail = bc.calibrate(model, readings, holdout=later, method=METHOD)
     taken = time.perf_counter() - begun
     first = trail.steps[0]
-    truth = model + list(hidden) if hidden else model
-    if kind == "outside":
-        truth = model + "unknown(humidity)"
-    true = first.calibration if truth is model else bc.fit(truth, readings, METHOD, strict=False)
-    base = laplace_evidence(model, first.calibration)
+    missing = [outside_effect(case)] if case.kind == "outside" else list(case.hidden)
+    truth = model + missing if missing else model
+    true = bc.fit(truth, readings, METHOD, strict=False) if missing else first.calibration
+    oracle, each = _oracles(model, first.calibration, missing)
     found = first.discovery
     return {
-        "seed": seed,
-        "kind": kind,
-        "hidden": hidden,
-        "oracle": laplace_evidence(truth, first.calibration) - base if truth is not model else 0.0,
+        "seed": case.seed,
+        "kind": case.kind,
+        "shape": case.shape,
+        "hidden": case.hidden,
+        "oracle": oracle,
+        "oracle_of_each": each,
         "nothing": None if found is None else found.nothing_missing,
         "first_set": list(found.sets[0].effects) if found and found.sets else [],
-        "probabilities": {}
-        if found is None
-        else {c.effect: c.probability for c in found.candidates if c.probability is not None},
+        "exact_set": _exact_set(instrument, first.calibration)
+        if case.kind == "single" and oracle >= ENUMERATED
+        else None,
+        "reported": [
+            [list(s.calibration.model.names), [list(f.effects) for f in s.discovery.sets]]
+            for s in trail.steps
+            if s.discovery is not None and s.discovery.best
+        ],
+        "probabilities": {} if found is None else _probabilities(found),
         "added": [s.added for s in trail.steps if s.added],
         "final": [n for n in trail.final.calibration.model.names if n not in model.names],
         "noise": trail.final.calibration.model.noise.law,
@@ -159,21 +143,29 @@ def campaign(
     }
 
 
-def outside(readings: bc.Measurements, instrument: bc.Instrument, seed: int) -> bc.Measurements:
-    """The same readings with a further recorded column that the output follows, which no effect of the catalogue knows.
+def _probabilities(found: bc.Discovery) -> dict[str, float]:
+    return {c.effect: c.probability for c in found.candidates if c.probability is not None}
 
-    The column wanders from reading to reading group by group, as the humidity of a laboratory does; the output
-    follows its departure from the mean, by one to six times the noise of a reading.
-    """
-    strength = np.random.default_rng(seed).uniform(1.0, 6.0)  # the same for both campaigns
-    rng = np.random.default_rng(
-        [seed, len(readings), int(1e6 * abs(readings["output"][0])) % 2**31]
-    )
-    count = len(readings)
-    knots = rng.standard_normal(max(4, count // 12))
-    humidity = np.interp(np.linspace(0, knots.size - 1, count), np.arange(knots.size), knots)
-    fit = bc.fit(instrument.for_readings(readings).baseline(), readings, METHOD, strict=False)
-    noise = float(fit.samples("noise.white").mean())
-    scaled = (humidity - humidity.mean()) / humidity.std()
-    output = readings["output"] + strength * noise * scaled
-    return readings.with_column("output", output).with_column("humidity", 0.5 + 0.1 * scaled, "1")
+
+def _oracles(
+    model: bc.Model, first: bc.Calibration, missing: list[str]
+) -> tuple[float, list[float]]:
+    """Log Bayes factor of the true model against the baseline, and against itself without each hidden effect."""
+    if not missing:
+        return 0.0, []
+    whole = laplace_evidence(model + missing, first)
+    without = [
+        laplace_evidence(model + [n for n in missing if n != name], first) for name in missing
+    ]
+    return whole - laplace_evidence(model, first), [whole - w for w in without]
+
+
+def _exact_set(instrument: bc.Instrument, first: bc.Calibration) -> list[str]:
+    """The fewest effects that hold 95 % of the posterior over one effect, by the evidence of every single one."""
+    effects = open_effects(instrument, first.readings)
+    evidence = np.array([laplace_evidence(first.model + e, first) for e in effects])
+    evidence = np.where(np.isfinite(evidence), evidence, -np.inf)
+    share = np.exp(evidence - logsumexp(evidence))
+    order = np.argsort(-share)
+    count = int(np.searchsorted(np.cumsum(share[order]), COVERAGE)) + 1
+    return [effects[i].name for i in order[:count]]

@@ -88,7 +88,7 @@ def lines() -> dict[str, Any]:
             }
             print(f"  {name}({axis})  {values.mean():9.4f} ± {values.std():.4f}   true {true}")
     many = [inclinometer.simulate(seed=s) for s in range(1, REPEATS + 1)]
-    batch, weights = (made := bc.fit_batch(model, many)), made.weights()
+    batch, weights = (made := bc.weighted_draws(model, many)), made.weights()
     covered = []
     for i in range(REPEATS):
         samples = batch.samples(i)

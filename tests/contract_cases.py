@@ -20,6 +20,7 @@ import bayescal as bc
 import bayescal_models
 from bayescal import _composition as composition
 from bayescal import _importance as importance
+from bayescal import _laplace as laplace
 from bayescal import _marginal as marginal
 from bayescal import _promotion as promotion
 from bayescal._fit import bind
@@ -46,8 +47,12 @@ class Bound:
     def of(cls, model: bc.Model, readings: bc.Measurements) -> Bound:
         layout, _ = bind(model, readings)
         frame = build_frame(readings, reference_of(readings))
-        x, rows, v = composition.draw_prior(layout, frame, jax.random.key(SEED))
-        return cls(layout, frame, x, rows, jnp.zeros_like(v))
+        random, v = np.random.default_rng(SEED), jnp.zeros(len(layout.hypers))
+        sd = composition.prior_sd(layout, composition.hyper_values(layout, v))
+        x = composition.prior_mean(layout) + sd * random.standard_normal(layout.size)
+        shape = (frame.size, len(layout.row_blocks))
+        rows = composition.row_sd(layout) * random.standard_normal(shape)
+        return cls(layout, frame, x, rows, v)
 
     @property
     def hyper(self) -> composition.Values:
@@ -144,7 +149,7 @@ class Case:
         layout, _ = bind(model, readings)
         layout = layout.promote(*self.promoted)
         frame, y = build_frame(readings, reference_of(readings)), jnp.asarray(readings["output"])
-        mode = marginal.laplace_of(layout, frame, y)
+        mode = laplace.compiled_mode(layout, frame, y)
         count, rounds = marginal._proposals(layout, frame), bc.Marginal().rounds
         importance.sample_jit(layout, frame, y, mode, jax.random.key(0), count, rounds)
 

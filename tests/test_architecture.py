@@ -26,8 +26,10 @@ FLOORS = {
     "effects.constant effects.temperature effects.thermal effects.thermometer effects.time effects.unknown "
     "effects _instrument _model",
     "the model as numbers": "_layout _composition _linear _laplace",
-    "a calibration": "_calibration _store _tree _method _predict _score _directions _summary _text",
+    "a calibration": "_calibration _store _tree _checkpoint _method _predict _score _directions _summary _text",
     "methods and their verb": "_promotion _importance _chains _least_squares _marginal _nuts _fit",
+    "many devices": "_batch_draws _batch_devices _batch_split _batch_frames _batch_linear _batch_solve _population "
+    "_batch_result _batch",
     "verbs on a calibration": "_susie_models _susie _candidates _blocks _regions _check "
     "_judgement _verification _discover _experiment _template "
     "_folds _compare _spikes _trail _calibrate",
@@ -36,7 +38,7 @@ FLOORS = {
     "for people": "_result _plot_style _plot_residuals _plot_error _plot_posterior _plot "
     "_report_chapter _report_figures _report_tables _report_words _report",
     "the public face": "bayescal",
-    "the command line": "_doors _answers _options _commands _cli",
+    "the command line": "_doors _answers _options _commands _batch_command _cli",
 }
 ORDER = " ".join(FLOORS.values()).split()
 
@@ -59,6 +61,7 @@ LATE = {
 LATE_ANYWHERE = {
     "_cli",
     "_commands",
+    "_batch_command",
 }  # their commands load what they need: `bayescal --help` answers at once
 
 

@@ -14,7 +14,7 @@ import bayescal as bc
 from bayescal import _importance as importance
 from bayescal._fit import bind
 from bayescal._frame import build_frame
-from bayescal._marginal import laplace_of
+from bayescal._laplace import compiled_mode
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 
@@ -212,7 +212,7 @@ def test_evidence_says_its_own_error(marginal, table) -> None:
     layout, _ = bind(BASELINE, table)
     frame = build_frame(table, marginal.reference)
     y = jnp.asarray(table["output"])
-    mode = laplace_of(layout, frame, y)
+    mode = compiled_mode(layout, frame, y)
     found = [
         importance.sample_jit(layout, frame, y, mode, key, 256, 2)
         for key in jax.random.split(jax.random.key(2), 100)

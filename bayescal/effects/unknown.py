@@ -32,7 +32,8 @@ def unknown(
     """
 
     def basis(r, length, amplitude):
-        centred = 2 * r.position(covariate) - 1  # −1 … 1 over the range
+        # −1 … 1 over the range; at the ends of the wider interval the function is 0, and so it stays beyond
+        centred = jnp.clip(2 * r.position(covariate) - 1, -WIDER, WIDER)
         order = jnp.arange(1, TERMS + 1) * math.pi / (2 * WIDER)
         scale = 2 * length
         root = jnp.sqrt(scale * math.sqrt(2 * math.pi)) * jnp.exp(-((scale * order) ** 2) / 4)

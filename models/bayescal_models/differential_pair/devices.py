@@ -118,7 +118,7 @@ def devices_from(
     weights: Array | None = None,
     reference: Mapping[str, Any] | None = None,
 ) -> Devices:
-    """The devices from draws by name, such as `bc.fit_batch` gives; the baseline is the known part.
+    """The devices from draws by name, such as `bc.weighted_draws` gives; the baseline is the known part.
 
     Args:
         samples: of every unknown.

@@ -1,0 +1,192 @@
+"""Nothing is hidden, and the noise or the priors are not what the model takes them for: how often is an effect added?
+
+    python -m benchmarks false_discoveries
+    BAYESCAL_ONLY=mems_gyro python -m benchmarks false_discoveries
+
+Empty campaigns of two instruments, each spoilt in seven ways, searched by `calibrate` with least squares (Laplace)
+fits; for wandering noise also by `discover` under white noise, which shows what ignoring it costs. One JSON line a
+campaign in results/false_discoveries_NAME.jsonl: stopped, it goes on where it was.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import bayescal as bc
+from benchmarks.hidden_effects_bank import instrument_named
+from benchmarks.hidden_effects_page import interval
+from benchmarks.record import ROOT, write
+
+RESULTS = ROOT / "benchmarks" / "results"
+SEARCHED = ("mems_gyro", "still_sensor")
+CAMPAIGNS = {"wandering noise": 200}  # of one instrument; of the others:
+OTHERS = 60
+FIRST_SEED = 7000
+METHOD = bc.LeastSquares(draws=200)
+SECONDS = 3300.0
+
+
+def main() -> None:
+    """Run what is missing, then write and print the table."""
+    left = float(os.environ.get("BAYESCAL_SECONDS", SECONDS))
+    for name in os.environ.get("BAYESCAL_ONLY", "").split() or SEARCHED:
+        _run(name, left)
+    summary = {
+        path.stem.removeprefix("false_discoveries_"): _summary(_read(path))
+        for path in sorted(RESULTS.glob("false_discoveries_*.jsonl"))
+    }
+    write("false_discoveries", summary)
+    for name, rows in summary.items():
+        for how, row in rows.items():
+            print(f"{name:14s} {how:26s} added in {row['added']}; {row['what']}")
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+
+
+def _summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for how in dict.fromkeys(line["how"] for line in lines):
+        own = [line for line in lines if line["how"] == how]
+        laws = [line["law"] for line in own]
+        found[how] = {
+            "campaigns": len(own),
+            "added": interval(sum(bool(line["added"]) for line in own), len(own)),
+            "what": sorted({name for line in own for name in line["added"]}),
+            "noise law at the end": {law: laws.count(law) for law in sorted(set(laws))},
+        }
+        if "if_white" in own[0]:
+            count = sum(bool(line["if_white"]) for line in own)
+            found[how]["added if the noise is taken for white"] = interval(count, len(own))
+    return found
+
+
+def _run(name: str, seconds: float) -> None:
+    path = RESULTS / f"false_discoveries_{name}.jsonl"
+    done = {(r["how"], r["seed"]) for r in _read(path)} if path.is_file() else set()
+    begun = time.perf_counter()
+    instrument = instrument_named(name)
+    with path.open("a", encoding="utf-8") as out:
+        for turn in range(max(OTHERS, *CAMPAIGNS.values())):
+            for how, spoil in SPOILT.items():
+                seed = FIRST_SEED + turn
+                if (how, seed) in done or turn >= CAMPAIGNS.get(how, OTHERS):
+                    continue
+                if time.perf_counter() - begun > seconds:
+                    print(f"{name}: stopped after {seconds:.0f} s; run again to go on")
+                    return
+                row = _one(instrument, how, spoil, seed)
+                out.write(json.dumps(row) + "\n")
+                out.flush()
+                print(f"{name} {seed} {how}: {row['added']}", file=sys.stderr)
+
+
+def _one(instrument: bc.Instrument, how: str, spoil: Spoil, seed: int) -> dict[str, Any]:
+    readings = instrument.simulate({}, seed=seed)
+    model = instrument.for_readings(readings).baseline()
+    noise = float(bc.fit(model, readings, METHOD, strict=False).samples("noise.white").mean())
+    random = np.random.default_rng([seed, len(readings)])
+    instrument, readings = spoil(instrument.for_readings(readings), readings, noise, random)
+    begun = time.perf_counter()
+    trail = bc.calibrate(instrument.baseline(), readings, method=METHOD)
+    row = {
+        "how": how,
+        "seed": seed,
+        "added": [s.added for s in trail.steps if s.added],
+        "law": trail.final.calibration.model.noise.law,
+        "gate": trail.gate.ok,
+        "seconds": time.perf_counter() - begun,
+    }
+    if how == "wandering noise":
+        row["if_white"] = [e.name for e in bc.discover(trail.steps[0].calibration).best]
+    return row
+
+
+Spoilt = tuple[bc.Instrument, bc.Measurements]
+Spoil = Callable[[bc.Instrument, bc.Measurements, float, np.random.Generator], Spoilt]
+
+
+def _wandering(instrument, readings, noise, random) -> Spoilt:
+    """A wander of the noise's own size in each run, remembered for a tenth of the run."""
+    run, at = np.unique(readings["run"], return_inverse=True)
+    wander = np.zeros(len(readings))
+    for one in range(len(run)):
+        rows = np.flatnonzero(at == one)
+        time_ = readings["time"][rows]
+        memory = 0.1 * (time_.max() - time_.min())
+        value = random.standard_normal()
+        wander[rows[0]] = value
+        for before, now in pairwise(rows):
+            kept = np.exp(-(readings["time"][now] - readings["time"][before]) / memory)
+            value = kept * value + np.sqrt(1 - kept**2) * random.standard_normal()
+            wander[now] = value
+    return instrument, readings.with_column("output", readings["output"] + noise * wander)
+
+
+def _heavy_tails(instrument, readings, noise, random) -> Spoilt:
+    """One reading in fifty has an error ten times as large."""
+    far = random.random(len(readings)) < 0.02
+    error = 10 * noise * random.standard_normal(len(readings)) * far
+    return instrument, readings.with_column("output", readings["output"] + error)
+
+
+def _student(instrument, readings, noise, random) -> Spoilt:
+    """Noise with Student's t on three degrees of freedom beside the simulator's own."""
+    error = noise * random.standard_t(3, len(readings))
+    return instrument, readings.with_column("output", readings["output"] + error)
+
+
+def _missing(instrument, readings, noise, random) -> Spoilt:
+    """A third of the rows is lost."""
+    kept = np.sort(random.choice(len(readings), 2 * len(readings) // 3, replace=False))
+    return instrument, readings.select(kept)
+
+
+def _uneven(instrument, readings, noise, random) -> Spoilt:
+    """Readings come in bursts: of every ten, those after a random one are lost."""
+    count = random.integers(2, 11, len(readings) // 10 + 1)
+    place = np.arange(len(readings))
+    return instrument, readings.select(np.flatnonzero(place % 10 < count[place // 10]))
+
+
+def _scaled(factor: float) -> Spoil:
+    def spoil(instrument, readings, noise, random) -> Spoilt:
+        effects = tuple(_with_prior(e, factor) for e in instrument.candidates)
+        return replace(instrument, candidates=effects), readings
+
+    return spoil
+
+
+def _with_prior(effect: bc.Effect, factor: float) -> bc.Effect:
+    """The same effect with prior standard deviations `factor` times as large."""
+    made = []
+    for c in effect.coefficients:
+        if c.spread is not None:
+            made.append(replace(c, spread=replace(c.spread, scale=factor * c.spread.scale)))
+        elif c.flat:
+            made.append(c)
+        else:
+            made.append(replace(c, prior=replace(c.prior, sd=factor * c.prior.sd)))
+    return replace(effect, coefficients=tuple(made))
+
+
+SPOILT: dict[str, Spoil] = {
+    "wandering noise": _wandering,
+    "outliers": _heavy_tails,
+    "Student-t noise": _student,
+    "a third of rows missing": _missing,
+    "bursts": _uneven,
+    "priors ten times wider": _scaled(10.0),
+    "priors ten times narrower": _scaled(0.1),
+}

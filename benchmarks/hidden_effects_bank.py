@@ -1,0 +1,131 @@
+"""The bank of simulated campaigns: what is hidden in each, at sizes drawn at random, and the readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import bayescal as bc
+from bayescal._model import testable
+from bayescal_models import mems_gyro
+
+SIZES = (1 / 3, 3.0)  # of the plausible size
+# Campaigns of each kind for each instrument; single: for each candidate.
+COUNTS = {"single": 3, "empty": 60, "pair": 8, "outside": 8, "prior": 40}
+FIRST_SEED = {"single": 1000, "empty": 2000, "pair": 3000, "outside": 4000, "prior": 5000}
+OUTSIDE = ("column", "periodic", "step")
+# Where an instrument's own standard campaign could show only a part of its effects.
+CAMPAIGNS: dict[str, dict[str, Any]] = {
+    "mems_gyro": {"campaign": mems_gyro.Campaign(rate_input=(0.0, 100.0, -100.0))}
+}
+
+
+class Case(NamedTuple):
+    """One campaign: its kind, its seed, what is hidden and how large; `shape` of what no catalogue has."""
+
+    kind: str
+    seed: int
+    hidden: dict[str, float]
+    shape: str = ""
+
+
+def instrument_named(name: str) -> bc.Instrument:
+    """An instrument of this repository."""
+    module = __import__(f"bayescal_models.{name}", fromlist=["INSTRUMENT"])
+    return module.INSTRUMENT
+
+
+def simulated(instrument: bc.Instrument, case: Case, later: bool = False) -> bc.Measurements:
+    """The campaign's readings, or those of a second campaign with the same hidden effects, to be held out."""
+    seed = case.seed + (500_000 if later else 0)
+    readings = instrument.simulate(case.hidden, seed=seed, **CAMPAIGNS.get(instrument.name, {}))
+    return outside(readings, instrument, case) if case.kind == "outside" else readings
+
+
+def open_effects(instrument: bc.Instrument, readings: bc.Measurements) -> list[bc.Effect]:
+    """Candidates that these readings can show."""
+    own = instrument.for_readings(readings)
+    taken = own.baseline().names
+    return [e for e in own.candidates if e.name not in taken and testable(e, readings) is None]
+
+
+def plan(instrument: bc.Instrument) -> Iterator[Case]:
+    """The bank, kinds in turn, so that a part of it is a fair sample."""
+    effects = open_effects(instrument, simulated(instrument, Case("empty", 0, {})))
+    size = {e.name: e.coefficients[0].size for e in effects}
+    names = list(size)
+    rng = np.random.default_rng(20261121)
+    for turn in range(max(COUNTS.values())):
+        if turn < COUNTS["single"]:
+            for i, name in enumerate(names):
+                seed = FIRST_SEED["single"] + 100 * turn + i
+                yield Case("single", seed, {name: _drawn(name, size[name], rng)})
+        if turn < COUNTS["pair"] and len(names) > 1:
+            pair = rng.choice(names, 2, replace=False)
+            hidden = {str(n): _drawn(n, size[n], rng) for n in pair}
+            yield Case("pair", FIRST_SEED["pair"] + turn, hidden)
+        if turn < COUNTS["outside"]:
+            shape = OUTSIDE[turn % len(OUTSIDE)]
+            yield Case("outside", FIRST_SEED["outside"] + turn, {}, shape)
+        if turn < COUNTS["empty"]:
+            yield Case("empty", FIRST_SEED["empty"] + turn, {})
+        if turn < COUNTS["prior"]:
+            yield Case("prior", FIRST_SEED["prior"] + turn, _from_prior(effects, rng))
+
+
+def _signed(name: str, value: float) -> float:
+    """The spread of a group's deviations has no sign."""
+    return abs(value) if name.endswith((".run", ".cell", ".device")) else value
+
+
+def _drawn(name: str, size: float, rng: np.random.Generator) -> float:
+    low, high = SIZES
+    return _signed(name, float(size * low * (high / low) ** rng.random() * rng.choice([-1.0, 1.0])))
+
+
+def _from_prior(effects: list[bc.Effect], rng: np.random.Generator) -> dict[str, float]:
+    """Half of the time nothing; else one effect, each as probable, at a size from its own prior."""
+    empty, at, normal = rng.random() < 0.5, int(rng.integers(len(effects))), rng.standard_normal()
+    coefficient = effects[at].coefficients[0]
+    value = coefficient.size * normal
+    if coefficient.spread is not None:
+        value = float(coefficient.spread.value(normal))
+    return {} if empty else {effects[at].name: _signed(effects[at].name, float(value))}
+
+
+def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) -> bc.Measurements:
+    """The same readings with something that no effect of the catalogue describes, one to six times the noise.
+
+    `column`: the output follows a further recorded column, which wanders as the humidity of a laboratory does.
+    `periodic`: it goes up and down with the time, three to eight times in the record. `step`: at a moment in the
+    middle half of the record it jumps, and stays.
+    """
+    strength, phase, place = np.random.default_rng(case.seed).random(3)
+    strength = 1.0 + 5.0 * strength  # the same in both campaigns
+    fit = bc.fit(
+        instrument.for_readings(readings).baseline(), readings, bc.LeastSquares(), strict=False
+    )
+    noise = float(fit.samples("noise.white").mean())
+    if case.shape == "column":
+        own = int(1e6 * abs(readings["output"][0])) % 2**31
+        rng = np.random.default_rng([case.seed, len(readings), own])
+        knots = rng.standard_normal(max(4, len(readings) // 12))
+        at = np.linspace(0, knots.size - 1, len(readings))
+        wave = np.interp(at, np.arange(knots.size), knots)
+        scaled = (wave - wave.mean()) / wave.std()
+        changed = readings.with_column("output", readings["output"] + strength * noise * scaled)
+        return changed.with_column("humidity", 0.5 + 0.1 * scaled, "1")
+    time = readings["time"]
+    part = (time - time.min()) / (time.max() - time.min())
+    if case.shape == "periodic":
+        wave = np.sin(2 * np.pi * ((3 + 5 * place) * part + phase))
+    else:
+        wave = np.where(part > 0.25 + 0.5 * place, 0.5, -0.5)
+    return readings.with_column("output", readings["output"] + strength * noise * wave)
+
+
+def outside_effect(case: Case) -> str:
+    """The effect that names what was hidden outside the catalogue."""
+    return "unknown(humidity)" if case.shape == "column" else "unknown(time)"

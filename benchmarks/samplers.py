@@ -1,0 +1,407 @@
+"""Effective draws per second of the ng accelerometer's hierarchical model: ours beside the samplers of today.
+
+    python -m benchmarks samplers        one row after another; stopped, it goes on where it was
+
+The model is the instrument's baseline on its own campaign, 12 positions × 5 temperatures × 3 runs, every unknown
+counted: coefficients, deviations of cells, learned spreads, noise. All get the same log density, compiled by JAX:
+
+- *plain*: the NumPyro program, non-centred, as anyone would write it;
+- *marginal*: of φ alone, coefficients integrated out of the linearised model, with `fixture_tilt.constant` in φ;
+- *whitened*: exact, in coordinates whitened by that.
+
+Effective draws are the least over all unknowns: for weighted draws the variance over the squared Monte-Carlo error,
+both from the joint corrected weights; for chains ArviZ's bulk effective sample size. The time is everything after
+compilation: for ours the Laplace fit, the search for what to sample, the rounds of adaptation and the draws; for
+chains the warm-up too. Every row's posterior is compared with the best chains on an exact target: see `reference`.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from arviz_stats.base import array_stats
+from jax.flatten_util import ravel_pytree
+
+import bayescal as bc
+from bayescal import _chains as chains
+from bayescal import _importance as importance
+from bayescal import _laplace as laplace
+from bayescal import _promotion as promotion
+from bayescal._fit import bind
+from bayescal._frame import build_frame, reference_of
+from bayescal._marginal import smoothed
+from bayescal._nuts import program
+from bayescal_models import ng_accelerometer as ng
+from benchmarks.record import ROOT, write
+
+LINES = ROOT / "benchmarks" / "results" / "samplers.jsonl"
+CHAINS = 2
+DRAWS = 1000
+SEED = 20261121
+PROPOSALS = 8192
+
+
+class Target(NamedTuple):
+    """A log density over R^d for a sampler of others, and what its coordinates stand for.
+
+    Attributes:
+        log_density: of a point, traceable.
+        start: (chains, d).
+        unknowns: from a point to every unknown of the model, (q,), NaN where the target integrates it out.
+    """
+
+    log_density: Callable[[jax.Array], jax.Array]
+    start: jax.Array
+    unknowns: Callable[[jax.Array], jax.Array]
+
+
+class Problem(NamedTuple):
+    """The model bound to its readings, as given and with what is promoted."""
+
+    plain: Any
+    layout: Any
+    frame: Any
+    y: jax.Array
+
+
+def problem() -> Problem:
+    """The ng accelerometer's baseline on its default campaign."""
+    readings = ng.simulate(seed=0)
+    plain, _ = bind(ng.INSTRUMENT.baseline(), readings)
+    frame = build_frame(readings, reference_of(readings))
+    y = jnp.asarray(readings["output"])
+    return Problem(plain, promotion.choose(plain, frame, y, None)[0], frame, y)
+
+
+def plain_target(p: Problem) -> Target:
+    """The NumPyro program in its own unconstrained coordinates."""
+    from numpyro.infer.util import initialize_model
+
+    made = initialize_model(
+        jax.random.split(jax.random.key(SEED), CHAINS), program(p.plain, p.frame), model_args=(p.y,)
+    )
+    first = jax.tree.map(lambda a: a[0], made.param_info.z)
+    unravel = ravel_pytree(first)[1]
+    start = jax.vmap(lambda z: ravel_pytree(z)[0])(made.param_info.z)
+
+    def unknowns(q: jax.Array) -> jax.Array:
+        sites = made.postprocess_fn(unravel(q))
+        return jnp.concatenate([sites["x"], sites["v"]])
+
+    return Target(lambda q: -made.potential_fn(unravel(q)), start, unknowns)
+
+
+def whitened_target(p: Problem) -> Target:
+    """The exact log density in our whitened coordinates."""
+    mode = laplace.compiled_mode(p.layout, p.frame, p.y)
+    density, unpack, centre, covariance = chains.whitened(p.layout, p.frame, p.y, mode)
+    root = jnp.linalg.cholesky(covariance)
+    noise = jax.random.normal(jax.random.key(SEED), (CHAINS, centre.size))
+
+    def unknowns(q: jax.Array) -> jax.Array:
+        x, _, v, _, _ = unpack(centre + root @ q)
+        return jnp.concatenate([x, v])
+
+    return Target(lambda q: density(centre + root @ q), 0.5 * noise, unknowns)
+
+
+def marginal_target(p: Problem) -> Target:
+    """φ alone."""
+    mode = laplace.compiled_mode(p.layout, p.frame, p.y)
+    density = laplace.density_of_phi(p.layout, p.frame, p.y, mode.point, mode.flat)
+    root = jnp.linalg.cholesky(mode.covariance)
+    noise = jax.random.normal(jax.random.key(SEED), (CHAINS, mode.v.size))
+    missing = jnp.full(p.layout.size, jnp.nan)
+
+    def unknowns(q: jax.Array) -> jax.Array:
+        return jnp.concatenate([missing, mode.v + root @ q])
+
+    return Target(lambda q: density(mode.v + root @ q)[0], 0.5 * noise, unknowns)
+
+
+TARGETS = {"plain": plain_target, "whitened": whitened_target, "marginal": marginal_target}
+
+
+class Ran(NamedTuple):
+    """Draws of a target's coordinates (chains, draws, d), and seconds without and of compilation."""
+
+    draws: np.ndarray
+    seconds: float
+    compiling: float
+    divergences: int
+
+
+def numpyro_nuts(target: Target, dense: bool, warmup: int) -> Ran:
+    """NumPyro's NUTS; all chains in one program."""
+    import numpyro.infer as infer
+
+    kernel = infer.NUTS(
+        potential_fn=lambda q: -target.log_density(q), dense_mass=dense, target_accept_prob=0.9
+    )
+
+    def mcmc(warmup: int, draws: int) -> infer.MCMC:
+        return infer.MCMC(
+            kernel,
+            num_warmup=warmup,
+            num_samples=draws,
+            num_chains=CHAINS,
+            chain_method="vectorized",
+            progress_bar=False,
+        )
+
+    begun = time.perf_counter()
+    made = mcmc(warmup, DRAWS)
+    made.warmup(jax.random.key(1), init_params=target.start, extra_fields=("diverging",))
+    made.run(made.post_warmup_state.rng_key, extra_fields=("diverging",))
+    whole = time.perf_counter() - begun
+    draws = np.asarray(made.get_samples(group_by_chain=True))
+    diverging = int(np.sum(made.get_extra_fields()["diverging"]))
+    begun = time.perf_counter()
+    short = mcmc(2, 2)
+    short.run(jax.random.key(2), init_params=target.start)
+    compiling = time.perf_counter() - begun  # two draws take no time beside it
+    return Ran(draws, whole - compiling, compiling, diverging)
+
+
+def blackjax_nuts(target: Target, warmup: int) -> Ran:
+    """BlackJAX's NUTS after its window adaptation, chains one after another."""
+    import blackjax
+
+    adapt = blackjax.window_adaptation(
+        blackjax.nuts, target.log_density, is_mass_matrix_diagonal=False, target_acceptance_rate=0.9
+    )
+
+    @jax.jit
+    def chain(key, start):
+        k1, k2 = jax.random.split(key)
+        (state, parameters), _ = adapt.run(k1, start, num_steps=warmup)
+        step = blackjax.nuts(target.log_density, **parameters).step
+
+        def one(state, key):
+            state, told = step(key, state)
+            return state, (state.position, told.is_divergent)
+
+        return jax.lax.scan(one, state, jax.random.split(k2, DRAWS))[1]
+
+    begun = time.perf_counter()
+    compiled = chain.lower(jax.random.key(0), target.start[0]).compile()
+    compiling = time.perf_counter() - begun
+    begun = time.perf_counter()
+    found = [compiled(jax.random.key(i), target.start[i]) for i in range(CHAINS)]
+    draws = np.stack([np.asarray(f[0]) for f in found])
+    seconds = time.perf_counter() - begun
+    return Ran(draws, seconds, compiling, int(sum(np.sum(f[1]) for f in found)))
+
+
+def nutpie_nuts(target: Target, low_rank: bool, warmup: int) -> Ran:
+    """nutpie on the compiled value and gradient."""
+    import nutpie
+    from nutpie.compiled_pyfunc import from_pyfunc
+
+    both = jax.jit(jax.value_and_grad(target.log_density))
+    dim = target.start.shape[1]
+    begun = time.perf_counter()
+    jax.block_until_ready(both(target.start[0]))
+    compiling = time.perf_counter() - begun
+
+    def logp() -> Callable[..., tuple[float, np.ndarray]]:
+        def function(q, **_):
+            value, slope = both(q)
+            return float(value), np.asarray(slope)
+
+        return function
+
+    def expand(*_):
+        return lambda q, **_: {"q": np.asarray(q)}
+
+    start = np.asarray(target.start)
+    model = from_pyfunc(
+        dim, logp, expand, [np.dtype("float64")], [(dim,)], ["q"], initial_mean=start[0]
+    )
+    begun = time.perf_counter()
+    trace = nutpie.sample(
+        model,
+        tune=warmup,
+        draws=DRAWS,
+        chains=CHAINS,
+        cores=2,
+        seed=1,
+        low_rank_modified_mass_matrix=low_rank,
+        progress_bar=False,
+    )
+    seconds = time.perf_counter() - begun
+    draws = np.asarray(trace.posterior["q"])
+    return Ran(draws, seconds, compiling, int(np.sum(np.asarray(trace.sample_stats["diverging"]))))
+
+
+def summary(values: np.ndarray, ran: Ran) -> dict[str, Any]:
+    """A row, from every unknown's draws (chains, draws, q)."""
+    seen = ~np.isnan(values).any(axis=(0, 1))
+    own = values[:, :, seen]
+    ess = np.array(
+        [array_stats.ess(own[..., i], chain_axis=0, draw_axis=1) for i in range(own.shape[2])]
+    )
+    r_hat = np.array(
+        [array_stats.rhat(own[..., i], chain_axis=0, draw_axis=1) for i in range(own.shape[2])]
+    )
+    return {
+        "seconds": ran.seconds,
+        "compiling": ran.compiling,
+        "least_ess": float(ess.min()),
+        "per_second": float(ess.min()) / ran.seconds,
+        "max_r_hat": float(r_hat.max()),
+        "divergences": ran.divergences,
+        "mean": np.where(seen, values.mean((0, 1)), None).tolist(),
+        "sd": np.where(seen, values.std((0, 1)), None).tolist(),
+    }
+
+
+def ours(p: Problem) -> dict[str, Any]:
+    """`Marginal`: joint importance draws with their corrected weights."""
+
+    def once(seed: int):
+        layout = promotion.choose(p.plain, p.frame, p.y, None)[0]
+        mode = laplace.compiled_mode(layout, p.frame, p.y)
+        key = jax.random.key(seed)
+        found = importance.sample_jit(
+            layout, p.frame, p.y, mode, key, PROPOSALS, bc.Marginal().rounds
+        )
+        return layout, jax.tree.map(np.asarray, found)
+
+    begun = time.perf_counter()
+    once(1)
+    first = time.perf_counter() - begun
+    begun = time.perf_counter()
+    layout, found = once(2)
+    weights, k_hat = smoothed(found.log_weight)
+    seconds = time.perf_counter() - begun
+    values = _in_plain_order(p.plain, layout, found.x, found.v)
+    mean = weights @ values
+    variance = weights @ (values - mean) ** 2
+    error = (weights**2) @ (values - mean) ** 2
+    ess = variance / error
+    return {
+        "seconds": seconds,
+        "compiling": first - seconds,
+        "least_ess": float(ess.min()),
+        "per_second": float(ess.min()) / seconds,
+        "pareto_k": float(k_hat),
+        "mean": mean.tolist(),
+        "sd": np.sqrt(variance).tolist(),
+    }
+
+
+def _in_plain_order(plain: Any, layout: Any, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Draws of all unknowns in the order of the plain layout's (x, v)."""
+    at = {h.name: i for i, h in enumerate(layout.hypers)}
+    own = {b.name: b for b in layout.x_blocks}
+    columns = []
+    for b in plain.x_blocks:
+        if b.name in own:
+            columns.append(x[:, own[b.name].start : own[b.name].start + b.size])
+        else:
+            for name in b.member_names():
+                h = layout.hypers[at[name]]
+                columns.append(np.asarray(h.prior.value(jnp.asarray(v[:, at[name]])))[:, None])
+    columns += [v[:, [at[h.name]]] for h in plain.hypers]
+    return np.concatenate(columns, axis=1)
+
+
+ROWS: dict[str, Callable[[Problem], dict[str, Any]]] = {"bayescal, joint importance draws": ours}
+
+
+def _chains_row(kind: str, sampler: Callable[[Target], Ran]) -> Callable[[Problem], dict[str, Any]]:
+    def row(p: Problem) -> dict[str, Any]:
+        target = TARGETS[kind](p)
+        ran = sampler(target)
+        place = jax.jit(jax.vmap(jax.vmap(target.unknowns)))
+        values = np.asarray(place(jnp.asarray(ran.draws)))
+        if kind != "plain":
+            shape = values.shape[:2]
+            flat = values.reshape(-1, values.shape[2])
+            x, v = flat[:, : p.layout.size], flat[:, p.layout.size :]
+            values = _in_plain_order(p.plain, p.layout, x, v).reshape(*shape, -1)
+        return summary(values, ran)
+
+    return row
+
+
+for _kind, _warmups in (("plain", (1000, 5000)), ("whitened", (500,)), ("marginal", (500,))):
+    for _warmup in _warmups:
+        for _name, _run in {
+            "NumPyro NUTS, diagonal": lambda t, w=_warmup: numpyro_nuts(t, False, w),
+            "NumPyro NUTS, dense": lambda t, w=_warmup: numpyro_nuts(t, True, w),
+            "BlackJAX NUTS, dense": lambda t, w=_warmup: blackjax_nuts(t, w),
+            "nutpie, diagonal": lambda t, w=_warmup: nutpie_nuts(t, False, w),
+            "nutpie, low rank": lambda t, w=_warmup: nutpie_nuts(t, True, w),
+        }.items():
+            if _kind == "plain" or "nutpie, diagonal" in _name or "dense" in _name:
+                ROWS[f"{_name}, {_kind}, {_warmup} warm-up"] = _chains_row(_kind, _run)
+
+
+def main() -> None:
+    """Run the rows that are missing; write and print the table."""
+    lines = (
+        [json.loads(s) for s in LINES.read_text("utf-8").splitlines()] if LINES.is_file() else []
+    )
+    done = {line["row"]: line for line in lines}
+    p = problem()
+    for name, row in ROWS.items():
+        if name in done:
+            continue
+        try:
+            done[name] = {"row": name, **row(p)}
+        except ImportError as missing:
+            print(f"{name}: skipped, {missing.name} is not installed", file=sys.stderr)
+            continue
+        with LINES.open("a", encoding="utf-8") as out:
+            out.write(json.dumps(done[name]) + "\n")
+        print(_told(done[name], done), flush=True)
+    write(
+        "samplers",
+        {"draws": DRAWS, "chains": CHAINS, "rows": [_short(r, done) for r in done.values()]},
+    )
+    print("\n".join(_told(r, done) for r in done.values()))
+
+
+def reference(done: dict[str, dict[str, Any]]) -> dict[str, Any] | None:
+    """The row of chains on an exact target with most effective draws, R̂ below 1.01."""
+    good = [
+        r
+        for n, r in done.items()
+        if "max_r_hat" in r and r["max_r_hat"] < 1.01 and "marginal" not in n
+    ]
+    return max(good, key=lambda r: r["least_ess"], default=None)
+
+
+def _short(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    kept = {k: v for k, v in row.items() if k not in ("mean", "sd")}
+    against = reference(done)
+    if against is None or against is row:
+        return kept
+    sd = np.array(against["sd"], float)
+    distance = np.abs(np.array(row["mean"], float) - np.array(against["mean"], float)) / sd
+    ratio = np.array(row["sd"], float) / sd
+    return {
+        **kept,
+        "largest_distance_of_a_mean_sd": float(np.nanmax(distance)),
+        "sd_ratio": [float(np.nanmin(ratio)), float(np.nanmax(ratio))],
+    }
+
+
+def _told(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> str:
+    own = _short(row, done)
+    health = f"k̂ {own['pareto_k']:.2f}" if "pareto_k" in own else f"R̂ {own['max_r_hat']:.2f}"
+    apart = own.get("largest_distance_of_a_mean_sd")
+    return (
+        f"{own['row']:48s} {own['per_second']:9.3g} a second, least ESS {own['least_ess']:6.0f} in {own['seconds']:6.2f} s, "
+        f"compiling {own['compiling']:5.1f} s, {health}"
+        + ("" if apart is None else f", means within {apart:.2f} sd")
+    )

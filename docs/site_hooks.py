@@ -1,0 +1,138 @@
+"""Pages of the site that the code writes: data sheets, commands, public names. Used by MkDocs (`hooks:`).
+
+A page holds a comment where such a part belongs, so that nothing is written twice:
+
+    <!-- data sheet: mems_gyro -->      the docstring of that instrument's model.py
+    <!-- commands -->                   every command and option, from the command line itself
+    <!-- names: fit fit_batch load -->  public names, for mkdocstrings to document
+
+Nothing here loads JAX: docstrings are read from the source, and `bayescal --help` is light.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+MODELS = HERE.parent / "models" / "bayescal_models"
+PART = re.compile(r"^<!-- (data sheet|commands|names)(?:: (.*?))? -->$", re.MULTILINE)
+# Pages that a benchmark writes: in the navigation where they exist.
+OPTIONAL = {"hidden_effects.md": "Hidden effects"}
+
+
+def on_config(config: Any) -> Any:
+    """Offer the pages that a benchmark has written."""
+    evidence = next(part["Evidence"] for part in config["nav"] if "Evidence" in part)
+    evidence += [{title: page} for page, title in OPTIONAL.items() if (HERE / page).is_file()]
+    return config
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    return PART.sub(lambda found: PARTS[found[1]](found[2] or ""), markdown)
+
+
+# Data sheets.
+
+
+def docstring(instrument: str) -> str:
+    source = (MODELS / instrument / "model.py").read_text("utf-8")
+    return ast.get_docstring(ast.parse(source)) or ""
+
+
+def data_sheet(instrument: str) -> str:
+    """An instrument's docstring as Markdown: aligned columns become tables."""
+    title, _, body = docstring(instrument).partition("\n")
+    paragraphs = re.split(r"\n\s*\n", body.strip("\n"))
+    return "\n\n".join([f"**{title}**", *(_aligned(p) or p for p in paragraphs)])
+
+
+def _aligned(paragraph: str) -> str | None:
+    """A table whose columns are aligned by spaces under a head, as a Markdown table; None for all else."""
+    lines = paragraph.splitlines()
+    starts = [0, *(m.end() for m in re.finditer(r"\S {2,}(?=\S)", lines[0]))]
+    if len(lines) < 3 or len(starts) < 3 or lines[0].startswith((" ", "|")):
+        return None
+    if any(
+        line[s - 1 : s].strip() and line[s : s + 1].strip() for line in lines for s in starts[1:]
+    ):
+        return None  # a cell runs into the next
+    ends = [*starts[1:], None]
+    rows = [
+        [line[a:b].strip().replace("|", "\\|") for a, b in zip(starts, ends, strict=True)]
+        for line in lines
+    ]
+    rows.insert(1, ["---"] * len(starts))
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
+
+
+# Commands.
+
+
+def commands(_: str = "") -> str:
+    """Every command with its arguments and options, as its own `--help` has them."""
+    import typer
+
+    from bayescal._cli import app
+
+    group: Any = typer.main.get_command(app)
+    return "\n\n".join(_command(name, command) for name, command in group.commands.items())
+
+
+def _command(name: str, command: Any) -> str:
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    options = [p for p in command.params if p.param_type_name == "option"]
+    usage = " ".join(
+        [
+            f"bayescal {name}",
+            *(f"{_shown(a)}{'…' if a.nargs == -1 else ''}" for a in arguments),
+            *(f"{max(o.opts, key=len)} …" for o in options if o.required),
+        ]
+    )
+    rows = [f"| `{_shown(a)}` | {_cell(a.help)} | required |" for a in arguments]
+    rows += [
+        f"| {', '.join(f'`{opt}`' for opt in o.opts)} | {_cell(o.help)} | {_default(o)} |"
+        for o in options
+    ]
+    example = (command.epilog or "").removeprefix("Example: ")
+    return "\n\n".join(
+        [
+            f"## {name}",
+            _cell(command.help),
+            f"```console\n{usage}\n```",
+            "\n".join(["| | | default |", "|---|---|---|", *rows]),
+            f"Example: `{example}`",
+        ]
+    )
+
+
+def _shown(argument: Any) -> str:
+    return argument.name.rstrip("_").upper()
+
+
+def _cell(text: str | None) -> str:
+    return " ".join((text or "").split()).replace("|", "\\|")
+
+
+def _default(option: Any) -> str:
+    if option.required:
+        return "required"
+    return "" if option.default in (None, False, ()) else f"`{option.default}`"
+
+
+# Public names.
+
+
+def names(listed: str) -> str:
+    """Names of bayescal, each documented from its docstring by mkdocstrings."""
+    return "\n\n".join(f"::: bayescal.{name}" for name in listed.split())
+
+
+PARTS: dict[str, Callable[[str], str]] = {
+    "data sheet": data_sheet,
+    "commands": commands,
+    "names": names,
+}
