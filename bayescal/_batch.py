@@ -10,7 +10,7 @@ import numpy as np
 
 from bayescal import _batch_solve as batch_solve
 from bayescal._batch_devices import Block, Devices, gathered
-from bayescal._batch_frames import Stack, stacks
+from bayescal._batch_frames import Refusal, Stack, stacks
 from bayescal._batch_result import BatchResult, Part
 from bayescal._batch_solve import Found
 from bayescal._batch_split import split_devices
@@ -84,8 +84,7 @@ def fit_batch(
         ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
     """
     spare_memory_maps()
-    method = LeastSquares() if method is None else method
-    _refuse_method(model, method)
+    mapped = _mappable(model, LeastSquares() if method is None else method)
     named = chosen(model, population)
     devices = _devices(model, readings)
     if chunk < 1:
@@ -95,7 +94,7 @@ def fit_batch(
     reference = dict(reference or {})
     if named:
         reference = {**_common(devices), **reference}
-    refused, run = dict(devices.refused), _Run(model, method, seed, chunk, reference)
+    refused, run = dict(devices.refused), _Run(model, mapped, seed, chunk, reference)
     wrong: list[BayescalError] = []
     for block in devices.blocks:
         try:
@@ -109,7 +108,12 @@ def fit_batch(
     return run.result(devices.names, {**refused, **run.refused}, named)
 
 
-def _refuse_method(model: Model, method: Method) -> None:
+def _mappable(model: Model, method: Method) -> LeastSquares | Marginal:
+    """The method, if it can be mapped over devices.
+
+    Raises:
+        ModelError: it cannot.
+    """
     if not isinstance(method, LeastSquares | Marginal):
         raise ModelError(
             f"fit_batch maps LeastSquares() and Marginal() over devices, not {type(method).__name__}: fit them one by "
@@ -122,6 +126,7 @@ def _refuse_method(model: Model, method: Method) -> None:
             "fit_batch maps Marginal() over devices by importance sampling, which needs Gaussian noise: use "
             "LeastSquares(), or fit them one by one"
         )
+    return method
 
 
 def _devices(model: Model, readings: Readings) -> Devices:
@@ -175,9 +180,8 @@ class _Run:
     def add(self, block: Block) -> None:
         masked = self._masked(block)
         for stack in stacks(self.model, block, self.reference, masked, self.chunk):
-            if len(stack) == 2:
-                index, why = stack
-                self.refused[block.names[index]] = why
+            if isinstance(stack, Refusal):
+                self.refused[block.names[stack.device]] = stack.reason
                 continue
             layout, way = Layout(self.model, stack.counts), self._straight(stack)
             self._keep(block, stack, batch_solve.solve(layout, stack, self.method, self.seed, way))
@@ -185,7 +189,7 @@ class _Run:
     def _masked(self, block: Block) -> bool:
         """Whether padded readings cost nothing: on the quick way, which leaves them out."""
         for stack in stacks(self.model, block, self.reference, False, 1):
-            if len(stack) != 2:
+            if isinstance(stack, Stack):
                 return self._straight(stack)
         return False
 

@@ -71,7 +71,7 @@ def batch(
         method=doors.method_named(method),
         population=True if population == ["all"] else population or False,
         seed=seed,
-        reference=doors.numbers(reference, "--reference") or None,
+        reference={**doors.numbers(reference, "--reference")},
     )
     found.save(out)
     bad = [name for name, ok in zip(found.devices, found.ok, strict=True) if not ok]

@@ -48,6 +48,13 @@ class Stack(NamedTuple):
     levels: list[dict[str, tuple[str, ...]]]
 
 
+class Refusal(NamedTuple):
+    """A device of the block that cannot be fitted, and why."""
+
+    device: int
+    reason: str
+
+
 def plain(block: Block) -> bool:
     """Whether the frames need nothing but the numbers: no time, no groups, no labels."""
     labels = {name for name, unit in block.units.items() if unit is None}
@@ -56,8 +63,8 @@ def plain(block: Block) -> bool:
 
 def stacks(
     model: Model, block: Block, reference: Reference, padded: bool, most: int
-) -> Iterator[Stack | tuple[int, str]]:
-    """The devices of a block by shape, at most so many at once; or a device's index and why it is refused.
+) -> Iterator[Stack | Refusal]:
+    """The devices of a block by shape, at most so many at once; or a device that is refused.
 
     Args:
         model: what is to be fitted.
@@ -80,7 +87,7 @@ def stacks(
         try:
             made = _single(model, block, i, reference)
         except BayescalError as error:
-            yield i, str(error)
+            yield Refusal(i, str(error))
             continue
         kind = (str(jax.tree.map(jnp.shape, made[1])), made[3])
         waiting.setdefault(kind, []).append(made)
@@ -120,7 +127,7 @@ def _joined(made: list[tuple]) -> Stack:
 
 def _plain_stacks(
     model: Model, block: Block, members: np.ndarray, rung: int, reference: Reference, most: int
-) -> Iterator[Stack | tuple[int, str]]:
+) -> Iterator[Stack | Refusal]:
     few = members[block.counts[members] == block.counts[members].min()]
     try:
         bind(model, block.measurements(int(few[0])))
@@ -131,7 +138,7 @@ def _plain_stacks(
                 bind(model, block.measurements(int(i)))
                 good.append(i)
             except BayescalError as error:
-                yield int(i), str(error)
+                yield Refusal(int(i), str(error))
         members = np.array(good, dtype=int)
     counts = (*((group, 0 if group == "cell" else 1) for group in GROUPS), ("reading", rung))
     for begin in range(0, len(members), most):

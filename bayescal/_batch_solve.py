@@ -113,7 +113,9 @@ def _first(frames):
 
 
 def _quick(layout: Layout, stack: Stack) -> Found:
-    line = jax.tree.map(np.asarray, quick.solve(layout, stack.frame, stack.y, stack.real))
+    line = jax.tree.map(
+        np.asarray, quick.solve(layout, stack.frame, *map(jnp.asarray, (stack.y, stack.real)))
+    )
     fixed = quick.NOISE in dict(layout.model.fixed)
     mean = line.x if fixed else np.column_stack([line.x, line.noise])
     covariance = _widened(line.covariance, mean.shape[1])
@@ -206,7 +208,7 @@ def _sampled(layout: Layout, stack: Stack, method: Marginal, seed: int) -> Found
         found = importance.sample_batch(
             layout,
             jax.tree.map(lambda a, some=some: a[some], frames),
-            stack.y[some],
+            jnp.asarray(stack.y[some]),
             keys[some],
             method.proposals or 8192,
             method.rounds,

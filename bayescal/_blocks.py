@@ -18,16 +18,21 @@ from bayescal._calibration import Calibration
 LENGTHS = (0.08, 0.25, 0.8)  # of the process, in parts of the covariate's range
 AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # in noise standard deviations
 KNOTS = 14
+WAVES = 2  # along each of two covariates together
 
 
 @dataclass(frozen=True)
 class Block:
-    """A covariate and its columns, each length a set of columns of unit amplitude."""
+    """A covariate and its columns, each length a set of columns of unit amplitude.
+
+    `levels` are the members' names where the covariate is a group, whose values are their numbers.
+    """
 
     name: str
     values: np.ndarray
     bases: tuple[np.ndarray, ...]
     unit: str = ""
+    levels: tuple[str, ...] = ()
 
 
 def smooth(name: str, values: np.ndarray, unit: str = "") -> Block:
@@ -50,10 +55,25 @@ def _process(position: np.ndarray, knots: np.ndarray, length: float) -> np.ndarr
     return kernel(position, knots) @ (vectors[:, keep] / np.sqrt(values[keep]))
 
 
-def members(name: str, codes: np.ndarray) -> Block:
+def members(name: str, codes: np.ndarray, levels: tuple[str, ...]) -> Block:
     """One level for each member of a group."""
     indicator = (codes[:, None] == np.unique(codes[codes >= 0])[None, :]).astype(float)
-    return Block(name, codes.astype(float), (indicator,))
+    return Block(name, codes.astype(float), (indicator,), levels=levels)
+
+
+def together(first: Block, second: Block) -> Block:
+    """A dependence on two covariates at once that is no sum of one on each: products of long waves along them."""
+    one, two = _waves(first.values), _waves(second.values)
+    basis = (one[:, :, None] * two[:, None, :]).reshape(len(one), -1)
+    scale = np.sqrt(np.mean(np.sum(basis**2, axis=1)))
+    return Block(f"{first.name} × {second.name}", first.values, (basis / max(scale, 1e-300),))
+
+
+def _waves(values: np.ndarray) -> np.ndarray:
+    """Legendre polynomials of the first orders over the range, without the constant."""
+    low, high = values.min(), values.max()
+    position = 2 * (values - low) / (high - low) - 1
+    return np.polynomial.legendre.legvander(position, WAVES)[:, 1:]
 
 
 def log_bayes_factors(calibration: Calibration, blocks: list[Block], noise: float) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,10 +12,13 @@ from scipy import stats
 from bayescal import _blocks as blocks
 from bayescal import _score as scores
 from bayescal._calibration import Calibration
-from bayescal._fit import fit
+from bayescal._fit import GROUPS, fit
 from bayescal._least_squares import LeastSquares
 from bayescal._regions import Region, worst_regions
 
+ALIKE = 0.95  # rank correlation from which two covariates are taken for one
+DUOS = 15  # pairs of covariates, at most
+MEMBERS = 64  # of a group that is looked at member by member, at most
 OUTLIER = 4.0  # leave-one-out standard deviations
 MEAN_IS_OFF = 3.0  # log Bayes factor of structure from which the scatter is not judged
 SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
@@ -22,11 +26,20 @@ SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
 
 @dataclass(frozen=True)
 class Entry:
-    """One covariate."""
+    """One covariate, or group of readings (`by_group`): a run, a cell, an axis, a device."""
 
     against: str
     log_bayes_factor: float
     worst: Region
+    by_group: bool = False
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two covariates: evidence that the residuals depend on them in a way that is no sum of one of each."""
+
+    against: tuple[str, str]
+    log_bayes_factor: float
 
 
 @dataclass(frozen=True)
@@ -63,6 +76,7 @@ class Check:
 
     Attributes:
         entries: a covariate each, the strongest evidence first.
+        pairs: of covariates, likewise.
         unit: of the output.
         rms: of the residuals, output unit.
         noise: standard deviation that they are judged against.
@@ -75,6 +89,7 @@ class Check:
     """
 
     entries: tuple[Entry, ...]
+    pairs: tuple[Pair, ...]
     unit: str
     rms: float
     noise: float
@@ -101,15 +116,22 @@ def check(calibration: Calibration) -> Check:
     residual, white, sd = scores.residuals(judged)
     noise = float(np.sqrt(np.mean(sd**2)))
     covariates = covariates_of(judged)
-    factors = blocks.log_bayes_factors(judged, covariates, noise)
+    duos = _duos(covariates)
+    products = [blocks.together(a, b) for a, b in duos]
+    evidence = blocks.log_bayes_factors(judged, [*covariates, *products], noise)
+    factors, of_duos = evidence[: len(covariates)], evidence[len(covariates) :]
     regions = worst_regions(judged, covariates, residual)
     entries = [
-        Entry(b.name, f, region) for b, f, region in zip(covariates, factors, regions, strict=True)
+        Entry(b.name, f, region, bool(b.levels))
+        for b, f, region in zip(covariates, factors, regions, strict=True)
     ]
+    pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(duos, of_duos, strict=True)]
+    pairs.sort(key=lambda p: -p.log_bayes_factor)
     entries.sort(key=lambda e: -e.log_bayes_factor)
     loo = _leave_one_out(judged, white)
     return Check(
         tuple(entries),
+        tuple(pairs),
         calibration.unit,
         float(np.sqrt(np.mean(residual**2))),
         noise,
@@ -179,14 +201,26 @@ def covariates_of(calibration: Calibration) -> list[blocks.Block]:
     if "temperature" in frame.rates and np.ptp(np.asarray(frame.rates["temperature"])) > 0:
         rate = np.asarray(frame.rates["temperature"]) * 60
         found.append(blocks.smooth("temperature rate", rate, "degC/min"))
-    levels, codes = readings.groups("run")
-    if len(levels) > 1:
-        if "elapsed" in frame.columns:
-            found.append(blocks.smooth("elapsed", np.asarray(frame.columns["elapsed"]), "s"))
-        found.append(blocks.members("run", codes))
+    if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
+        found.append(blocks.smooth("elapsed", np.asarray(frame.columns["elapsed"]), "s"))
+    for group in GROUPS:
+        levels, codes = readings.groups(group)
+        if 1 < len(levels) <= MEMBERS:
+            found.append(blocks.members(group, codes, levels))
     if not readings.has("time"):
         found.append(blocks.smooth("order", np.arange(1.0, len(readings) + 1)))
     return found
+
+
+def _duos(covariates: list[blocks.Block]) -> list[tuple[blocks.Block, blocks.Block]]:
+    """Pairs of covariates that are not nearly one and the same."""
+    varied = [b for b in covariates if not b.levels]
+    rank = {b.name: stats.rankdata(b.values) for b in varied}
+    return [
+        (a, b)
+        for a, b in combinations(varied, 2)
+        if abs(np.corrcoef(rank[a.name], rank[b.name])[0, 1]) < ALIKE
+    ][:DUOS]
 
 
 def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
@@ -208,7 +242,7 @@ def _spread_with(covariates: list[blocks.Block], standardised: np.ndarray) -> di
     """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
     found = {}
     for block in covariates:
-        if block.name != "run":
+        if not block.levels:
             p = float(stats.spearmanr(np.abs(standardised), block.values).pvalue)
             if p < SIGNIFICANT:
                 found[block.name] = p

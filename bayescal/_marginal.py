@@ -66,7 +66,7 @@ class Marginal(Method):
             proposals = self.proposals or _proposals(layout, frame)
             found = checkpoint.once(
                 "weighted draws",
-                importance.Weighted(MODE, *range(7)),
+                importance.Weighted(MODE, *range(7)),  # pyright: ignore  # its structure alone
                 lambda: importance.sample_jit(layout, frame, y, mode, key, proposals, self.rounds),
             )
             found = jax.tree.map(np.asarray, found)

@@ -132,7 +132,7 @@ def loop(found: Trail) -> Figure:
     figure = new_figure(11.0, 7.4)
     axes = figure.subplots(2, 2)
     first, final = found.steps[0], found.final
-    entry = next((e for e in first.check.entries if e.against != "run"), None)
+    entry = next((e for e in first.check.entries if not e.by_group), None)
     if entry is not None:
         title = "1  where the first model fails"
         residual_panel(axes[0, 0], first.calibration, first.check, entry, title)

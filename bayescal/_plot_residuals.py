@@ -27,7 +27,7 @@ def residuals(
         against: one covariate alone; at most six, the worst first, if none is named.
     """
     found = check(calibration) if found is None else found
-    entries = [e for e in found.entries if e.against != "run"][:MOST]
+    entries = [e for e in found.entries if not e.by_group][:MOST]
     if against is not None:
         entries = [e for e in found.entries if e.against == against]
     columns = min(3, max(1, len(entries)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ class Region:
 
     Attributes:
         low, high: of the covariate, in `covariate_unit`.
-        group: the run, where it is one run's alone.
+        group: the run, where it is one run's alone; the member, where the covariate is a group.
         size: mean residual there (weighted by the noise law), output unit.
         z: size over its standard uncertainty.
     """
@@ -55,7 +55,7 @@ def worst_regions(
     cuts: list[_Binned] = []
     for i, block in enumerate(covariates):
         cuts.append(_cut(i, block, np.ones(len(codes), bool), None))
-        if len(levels) > 1 and block.name != "run":
+        if len(levels) > 1 and not block.levels:
             for k, level in enumerate(levels):
                 if (codes == k).sum() >= FEWEST:
                     cuts.append(_cut(i, block, codes == k, level))
@@ -77,7 +77,7 @@ def worst_regions(
             best[cut.covariate] = (rank, region)
     regions = [best[i][1] for i in range(len(covariates))]
     return [
-        _as_run(r, levels) if b.name == "run" else r
+        replace(r, group=b.levels[int(r.low)]) if b.levels else r
         for r, b in zip(regions, covariates, strict=True)
     ]
 
@@ -86,13 +86,13 @@ def _cut(index: int, block: blocks.Block, own: np.ndarray, group: str | None) ->
     values = block.values[own]
     distinct = np.unique(values)
     bins = np.full(len(block.values), -1)
-    if block.name == "run" or len(distinct) <= BINS:
+    if block.levels or len(distinct) <= BINS:
         bins[own] = np.searchsorted(distinct, values)
         count = len(distinct)
     else:
         edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
         bins[own], count = np.searchsorted(edges, values, side="right"), BINS
-    longest = 1 if block.name == "run" else max(1, (2 * count) // 3)
+    longest = 1 if block.levels else max(1, (2 * count) // 3)
     return _Binned(index, group, bins, count, longest)
 
 
@@ -109,7 +109,3 @@ def _worst(cut: _Binned, block: blocks.Block, pull: np.ndarray, weight: np.ndarr
     inside = (cut.bins >= i) & (cut.bins < j)
     values = block.values[inside] if inside.any() else block.values
     return Region(float(values.min()), float(values.max()), cut.group, size, z, block.unit)
-
-
-def _as_run(region: Region, levels: tuple[str, ...]) -> Region:
-    return Region(region.low, region.high, levels[int(region.low)], region.size, region.z, "")

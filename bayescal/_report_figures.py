@@ -50,7 +50,7 @@ class Pictures:
 
     def residuals(self, calibration: Calibration, found: Check, which: str) -> list[Picture]:
         """Residuals against the covariates, the worst first, a picture each."""
-        entries = [e for e in found.entries if e.against != "run"][:PANELS]
+        entries = [e for e in found.entries if not e.by_group][:PANELS]
         unit = pretty(found.unit)
         pictures = []
         for e in entries:

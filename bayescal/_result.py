@@ -52,6 +52,7 @@ def result(trail: Trail) -> dict[str, Any]:
             "gate": {"ok": trail.gate.ok, "reason": trail.gate.reason},
             "steps": [step_data(s) for s in trail.steps],
             "check": [e for i, s in enumerate(trail.steps) for e in check_data(s.check, i)],
+            "pairs": [p for i, s in enumerate(trail.steps) for p in pairs_data(s.check, i)],
             "missing": [
                 missing_data(s.discovery, i, s.check)
                 for i, s in enumerate(trail.steps)
@@ -160,6 +161,13 @@ def check_data(check: Check, step: int) -> list[dict[str, Any]]:
             },
         }
         for e in check.entries
+    ]
+
+
+def pairs_data(check: Check, step: int) -> list[dict[str, Any]]:
+    return [
+        {"step": step, "against": list(p.against), "log_bayes_factor": p.log_bayes_factor}
+        for p in check.pairs
     ]
 
 

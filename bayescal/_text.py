@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bayescal._trail import Trail
 
 CLEAR = 5.0  # expected log Bayes factor from which an experiment tells two effects apart
+STRUCTURE = 3.0  # log Bayes factor from which two covariates together are worth a line
 WIDTH = 110  # columns that a table or a sentence should fit in
 
 
@@ -127,7 +128,7 @@ def check_text(check: Check) -> str:
             f"{e.log_bayes_factor:z.1f}",
             f"{e.worst.size:+.3g} {unit}",
             f"{e.worst.z:+.1f}",
-            _where(e.against, e.worst),
+            f"{e.against} {e.worst.group}" if e.by_group else _where(e.against, e.worst),
         ]
         for e in check.entries
     ]
@@ -137,6 +138,12 @@ def check_text(check: Check) -> str:
     if check.fixed:
         lines += [_fixed_text(check), ""]
     lines.append(table(head, rows, fold=25) if rows else "no covariate varies")
+    lines += [
+        f"{' and '.join(p.against)} together: no sum of one on each explains it (log Bayes factor "
+        f"{p.log_bayes_factor:.1f})"
+        for p in check.pairs[:2]
+        if p.log_bayes_factor > STRUCTURE
+    ]
     coefficient, z = check.autocorrelation
     lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
     for name, p in check.spread_with.items():
@@ -149,8 +156,6 @@ def check_text(check: Check) -> str:
 
 
 def _where(against: str, region: Region) -> str:
-    if against == "run":
-        return f"run {region.group}"
     if against == "order":
         rows = f"{region.low:.0f} to {region.high:.0f}"
         return f"row {region.low:.0f}" if region.low == region.high else f"rows {rows}"

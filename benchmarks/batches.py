@@ -1,10 +1,10 @@
 """Many devices at once: 10,000 gyroscopes, a line in temperature each, against loops of scipy and lmfit.
 
-Every device has 20 to 30 readings, an offset, a slope and noise of its own kind. `bc.fit_batch` takes them all, by
-least squares; `scipy.optimize.least_squares` and `lmfit.minimize` take them one after the other, with the same
-residuals and priors (but for lmfit's LinearModel, which has none), from arrays already cut into devices, on a sample of devices, scaled to all. All in one process
-and one run; times are the least of several, compilation apart. scipy with its default method and with the quicker
-"lm". Estimates are compared on the sample.
+Every device has 20 to 30 readings, an offset, a slope and noise. `bc.fit_batch` takes them all, by least squares;
+`scipy.optimize.least_squares` (its default method, and the quicker "lm") and lmfit (`minimize`, and its LinearModel)
+take them one after the other, with the same residuals and priors (LinearModel: no priors), from arrays already cut
+into devices, on a sample of devices, scaled to all. All in one process and one run; times are the least of several,
+compilation apart. Estimates are compared on the sample.
 
 What is timed differs in what comes out, too: the peers give coefficients and a covariance scaled by the residual
 variance; `fit_batch` the noise by restricted likelihood, a verdict for each device, and names and units.
@@ -83,7 +83,7 @@ def by_scipy(
         def residuals(x, t=t, output=output):
             return np.append(output - x[0] - x[1] * t, NOISE * x / PRIORS)
 
-        one = least_squares(residuals, np.zeros(2), method=method)
+        one = least_squares(residuals, x0=np.zeros(2), method=method)
         variance = 2 * one.cost / (len(t) - 2)
         covariance = np.linalg.inv(one.jac.T @ one.jac) * variance
         found.append((one.x, np.sqrt(np.diag(covariance))))
@@ -105,7 +105,7 @@ def by_lmfit(parts: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarra
         start = lmfit.Parameters()
         start.add("offset", value=0.0)
         start.add("slope", value=0.0)
-        one = lmfit.minimize(residuals, start)
+        one: Any = lmfit.minimize(residuals, start)
         found.append(
             (
                 np.array([one.params[n].value for n in ("offset", "slope")]),

@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar
 import bayescal as bc
 from bayescal import _batch_frames as frames
 from bayescal import _batch_linear as quick
+from bayescal._frame import Reference
 from bayescal._population import pool
 from bayescal_models import mems_gyro
 
@@ -266,7 +267,7 @@ def test_a_population_is_the_joint_fit_of_one_table() -> None:
     sd = np.sqrt(np.diagonal(pooled.covariance, axis1=1, axis2=2))
     np.testing.assert_allclose((pooled.mean - joint[k:].reshape(count, k)) / sd, 0, atol=0.03)
     found = pooled.population.table
-    np.testing.assert_allclose(found["mean"], joint[:k], atol=0.05 * found["mean_sd"].min())
+    np.testing.assert_allclose(found["mean"], joint[:k], atol=0.05 * float(found["mean_sd"].min()))
     np.testing.assert_allclose(found["spread"], tau, rtol=0.03)
 
 
@@ -278,7 +279,7 @@ def _posterior(j, y, mean, covariance) -> tuple[np.ndarray, np.ndarray]:
 def test_devices_with_few_readings_lean_on_the_others(readings) -> None:
     few = {name: readings[name] for name in readings.names}
     few["D00"] = few["D00"].select([0, 1, 2])
-    common = {"T0": 20.0}
+    common: Reference = {"T0": 20.0}
     alone = bc.fit_batch(MODEL, few, reference=common)
     pooled = bc.fit_batch(MODEL, few, population=True, reference=common)
     assert pooled.population is not None and pooled.population.ok
@@ -309,13 +310,13 @@ def test_a_population_agrees_with_effects_per_device() -> None:
         return bc.Effect(f"{effect.name}_device", effect.slot, effect.basis, (own,))
 
     joint_model = (MODEL + of_each(constant) + of_each(line)).fix({"noise.white": NOISE})
-    columns = {
-        "temperature": made["temperature [degC]"].to_numpy(),
-        "output": made["output [deg/s]"].to_numpy(),
-        "device": made["device"].to_numpy(),
-    }
-    whole = bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, **columns)
-    common = {"T0": 20.0}
+    whole = bc.Measurements.from_arrays(
+        mems_gyro.INSTRUMENT,
+        temperature=made["temperature [degC]"].to_numpy(),
+        output=made["output [deg/s]"].to_numpy(),
+        device=made["device"].to_numpy(),
+    )
+    common: Reference = {"T0": 20.0}
     joint = bc.fit(joint_model, whole, seed=1, reference=common)
     split = {
         d: whole.select(np.flatnonzero(whole["device"] == d)) for d in whole.groups("device")[0]
@@ -355,7 +356,8 @@ def _over_noise(one: bc.Measurements) -> tuple[np.ndarray, np.ndarray]:
     t, y = one["temperature"], one["output"]
     j = np.column_stack([np.ones(len(t)), t - np.round(t.mean())])
     d = np.diag([e.coefficients[0].size ** 2 for e in MODEL.effects])
-    scale = MODEL.noise.parameters()["noise.white"].scale
+    scale = 0.1  # of the half-Cauchy
+    assert MODEL.noise.parameters()["noise.white"] == bc.HalfCauchy(scale)
     logs, means, inners = [], [], []
     for sd in np.exp(np.linspace(np.log(0.03), np.log(3.0), 400)):
         v = sd**2 * np.eye(len(y)) + j @ d @ j.T
