@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from bayescal._discover import discover as discover
     from bayescal._effect import Effect as Effect
     from bayescal._experiment import NextExperiment as NextExperiment
+    from bayescal._screen import FalseReports as FalseReports
+    from bayescal._screen import false_reports as false_reports
     from bayescal._experiment import next_experiment as next_experiment
     from bayescal._errors import BayescalError as BayescalError
     from bayescal._errors import InputError as InputError
@@ -118,6 +120,7 @@ _HOMES = {
     "ModelError": "_errors",
     "NUTS": "_nuts",
     "NextExperiment": "_experiment",
+    "FalseReports": "_screen",
     "Noise": "_noise",
     "OrnsteinUhlenbeck": "_noise",
     "NominalScale": "_measurements",
@@ -142,6 +145,7 @@ _HOMES = {
     "load": "_fit",
     "load_batch": "_batch_result",
     "next_experiment": "_experiment",
+    "false_reports": "_screen",
     "load_compensator": "_compensate",
     "plot": "_plot",
     "predict": "_predict",

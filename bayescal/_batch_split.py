@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -244,20 +244,40 @@ def _admit_most(
     Raises:
         InputError: something is wrong that is not in one row.
     """
-    rows, refused = np.arange(len(taken.rows)), {}
-    while rows.size:
+
+    def attempt(rows: np.ndarray) -> Admitted | str:
         part = replace(taken, rows=taken.rows[rows], spoken_of=-1)
         table = part.table()
         try:
-            return admit(table, expects, wishes), rows, refused
+            return admit(table, expects, wishes)
         except InputError as error:
             index = part.spoken_of
             if index < 0 or not str(error).startswith(table.place(index)):
                 raise  # of the header, not of a row
-            bad = codes[rows[index]]
-            refused[names[bad]] = str(error)
-            rows = rows[codes[rows] != bad]
-    return Admitted(), rows, refused
+            return str(error)
+
+    def search(rows: np.ndarray) -> Iterator[tuple[int, str]]:
+        """Devices that are refused by themselves; by halves, for they are few."""
+        found = attempt(rows)
+        if not isinstance(found, str):
+            return
+        members = np.unique(codes[rows])
+        if len(members) == 1:
+            yield int(members[0]), found
+            return
+        left = codes[rows] < members[len(members) // 2]
+        yield from search(rows[left])
+        yield from search(rows[~left])
+
+    rows = np.arange(len(taken.rows))
+    found, bad = attempt(rows), {}
+    if isinstance(found, str):
+        bad = dict(search(rows))
+        rows = rows[~np.isin(codes, list(bad))]
+        found = attempt(rows) if rows.size else Admitted()
+    if isinstance(found, str):
+        raise InputError(found)
+    return found, rows, {names[code]: why for code, why in bad.items()}
 
 
 def _without_useless(

@@ -13,6 +13,7 @@ import inspect
 import io
 import os
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -211,6 +212,7 @@ def discover(
     instrument: options.OwnInstrument = None,
     max_effects: options.MostEffects = 5,
     next_experiment: options.Next = False,
+    calibrate_screen: options.Screen = None,
     json_: options.Json = False,
 ) -> None:
     """Which effect is missing from a fitted model; and which experiment would tell rivals apart."""
@@ -227,6 +229,10 @@ def discover(
         ranked = bc.next_experiment(loaded, found.rivals) if len(found.rivals) > 1 else None
         text += f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
         data["next_experiment"] = None if ranked is None else experiment_data(ranked)
+    if calibrate_screen is not None:
+        rate = bc.false_reports(loaded, calibrate_screen, effects=own, max_effects=max_effects)
+        text += f"\n\n{rate}"
+        data["false_reports"] = asdict(rate)
     _say(clean(data) if json_ else text)
 
 

@@ -80,6 +80,15 @@ Next = Annotated[
         "--next-experiment", help="Rank feasible campaigns by how well they tell rivals apart."
     ),
 ]
+Screen = Annotated[
+    int | None,
+    typer.Option(
+        "--calibrate-screen",
+        metavar="N",
+        min=1,
+        help="Search N campaigns simulated from this model, and print how often something is reported.",
+    ),
+]
 Hidden = Annotated[
     list[str] | None,
     typer.Option("--effect", help="name=size: an effect to hide; repeat for more."),

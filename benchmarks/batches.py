@@ -83,7 +83,7 @@ def by_scipy(
         def residuals(x, t=t, output=output):
             return np.append(output - x[0] - x[1] * t, NOISE * x / PRIORS)
 
-        one = least_squares(residuals, x0=np.zeros(2), method=method)
+        one: Any = least_squares(residuals, x0=np.zeros(2), method=method)
         variance = 2 * one.cost / (len(t) - 2)
         covariance = np.linalg.inv(one.jac.T @ one.jac) * variance
         found.append((one.x, np.sqrt(np.diag(covariance))))

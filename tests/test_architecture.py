@@ -31,7 +31,7 @@ FLOORS = {
     "many devices": "_batch_draws _batch_devices _batch_split _batch_frames _batch_linear _batch_solve _population "
     "_batch_result _batch",
     "verbs on a calibration": "_susie_models _susie _candidates _blocks _regions _check "
-    "_judgement _verification _discover _experiment _template "
+    "_judgement _verification _discover _experiment _screen _template "
     "_folds _compare _spikes _trail _calibrate",
     "what the user takes away": "_in_use _inverse _export_graph _export_trace _export_text _export _export_about "
     "_compensate _compensate_files _budget",

@@ -267,7 +267,9 @@ def test_a_population_is_the_joint_fit_of_one_table() -> None:
     sd = np.sqrt(np.diagonal(pooled.covariance, axis1=1, axis2=2))
     np.testing.assert_allclose((pooled.mean - joint[k:].reshape(count, k)) / sd, 0, atol=0.03)
     found = pooled.population.table
-    np.testing.assert_allclose(found["mean"], joint[:k], atol=0.05 * float(found["mean_sd"].min()))
+    np.testing.assert_allclose(
+        found["mean"], joint[:k], atol=0.05 * np.min(found["mean_sd"].to_numpy())
+    )
     np.testing.assert_allclose(found["spread"], tau, rtol=0.03)
 
 

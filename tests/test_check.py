@@ -1,0 +1,65 @@
+"""Where a model fails: along a covariate, along two together, in one member of a group; and how often it cries wolf."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal_models import mems_gyro
+
+MODEL = mems_gyro.INSTRUMENT.baseline()
+FAST = bc.LeastSquares(draws=200)
+NOISE = 0.05  # °/s, the simulator's
+
+
+@pytest.fixture(scope="module")
+def readings() -> bc.Measurements:
+    return mems_gyro.simulate({}, seed=61)
+
+
+def fitted(readings: bc.Measurements) -> bc.Calibration:
+    return bc.fit(MODEL, readings, FAST, strict=False)
+
+
+def scaled(values: np.ndarray) -> np.ndarray:
+    return (values - values.mean()) / values.std()
+
+
+def test_a_product_of_two_covariates_is_named_as_such(readings) -> None:
+    product = scaled(readings["temperature"]) * scaled(readings["time"])
+    bent = readings.with_column("output", readings["output"] + NOISE * product)
+    found = bc.check(fitted(bent))
+    first = found.pairs[0]
+    alone = {e.against: e.log_bayes_factor for e in found.entries}
+    assert "temperature" in first.against
+    assert first.log_bayes_factor > 5
+    assert first.log_bayes_factor > max(alone[name] for name in first.against)
+    assert "together" in str(found)
+
+
+def test_nothing_is_said_of_pairs_where_there_is_nothing(readings) -> None:
+    found = bc.check(fitted(readings))
+    assert all(p.log_bayes_factor < 3 for p in found.pairs)
+    assert "together" not in str(found)
+
+
+def test_the_run_that_stands_apart_is_named(readings) -> None:
+    levels, codes = readings.groups("run")
+    apart = readings.with_column("output", readings["output"] + 2 * NOISE * (codes == 1))
+    entry = next(e for e in bc.check(fitted(apart)).entries if e.against == "run")
+    assert entry.by_group
+    assert entry.worst.group == levels[1]
+    assert entry.log_bayes_factor > 5
+
+
+def test_false_reports_are_counted(readings) -> None:
+    first = fitted(readings)
+    rate = bc.false_reports(first, 20, seed=1)
+    assert rate.campaigns == 20
+    assert rate.reported <= 4  # at a true rate of 5 %, more happen once in 400 times
+    low, high = rate.interval
+    assert low <= rate.reported / 20 <= high
+    assert f"{rate.reported} of 20" in str(rate)
+    with pytest.raises(bc.InputError, match="ask for 1 or more"):
+        bc.false_reports(first, 0)
