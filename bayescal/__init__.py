@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     # fits
     from bayescal._fit import fit as fit
     from bayescal._fit import load as load
+    from bayescal._program import ProgramFit as ProgramFit
 
     # many devices at once
     from bayescal._batch import fit_batch as fit_batch
@@ -126,6 +127,7 @@ _HOMES = {
     "NominalScale": "_measurements",
     "Normal": "_prior",
     "NotConverged": "_errors",
+    "ProgramFit": "_program",
     "Quantised": "_noise",
     "Shape": "_coefficient",
     "Slot": "_instrument",

@@ -126,7 +126,7 @@ def discover(
                 judged = verification.shared_out(judged, names, share, 1 - nothing)
                 sets = together
     if nothing <= FINDING and sets:
-        best = (known[sets[0].effects[0]],)
+        best = (_first(sets[0], known),)
         names = [e.name for e in tested]
         judged = judgement.given(judged, columns, score, names.index(best[0].name))
     else:
@@ -159,6 +159,12 @@ def _named_instead(
         Found(tuple(columns.effects[named[m]].name for m in s.members), s.probability)
         for s in found.sets
     )
+
+
+def _first(found: Found, known: dict[str, Effect]) -> Effect:
+    """What to add of a set: its likeliest effect that has a name, if any has one; a placeholder comes last."""
+    effects = [known[name] for name in found.effects]
+    return next((e for e in effects if e.measure is None), effects[0])
 
 
 def _rivals(sets: tuple[Found, ...], ranked: Sequence[Candidate]) -> list[str]:

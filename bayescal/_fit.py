@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +22,13 @@ from bayescal._model import Model
 from bayescal._startup import spare_memory_maps
 from bayescal._tree import build_tree
 
+if TYPE_CHECKING:
+    from bayescal._program import ProgramFit
+
 GROUPS = ("run", "cell", "axis", "device")
 
 
+@overload
 def fit(
     model: Model,
     readings: Measurements,
@@ -33,24 +38,56 @@ def fit(
     strict: bool = True,
     reference: Reference | None = None,
     checkpoint: str | Path | None = None,
-) -> Calibration:
+) -> Calibration: ...
+
+
+@overload
+def fit(
+    model: Callable[..., Any],
+    readings: Any,
+    method: Method | None = None,
+    *,
+    seed: int = 0,
+    strict: bool = True,
+) -> ProgramFit: ...
+
+
+def fit(
+    model: Model | Callable[..., Any],
+    readings: Any,
+    method: Method | None = None,
+    *,
+    seed: int = 0,
+    strict: bool = True,
+    reference: Reference | None = None,
+    checkpoint: str | Path | None = None,
+) -> Calibration | ProgramFit:
     """Fit a model to readings.
 
+    A NumPyro program is fitted as it is. Its Normal and MultivariateNormal sites are found by tracing it and are
+    integrated out where, given all others, every location is affine in them; what is left is sampled as φ of an
+    own model is. The verdict says which sites, and why not the others. Where none is, NumPyro's NUTS runs.
+
     Args:
-        model: an instrument, effects, a noise law.
-        readings: measurements of that instrument.
-        method: `Marginal()` if not given; or `LeastSquares()`, `NUTS()`.
+        model: an instrument, effects, a noise law; or a NumPyro program.
+        readings: measurements of that instrument; for a program its arguments, as a dict by name, a tuple or list
+            in order, or anything else as the only one.
+        method: `Marginal()` if not given; or `LeastSquares()` (own models only), `NUTS()`. For a program,
+            `Marginal(promote=…)` names sites to sample rather than integrate out.
         seed: of every random number; the same seed gives the same draws on the same machine.
         strict: raise if the fit did not converge; False returns it with its verdict.
-        reference: constants of the bases, such as {"T0": 0.0}, to use in place of the data's own.
+        reference: constants of the bases, such as {"T0": 0.0}, to use in place of the data's own. Own models only.
         checkpoint: a file, …nc, that finished pieces of the fit are kept in. A fit that was stopped, killed even,
-            takes up from there and ends with the same draws, bit for bit; one that had ended does not sample again.
+            takes up from there and ends with the same draws, bit for bit; one that had ended does not sample again. Own models only.
 
     Raises:
         InputError: the checkpoint is none, or one of another model, readings, method, seed or version.
-        ModelError: readings lack a column or have too few rows for the flat coefficients.
+        ModelError: readings lack a column or have too few rows for the flat coefficients; or a program observes
+            nothing, has discrete unknowns, or does not take these readings.
         NotConverged: the verdict is not good; carries the calibration.
     """
+    if not isinstance(model, Model):
+        return _fit_program(model, readings, method, seed, strict, reference, checkpoint)
     spare_memory_maps()
     method = Marginal() if method is None else method
     model.require(readings)
@@ -81,6 +118,20 @@ def fit(
             calibration,
         )
     return calibration
+
+
+def _fit_program(model, readings, method, seed, strict, reference, checkpoint) -> ProgramFit:
+    if not callable(model):
+        raise ModelError(
+            f"A model is an instrument with effects, such as mems_gyro.INSTRUMENT.baseline(), or a NumPyro program; "
+            f"this is a {type(model).__name__}"
+        )
+    if reference is not None or checkpoint is not None:
+        name = "reference" if reference is not None else "checkpoint"
+        raise ModelError(f"{name} is for bayescal's own models, and this is a program: leave it out")
+    from bayescal._program import fit_program  # loads NumPyro, which the default fit does without
+
+    return fit_program(model, readings, method, seed=seed, strict=strict)
 
 
 def bind(model: Model, readings: Measurements) -> tuple[Layout, dict[str, tuple[str, ...]]]:

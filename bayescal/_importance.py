@@ -11,6 +11,7 @@ Source: A. Owen and Y. Zhou, JASA 95 (2000) 135 (defensive mixtures); M. West, J
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -91,6 +92,44 @@ class _Proposal(NamedTuple):
         return norm + jnp.logaddexp(*parts)
 
 
+class PriorShare(NamedTuple):
+    """Proper prior of φ's coordinates, that a share of the proposals is drawn from."""
+
+    draw: Callable[[Array, int], Array]  # key, count → (s, d)
+    log_density: Callable[[Array], Array]  # (s, d) → (s,)
+
+
+def explore(
+    mode,
+    log_density: Callable[[Array], Array],
+    prior: PriorShare | None,
+    keys: tuple[Array, Array],
+    proposals: int,
+    rounds: int,
+) -> tuple[Float[Array, "s d"], Float[Array, "s"]]:
+    """Adapt to a density of φ's coordinates, then propose.
+
+    Args:
+        mode: anything with the density's mode `v` and the `covariance` of its Gaussian fit there.
+        log_density: of one point, not normalised.
+        prior: None where it is improper or cannot be drawn from.
+        keys: of the adaptation and of the final proposals.
+        proposals: of the final round; half as many in each round of adaptation.
+        rounds: of adaptation.
+
+    Returns:
+        The proposals, and the log density that they are drawn from.
+    """
+
+    def adapt(proposal, key):
+        v, log_proposal = _propose(prior, proposal, key, proposals // 2)
+        log_phi = over(log_density, v, BATCH)
+        return _match(mode, v, log_phi - log_proposal), None
+
+    proposal, _ = jax.lax.scan(adapt, _around_mode(mode), jax.random.split(keys[0], rounds))
+    return _propose(prior, proposal, keys[1], proposals)
+
+
 def sample(
     layout: Layout,
     frame: Frame,
@@ -104,13 +143,8 @@ def sample(
     density = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)
     adapt_key, draw_key, place_key = jax.random.split(key, 3)
 
-    def adapt(proposal, key):
-        v, log_proposal = _propose(layout, proposal, key, proposals // 2)
-        log_phi = over(lambda one: density(one)[0], v, BATCH)
-        return _match(mode, v, log_phi - log_proposal), None
-
-    proposal, _ = jax.lax.scan(adapt, _around_mode(mode), jax.random.split(adapt_key, rounds))
-    v, log_proposal = _propose(layout, proposal, draw_key, proposals)
+    keys, share = (adapt_key, draw_key), _prior_share(layout)
+    v, log_proposal = explore(mode, lambda v: density(v)[0], share, keys, proposals, rounds)
 
     def finish(args):
         one, key = args
@@ -145,18 +179,28 @@ def sample_batch(
 
 
 def _propose(
-    layout: Layout, proposal: _Proposal, key: Array, count: int
+    prior: PriorShare | None, proposal: _Proposal, key: Array, count: int
 ) -> tuple[Float[Array, "s d"], Float[Array, "s"]]:
     """Coordinates of φ with the log density that they are drawn from: near the mode and, where proper, the prior."""
     k1, k2, k3 = jax.random.split(key, 3)
     near = proposal.draw(k1, count)
-    if not layout.hypers or any(isinstance(h.prior, (Flat, FlatLine)) for h in layout.hypers):
+    if prior is None:
         return near, proposal.log_density(near)
-    keys = jax.random.split(k2, (len(layout.hypers), count))
-    far = [jax.vmap(h.prior.sample)(k) for h, k in zip(layout.hypers, keys, strict=True)]
-    v = jnp.where(jax.random.bernoulli(k3, PRIOR, (count, 1)), jnp.stack(far, axis=1), near)
-    log_prior = jax.vmap(lambda one: composition.hyper_log_prior(layout, one))(v)
-    return v, jnp.logaddexp(jnp.log1p(-PRIOR) + proposal.log_density(v), jnp.log(PRIOR) + log_prior)
+    v = jnp.where(jax.random.bernoulli(k3, PRIOR, (count, 1)), prior.draw(k2, count), near)
+    parts = jnp.log1p(-PRIOR) + proposal.log_density(v), jnp.log(PRIOR) + prior.log_density(v)
+    return v, jnp.logaddexp(*parts)
+
+
+def _prior_share(layout: Layout) -> PriorShare | None:
+    if not layout.hypers or any(isinstance(h.prior, (Flat, FlatLine)) for h in layout.hypers):
+        return None
+
+    def draw(key, count):
+        keys = jax.random.split(key, (len(layout.hypers), count))
+        far = [jax.vmap(h.prior.sample)(k) for h, k in zip(layout.hypers, keys, strict=True)]
+        return jnp.stack(far, axis=1)
+
+    return PriorShare(draw, jax.vmap(lambda v: composition.hyper_log_prior(layout, v)))
 
 
 def draw_coefficients(layout, frame, y, point, v, found: linear.Conditional, key):

@@ -181,13 +181,19 @@ def _at_mode(layout, frame, y, point, v, change, flat) -> Mode:
     if not dim:
         none = jnp.zeros((0, 0))
         return Mode(point, v, none, value, value, change, flat, jnp.zeros((), bool))
-    precision = _curvature(lambda v: -density(v)[0], v)
+    covariance, volume, indefinite = gaussian_fit(lambda v: density(v)[0], v)
+    return Mode(point, v, covariance, value, value + volume, change, flat, indefinite)
+
+
+def gaussian_fit(log_density, v: Float[Array, "d"]) -> tuple[Array, Array, Array]:
+    """Covariance of the Gaussian fit at a mode, its log volume, and whether the curvature had to be mended."""
+    precision = _curvature(lambda v: -log_density(v), v)
     weights, vectors = jnp.linalg.eigh(0.5 * (precision + precision.T))
     # A coordinate is never known worse than a few units before its prior takes over.
     mended = jnp.maximum(weights, 0.05)
     covariance = (vectors / mended) @ vectors.T
-    evidence = value + 0.5 * dim * jnp.log(2 * jnp.pi) - 0.5 * jnp.sum(jnp.log(mended))
-    return Mode(point, v, covariance, value, evidence, change, flat, jnp.any(weights < 0.05))
+    volume = 0.5 * v.size * jnp.log(2 * jnp.pi) - 0.5 * jnp.sum(jnp.log(mended))
+    return covariance, volume, jnp.any(weights < 0.05)
 
 
 def _curvature(function, v: Float[Array, "d"], step: float = 1e-4) -> Float[Array, "d d"]:

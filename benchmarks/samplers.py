@@ -139,7 +139,7 @@ class Ran(NamedTuple):
 
 
 def numpyro_nuts(target: Target, dense: bool, warmup: int) -> Ran:
-    """NumPyro's NUTS; all chains in one program."""
+    """NumPyro's NUTS, chains one after another."""
     import numpyro.infer as infer
 
     kernel = infer.NUTS(
@@ -152,14 +152,13 @@ def numpyro_nuts(target: Target, dense: bool, warmup: int) -> Ran:
             num_warmup=warmup,
             num_samples=draws,
             num_chains=CHAINS,
-            chain_method="vectorized",
+            chain_method="sequential",
             progress_bar=False,
         )
 
     begun = time.perf_counter()
     made = mcmc(warmup, DRAWS)
-    made.warmup(jax.random.key(1), init_params=target.start, extra_fields=("diverging",))
-    made.run(made.post_warmup_state.rng_key, extra_fields=("diverging",))
+    made.run(jax.random.key(1), init_params=target.start, extra_fields=("diverging",))
     whole = time.perf_counter() - begun
     draws = np.asarray(made.get_samples(group_by_chain=True))
     diverging = int(np.sum(made.get_extra_fields()["diverging"]))

@@ -27,7 +27,8 @@ FLOORS = {
     "effects _instrument _model",
     "the model as numbers": "_layout _composition _linear _laplace",
     "a calibration": "_calibration _store _tree _checkpoint _method _predict _score _directions _summary _text",
-    "methods and their verb": "_promotion _importance _chains _least_squares _marginal _nuts _fit",
+    "methods and their verb": "_promotion _importance _chains _least_squares _marginal _nuts "
+    "_program_sites _program_affine _program_density _program _fit",
     "many devices": "_batch_draws _batch_devices _batch_split _batch_frames _batch_linear _batch_solve _population "
     "_batch_result _batch",
     "verbs on a calibration": "_susie_models _susie _candidates _blocks _regions _check "
@@ -56,6 +57,7 @@ LATE = {
     ("_trail", "_plot"): "trail.save() draws, above it; Matplotlib loads only to draw",
     ("_trail", "_result"): "trail.save() writes the result, which is above it",
     ("_fit", "_store"): "loading is seldom",
+    ("_fit", "_program"): "it loads NumPyro, which a default fit does without",
     ("_export_about", "bayescal"): "its version, which stands on the face",
 }
 LATE_ANYWHERE = {
