@@ -128,7 +128,9 @@ def _fit_program(model, readings, method, seed, strict, reference, checkpoint) -
         )
     if reference is not None or checkpoint is not None:
         name = "reference" if reference is not None else "checkpoint"
-        raise ModelError(f"{name} is for bayescal's own models, and this is a program: leave it out")
+        raise ModelError(
+            f"{name} is for bayescal's own models, and this is a program: leave it out"
+        )
     from bayescal._program import fit_program  # loads NumPyro, which the default fit does without
 
     return fit_program(model, readings, method, seed=seed, strict=strict)

@@ -42,6 +42,10 @@ WIDE = 30  # coordinates, above which importance sampling is not tried
 MANY = 1000  # readings that cost anew at each proposal, above which fewer are made
 BEND = 0.01  # standard deviation of the log weights by what is not Gaussian, below which draws of chains stand
 ROWS = 40  # lines of a printed table
+BENT = (
+    "The density is Gaussian at the points that were tried, but not where the readings point to: "
+    "NumPyro's NUTS on every unknown."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +195,9 @@ def _marginal(divided: Split, method: Marginal, seed: int) -> _Drawn:
     keys = jax.random.split(jax.random.key(seed), 3)
     with stage("finding the mode"):
         mode = density.compiled_mode(divided, keys[0])
-    if method.sampler == "nuts" and divided.dim:
+    if not divided.dim:
+        return _closed(divided, mode, method, keys[1], seed, notes)
+    if method.sampler == "nuts":
         return _chains(divided, mode, method, seed, notes)
     if divided.dim > WIDE:
         why = f"{divided.dim} coordinates are too many for importance sampling"
@@ -214,6 +220,22 @@ def _marginal(divided: Split, method: Marginal, seed: int) -> _Drawn:
     verdict = Verdict(True, (), notes, "importance sampling", float(k_hat), effective)
     values = density.values_of(divided, found.x[pick], found.v[pick])
     return _Drawn(_by_chain(values), verdict, (evidence, error))
+
+
+def _closed(divided: Split, mode, method: Marginal, key, seed: int, notes) -> _Drawn:
+    """Independent draws, where nothing is left to sample."""
+    count = CHAINS * max(1, method.draws // CHAINS)
+    x, v, bend = density.draws_back(divided, mode, jnp.zeros((count, 0)), key)
+    if not _straight(bend):
+        return _plain(divided, method, seed, (*notes[1:], BENT))
+    verdict = Verdict(True, (), notes, "independent draws", ess=float(count))
+    values = _by_chain(density.values_of(divided, x, v))
+    return _Drawn(values, verdict, (float(mode.log_evidence), 0.0))
+
+
+def _straight(bend) -> bool:
+    """Whether the density is Gaussian in what was integrated out wherever the draws lie."""
+    return bool(np.std(np.clip(np.asarray(bend), -1e3, 1e3)) < BEND)
 
 
 def _anew(divided: Split) -> int:
@@ -240,9 +262,8 @@ def _chains(divided: Split, mode, method: Marginal, seed: int, notes: tuple[str,
         )
         flat = ran.draws.reshape(-1, divided.dim)
         x, v, bend = density.draws_back(divided, mode, flat, k2)
-    if not np.std(np.clip(np.asarray(bend), -1e3, 1e3)) < BEND:
-        bent = "The density is Gaussian at the points that were tried, and not where the readings point to"
-        return _plain(divided, method, seed, (*notes[1:], f"{bent}: NUTS on every unknown."))
+    if not _straight(bend):
+        return _plain(divided, method, seed, (*notes[1:], BENT))
     verdict = chain_verdict(ran, None, "NUTS on what is not integrated out", notes, None)
     values = density.values_of(divided, x, v)
     return _Drawn(_by_chain(values), verdict, (float(mode.log_evidence), None))

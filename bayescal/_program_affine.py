@@ -28,7 +28,9 @@ from bayescal._program_sites import (
     trace_at,
 )
 
-SEED = 20261121  # of the points; not the fit's, so that what is integrated out never depends on that
+SEED = (
+    20261121  # of the points; not the fit's, so that what is integrated out never depends on that
+)
 POINTS = 3  # of each kind
 SAME = 1e-8  # of the largest value: what a step may leave by rounding
 STRAIGHT = 1e-9  # of the slope: by how much slopes at both ends of a step may differ
@@ -249,10 +251,10 @@ def _expelled(
     for i in range(len(candidates)):
         own = candidates[i].name
         for j, name in enumerate(study.names):
-            if study.scaled[i, j] and name in laws and laws[name].gaussian:
+            if study.scaled[i, j] and laws[name].gaussian:
                 expel(i, f"the scale of {name!r} depends on it")
             elif study.scaled[i, j]:
-                law = laws[name].law if name in laws else "a factor"
+                law = "a factor" if laws[name].law == "Unit" else laws[name].law
                 expel(i, f"{name!r} ({law}) depends on it and is not Gaussian")
             elif j < study.bent.shape[2] and study.bent[i, i, j] and name != own:
                 expel(i, f"the location of {name!r} is not affine in it")

@@ -209,9 +209,7 @@ def draws_back(split: Split, mode: Mode, u: Float[Array, "s d"], key: Array):
     """x, v and the bend of draws of u."""
     density = density_of_u(split, mode)
     keys = jax.random.split(key, len(u))
-    x, v, _, bend = over(
-        lambda a: draw_back(split, mode, density, *a), (u, keys), importance.BATCH
-    )
+    x, v, _, bend = over(lambda a: draw_back(split, mode, density, *a), (u, keys), importance.BATCH)
     return x, v, bend
 
 

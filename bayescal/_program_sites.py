@@ -91,9 +91,7 @@ class Factor(NamedTuple):
         if self.root.ndim == self.rest.ndim:
             return jnp.ravel(self.rest / self.root), 2 * jnp.sum(jnp.log(self.root))
         white = solve_triangular(self.root, self.rest[..., None], lower=True)
-        return jnp.ravel(white), 2 * jnp.sum(
-            jnp.log(jnp.diagonal(self.root, axis1=-2, axis2=-1))
-        )
+        return jnp.ravel(white), 2 * jnp.sum(jnp.log(jnp.diagonal(self.root, axis1=-2, axis2=-1)))
 
 
 class Densities(NamedTuple):

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from bayescal._trail import Trail
 
 CLEAR = 5.0  # expected log Bayes factor from which an experiment tells two effects apart
-STRUCTURE = 3.0  # log Bayes factor from which two covariates together are worth a line
+STRUCTURE = (
+    3.0  # log Bayes factor from which two covariates together are worth a line, if above each one's
+)
 WIDTH = 110  # columns that a table or a sentence should fit in
 
 
@@ -142,7 +144,7 @@ def check_text(check: Check) -> str:
         f"{' and '.join(p.against)} together: no sum of one on each explains it (log Bayes factor "
         f"{p.log_bayes_factor:.1f})"
         for p in check.pairs[:2]
-        if p.log_bayes_factor > STRUCTURE
+        if p.log_bayes_factor > max(STRUCTURE, *(e.log_bayes_factor for e in check.entries))
     ]
     coefficient, z = check.autocorrelation
     lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")

@@ -220,9 +220,17 @@ def nutpie_nuts(target: Target, low_rank: bool, warmup: int) -> Ran:
     def expand(*_):
         return lambda q, **_: {"q": np.asarray(q)}
 
-    start = np.asarray(target.start)
+    def begin(seed):
+        return np.asarray(target.start)[seed % CHAINS]
+
     model = from_pyfunc(
-        dim, logp, expand, [np.dtype("float64")], [(dim,)], ["q"], initial_mean=start[0]
+        dim,
+        logp,
+        expand,
+        [np.dtype("float64")],
+        [(dim,)],
+        ["q"],
+        make_initial_point_fn=begin,
     )
     begun = time.perf_counter()
     trace = nutpie.sample(
@@ -400,7 +408,7 @@ def _told(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> str:
     health = f"k̂ {own['pareto_k']:.2f}" if "pareto_k" in own else f"R̂ {own['max_r_hat']:.2f}"
     apart = own.get("largest_distance_of_a_mean_sd")
     return (
-        f"{own['row']:48s} {own['per_second']:9.3g} a second, least ESS {own['least_ess']:6.0f} in {own['seconds']:6.2f} s, "
-        f"compiling {own['compiling']:5.1f} s, {health}"
+        f"{own['row']:48s} {own['per_second']:9.3g} a second, least ESS {own['least_ess']:6.0f} in "
+        f"{own['seconds']:6.2f} s, compiling {own['compiling']:5.1f} s, {health}"
         + ("" if apart is None else f", means within {apart:.2f} sd")
     )
