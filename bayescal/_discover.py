@@ -118,13 +118,10 @@ def discover(
         judged = verification.after_refit(judged, verified, nothing)
         sets = (Found(verification.members(judged, verified), 1 - nothing), *sets[1:])
         if nothing <= FINDING and known[sets[0].effects[0]].measure is not None:
-            together = _named_instead(columns, score, max_effects)
+            together = _together(columns, score, max_effects)
             leaders = [known[s.effects[0]] for s in together]
             share = verification.share_of(calibration, leaders, judged, verified)
-            if share > 0.5:
-                names = {name for found in together for name in found.effects}
-                judged = verification.shared_out(judged, names, share, 1 - nothing)
-                sets = together
+            sets, judged = _named(sets, together, share, judged, verified)
     if nothing <= FINDING and sets:
         best = (_first(sets[0], known),)
         names = [e.name for e in tested]
@@ -139,7 +136,32 @@ def discover(
     return Discovery(nothing, sets, (*ranked, *shut), best, verified, rivals)
 
 
-def _named_instead(
+def _named(
+    sets: tuple[Found, ...],
+    together: tuple[Found, ...],
+    share: float,
+    judged: list[Candidate],
+    verified: dict[str, float],
+) -> tuple[tuple[Found, ...], list[Candidate]]:
+    """Sets and candidates where an unknown function leads, after effects with a name have been set beside it.
+
+    Args:
+        sets: the unknown's first.
+        together: of named effects.
+        share: their probability together, against the unknown's.
+        judged, verified: candidates, and log Bayes factors by refit.
+    """
+    if share > 0.5:
+        names = {name for found in together for name in found.effects}
+        return together, verification.shared_out(judged, names, share, sets[0].probability)
+    near = verification.nearly(verified, judged, sets[0].effects[0])
+    if near is None:
+        return sets, judged
+    beside = dict.fromkeys((*sets[0].effects, near))
+    return (Found(tuple(beside), sets[0].probability), *sets[1:]), judged
+
+
+def _together(
     columns: candidates.Columns, score: scores.Score, max_effects: int
 ) -> tuple[Found, ...]:
     """What named effects together would explain: an unknown function can imitate a sum of several of them."""
@@ -177,7 +199,7 @@ def _rivals(sets: tuple[Found, ...], ranked: Sequence[Candidate]) -> list[str]:
         for c in ranked
         if c.effect not in first
         and (c.kind == "lead" or set(first) & set(c.indistinguishable_from))
-        and not (first and c.effect.startswith("unknown("))
+        and not (first and c.unknown)
     ]
     return [*first, *near][:RIVALS]
 

@@ -78,7 +78,8 @@ def fit(
         strict: raise if the fit did not converge; False returns it with its verdict.
         reference: constants of the bases, such as {"T0": 0.0}, to use in place of the data's own. Own models only.
         checkpoint: a file, …nc, that finished pieces of the fit are kept in. A fit that was stopped, killed even,
-            takes up from there and ends with the same draws, bit for bit; one that had ended does not sample again. Own models only.
+            takes up from there and ends with the same draws, bit for bit; one that had ended does not sample again.
+            Own models only.
 
     Raises:
         InputError: the checkpoint is none, or one of another model, readings, method, seed or version.

@@ -58,6 +58,11 @@ class Candidate:
     prior: float = 0.0
     conditional: float | None = None
 
+    @property
+    def unknown(self) -> bool:
+        """Whether it is an unknown function of a covariate rather than an effect with a name."""
+        return self.effect.startswith("unknown(")
+
 
 @dataclass(frozen=True)
 class _Grid:

@@ -13,7 +13,6 @@ import numpy as np
 import numpyro.infer as infer
 import xarray as xr
 from arviz_base import from_dict
-from numpyro import handlers
 
 from bayescal import _chains as chains
 from bayescal import _program_density as density
@@ -33,14 +32,14 @@ from bayescal._marginal import (
 from bayescal._method import Method
 from bayescal._nuts import NUTS
 from bayescal._program_affine import Split, split
-from bayescal._program_sites import Program, survey
+from bayescal._program_sites import Program, draw_trace, survey
 from bayescal._progress import stage
 from bayescal._startup import spare_memory_maps
 from bayescal._text import WIDTH, table, with_error
 
 WIDE = 30  # coordinates, above which importance sampling is not tried
 MANY = 1000  # readings that cost anew at each proposal, above which fewer are made
-BEND = 0.01  # standard deviation of the log weights by what is not Gaussian, below which draws of chains stand
+BEND = 0.01  # root mean square of what the Gaussian form leaves out of the log density, below which draws stand
 ROWS = 40  # lines of a printed table
 BENT = (
     "The density is Gaussian at the points that were tried, but not where the readings point to: "
@@ -160,11 +159,9 @@ def _observed(program: Program) -> dict[str, np.ndarray]:
     """Values of the observed sites, checked."""
 
     def values(key):
-        made = handlers.trace(handlers.seed(program.run, key)).get_trace()
+        made = draw_trace(program.run, key)
         return {s.name: made[s.name]["value"] for s in program.observed if s.law != "Unit"}
 
-    if program.improper:  # cannot be drawn from; a point stands for a draw
-        return {}
     found = jax.tree.map(np.asarray, jax.jit(values)(jax.random.key(0)))
     for name, value in found.items():
         if not np.all(np.isfinite(value)):
@@ -225,17 +222,17 @@ def _marginal(divided: Split, method: Marginal, seed: int) -> _Drawn:
 def _closed(divided: Split, mode, method: Marginal, key, seed: int, notes) -> _Drawn:
     """Independent draws, where nothing is left to sample."""
     count = CHAINS * max(1, method.draws // CHAINS)
-    x, v, bend = density.draws_back(divided, mode, jnp.zeros((count, 0)), key)
+    x, v, evidence, bend = density.draws_back(divided, mode, jnp.zeros((count, 0)), key)
     if not _straight(bend):
         return _plain(divided, method, seed, (*notes[1:], BENT))
     verdict = Verdict(True, (), notes, "independent draws", ess=float(count))
     values = _by_chain(density.values_of(divided, x, v))
-    return _Drawn(values, verdict, (float(mode.log_evidence), 0.0))
+    return _Drawn(values, verdict, (float(evidence[0]), 0.0))
 
 
 def _straight(bend) -> bool:
     """Whether the density is Gaussian in what was integrated out wherever the draws lie."""
-    return bool(np.std(np.clip(np.asarray(bend), -1e3, 1e3)) < BEND)
+    return bool(np.sqrt(np.mean(np.clip(np.asarray(bend), -1e3, 1e3) ** 2)) < BEND)
 
 
 def _anew(divided: Split) -> int:
@@ -261,7 +258,7 @@ def _chains(divided: Split, mode, method: Marginal, seed: int, notes: tuple[str,
             dense=divided.dim <= 2 * WIDE,
         )
         flat = ran.draws.reshape(-1, divided.dim)
-        x, v, bend = density.draws_back(divided, mode, flat, k2)
+        x, v, _, bend = density.draws_back(divided, mode, flat, k2)
     if not _straight(bend):
         return _plain(divided, method, seed, (*notes[1:], BENT))
     verdict = chain_verdict(ran, None, "NUTS on what is not integrated out", notes, None)

@@ -120,9 +120,11 @@ def split(program: Program, keep: Sequence[str] | None = None) -> Split:
         for s in program.observed
         if s.name in study.single
         and not study.by_rest[at[s.name]]
-        and not any(study.moved[i, at[s.name]] for i in moving)
+        and not any(study.placed[i, at[s.name]] for i in moving)
     )
-    apart = not any(study.moved[i, at[s.name]] for i in inner for s in outside)
+    moved = study.scaled.copy()
+    moved[:, : study.placed.shape[1]] |= study.placed
+    apart = not any(moved[i, at[s.name]] for i in inner for s in outside)
     return Split(program, inside, outside, fixed, apart, tuple(reasons))
 
 
@@ -131,10 +133,12 @@ class _Study(NamedTuple):
 
     names: tuple[str, ...]  # of the sites, as in the last axis
     single: tuple[str, ...]  # Normal sites whose entries share one scale
-    moved: np.ndarray  # anything of the site moves with the candidate
+    placed: (
+        np.ndarray
+    )  # the site's location moves with the candidate; Gaussian sites alone, which come first
     scaled: np.ndarray  # its scale, or its density if it is not Gaussian, moves
     bent: np.ndarray  # its location is not affine in the two
-    by_rest: np.ndarray  # it moves with the sites that are no candidates
+    by_rest: np.ndarray  # its location moves with the sites that are no candidates
 
 
 def _study(program: Program, candidates: tuple[Site, ...]) -> _Study:
@@ -152,59 +156,68 @@ def _study(program: Program, candidates: tuple[Site, ...]) -> _Study:
         scales = [jnp.ravel(f.root) for f in found.gaussian.values()]
         return places, [*scales, *[jnp.ravel(o) for o in found.other.values()]]
 
-    def points(key, tame):
+    def point(key, tame):
         free = free_of(program, draw_trace(program.run, key, tame))
         return raveled(candidates, free), raveled(rest, free)
 
-    def one_point(key, tame):
-        (x, v), (x1, v1), (x2, _) = [points(k, tame) for k in jax.random.split(key, 3)]
+    def one_place(three):
+        (x, x1, x2), (v, v1, _) = three
         h, k = x1 - x, x2 - x
-        places, scales = parts(x, v)
-
-        def alone(mask):
-            other_places, other_scales = parts(x + mask * h, v)
-            moved = _differ(scales, other_scales)
-            return moved, _differ(places, other_places)
+        # The program is evaluated at two places of this function only: each costs a compilation.
+        steps = jnp.concatenate([x[None], x[None], x + masks * h])
+        others = jnp.stack([v, v1, *[v] * len(candidates)])
+        places, scales = over(lambda a: parts(*a), (steps, others), room)
+        here, same = [p[0] for p in places], [s[0] for s in scales]
+        placed = jnp.stack([_differ(here, [p[i] for p in places]) for i in range(1, len(steps))])
+        scaled = jnp.stack([_differ(same, [s[i] for s in scales]) for i in range(2, len(steps))])
+        equal = jnp.stack([jnp.ptp(s) == 0 for s in same[: len(here)]])
 
         def together(pair):
             a, b = masks[pair[0]] * h, masks[pair[1]] * k
-            here, slope = jax.jvp(lambda x: parts(x, v)[0], (x,), (b,))
-            there, slope_there = jax.jvp(lambda x: parts(x, v)[0], (x + a,), (b,))
-            far, near = parts(x + a + b, v)[0], parts(x + b, v)[0]
-            return _bends(here, there, near, far, slope, slope_there)
+            corners = jnp.stack([x, x + a, x + b, x + a + b])
+            push = jax.vmap(lambda at: jax.jvp(lambda x: parts(x, v)[0], (at,), (b,)))
+            return _bends(*push(corners))
 
-        room = max(1, int(2e6) // max(1, sum(p.size for p in places) + size))
-        scaled, placed = over(alone, masks, room)
-        bent = over(together, jnp.asarray(pairs), room)
-        other_places, other_scales = parts(x, v1)
-        rest_moves = _differ(places, other_places)
-        equal = jnp.stack([jnp.ptp(s) == 0 for s in scales[: len(places)]])
-        return scaled, placed, bent, rest_moves, equal
+        return scaled, placed[1:], over(together, jnp.asarray(pairs), room), placed[0], equal
 
     @jax.jit
     def everywhere(key):
-        kinds = []
-        for tame in (False, True):
-            keys = jax.random.split(jax.random.fold_in(key, tame), POINTS)
-            kinds.append(jax.lax.map(lambda k, tame=tame: one_point(k, tame), keys))
-        return jax.tree.map(lambda *a: jnp.concatenate(a), *kinds)
+        keys = jax.random.split(key, (2, POINTS, 3))
+        kinds = [
+            jax.vmap(jax.vmap(lambda k, tame=tame: point(k, tame)))(keys[int(tame)])
+            for tame in (False, True)
+        ]
+        x, v = jax.tree.map(lambda *a: jnp.moveaxis(jnp.concatenate(a), 1, 0), *kinds)
+        return jax.lax.map(one_place, (tuple(x), tuple(v)))
 
-    scaled, placed, bent, rest_moves, equal = jax.tree.map(
-        np.asarray, everywhere(jax.random.key(SEED))
-    )
+    longest = max(int(np.prod(s.shape)) for s in (*program.latent, *program.observed))
+    room = max(1, int(5e5) // max(1, longest + size))
+    seen = jax.tree.map(np.asarray, everywhere(jax.random.key(SEED)))
+    return _understood(program, len(candidates), pairs, names, *seen)
+
+
+def _understood(
+    program: Program,
+    count: int,
+    pairs: list[tuple[int, int]],
+    names: list[str],
+    scaled: np.ndarray,
+    placed: np.ndarray,
+    bent: np.ndarray,
+    rest_moves: np.ndarray,
+    equal: np.ndarray,
+) -> _Study:
+    """What was seen at all points together."""
     # 1 seen, 0 not seen, −1 not finite there; what is finite nowhere counts as seen.
     scaled, placed, bent, rest_moves = (_seen(a) for a in (scaled, placed, bent, rest_moves))
     gaussian = placed.shape[1]
-    square = np.zeros((len(candidates), len(candidates), gaussian), bool)
+    square = np.zeros((count, count, gaussian), bool)
     for (i, j), row in zip(pairs, bent, strict=True):
         square[i, j] = square[j, i] = row
     normal = [s.name for s in program.observed if s.law == "Normal" and s.gaussian]
-    single = tuple(n for n, e in zip(names[:gaussian], equal.all(axis=0), strict=True) if e)
-    moved = scaled.copy()
-    moved[:, :gaussian] |= placed
-    return _Study(
-        tuple(names), tuple(n for n in single if n in normal), moved, scaled, square, rest_moves
-    )
+    single = [n for i, n in enumerate(names[:gaussian]) if np.all(equal[:, i])]
+    single = tuple(n for n in single if n in normal)
+    return _Study(tuple(names), single, placed, scaled, square, rest_moves)
 
 
 def _seen(verdicts: np.ndarray) -> np.ndarray:
@@ -222,14 +235,14 @@ def _differ(here: list[Array], there: list[Array]) -> Array:
     return jnp.stack(found) if found else jnp.zeros(0, int)
 
 
-def _bends(here, there, near, far, slope, slope_there) -> Array:
-    """For each Gaussian site whether its location is not affine between four points."""
+def _bends(places: list[Array], slopes: list[Array]) -> Array:
+    """For each Gaussian site whether its location is not affine: values and slopes at x, x + a, x + b, x + a + b."""
     found = []
-    for e0, ea, eb, eab, s0, sa in zip(here, there, near, far, slope, slope_there, strict=True):
-        size = jnp.max(jnp.abs(jnp.stack([e0, ea, eb, eab])))
-        step = jnp.max(jnp.abs(eab - ea - eb + e0))
-        steep = jnp.max(jnp.abs(jnp.stack([s0, sa])))
-        turn = jnp.max(jnp.abs(sa - s0))
+    for at, along in zip(places, slopes, strict=True):
+        size = jnp.max(jnp.abs(at))
+        step = jnp.max(jnp.abs(at[3] - at[2] - at[1] + at[0]))
+        steep = jnp.max(jnp.abs(along))
+        turn = jnp.max(jnp.abs(along - along[0]))
         bent = (step > SAME * size) | (turn > STRAIGHT * steep)
         found.append(jnp.where(jnp.isfinite(size + steep + step + turn), bent, -1))
     return jnp.stack(found) if found else jnp.zeros(0, int)

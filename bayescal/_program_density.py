@@ -206,11 +206,10 @@ def sample(split: Split, mode: Mode, key: Array, proposals: int, rounds: int) ->
 
 @eqx.filter_jit
 def draws_back(split: Split, mode: Mode, u: Float[Array, "s d"], key: Array):
-    """x, v and the bend of draws of u."""
+    """x and v of draws of u, log p(y, u), and the bend."""
     density = density_of_u(split, mode)
     keys = jax.random.split(key, len(u))
-    x, v, _, bend = over(lambda a: draw_back(split, mode, density, *a), (u, keys), importance.BATCH)
-    return x, v, bend
+    return over(lambda a: draw_back(split, mode, density, *a), (u, keys), importance.BATCH)
 
 
 def _prior_share(split: Split, mode: Mode) -> importance.PriorShare | None:

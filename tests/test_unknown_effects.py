@@ -41,6 +41,26 @@ def test_its_amplitude_is_the_size_that_is_reported(trail: bc.Trail) -> None:
     assert found.unit == "deg/s"
 
 
+def test_least_squares_fits_and_predicts_with_it(trail: bc.Trail) -> None:
+    """Its amplitude must not run away while its coefficients shrink: draws of their product would be worthless."""
+    sampled, readings = trail.final.calibration, trail.final.calibration.readings
+    fitted = bc.fit(sampled.model, readings, bc.LeastSquares(draws=400), strict=False)
+    assert fitted.verdict.ok
+    within = bc.predict(sampled).rmse
+    assert bc.predict(fitted).rmse < 1.05 * within
+    amplitude = "unknown(humidity).amplitude"
+    ratio = fitted.samples(amplitude).mean() / np.median(sampled.samples(amplitude))
+    assert 0.2 < ratio < 5
+
+
+def test_far_beyond_the_range_of_the_fit_it_says_nothing() -> None:
+    readings = mems_gyro.simulate(HUMID, seed=1)
+    far = readings.with_column("humidity", readings["humidity"] + 10.0)
+    frame = build_frame(far, reference_of(readings))
+    columns = INSTRUMENT.unknown("humidity").evaluate(frame, {"length": 0.3, "amplitude": 1.0})
+    assert np.allclose(columns, 0.0, atol=1e-12)
+
+
 def test_a_calibration_with_it_is_saved_and_loaded(trail: bc.Trail, tmp_path) -> None:
     final = trail.final.calibration
     final.save(tmp_path / "c.nc")
@@ -86,6 +106,15 @@ def test_all_unknown_dependences_together_have_a_small_share_of_the_prior(trail:
     assert found is not None
     share = sum(c.prior for c in found.candidates if c.effect.startswith("unknown("))
     assert share == pytest.approx(0.1)
+
+
+def test_two_named_effects_are_not_taken_for_one_unknown_function() -> None:
+    """A drift and a curve in temperature look like one function of time; together they explain more than it does."""
+    hidden = {"bias.temperature_quadratic": 5e-4, "bias.drift": 0.25}
+    readings = mems_gyro.simulate(hidden, seed=35)
+    found = bc.discover(bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares(draws=200)))
+    assert {name for s in found.sets for name in s.effects} >= set(hidden)
+    assert found.best[0].name in hidden
 
 
 @pytest.mark.slow
