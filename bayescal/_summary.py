@@ -15,6 +15,7 @@ from bayescal._layout import Block
 WEAK = 0.1  # information against the prior below which a direction counts as not measured
 SHARE = 0.1  # of a direction's squared length below which a coefficient is left out of its words
 LONGEST = 8  # terms of a combination that are written out
+TRACE = 0.01  # of the largest entry, from which a coefficient is named
 
 
 def summary(calibration: Calibration) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -82,7 +83,8 @@ def null_directions(calibration: Calibration) -> list[dict[str, str]]:
 
     First the exact ones: combinations that change no reading whatsoever, in the coefficients' own units and with
     as few coefficients in each as can be. Then those whose information, in units of the prior, is below a tenth:
-    there the posterior is the prior.
+    there the posterior is the prior. What concerns next to nothing but deviations of a group's members, or the
+    coefficients of unknown functions, is counted in one line for all.
     """
     y = jnp.asarray(calibration.readings["output"])
     frame, noise = calibration.frame, calibration.model.noise
@@ -94,10 +96,39 @@ def null_directions(calibration: Calibration) -> list[dict[str, str]]:
     scaled = null.nuisance[:, :count] * null.prior.sd[:count]
     white = np.asarray(noise.whiten(scaled, null.extra, null.hyper, frame)[0])
     names = _entry_names(calibration)
+    main = np.concatenate([np.full(b.size, _single(b)) for b in calibration.layout.x_blocks])
     exact = directions.exact(white)
-    found = [_exact_words(vector * sd, names) for vector in exact]
-    found += [_weak_words(vector, names) for vector in directions.weak(white, exact, WEAK)]
-    return found
+    weak = directions.weak(white, exact, WEAK)
+    found = [_exact_words(v * sd, names) for v in exact if _concerns(v, main)]
+    found += [_weak_words(v, names) for v in weak if _concerns(v, main)]
+    others = [v for v in (*exact, *weak) if not _concerns(v, main)]
+    return [*found, *([_deviations_words(others, calibration)] if others else [])]
+
+
+def _single(block: Block) -> bool:
+    """Whether a coefficient stands for itself: no group's deviation, no part of an unknown function."""
+    return block.coefficient.per is None and block.effect.measure is None
+
+
+def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
+    """Whether a direction, in prior standard deviations, has a share of coefficients that stand for themselves."""
+    return float(np.sum(vector[main] ** 2)) > SHARE * float(np.sum(vector**2))
+
+
+def _deviations_words(vectors: list[np.ndarray], calibration: Calibration) -> dict[str, str]:
+    """Of all directions among deviations of groups and unknown functions' coefficients."""
+    size = np.max(np.abs(vectors), axis=0)
+    large = [
+        b
+        for b in calibration.layout.x_blocks
+        if not _single(b) and size[b.start : b.start + b.size].max() > TRACE * size.max()
+    ]
+    names = ", ".join(dict.fromkeys(b.effect.name for b in large))
+    words = (
+        f"{len(vectors)} combination(s) of the single coefficients of {names}: these readings do not tell them apart; "
+        "they keep the width of their prior"
+    )
+    return {"combination": names, "in_words": words}
 
 
 def _entry_names(calibration: Calibration) -> list[str]:

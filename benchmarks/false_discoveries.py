@@ -1,7 +1,7 @@
 """Nothing is hidden, and the noise or the priors are not what the model takes them for: how often is an effect added?
 
     python -m benchmarks false_discoveries
-    BAYESCAL_ONLY=mems_gyro python -m benchmarks false_discoveries
+    BAYESCAL_ONLY=mems_gyro BAYESCAL_PART=0/2 python -m benchmarks false_discoveries     one process of two
 
 Empty campaigns of two instruments, each spoilt in seven ways, searched by `calibrate` with least squares (Laplace)
 fits; for wandering noise also by `discover` under white noise, which shows what ignoring it costs. One JSON line a
@@ -75,12 +75,13 @@ def _summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
 def _run(name: str, seconds: float) -> None:
     path = RESULTS / f"false_discoveries_{name}.jsonl"
     done = {(r["how"], r["seed"]) for r in _read(path)} if path.is_file() else set()
+    part, parts = map(int, os.environ.get("BAYESCAL_PART", "0/1").split("/"))
     begun = time.perf_counter()
     instrument = instrument_named(name)
     with path.open("a", encoding="utf-8") as out:
         for how, spoil in SPOILT.items():
             for seed in range(FIRST_SEED, FIRST_SEED + CAMPAIGNS.get(how, OTHERS)):
-                if (how, seed) in done:
+                if (how, seed) in done or seed % parts != part:
                     continue
                 if time.perf_counter() - begun > seconds:
                     print(f"{name}: stopped after {seconds:.0f} s; run again to go on")

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import beta
 
 from benchmarks.customary import SELECTIONS
+from benchmarks.hidden_effects_bank import COUNTS
 
 STRONG = 8.0  # oracle
 EDGES = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.01)
@@ -26,6 +27,9 @@ def write(banks: dict[str, Rows], path: Path) -> None:
         "between a third and three times the plausible one. *Oracle*: log Bayes factor of the true model against the "
         "baseline. Intervals are exact 95 % binomial ones.\n",
         _counts(banks),
+        "Planned for each instrument: "
+        + ", ".join(f"{kind} {count}" for kind, count in COUNTS.items())
+        + " (single: for each candidate); what is missing of it goes on with the same command.\n",
         "## One hidden effect\n",
         _single(banks),
         _sets(banks),

@@ -201,6 +201,7 @@ def test_what_known_uncertainties_leave_is_the_noise(rng) -> None:
     assert noise.std() < 0.02
 
 
+@pytest.mark.slow
 def test_student_t_resists_outliers(rng) -> None:
     output = 5 + 0.1 * rng.standard_normal(40)
     output[[3, 17, 30]] += [6.0, 8.0, 5.0]
@@ -219,6 +220,7 @@ def test_student_t_resists_outliers(rng) -> None:
     assert robust.log_evidence is None
 
 
+@pytest.mark.slow
 def test_coarse_rounding_does_not_bias_a_quantised_fit(rng) -> None:
     # Noise of a fifth of the step, a mean near the edge of a rounding interval.
     step, sd, truth = 1.0, 0.2, 5.36

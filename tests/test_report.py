@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -41,18 +43,23 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def pages(folder: Path) -> dict[str, Page]:
-    """A report of each kind."""
+def pages(folder: Path) -> Callable[[str], Page]:
+    """A report of a kind, made when it is first asked for."""
     first, final = (s.calibration for s in trail().steps)
     lost = replace(final, verdict=bc.Verdict(False, ("The chains disagree.",), sampler="NUTS"))
     given = {
-        "one calibration": nasty(final),
-        "several": [first, final],
-        "a trail": trail(),
-        "not converged": bc.NotConverged("The chains disagree.", lost),
-        "a folder": of_folder(folder, instruments=[mems_gyro.INSTRUMENT]),
+        "one calibration": lambda: nasty(final),
+        "several": lambda: [first, final],
+        "a trail": trail,
+        "not converged": lambda: bc.NotConverged("The chains disagree.", lost),
+        "a folder": lambda: of_folder(folder, instruments=[mems_gyro.INSTRUMENT]),
     }
-    return {k: Page(bc.report(g, folder / f"{k.replace(' ', '_')}.html")) for k, g in given.items()}
+
+    @cache
+    def page(kind: str) -> Page:
+        return Page(bc.report(given[kind](), folder / f"{kind.replace(' ', '_')}.html"))
+
+    return page
 
 
 def nasty(calibration: bc.Calibration) -> bc.Calibration:
@@ -68,12 +75,19 @@ def nasty(calibration: bc.Calibration) -> bc.Calibration:
     return replace(calibration, readings=readings, levels=levels)
 
 
-KINDS = ("one calibration", "several", "a trail", "not converged", "a folder")
+KINDS = (
+    "a trail",
+    "a folder",
+    *(
+        pytest.param(k, marks=pytest.mark.slow)
+        for k in ("one calibration", "several", "not converged")
+    ),
+)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_page_needs_nothing_else_and_runs_nothing(pages, kind: str) -> None:
-    page = pages[kind]
+    page = pages(kind)
     assert not page.elsewhere
     assert not page.unclosed
     tags = {tag for tag, _ in page.elements}
@@ -85,7 +99,7 @@ def test_a_page_needs_nothing_else_and_runs_nothing(pages, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_page_can_be_read_without_seeing_it(pages, kind: str) -> None:
-    page = pages[kind]
+    page = pages(kind)
     assert page.all("html") == [{"lang": "en"}]
     assert page.headings[0] == 1
     assert page.headings.count(1) == 1
@@ -103,16 +117,18 @@ def test_a_page_can_be_read_without_seeing_it(pages, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_figure_is_there(pages, kind: str) -> None:
-    captions = re.findall(r"<figcaption>(.*?)</figcaption>", pages[kind].source)
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", pages(kind).source)
     wanted = FIGURES if kind != "not converged" else FIGURES - {"What is missing from"}
     absent = [f for f in wanted if not any(c.startswith(f) for c in captions)]
     assert not absent
-    assert len(captions) == len(pages[kind].all("svg")) + len(pages[kind].all("img"))
+    assert len(captions) == len(pages(kind).all("svg")) + len(pages(kind).all("img"))
 
 
-@pytest.mark.parametrize("kind", ["several", "a trail", "a folder"])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("several", marks=pytest.mark.slow), "a trail", "a folder"]
+)
 def test_the_page_tells_what_was_missing_and_how_the_error_fell(pages, kind: str) -> None:
-    text = " ".join(pages[kind].text.split())
+    text = " ".join(pages(kind).text.split())
     first, final = (f"{s.rmse:.3g}" for s in trail().steps)
     assert f"Finding: {HIDDEN}" in text
     assert re.search(rf"brought the rms error from {first} °/s to {final} °/s", text)
@@ -126,7 +142,7 @@ def test_intervals_are_not_confused(pages) -> None:
     """U is twice the standard uncertainty and says k; the credible interval has a column of its own."""
     final = trail().final.calibration
     draws = final.samples(HIDDEN)
-    page = pages["a trail"]
+    page = pages("a trail")
     heads = re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", page.source)
     assert {"value ± U (k = 2)", "k = 2 interval", "95 % credible interval"} <= set(heads)
     table = page.source.split("Coefficients, spreads, shapes, noise</caption>")[1]
@@ -142,15 +158,17 @@ def test_intervals_are_not_confused(pages) -> None:
     assert ends == pytest.approx(np.quantile(draws, [0.025, 0.975]), abs=0.1 * draws.std())
 
 
+@pytest.mark.slow
 def test_names_from_files_are_text(pages) -> None:
-    page = pages["one calibration"]
+    page = pages("one calibration")
     assert page.text.count(NASTY) >= 4  # device, file, flag
     assert "<script" not in page.source
     assert "<img" not in page.source
 
 
+@pytest.mark.slow
 def test_a_fit_that_did_not_converge_is_for_nothing(pages) -> None:
-    text = " ".join(pages["not converged"].text.split())
+    text = " ".join(pages("not converged").text.split())
     assert "NOT to be trusted" in text
     assert "The chains disagree." in text
     assert "For nothing until" in text
@@ -160,8 +178,8 @@ def test_a_fit_that_did_not_converge_is_for_nothing(pages) -> None:
 
 def test_the_budget_is_in_it(pages) -> None:
     found = bc.budget(trail().final.calibration)
-    assert f"(k = {found.k:g})" in pages["a trail"].text
-    assert all(c.name in pages["a trail"].text for c in found.coefficients)
+    assert f"(k = {found.k:g})" in pages("a trail").text
+    assert all(c.name in pages("a trail").text for c in found.coefficients)
 
 
 def test_readings_of_two_tests_make_two_chapters() -> None:
@@ -230,9 +248,9 @@ def test_what_makes_no_report_is_refused(tmp_path: Path, given, name: str, said:
 def test_a_browser_shows_it_whole_and_asks_for_nothing(pages, folder: Path, width: int) -> None:
     """Skipped where there is no Chromium. The content policy would log a request that leaves the page."""
     chromium()
-    assert pages["a trail"]
+    assert pages("a trail")
     opened = Opened(folder / "a_trail.html", folder)
     picture, console = opened.screenshot(width, 2000)
     assert picture.stat().st_size > 20_000
     assert console == []
-    assert Page(opened.dom(width)).all("svg") == pages["a trail"].all("svg")
+    assert Page(opened.dom(width)).all("svg") == pages("a trail").all("svg")
