@@ -108,9 +108,13 @@ def template(calibration: Calibration, name: str) -> str:
     """
     shape = shape_of(calibration, name)
     words, basis, middle = _closest(shape)
-    slot = calibration.model.effect(name).slot
+    slot, instrument = calibration.model.effect(name).slot, calibration.model.instrument
     unit = calibration.unit
     word = "_".join(shape.covariate.split())
+    taken = {
+        e.name for e in (*instrument.effects, *instrument.candidates, *calibration.model.effects)
+    }
+    word += "_own" if f"{slot}.{word}" in taken else ""
     column = shape.covariate.removesuffix(" rate")
     value = f'r.rate("{column}")' if shape.covariate.endswith(" rate") else f'r["{column}"]'
     value = "r.elapsed" if shape.covariate == "elapsed" else value
