@@ -48,11 +48,10 @@ def batch(
     from bayescal import _doors as doors
 
     chosen = doors.instrument_named(instrument)
-    model = doors.structure_named(chosen, structure) if structure else chosen.baseline()
-    own = {e.name: e for e in doors.user_effects(effects_file)}
-    for name in add or []:
-        model = model + own.get(name, name)
-    model = model.fix(doors.numbers(fix, "--fix"))
+    asked = doors.Request(
+        instrument, columns, unit, local_gravity, fix, reference, add, structure, effects_file
+    )
+    model = doors.composed(chosen, asked, {e.name: e for e in doors.user_effects(effects_file)})
     if out.suffix != ".parquet":
         raise InputError(f"--out: a batch is saved as Parquet: name it ….parquet, not {out.name!r}")
     if out in files:

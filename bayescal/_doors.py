@@ -65,13 +65,14 @@ def open_up(asked: Request, files: Sequence[Path]) -> tuple[Instrument, Model, M
     """
     instrument = instrument_named(asked.instrument)
     own = {e.name: e for e in user_effects(asked.effects)}
-    model = _composed(instrument, asked, own)  # before the files, which may be long
+    model = composed(instrument, asked, own)  # before the files, which may be long
     readings = read_files(instrument, files, asked.columns, asked.units, asked.local_gravity)
     tailored = instrument.for_readings(readings)
-    return tailored, model if tailored is instrument else _composed(tailored, asked, own), readings
+    return tailored, model if tailored is instrument else composed(tailored, asked, own), readings
 
 
-def _composed(instrument: Instrument, asked: Request, own: Mapping[str, Effect]) -> Model:
+def composed(instrument: Instrument, asked: Request, own: Mapping[str, Effect]) -> Model:
+    """The model that a request names: a structure or the baseline, effects added, coefficients fixed."""
     model = (
         structure_named(instrument, asked.structure) if asked.structure else instrument.baseline()
     )

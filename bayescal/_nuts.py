@@ -38,34 +38,41 @@ class NUTS(Method):
     name: ClassVar[str] = "nuts"
 
     def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
-        import numpyro.infer as infer  # half a second that only this method needs
-
         layout = Layout(layout.model, layout.counts)
-        kernel = infer.NUTS(
-            program(layout, frame),
-            dense_mass=self.dense,
-            target_accept_prob=0.9,
-            init_strategy=infer.init_to_median(num_samples=50),
-        )
-        with stage("NUTS on every unknown"):
-            found = chains.iterate(
-                kernel,
-                jax.random.key(seed),
-                (y,),
-                None,
-                warmup=self.warmup,
-                draws=self.draws,
-                chains=self.chains,
-                name="NUTS",
-            )
-            place = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn((y,), {}))))
-            sites = place(found.draws)
+        found, sites = sampled(program(layout, frame), (y,), self, seed, self.dense)
         x, rows, v = (np.asarray(sites[k]) for k in ("x", "rows", "v"))
         mode = jax.tree.map(np.asarray, laplace.compiled_mode(layout, frame, y))
         joint = np.concatenate([x, v], axis=2)
         ran = chains.Chains(jnp.asarray(joint), found.divergences, found.steps)
         verdict = marginal.chain_verdict(ran, mode, "NUTS", (), None)
         return Outcome(layout, Draws(x, rows, v), mode, verdict, None)
+
+
+def sampled(
+    model: Callable, arguments: tuple, method: NUTS, seed: int, dense: bool
+) -> tuple[chains.Iterated, dict[str, Array]]:
+    """NumPyro's NUTS on every unknown of a program: what it ran, and every site by name, (chains, draws, …)."""
+    import numpyro.infer as infer  # half a second that only these chains need
+
+    kernel = infer.NUTS(
+        model,
+        dense_mass=dense,
+        target_accept_prob=0.9,
+        init_strategy=infer.init_to_median(num_samples=50),
+    )
+    with stage("NUTS on every unknown"):
+        found = chains.iterate(
+            kernel,
+            jax.random.key(seed),
+            arguments,
+            None,
+            warmup=method.warmup,
+            draws=method.draws,
+            chains=method.chains,
+            name="NUTS",
+        )
+        place = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn(arguments, {}))))
+        return found, place(found.draws)
 
 
 def _coordinate(prior, value: Array) -> Array:

@@ -10,7 +10,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpyro.infer as infer
 import xarray as xr
 from arviz_base import from_dict
 
@@ -30,7 +29,7 @@ from bayescal._marginal import (
     worth,
 )
 from bayescal._method import Method
-from bayescal._nuts import NUTS
+from bayescal._nuts import NUTS, sampled
 from bayescal._program_affine import Split, split
 from bayescal._program_sites import Program, draw_trace, survey
 from bayescal._progress import stage
@@ -273,24 +272,8 @@ def _plain(divided: Split, method: Method, seed: int, notes: tuple[str, ...]) ->
         method = NUTS(draws=max(1, method.draws // CHAINS), chains=CHAINS)  # pyright: ignore
     program = divided.program
     size = sum(site.size for site in program.latent)
-    kernel = infer.NUTS(
-        program.run,
-        dense_mass=method.dense and size <= 2 * WIDE,
-        target_accept_prob=0.9,
-        init_strategy=infer.init_to_median(num_samples=50),
-    )
-    with stage("NUTS on every unknown"):
-        found = chains.iterate(
-            kernel,
-            jax.random.key(seed),
-            (),
-            None,
-            warmup=method.warmup,
-            draws=method.draws,
-            chains=method.chains,
-            name="NUTS",
-        )
-        values = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn((), {}))))(found.draws)
+    dense = method.dense and size <= 2 * WIDE
+    found, values = sampled(program.run, (), method, seed, dense)
     flat = [jnp.reshape(a, (*a.shape[:2], -1)) for a in jax.tree.leaves(found.draws)]
     ran = chains.Chains(jnp.concatenate(flat, axis=2), found.divergences, found.steps)
     return _Drawn(

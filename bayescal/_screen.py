@@ -6,22 +6,19 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import numpy as np
 from scipy.stats import binomtest
 
-from bayescal import _composition as composition
 from bayescal._calibration import Calibration
 from bayescal._discover import discover
 from bayescal._effect import Effect
 from bayescal._errors import InputError
 from bayescal._fit import fit
-from bayescal._frame import Frame
 from bayescal._judgement import FINDING
-from bayescal._layout import Layout
 from bayescal._least_squares import LeastSquares
 from bayescal._progress import stage
+from bayescal._tree import replicate
 
 LEVEL = 0.95  # of the interval
 
@@ -101,16 +98,7 @@ def _simulated(calibration: Calibration, count: int, seed: int) -> np.ndarray:
     x, rows, v = calibration.draws()
     chosen = np.random.default_rng(seed).integers(len(x), size=count)
     keys = jax.random.split(jax.random.key(seed), count)
-    made = _readings(
+    made = replicate(
         calibration.layout, calibration.frame, (x[chosen], rows[chosen], v[chosen]), keys
     )
     return np.asarray(made)
-
-
-@eqx.filter_jit
-def _readings(layout: Layout, frame: Frame, draws, keys):
-    def one(given):
-        (x, rows, v), key = given
-        return composition.draw_readings(layout, frame, x, rows, v, key)
-
-    return jax.lax.map(one, (draws, keys))

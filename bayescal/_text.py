@@ -198,7 +198,7 @@ def discovery_text(found: Discovery) -> str:
     tested = [
         c
         for c in found.candidates
-        if c.kind != "not testable" and not (c.effect.startswith("unknown(") and c.kind in quiet)
+        if c.kind != "not testable" and not (c.unknown and c.kind in quiet)
     ]
     head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
     lines.append(table(head, [_candidate_row(c) for c in tested], fold=29) if tested else "")

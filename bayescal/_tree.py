@@ -110,7 +110,9 @@ def _log_prior(layout: Layout, levels: Levels, posterior: xr.Dataset, draws: Dra
 
 
 @eqx.filter_jit
-def _replicate(layout: Layout, frame: Frame, draws, keys):
+def replicate(layout: Layout, frame: Frame, draws, keys):
+    """Readings (count, n) simulated from draws (x, rows, v), count each."""
+
     def one(args):
         (x, rows, v), key = args
         return composition.draw_readings(layout, frame, x, rows, v, key)
@@ -125,7 +127,7 @@ def _predictive(layout: Layout, frame: Frame, draws: Draws, seed: int) -> np.nda
     step = -(-count // keep)
     thin = tuple(jnp.asarray(flat(a[:, ::step])) for a in (draws.x, draws.rows, draws.v))
     keys = jax.random.split(jax.random.key(seed + 1), len(thin[0]))
-    made = np.asarray(_replicate(layout, frame, thin, keys))
+    made = np.asarray(replicate(layout, frame, thin, keys))
     return made.reshape(chains, -1, frame.size)
 
 

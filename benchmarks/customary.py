@@ -16,7 +16,7 @@ import numpy as np
 import bayescal as bc
 from bayescal import _candidates as candidates
 from bayescal import _score as scores
-from bayescal._model import testable
+from benchmarks.hidden_effects_bank import open_effects
 
 SELECTIONS = ("stepwise BIC", "LASSO", "STLSQ")
 MOST = 5
@@ -41,22 +41,13 @@ def select(name: str, calibration: bc.Calibration, later: bc.Measurements) -> di
     return {"effects": sorted(chosen), "held_out": error}
 
 
-def _open(calibration: bc.Calibration) -> list[bc.Effect]:
-    model = calibration.model
-    return [
-        e
-        for e in model.instrument.candidates
-        if e.name not in model.names and testable(e, calibration.readings) is None
-    ]
-
-
 def _columns(
     calibration: bc.Calibration, readings: bc.Measurements
 ) -> tuple[np.ndarray, np.ndarray]:
     """Candidate columns (n, P) on these readings, and the name of each one's effect."""
     from dataclasses import replace
 
-    effects = _open(calibration)
+    effects = open_effects(calibration.model, calibration.readings)
     seen = (
         calibration if readings is calibration.readings else replace(calibration, readings=readings)
     )

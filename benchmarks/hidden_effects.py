@@ -124,7 +124,7 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
         "oracle_of_each": each,
         "nothing": None if found is None else found.nothing_missing,
         "first_set": list(found.sets[0].effects) if found and found.sets else [],
-        "exact_set": _exact_set(instrument, first.calibration)
+        "exact_set": _exact_set(first.calibration)
         if case.kind == "single" and oracle >= ENUMERATED
         else None,
         "reported": [
@@ -160,9 +160,9 @@ def _oracles(
     return whole - laplace_evidence(model, first), [whole - w for w in without]
 
 
-def _exact_set(instrument: bc.Instrument, first: bc.Calibration) -> list[str]:
+def _exact_set(first: bc.Calibration) -> list[str]:
     """The fewest effects that hold 95 % of the posterior over one effect, by the evidence of every single one."""
-    effects = open_effects(instrument, first.readings)
+    effects = open_effects(first.model, first.readings)
     evidence = np.array([laplace_evidence(first.model + e, first) for e in effects])
     evidence = np.where(np.isfinite(evidence), evidence, -np.inf)
     share = np.exp(evidence - logsumexp(evidence))

@@ -44,16 +44,19 @@ def simulated(instrument: bc.Instrument, case: Case, later: bool = False) -> bc.
     return outside(readings, instrument, case) if case.kind == "outside" else readings
 
 
-def open_effects(instrument: bc.Instrument, readings: bc.Measurements) -> list[bc.Effect]:
-    """Candidates that these readings can show."""
-    own = instrument.for_readings(readings)
-    taken = own.baseline().names
-    return [e for e in own.candidates if e.name not in taken and testable(e, readings) is None]
+def open_effects(model: bc.Model, readings: bc.Measurements) -> list[bc.Effect]:
+    """Candidates that are not in the model and that these readings can show."""
+    return [
+        e
+        for e in model.instrument.candidates
+        if e.name not in model.names and testable(e, readings) is None
+    ]
 
 
 def plan(instrument: bc.Instrument) -> Iterator[Case]:
     """The bank, kinds in turn, so that a part of it is a fair sample."""
-    effects = open_effects(instrument, simulated(instrument, Case("empty", 0, {})))
+    empty = simulated(instrument, Case("empty", 0, {}))
+    effects = open_effects(instrument.for_readings(empty).baseline(), empty)
     size = {e.name: e.coefficients[0].size for e in effects}
     names = list(size)
     rng = np.random.default_rng(20261121)

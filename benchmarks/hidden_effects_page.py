@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 from benchmarks.customary import SELECTIONS
 from benchmarks.hidden_effects_bank import COUNTS
@@ -52,8 +52,7 @@ def interval(count: int, total: int) -> str:
     """A proportion with its exact (Clopper–Pearson) 95 % interval."""
     if total == 0:
         return "–"
-    low = 0.0 if count == 0 else float(beta.ppf(0.025, count, total - count + 1))
-    high = 1.0 if count == total else float(beta.ppf(0.975, count + 1, total - count))
+    low, high = binomtest(count, total).proportion_ci(0.95, method="exact")
     return f"{count}/{total} ({100 * low:.0f}–{100 * high:.0f} %)"
 
 
