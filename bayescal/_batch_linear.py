@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +23,7 @@ from jaxtyping import Array, Float
 
 from bayescal import _composition as composition
 from bayescal import _promotion as promotion
+from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._laplace import start_point
 from bayescal._layout import Layout
@@ -71,7 +71,7 @@ class _Parts(NamedTuple):
     count: Float[Array, ""]  # readings less flat coefficients
 
 
-@eqx.filter_jit
+@compiled
 def solve(
     layout: Layout, frames: Frame, ys: Float[Array, "b n"], real: Float[Array, "b n"]
 ) -> Line:

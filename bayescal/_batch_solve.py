@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +15,7 @@ from bayescal import _least_squares as ordinary
 from bayescal import _promotion as promotion
 from bayescal._batch_frames import Stack, weighed
 from bayescal._batches import over
+from bayescal._compile import compiled
 from bayescal._layout import Layout
 from bayescal._least_squares import LeastSquares
 from bayescal._marginal import ENOUGH, K_HAT, Marginal, smoothed, worth
@@ -137,7 +137,7 @@ def _widened(covariance: np.ndarray, size: int) -> np.ndarray:
     return wide
 
 
-@eqx.filter_jit
+@compiled
 def _ordinary_batch(layout: Layout, frames, ys, full_hessian: bool):
     _, places = ordinary.split_hypers(layout)
 
@@ -179,7 +179,7 @@ def _ordinary(layout: Layout, stack: Stack, method: LeastSquares) -> Found:
     return Found(layout, mean, covariance, reasons, None, notes if places else ())
 
 
-@eqx.filter_jit
+@compiled
 def _values(layout: Layout, x, rows, v, weights):
     """Weighted mean and covariance of all unknowns, from the draws of one device."""
 

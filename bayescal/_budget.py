@@ -18,7 +18,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -27,6 +26,7 @@ from bayescal import _inverse as inverse
 from bayescal import _score as scores
 from bayescal._calibration import PREDICTIVE_CELLS, Calibration
 from bayescal._compensate import Compensator, compensator
+from bayescal._compile import compiled
 from bayescal._errors import InputError
 from bayescal._frame import Frame
 from bayescal._layout import Layout
@@ -262,7 +262,7 @@ def _places(calibration: Calibration) -> dict[str, tuple[int, float]]:
     return found
 
 
-@eqx.filter_jit
+@compiled
 def _information(layout: Layout, frame: Frame, y: Array, mode: Any):
     """Information of the readings in units of the prior; prior standard deviations; 0 where a prior is flat."""
     null = scores.null_model(layout, frame, y, mode)

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from bayescal import _composition as composition
 from bayescal._batches import over
+from bayescal._compile import compiled
 from bayescal._errors import InputError
 from bayescal._frame import Frame, Reference, build_frame
 from bayescal._laplace import Mode
@@ -161,7 +161,7 @@ def flat(values: np.ndarray) -> np.ndarray:
     return values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
 
 
-@eqx.filter_jit
+@compiled
 def _pointwise(layout: Layout, frame: Frame, y, draws):
     def one(draw):
         x, rows, v = draw

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +17,7 @@ from scipy.stats import qmc
 from bayescal import _composition as composition
 from bayescal._calibration import Calibration
 from bayescal._coefficient import Coefficient
+from bayescal._compile import compiled
 from bayescal._effect import Effect
 from bayescal._susie import Item
 
@@ -106,7 +106,7 @@ def _prior(effects: Sequence[Effect]) -> np.ndarray:
     return np.where(unknown, UNKNOWN_SHARE / unknown.sum(), (1 - UNKNOWN_SHARE) / (~unknown).sum())
 
 
-@eqx.filter_jit
+@compiled
 def _all_columns(layout, frame, mode, effects: tuple[Effect, ...], grids: tuple[Array, ...]):
     hyper = composition.hyper_values(layout, mode.v)
     values = composition.coefficients(layout, mode.point.x, mode.point.rows, hyper)

@@ -7,6 +7,7 @@ is exact for any likelihood and still well conditioned.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +19,7 @@ from bayescal import _checkpoint as checkpoint
 from bayescal import _composition as composition
 from bayescal import _laplace as laplace
 from bayescal import _linear as linear
+from bayescal._compile import ALWAYS, known
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 
@@ -101,7 +103,7 @@ def iterate(
         jax.random.split(key, chains), warmup, begin, model_args=arguments, model_kwargs={}
     )
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=known(ALWAYS))
     def block(state, count):
         def one(i, carried):
             state, kept = carried

@@ -19,6 +19,7 @@ import numpy as np
 from bayescal import _composition as composition
 from bayescal._batches import over
 from bayescal._calibration import Calibration
+from bayescal._compile import compiled
 from bayescal._effect import Effect
 from bayescal._errors import ModelError
 from bayescal._fit import fit
@@ -189,7 +190,7 @@ def outlook(calibration: Calibration, readings: Measurements, length: int | None
     return Outlook(means.mean(axis=0)[:count], covariance[:count, :count])
 
 
-@eqx.filter_jit
+@compiled
 def _moments(layout: Layout, frame, draws):
     """Expected output of each draw; at the middle draw's φ, the noise covariance, columns of new group members in
     units of their spread, and the variance of per-reading coefficients."""

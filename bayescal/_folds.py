@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +17,7 @@ from jaxtyping import Array, Float
 from bayescal import _composition as composition
 from bayescal import _linear as linear
 from bayescal._calibration import Calibration
+from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 from bayescal._measurements import Measurements
@@ -80,7 +80,7 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
     return LeaveOneGroupOut(kind, members, scores, residual.sum(axis=0))
 
 
-@eqx.filter_jit
+@compiled
 def _folds(layout: Layout, frame: Frame, y: Array, mode, keep: Float[Array, "g n"]):
     return jax.lax.map(lambda k: _fold(layout, frame, y, mode, k), keep)
 

@@ -12,9 +12,9 @@ Source: A. Owen and Y. Zhou, JASA 95 (2000) 135 (defensive mixtures); M. West, J
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
@@ -25,11 +25,12 @@ from bayescal import _composition as composition
 from bayescal import _laplace as laplace
 from bayescal import _linear as linear
 from bayescal._batches import over
+from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 from bayescal._prior import Flat, FlatLine
 
-FREEDOM = 5.0  # of the Student-t proposals
+FREEDOM = 5  # of the Student-t proposals
 KERNELS = 256  # draws of the round before, around each of which the next one proposes
 KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
 WIDE = 1.7  # last component: wider than the Laplace fit, against tails that are heavier
@@ -62,7 +63,8 @@ class _Proposal(NamedTuple):
     def draw(self, key: Array, count: int) -> Float[Array, "s d"]:
         k1, k2, k3, k4 = jax.random.split(key, 4)
         dim = self.centre.shape[1]
-        heavy = jnp.sqrt(FREEDOM / (2 * jax.random.gamma(k2, FREEDOM / 2, (count,))))
+        squares = jnp.sum(jax.random.normal(k2, (count, FREEDOM)) ** 2, axis=1)
+        heavy = jnp.sqrt(FREEDOM / squares)
         normal = jax.random.normal(k3, (count, dim)) * heavy[:, None]
         which = jax.random.randint(k4, (count,), 0, len(self.centre))
         narrow = self.centre[which] + normal @ self.chol.T
@@ -162,10 +164,10 @@ def sample(
     return Weighted(mode, x, rows, v, log_weight, log_weight_phi, evidence, error)
 
 
-sample_jit = eqx.filter_jit(sample)
+sample_jit = compiled(sample, many=0)  # thousands of proposals
 
 
-@eqx.filter_jit
+@partial(compiled, many=0)
 def sample_batch(
     layout: Layout, frames: Frame, ys: Float[Array, "b n"], keys: Array, proposals: int, rounds: int
 ) -> Weighted:

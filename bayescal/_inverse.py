@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from jaxtyping import Array, Float
 
 from bayescal import _composition as composition
 from bayescal._calibration import Calibration
+from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._in_use import InUse, Scalars
 
@@ -72,7 +72,7 @@ class Inverse:
         return lambda s: self.equation.point(theta, s, inputs, self.reference)
 
 
-@eqx.filter_jit
+@compiled
 def over_draws(equation: InUse, reference, affine: bool, theta, output, inputs, record):
     """Mean and variance of the stimulus over draws of θ, and the mean square of its slope, (n,) each."""
 
@@ -90,7 +90,7 @@ def over_draws(equation: InUse, reference, affine: bool, theta, output, inputs, 
     return mean, square / jnp.maximum(count - 1, 1), slope / count
 
 
-@eqx.filter_jit
+@compiled
 def first_order(
     equation: InUse, reference, affine: bool, theta, covariance, output, inputs, record
 ):

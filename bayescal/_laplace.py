@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
@@ -17,6 +16,7 @@ from jaxtyping import Array, Float
 from bayescal import _composition as composition
 from bayescal import _linear as linear
 from bayescal._batches import over
+from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 from bayescal._optimise import least_squares
@@ -128,7 +128,7 @@ def find_mode(layout: Layout, frame: Frame, y: Float[Array, "n"]) -> Mode:
 
 
 # One compiled program for a layout, whoever asks: methods, evidence, batches of one.
-compiled_mode = eqx.filter_jit(find_mode)
+compiled_mode = compiled(find_mode)
 
 
 def _width(found: linear.Conditional) -> Float[Array, "p"]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from bayescal import _composition as composition
 from bayescal import _laplace as laplace
 from bayescal import _linear as linear
 from bayescal._calibration import Draws, Verdict
+from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 from bayescal._method import Method, Outcome
@@ -94,7 +94,7 @@ def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool
     return refine(layout, frame, y, laplace.find_mode(layout, frame, y), full_hessian)
 
 
-@eqx.filter_jit
+@compiled
 def refine(
     layout: Layout, frame: Frame, y: Float[Array, "n"], mode: laplace.Mode, full_hessian: bool
 ) -> Solution:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
@@ -17,6 +16,7 @@ from bayescal import _linear as linear
 from bayescal import _promotion as promotion
 from bayescal._batches import over
 from bayescal._calibration import Draws, Verdict
+from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 from bayescal._method import MODE, Method, Outcome
@@ -164,7 +164,7 @@ def _proposals(layout: Layout, frame: Frame) -> int:
     return 2048 if frame.size > 1000 and not linear.needs_one_pass(layout, frame) else 8192
 
 
-@eqx.filter_jit
+@compiled
 def _draw_back(layout, frame, y, mode, v, key):
     density = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)
 

@@ -11,6 +11,7 @@ import numpy as np
 from bayescal import _composition as composition
 from bayescal._batches import over
 from bayescal._calibration import Calibration
+from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 from bayescal._measurements import Measurements
@@ -82,7 +83,7 @@ def predict(
     return Prediction(expected, np.sqrt(model_variance), total, readings["output"] - expected)
 
 
-@eqx.filter_jit
+@compiled
 def _moments(layout: Layout, frame: Frame, draws):
     """Per draw: expected output, variance of the noise, and of group members and thermometer errors unseen."""
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
@@ -19,6 +18,7 @@ from bayescal import _importance as importance
 from bayescal import _laplace as laplace
 from bayescal import _linear as linear
 from bayescal._batches import over
+from bayescal._compile import compiled
 from bayescal._program_affine import Split
 
 STARTS = 64  # prior draws, among which the start of the search for the mode is chosen
@@ -168,7 +168,7 @@ def find_mode(split: Split, key: Array) -> Mode:
     return Mode(u, covariance, value, value + volume, given.mean, centre, width)
 
 
-compiled_mode = eqx.filter_jit(find_mode)
+compiled_mode = compiled(find_mode)
 
 
 def draw_back(split: Split, mode: Mode, density, u: Array, key: Array):
@@ -183,7 +183,7 @@ def draw_back(split: Split, mode: Mode, density, u: Array, key: Array):
     return x, v, value, true - (value + of_x)
 
 
-@eqx.filter_jit
+@compiled
 def sample(split: Split, mode: Mode, key: Array, proposals: int, rounds: int) -> Weighted:
     """Adaptive importance sampling of u, with x drawn back; weights are those of the true joint density."""
     density = density_of_u(split, mode)
@@ -204,7 +204,7 @@ def sample(split: Split, mode: Mode, key: Array, proposals: int, rounds: int) ->
     return Weighted(x, v, value - log_proposal + bend, bend)
 
 
-@eqx.filter_jit
+@compiled
 def draws_back(split: Split, mode: Mode, u: Float[Array, "s d"], key: Array):
     """x and v of draws of u, log p(y, u), and the bend."""
     density = density_of_u(split, mode)
@@ -236,7 +236,7 @@ def _prior_share(split: Split, mode: Mode) -> importance.PriorShare | None:
     return importance.PriorShare(draw, lambda u: over(log_density, u, importance.BATCH))
 
 
-@eqx.filter_jit
+@compiled
 def values_of(split: Split, x: Float[Array, "s p"], v: Float[Array, "s d"]) -> dict[str, Array]:
     """Every unknown and every `numpyro.deterministic`, in the program's own units and shapes."""
     names = {site.name for site in split.program.latent}

@@ -8,7 +8,6 @@ the posterior of the others, in units of the noise.
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +15,7 @@ from jaxtyping import Array, Float
 
 from bayescal import _composition as composition
 from bayescal import _laplace as laplace
+from bayescal._compile import compiled
 from bayescal._errors import ModelError
 from bayescal._frame import Frame
 from bayescal._layout import Block, Layout
@@ -97,7 +97,7 @@ def bends(layout: Layout, frame: Frame) -> bool:
     return bool(_bend(layout, frame) > 1e-9)
 
 
-@eqx.filter_jit
+@compiled
 def _bend(layout: Layout, frame: Frame) -> Float[Array, ""]:
     keys = jax.random.split(jax.random.key(1), 3)
     hyper = composition.hyper_values(layout, jnp.zeros(len(layout.hypers)))
@@ -117,7 +117,7 @@ def _bend(layout: Layout, frame: Frame) -> Float[Array, ""]:
     return jnp.max(jnp.abs((both - base) - (a - base) - (b - base))) / scale
 
 
-@eqx.filter_jit
+@compiled
 def _second_order(layout: Layout, frame: Frame, y: Array) -> Float[Array, "p"]:
     """For each entry of x the size of its products with the others, in noise standard deviations."""
     mode = laplace.find_mode(layout, frame, y)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +17,7 @@ from jaxtyping import Array, Float
 from bayescal import _composition as composition
 from bayescal import _linear as linear
 from bayescal._calibration import Calibration
+from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 
@@ -84,7 +84,7 @@ def null_model(layout: Layout, frame: Frame, y: Float[Array, "n"], mode) -> Null
     return Null(residual, nuisance, prior, linear.row_variance(layout, line), hyper)
 
 
-@eqx.filter_jit
+@compiled
 def _score(layout: Layout, frame: Frame, y: Array, mode, columns: Float[Array, "n m"]):
     null = null_model(layout, frame, y, mode)
     q = null.nuisance.shape[1]
@@ -109,7 +109,7 @@ def score(calibration: Calibration, columns: np.ndarray) -> Score:
     return Score(u, 0.5 * (information + information.T), before)
 
 
-@eqx.filter_jit
+@compiled
 def _residuals(layout: Layout, frame: Frame, y: Array, mode):
     null = null_model(layout, frame, y, mode)
     noise = layout.model.noise
@@ -141,7 +141,7 @@ def residuals(calibration: Calibration) -> Residuals:
     return Residuals(*(np.asarray(a) for a in found))
 
 
-@eqx.filter_jit
+@compiled
 def _projections(layout: Layout, frame: Frame, y: Array, mode, residual: Array, columns: Array):
     null = null_model(layout, frame, y, mode)
     gram = layout.model.noise.gram(columns, residual, null.extra, null.hyper, frame)

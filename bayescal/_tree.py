@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ import xarray as xr
 from bayescal import _composition as composition
 from bayescal._batches import over
 from bayescal._calibration import PREDICTIVE_CELLS, Draws, flat
+from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._layout import Block, Layout
 from bayescal._measurements import Measurements
@@ -109,7 +109,7 @@ def _log_prior(layout: Layout, levels: Levels, posterior: xr.Dataset, draws: Dra
     return xr.Dataset(found)
 
 
-@eqx.filter_jit
+@compiled
 def replicate(layout: Layout, frame: Frame, draws, keys):
     """Readings (count, n) simulated from draws (x, rows, v), count each."""
 
@@ -136,7 +136,7 @@ def _output(readings: Measurements, values: np.ndarray) -> xr.Dataset:
     return xr.Dataset({"output": (("chain", "draw", "reading"), values, attributes)})
 
 
-@eqx.filter_jit
+@compiled
 def _draw_priors(layout: Layout, frame: Frame, keys):
     return over(lambda k: composition.draw_prior(layout, frame, k), keys, 64)
 

@@ -1,0 +1,65 @@
+"""Compiled functions: quickly compiled where the data are few, well optimised where they are many.
+
+Most structures of a model are fitted a few times to some hundred readings, and compiling takes a hundred times as
+long as computing. Without XLA's fusion emitters compiling takes half the time and computing no longer; without the
+optimisations of its last stage too, a fifth, and computing at most three times as long (docs/decisions.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, cached_property, update_wrapper
+from typing import Any, Generic, ParamSpec, TypeVar
+
+import equinox as eqx
+import jax
+
+MANY = 30_000  # numbers handed to a function, above which computing counts for more than compiling
+ALWAYS = {"xla_cpu_use_fusion_emitters": False}
+QUICK = {**ALWAYS, "xla_backend_optimization_level": 0}
+
+P = ParamSpec("P")
+R = TypeVar("R", covariant=True)
+
+
+class compiled(Generic[P, R]):
+    """`equinox.filter_jit`, with options of the compiler after the number of numbers it is called with.
+
+    Inside another compiled function it is the plain function: that one's options hold.
+
+    Attributes:
+        many: numbers in its arguments, from which on it is well optimised.
+    """
+
+    def __init__(self, function: Callable[P, R], many: int = MANY):
+        self.function, self.many = function, many
+        update_wrapper(self, function)
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        numbers = [a for a in jax.tree.leaves((args, kwargs)) if eqx.is_array(a)]
+        if any(isinstance(a, jax.core.Tracer) for a in numbers):
+            return self.function(*args, **kwargs)
+        few = sum(a.size for a in numbers) < self.many
+        return (self._quick if few else self._thorough)(*args, **kwargs)
+
+    @cached_property
+    def _quick(self) -> Callable[P, R]:
+        return eqx.filter_jit(self.function, compiler_options=known(QUICK))
+
+    @cached_property
+    def _thorough(self) -> Callable[P, R]:
+        return eqx.filter_jit(self.function, compiler_options=known(ALWAYS))
+
+
+def known(options: dict[str, Any]) -> dict[str, Any]:
+    """Those that the installed compiler knows: versions differ, and an unknown one is an error."""
+    return {name: value for name, value in options.items() if _knows(name, value)}
+
+
+@cache
+def _knows(name: str, value: Any) -> bool:
+    try:
+        jax.jit(lambda x: x, compiler_options={name: value})(0.0)
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True
