@@ -155,7 +155,7 @@ def whitened(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode):
         hyper = composition.hyper_values(layout, v)
         found = density(v)[1]
         x = found.place(z)
-        stretch = jnp.sum(jnp.log(found.sd)) - jnp.sum(jnp.log(jnp.diag(found.chol)))
+        stretch = found.stretch
         rows = mode.point.rows
         if layout.row_blocks:
             line = composition.linearise(layout, frame, mode.point.x, mode.point.rows, hyper)

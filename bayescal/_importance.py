@@ -206,23 +206,26 @@ def _prior_share(layout: Layout) -> PriorShare | None:
 
 
 def draw_coefficients(layout, frame, y, point, v, found: linear.Conditional, key):
-    """x and the per-reading coefficients given φ, and the log ratio of true to linearised likelihood."""
+    """x and the per-reading coefficients given φ, and the log ratio of the true joint density to what they are drawn
+    from times the closed form: that of true to linearised likelihood."""
     hyper = composition.hyper_values(layout, v)
-    noise = layout.model.noise
     k1, k2 = jax.random.split(key)
-    x = found.place(jax.random.normal(k1, found.u.shape))
-    line = composition.linearise(layout, frame, point.x, point.rows, hyper)
-    straight = line.mean + line.jacobian @ (x - point.x)
-    rows = point.rows
+    normal = jax.random.normal(k1, found.u.shape)
+    x, stretch, rows = found.place(normal), found.stretch, point.rows
+    squares = jnp.sum(normal**2)
     if layout.row_blocks:
+        line = composition.linearise(layout, frame, point.x, point.rows, hyper)
+        straight = line.mean + line.jacobian @ (x - point.x)
         back = jnp.sum(line.rows * point.rows, axis=1)
-        variance = noise.variance(hyper, frame)
-        normal = jax.random.normal(k2, point.rows.shape)
-        rows, _ = linear.draw_rows(layout, line, y - straight + back, variance, normal)
-        straight = straight + jnp.sum(line.rows * (rows - point.rows), axis=1)
-    bent = composition.mean(layout, frame, x, rows, hyper)
-    true = noise.log_density(y, bent, hyper, frame)
-    return x, rows, jnp.sum(true - noise.log_density(y, straight, hyper, frame))
+        variance = layout.model.noise.variance(hyper, frame)
+        own = jax.random.normal(k2, point.rows.shape)
+        rows, volume = linear.draw_rows(layout, line, y - straight + back, variance, own)
+        stretch, squares = stretch + volume, squares + jnp.sum(own**2)
+    size = normal.size + rows.size
+    log_drawn = -0.5 * (squares + size * jnp.log(2 * jnp.pi)) - stretch
+    true = jnp.sum(composition.log_likelihood(layout, frame, y, x, rows, hyper))
+    prior = composition.log_prior_x(layout, x, rows, hyper)
+    return x, rows, true + prior - log_drawn - found.log_marginal
 
 
 def _around_mode(mode: laplace.Mode) -> _Proposal:

@@ -21,6 +21,7 @@ from bayescal._frame import Frame
 from bayescal._layout import Layout
 from bayescal._optimise import least_squares
 
+STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ among which the start is chosen
 
@@ -51,7 +52,7 @@ def density_of_phi(layout: Layout, frame: Frame, y: Array, point: linear.Point, 
     def density(v: Float[Array, "d"]) -> tuple[Float[Array, ""], linear.Conditional]:
         hyper = composition.hyper_values(layout, v)
         prior = linear.prior_of(layout, hyper, flat)
-        found = linear.condition(grams(hyper), frame.size, prior, point.x)
+        found = linear.condition(grams(hyper, v), frame.size, prior, point.x)
         total = found.log_marginal + composition.hyper_log_prior(layout, v)
         return jnp.where(jnp.isfinite(total), total, -1e300), found
 
@@ -70,13 +71,19 @@ def mode_of_x(
     back = jnp.sum(line.rows * point.rows, axis=1)
     centre = jnp.where(prior.weight > 0, prior.mean, point.x)
 
-    def residuals(z: Array) -> Array:
-        expected = composition.mean(layout, frame, centre + prior.sd * z, point.rows, hyper)
-        white, _ = noise.whiten((y - expected + back)[:, None], extra, hyper, frame)
-        return jnp.concatenate([white[:, 0], prior.weight * z])
+    def table(z: Array) -> Array:
+        at = composition.linearise(layout, frame, centre + prior.sd * z, point.rows, hyper)
+        both = jnp.column_stack([-at.jacobian * prior.sd, y - at.mean + back])
+        white, _ = noise.whiten(both, extra, hyper, frame)
+        return jnp.concatenate(
+            [white, jnp.column_stack([jnp.diag(prior.weight), prior.weight * z])]
+        )
 
     start = (point.x - centre) / jnp.where(prior.sd > 0, prior.sd, 1.0)
-    x = centre + prior.sd * least_squares(residuals, start, steps=100).value
+    x = (
+        centre
+        + prior.sd * least_squares(lambda z: table(z)[:, -1], start, steps=100, table=table).value
+    )
     if not layout.row_blocks:
         return linear.Point(x, point.rows)
     line = composition.linearise(layout, frame, x, point.rows, hyper)
@@ -120,7 +127,7 @@ def find_mode(layout: Layout, frame: Frame, y: Float[Array, "n"]) -> Mode:
         return linear.Point(found.mean, new.rows), best, change, count + 1
 
     def going(state):
-        return (state[2] > 1e-5) & (state[3] < ROUNDS)
+        return (state[2] > STILL) & (state[3] < ROUNDS)
 
     first = (point, v, jnp.asarray(jnp.inf), jnp.asarray(0))
     point, v, change, _ = jax.lax.while_loop(going, one_round, first)

@@ -6,17 +6,25 @@ The solve is in the whitened z = (x − m)/s, so that a spread of zero is no spe
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
+from bayescal import _arrow as arrow
 from bayescal import _composition as composition
 from bayescal._frame import Frame
 from bayescal._layout import Layout
 from bayescal._noise import Gram
+from bayescal._prior import Normal
+
+NODES = 7  # of each promoted coefficient
+REACH = 6.0  # prior standard deviations, up to which they stand
+MOST_BETWEEN = 2  # promoted coefficients, with whose number the nodes' number grows as a power
 
 
 class Prior(NamedTuple):
@@ -34,13 +42,32 @@ class Point(NamedTuple):
     rows: Float[Array, "n k"]
 
 
+class Dense(NamedTuple):
+    """A lower Cholesky factor."""
+
+    chol: Float[Array, "p p"]
+
+    @property
+    def log_diagonal(self) -> Float[Array, ""]:
+        """Σ log Lᵢᵢ."""
+        return jnp.sum(jnp.log(jnp.diag(self.chol)))
+
+    def forward(self, vector: Float[Array, "p"]) -> Float[Array, "p"]:
+        """L⁻¹ times a vector."""
+        return solve_triangular(self.chol, vector, lower=True)
+
+    def back(self, vector: Float[Array, "p"]) -> Float[Array, "p"]:
+        """Lᵀ⁻¹ times a vector."""
+        return solve_triangular(self.chol, vector, lower=True, trans=1)
+
+
 class Conditional(NamedTuple):
     """x given φ and the readings, x = shift + sd·L⁻ᵀ(u + ε), and the log density of the readings given φ."""
 
     log_marginal: Float[Array, ""]
     shift: Float[Array, "p"]
     sd: Float[Array, "p"]
-    chol: Float[Array, "p p"]
+    factor: Dense | arrow.Factor
     u: Float[Array, "p"]
 
     @property
@@ -49,15 +76,17 @@ class Conditional(NamedTuple):
 
     def place(self, normal: Float[Array, "p"]) -> Float[Array, "p"]:
         """The x that standard normal numbers stand for."""
-        return self.shift + self.sd * solve_triangular(
-            self.chol, self.u + normal, lower=True, trans=1
-        )
+        return self.shift + self.sd * self.factor.back(self.u + normal)
+
+    @property
+    def stretch(self) -> Float[Array, ""]:
+        """Log volume of the map from standard normal numbers to x."""
+        return jnp.sum(jnp.log(self.sd)) - self.factor.log_diagonal
 
     @property
     def covariance(self) -> Float[Array, "p p"]:
-        root = self.sd[:, None] * solve_triangular(
-            self.chol, jnp.eye(self.u.size), lower=True, trans=1
-        )
+        columns = jax.vmap(self.factor.back, out_axes=1)(jnp.eye(self.u.size))
+        root = self.sd[:, None] * columns
         return root @ root.T
 
 
@@ -79,19 +108,23 @@ def condition(gram: Gram, size: int, prior: Prior, at: Float[Array, "p"]) -> Con
         at: x̂, where r was taken.
     """
     offset = jnp.where(prior.weight > 0, prior.mean - at, 0.0)
-    jtr = gram.jtr - gram.jtj @ offset
-    rtr = gram.rtr - 2 * offset @ gram.jtr + offset @ gram.jtj @ offset
-    precision = prior.sd[:, None] * gram.jtj * prior.sd + jnp.diag(prior.weight)
-    chol = jnp.linalg.cholesky(precision)
-    u = solve_triangular(chol, prior.sd * jtr, lower=True)
+    pulled = gram.jtj @ offset
+    jtr = gram.jtr - pulled
+    rtr = gram.rtr - offset @ (2 * gram.jtr - pulled)
+    if isinstance(gram.jtj, arrow.Blocks):
+        factor = arrow.factor(gram.jtj, prior.sd, prior.weight)
+    else:
+        precision = prior.sd[:, None] * gram.jtj * prior.sd + jnp.diag(prior.weight)
+        factor = Dense(jnp.linalg.cholesky(precision))
+    u = factor.forward(prior.sd * jtr)
     rest = rtr - u @ u
     flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
     log_marginal = flat_volume - 0.5 * (
-        size * jnp.log(2 * jnp.pi) + gram.logdet + 2 * jnp.sum(jnp.log(jnp.diag(chol))) + rest
+        size * jnp.log(2 * jnp.pi) + gram.logdet + 2 * factor.log_diagonal + rest
     )
     # A sum of squares that came out negative has no digits left (noise far below any residual): no density there.
     log_marginal = jnp.where(rest > 0, log_marginal, -jnp.inf)
-    return Conditional(log_marginal, at + offset, prior.sd, chol, u)
+    return Conditional(log_marginal, at + offset, prior.sd, factor, u)
 
 
 def condition_white(
@@ -124,7 +157,7 @@ def condition_white(
     flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
     volume = logdet + 2 * jnp.sum(jnp.log(jnp.diag(root)))
     log_marginal = flat_volume - 0.5 * (len(residual) * jnp.log(2 * jnp.pi) + volume + rest**2)
-    return Conditional(log_marginal, at + offset, prior.sd, root.T, u)
+    return Conditional(log_marginal, at + offset, prior.sd, Dense(root.T), u)
 
 
 def needs_one_pass(layout: Layout, frame: Frame) -> bool:
@@ -134,28 +167,67 @@ def needs_one_pass(layout: Layout, frame: Frame) -> bool:
 
 
 def gram_function(layout: Layout, frame: Frame, y: Float[Array, "n"], point: Point):
-    """A function of φ that gives the weighted products of the readings linearised at `point`."""
-    noise = layout.model.noise
-    if needs_one_pass(layout, frame):
-        hyper = composition.hyper_values(layout, jnp.zeros(len(layout.hypers)))
-        line = composition.linearise(layout, frame, point.x, point.rows, hyper)
-        r = y - line.mean
-        jtj, jtr, rtr = line.jacobian.T @ line.jacobian, line.jacobian.T @ r, r @ r
+    """A function of φ that gives the weighted products of the readings linearised at `point`.
 
-        def scaled(hyper: composition.Values) -> Gram:
-            variance = noise.variance(hyper, frame)[0]
-            return Gram(
-                jtj / variance, jtr / variance, rtr / variance, frame.size * jnp.log(variance)
-            )
+    Where one variance holds for all readings, the products are computed once; where J moves with a few promoted
+    coefficients, at a few values of each, with Chebyshev polynomials between them (the draws' weights hold for the
+    products that they were made with, so that this costs no exactness).
+    """
+    noise, split = layout.model.noise, arrow.arrow_of(layout)
 
-        return scaled
+    def shaped(gram: Gram) -> Gram:
+        return gram if split is None else gram._replace(jtj=arrow.cut(split, gram.jtj))
 
-    def full(hyper: composition.Values) -> Gram:
+    def products(hyper: composition.Values, white: bool) -> Gram:
         line = composition.linearise(layout, frame, point.x, point.rows, hyper)
         r = y - line.mean + jnp.sum(line.rows * point.rows, axis=1)
-        return noise.gram(line.jacobian, r, row_variance(layout, line), hyper, frame)
+        if not white:
+            return shaped(noise.gram(line.jacobian, r, row_variance(layout, line), hyper, frame))
+        j = line.jacobian
+        return shaped(Gram(j.T @ j, j.T @ r, r @ r, jnp.zeros(())))
 
-    return full
+    moving = [i for i, h in enumerate(layout.hypers) if h.moves]
+    once = not layout.row_blocks and noise.constant(frame)
+    if not once or not _interpolates(layout, moving):
+        return lambda hyper, v: products(hyper, white=False)
+    places = jnp.asarray(_nodes(len(moving)))
+    at = jnp.zeros((len(places), len(layout.hypers))).at[:, jnp.asarray(moving, int)].set(places)
+    grams = jax.lax.map(lambda v: products(composition.hyper_values(layout, v), white=True), at)
+
+    def between(hyper: composition.Values, v: Float[Array, "d"]) -> Gram:
+        share = _shares(v[jnp.asarray(moving, int)])
+        variance = noise.variance(hyper, frame)[0]
+        made = jax.tree.map(lambda g: jnp.tensordot(share, g, 1) / variance, grams)
+        return made._replace(logdet=frame.size * jnp.log(variance))
+
+    return between
+
+
+def _interpolates(layout: Layout, moving: list[int]) -> bool:
+    """Whether J moves with nothing but one or two promoted coefficients of proper prior."""
+    hypers = [layout.hypers[i] for i in moving]
+    return len(hypers) <= MOST_BETWEEN and all(
+        h.kind == "promoted" and isinstance(h.prior, Normal) for h in hypers
+    )
+
+
+def _nodes(count: int) -> np.ndarray:
+    """Values of the promoted coefficients' coordinates, (nodes, count), where products are computed."""
+    angles = (np.arange(NODES) + 0.5) * np.pi / NODES
+    return np.array(list(itertools.product(REACH * np.cos(angles), repeat=count)))
+
+
+def _shares(v: Float[Array, "m"]) -> Float[Array, "nodes"]:
+    """Weight of each node's products at these coordinates (Lagrange's polynomials on Chebyshev's points)."""
+    line = _nodes(1)[:, 0]
+    share = jnp.ones(1)
+    for one in v:
+        apart = [
+            jnp.prod((one - np.delete(line, i)) / (x - np.delete(line, i)))
+            for i, x in enumerate(line)
+        ]
+        share = (share[:, None] * jnp.stack(apart)).reshape(-1)
+    return share
 
 
 def row_variance(layout: Layout, line: composition.Linearised) -> Float[Array, "n"]:

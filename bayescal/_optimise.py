@@ -41,6 +41,7 @@ def least_squares(
     scale: Float[Array, "p"] | None = None,
     *,
     steps: int = 1000,
+    table: Callable[[Float[Array, "p"]], Float[Array, "n p1"]] | None = None,
 ) -> Fitted:
     """Minimise Σ residuals². Traceable: under `jit`, and mapped over data sets.
 
@@ -49,6 +50,8 @@ def least_squares(
         start: of the unknowns, in their own units.
         scale: size of a plausible change of each unknown, in its unit; one, if not given. The
             first try does not depend on it, the second does.
+        table: the Jacobian of the residuals with them as its last column, where that is quicker than by
+            differentiation.
         steps: evaluations of the residuals and their Jacobian in one try (without the polish).
 
     Returns:
@@ -60,7 +63,8 @@ def least_squares(
     if not start.size:
         return Fitted(start, jnp.asarray(True), jnp.asarray(0))
     scale = jnp.ones_like(start) if scale is None else scale
-    solver = LevenbergMarquardt(steps)
+    own = None if table is None else lambda z: table(scale * z) * jnp.append(scale, 1.0)
+    solver = LevenbergMarquardt(steps, own)
     found = optx.least_squares(
         lambda z, _: residuals(scale * z),
         solver,
@@ -97,10 +101,12 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     Attributes:
         steps: of one try, at most.
+        table: Jacobian beside residuals; by differentiation if not given.
         rtol, atol, norm: of optimistix's interface, not used: the criteria here are scale-free.
     """
 
     steps: int = 1000
+    table: Callable[[Array], Array] | None = None
     rtol: float = 0.0
     atol: float = 0.0
     norm: Callable[[Any], Array] = optx.max_norm
@@ -113,8 +119,12 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     def step(self, fn, y, args, options, state: _State, tags):
         size = y.size
-        residual, slope = jax.linearize(lambda z: fn(z, args)[0], state.trial)
-        table = jnp.column_stack([jax.vmap(slope, out_axes=1)(jnp.eye(size)), residual])
+        if self.table is None:
+            residual, slope = jax.linearize(lambda z: fn(z, args)[0], state.trial)
+            table = jnp.column_stack([jax.vmap(slope, out_axes=1)(jnp.eye(size)), residual])
+        else:
+            table = self.table(state.trial)
+            residual = table[:, -1]
         finite = jnp.all(jnp.isfinite(table))
         upper = _triangle(jnp.where(finite, table, 0.0))
         cost = residual @ residual

@@ -50,7 +50,8 @@ def choose(
         candidates = [b for b in candidates if b.size <= free]
         if not candidates:
             return layout, notes
-        sizes = np.asarray(_second_order(layout, frame, y))
+        mode = laplace.compiled_mode(layout, frame, y)
+        sizes = np.asarray(_second_order(layout, frame, y, mode))
         strength = [
             float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in candidates
         ]
@@ -118,9 +119,8 @@ def _bend(layout: Layout, frame: Frame) -> Float[Array, ""]:
 
 
 @compiled
-def _second_order(layout: Layout, frame: Frame, y: Array) -> Float[Array, "p"]:
+def _second_order(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode) -> Float[Array, "p"]:
     """For each entry of x the size of its products with the others, in noise standard deviations."""
-    mode = laplace.find_mode(layout, frame, y)
     hyper = composition.hyper_values(layout, mode.v)
     found = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)(mode.v)[1]
     covariance = found.covariance

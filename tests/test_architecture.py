@@ -25,7 +25,7 @@ FLOORS = {
     "parts of a model": "_prior _coefficient _frame _effect _noise "
     "effects.constant effects.temperature effects.thermal effects.thermometer effects.time effects.unknown "
     "effects _instrument _model",
-    "the model as numbers": "_layout _composition _linear _laplace",
+    "the model as numbers": "_layout _composition _arrow _linear _laplace",
     "a calibration": "_calibration _store _tree _checkpoint _method _predict _score _directions _summary _text",
     "methods and their verb": "_promotion _importance _chains _least_squares _marginal _nuts "
     "_program_sites _program_affine _program_density _program _fit",

@@ -13,14 +13,16 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import bayescal as bc
+from bayescal import _arrow as arrow
 from bayescal import _composition as composition
+from bayescal import _laplace as laplace
 from bayescal import _linear as linear
 from bayescal import effects
 from bayescal._fit import bind
 from bayescal._frame import build_frame, reference_of
 from bayescal._layout import Layout
 from bayescal._nuts import program
-from bayescal_models import INSTRUMENTS
+from bayescal_models import INSTRUMENTS, ng_accelerometer
 from bayescal_models.mems_gyro import INSTRUMENT
 from bayescal_models.mems_gyro.model import THERMOMETER
 
@@ -346,7 +348,7 @@ def test_closed_form_is_the_multivariate_normal(model, known) -> None:
     b = bound(model, readings(**more))
     point = linear.Point(b.x, b.rows)
     prior = linear.prior_of(b.layout, b.hyper, jnp.ones(b.layout.size))
-    gram = linear.gram_function(b.layout, b.frame, b.y, point)(b.hyper)
+    gram = linear.gram_function(b.layout, b.frame, b.y, point)(b.hyper, b.v)
     found = linear.condition(gram, b.frame.size, prior, b.x)
 
     line = composition.linearise(b.layout, b.frame, b.x, b.rows, b.hyper)
@@ -365,6 +367,39 @@ def test_closed_form_is_the_multivariate_normal(model, known) -> None:
     )
 
 
+def test_members_eliminated_first_and_products_between_nodes_change_nothing() -> None:
+    readings = ng_accelerometer.simulate(seed=4)
+    layout, _ = bind(ng_accelerometer.INSTRUMENT.baseline(), readings)
+    layout = layout.promote("fixture_tilt.constant")
+    frame = build_frame(readings, reference_of(readings))
+    point = laplace.start_point(layout, frame)
+    expected = composition.mean(layout, frame, point.x, point.rows, hyper_at(layout, 0.0))
+    y = expected + np.random.default_rng(4).standard_normal(len(readings))
+    products = linear.gram_function(layout, frame, y, point)
+    for v in (-2.3, 0.4, 4.1):
+        hyper = hyper_at(layout, v)
+        prior = linear.prior_of(layout, hyper, jnp.ones(layout.size))
+        gram = products(hyper, jnp.full(len(layout.hypers), v))
+        assert isinstance(gram.jtj, arrow.Blocks)
+        found = linear.condition(gram, frame.size, prior, point.x)
+        line = composition.linearise(layout, frame, point.x, point.rows, hyper)
+        whole = layout.model.noise.gram(line.jacobian, y - line.mean, 0.0, hyper, frame)
+        direct = linear.condition(whole, frame.size, prior, point.x)
+        assert float(found.log_marginal) == pytest.approx(float(direct.log_marginal), abs=1e-4)
+        sd = np.sqrt(np.diag(direct.covariance))
+        assert np.max(np.abs(found.mean - direct.mean) / sd) < 1e-5
+        assert np.max(np.abs(found.covariance - direct.covariance) / np.outer(sd, sd)) < 1e-5
+        assert float(found.stretch) == pytest.approx(float(direct.stretch), abs=1e-6)
+        normal = jnp.linspace(-1, 1, layout.size)
+        back = found.factor.back(normal)
+        pulled = prior.sd * (whole.jtj @ (prior.sd * back)) + prior.weight * back
+        np.testing.assert_allclose(found.factor.forward(pulled), normal, atol=1e-5)
+
+
+def hyper_at(layout, v: float):
+    return composition.hyper_values(layout, jnp.full(len(layout.hypers), v))
+
+
 def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     flat = bc.Model(
         INSTRUMENT,
@@ -381,7 +416,7 @@ def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     )
     found = [
         linear.condition(
-            linear.gram_function(b.layout, b.frame, b.y, linear.Point(b.x, b.rows))(b.hyper),
+            linear.gram_function(b.layout, b.frame, b.y, linear.Point(b.x, b.rows))(b.hyper, b.v),
             b.frame.size,
             linear.prior_of(b.layout, b.hyper, jnp.full(2, scale)),
             b.x,
