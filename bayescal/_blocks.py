@@ -16,8 +16,9 @@ from bayescal import _susie as susie
 from bayescal._calibration import Calibration
 
 LENGTHS = (0.08, 0.25, 0.8)  # of the process, in parts of the covariate's range
+SHORT = 0.03  # and in time, where there are cycles and jumps
 AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # in noise standard deviations
-KNOTS = 14
+KNOTS, KNOTS_IN_TIME = 14, 40
 WAVES = 2  # along each of two covariates together
 
 
@@ -35,13 +36,14 @@ class Block:
     levels: tuple[str, ...] = ()
 
 
-def smooth(name: str, values: np.ndarray, unit: str = "") -> Block:
+def smooth(name: str, values: np.ndarray, unit: str = "", *, in_time: bool = False) -> Block:
     """A smooth dependence on a covariate that takes several values."""
+    lengths, most = ((SHORT, *LENGTHS), KNOTS_IN_TIME) if in_time else (LENGTHS, KNOTS)
     span = np.ptp(values)
     position = (values - values.min()) / (span if span > 0 else 1.0)
     distinct = np.unique(position)
-    knots = distinct if len(distinct) <= KNOTS else np.linspace(0, 1, KNOTS)
-    return Block(name, values, tuple(_process(position, knots, length) for length in LENGTHS), unit)
+    knots = distinct if len(distinct) <= most else np.linspace(0, 1, most)
+    return Block(name, values, tuple(_process(position, knots, length) for length in lengths), unit)
 
 
 def _process(position: np.ndarray, knots: np.ndarray, length: float) -> np.ndarray:

@@ -197,18 +197,19 @@ def covariates_of(calibration: Calibration) -> list[blocks.Block]:
         unit = readings.unit(name)
         skip = name in ("output", "output_uncertainty", "temperature_point") or unit is None
         if not skip and np.ptp(readings[name]) > 0:
-            found.append(blocks.smooth(name, readings[name], unit or ""))
+            found.append(blocks.smooth(name, readings[name], unit or "", in_time=name == "time"))
     if "temperature" in frame.rates and np.ptp(np.asarray(frame.rates["temperature"])) > 0:
         rate = np.asarray(frame.rates["temperature"]) * 60
         found.append(blocks.smooth("temperature rate", rate, "degC/min"))
     if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
-        found.append(blocks.smooth("elapsed", np.asarray(frame.columns["elapsed"]), "s"))
+        elapsed = np.asarray(frame.columns["elapsed"])
+        found.append(blocks.smooth("elapsed", elapsed, "s", in_time=True))
     for group in GROUPS:
         levels, codes = readings.groups(group)
         if 1 < len(levels) <= MEMBERS:
             found.append(blocks.members(group, codes, levels))
     if not readings.has("time"):
-        found.append(blocks.smooth("order", np.arange(1.0, len(readings) + 1)))
+        found.append(blocks.smooth("order", np.arange(1.0, len(readings) + 1), in_time=True))
     return found
 
 

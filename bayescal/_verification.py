@@ -27,7 +27,7 @@ LEAD = 1.0  # log Bayes factor from which an effect that is not a finding is a l
 RIVAL = (
     0.5  # part of the best log Bayes factor by score from which another candidate is refitted too
 )
-NEARLY = 0.9  # of an unknown function's log Bayes factor, from which an effect with a name is added first
+NEARLY = 0.5  # of an unknown function's log Bayes factor, from which an effect with a name is added first
 VERIFIED = 4  # candidates that are refitted: the leading set's members, then other leads
 
 

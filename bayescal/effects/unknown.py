@@ -16,8 +16,11 @@ from bayescal._effect import Effect
 from bayescal._prior import Normal
 
 TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
-WIDER = 1.5  # interval over range
 LENGTHS = (0.1, 0.8)  # plausible lengths of the process, in parts of the range
+# A dependence on a temperature is smooth; in time there are cycles and jumps.
+TERMS_IN_TIME = 36
+LENGTHS_IN_TIME = (0.03, 0.8)
+WIDER = 1.5  # interval over range
 
 
 def unknown(
@@ -31,10 +34,13 @@ def unknown(
         name: canonical; `unknown(covariate)` if not given.
     """
 
+    in_time = covariate in ("time", "elapsed")
+    terms = TERMS_IN_TIME if in_time else TERMS
+
     def basis(r, length, amplitude):
         # −1 … 1 over the range; at the ends of the wider interval the function is 0, and so it stays beyond
         centred = jnp.clip(2 * r.position(covariate) - 1, -WIDER, WIDER)
-        order = jnp.arange(1, TERMS + 1) * math.pi / (2 * WIDER)
+        order = jnp.arange(1, terms + 1) * math.pi / (2 * WIDER)
         scale = 2 * length
         root = jnp.sqrt(scale * math.sqrt(2 * math.pi)) * jnp.exp(-((scale * order) ** 2) / 4)
         waves = jnp.sin(order * (centred[:, None] + WIDER)) / math.sqrt(WIDER)
@@ -47,9 +53,9 @@ def unknown(
         name or f"unknown({covariate})",
         slot,
         basis,
-        coefficients=tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(TERMS)),
+        coefficients=tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(terms)),
         shapes=(
-            Shape("length", "1", *LENGTHS),
+            Shape("length", "1", *(LENGTHS_IN_TIME if in_time else LENGTHS)),
             Shape("amplitude", unit, low, high),
         ),
         measure="amplitude",
