@@ -173,17 +173,22 @@ def _others(banks: dict[str, Rows]) -> str:
 def _sets(banks: dict[str, Rows]) -> str:
     """Credible sets: false ones among all reported, and their size against exact enumeration's."""
     total = false = 0
+    with_false: Rows = []
     for r in _all(banks, "single"):
         name = next(iter(r["hidden"]))
-        for names, sets in r["reported"]:
-            total += len(sets)
-            false += sum(name in names or name not in members for members in sets)
+        ours = [name in names or name not in m for names, sets in r["reported"] for m in sets]
+        total += len(ours)
+        false += sum(ours)
+        with_false += [r] if any(ours) else []
+    better = sum(r["held_out"][1] < r["held_out"][2] for r in with_false)
     strong = [r for r in _all(banks, "single") if r["exact_set"] and r["first_set"]]
     ours = np.mean([len(r["first_set"]) for r in strong] or [np.nan])
     exact = np.mean([len(r["exact_set"]) for r in strong] or [np.nan])
     return (
-        f"Sets reported in campaigns with one hidden effect that do not hold it: {interval(false, total)}. Mean size "
-        f"of the first set {ours:.2f}, of the exact one by the evidence of every single effect {exact:.2f} (ratio "
+        f"Sets reported in campaigns with one hidden effect that do not hold it: {interval(false, total)}, in "
+        f"{len(with_false)} campaigns. In {better} of these the final model predicts the second campaign better than the "
+        "catalogue's form of the hidden effect does: the simulated physics departs from that form by more than the "
+        f"noise, and the search finds what is left. Mean size of the first set {ours:.2f}, of the exact one by the evidence of every single effect {exact:.2f} (ratio "
         f"{ours / exact:.2f}, {len(strong)} campaigns with an oracle above 8).\n"
     )
 
