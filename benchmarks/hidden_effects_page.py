@@ -186,10 +186,11 @@ def _sets(banks: dict[str, Rows]) -> str:
     exact = np.mean([len(r["exact_set"]) for r in strong] or [np.nan])
     return (
         f"Sets reported in campaigns with one hidden effect that do not hold it: {interval(false, total)}, in "
-        f"{len(with_false)} campaigns. In {better} of these the final model predicts the second campaign better than the "
-        "catalogue's form of the hidden effect does: the simulated physics departs from that form by more than the "
-        f"noise, and the search finds what is left. Mean size of the first set {ours:.2f}, of the exact one by the evidence of every single effect {exact:.2f} (ratio "
-        f"{ours / exact:.2f}, {len(strong)} campaigns with an oracle above 8).\n"
+        f"{len(with_false)} campaigns. In {better} of these the final model predicts the second campaign better than "
+        "the catalogue's form of the hidden effect does: the simulated physics departs from that form by more than "
+        f"the noise, and the search finds what is left. Mean size of the first set {ours:.2f}, of the exact one by "
+        f"the evidence of every single effect {exact:.2f} (ratio {ours / exact:.2f}, {len(strong)} campaigns with an "
+        "oracle above 8).\n"
     )
 
 
