@@ -61,6 +61,9 @@ Candidates                    slot            form                              
 `base_tilt.temperature[perp]` is an exact alias of b1, `fixture_tilt.temperature` all but one of b0: to add them
 widens those tempcos to what their priors leave, which no number of readings of the same kind narrows.
 
+`temperature`, °C: `temperature.reading`, the thermometer's own error (2 mK, ours; errors in variables). At 44 µg/°C
+it is half the noise of a reading, and a line fitted without it is pulled towards zero.
+
 Noise: white, of unknown size (0.05 to 5 µg; source 0 gives 3 ng/√Hz for the sensor alone).
 """
 
@@ -168,6 +171,8 @@ TILT_SETTING = bc.Effect(
     source="source 0: the table's angles are good to 1″",
 )
 
+THERMOMETER = effects.thermometer(0.002, source="ours: 2 mK of an averaged temperature")
+
 INSTRUMENT = bc.Instrument(
     name="ng_accelerometer",
     title="ng accelerometer on a tilted table: bias and scale factor over temperature",
@@ -221,6 +226,7 @@ INSTRUMENT = bc.Instrument(
             ),
         ),
         ("line, fixture warms", lambda: INSTRUMENT.baseline() + "fixture_tilt.temperature"),
+        ("line, thermometer error", lambda: INSTRUMENT.baseline() + THERMOMETER),
         (
             "line, base follows the laboratory",
             lambda: INSTRUMENT.baseline() + "base_tilt.lab_temperature",
