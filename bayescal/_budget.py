@@ -15,7 +15,7 @@ What the sampling of spreads and shapes adds to that linear split is its own row
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -30,6 +30,7 @@ from bayescal._compile import compiled
 from bayescal._errors import InputError
 from bayescal._frame import Frame
 from bayescal._layout import Layout
+from bayescal._units import coefficient_factor, convert, needs_gravity, same_dimension
 
 REST = "spreads, shapes, curvature"
 READINGS = "noise of the calibration's readings"
@@ -72,8 +73,10 @@ class Budget:
 
     Attributes:
         stimulus, unit: what the value is of.
-        at: operating point: the stimulus and every covariate, in fixed units.
-        reading: expected there, output unit.
+        at: operating point: the stimulus and every covariate, in `at_units`.
+        at_units: the fixed units.
+        reading: expected there, in `output_unit`.
+        output_unit: of the instrument's readings.
         uncertainty: combined standard uncertainty of the compensated value, without the noise of the reading.
         noise: standard uncertainty that the noise of one reading adds, stimulus unit.
         k: coverage factor.
@@ -84,7 +87,9 @@ class Budget:
     stimulus: str
     unit: str
     at: dict[str, float]
+    at_units: dict[str, str]
     reading: float
+    output_unit: str
     uncertainty: float
     noise: float
     k: float
@@ -107,8 +112,31 @@ class Budget:
         sd = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.where(sd > 0, np.outer(sd, sd), 1.0)
 
+    def shown(self) -> Budget:
+        """The same as people read it: in the unit of the readings where the stimulus is of their kind, angles of the
+        operating point in degrees."""
+        to = self.output_unit
+        if to == self.unit or not same_dimension(self.unit, to) or needs_gravity(self.unit, to):
+            to = self.unit
+        factor = coefficient_factor(self.unit, to)
+        coefficients = tuple(
+            replace(c, sensitivity=factor * c.sensitivity, contribution=factor * c.contribution)
+            for c in self.coefficients
+        )
+        degrees = {n: "deg" if unit == "rad" else unit for n, unit in self.at_units.items()}
+        return replace(
+            self,
+            unit=to,
+            at={n: float(convert(v, self.at_units[n], degrees[n])) for n, v in self.at.items()},
+            at_units=degrees,
+            uncertainty=factor * self.uncertainty,
+            noise=factor * self.noise,
+            coefficients=coefficients,
+            sources=tuple(replace(s, contribution=factor * s.contribution) for s in self.sources),
+        )
+
     def data(self) -> dict[str, Any]:
-        """As JSON."""
+        """As JSON, in fixed units."""
         return {
             **asdict(self),
             "expanded": self.expanded,
@@ -119,7 +147,7 @@ class Budget:
     def __str__(self) -> str:
         from bayescal._text import budget_text  # tables for people stand above this floor
 
-        return budget_text(self)
+        return budget_text(self.shown())
 
 
 def budget(
@@ -156,7 +184,9 @@ def budget(
         chosen.stimulus,
         chosen.unit,
         point,
+        _units_of(chosen),
         found.expected,
+        chosen.output_unit,
         variance**0.5,
         chosen.noise / abs(found.slope),
         float(k),
@@ -164,6 +194,10 @@ def budget(
         _by_source(chosen, gradient, variance),
         covariance,
     )
+
+
+def _units_of(chosen: Compensator) -> dict[str, str]:
+    return {chosen.stimulus: chosen.unit, **{i.name: i.unit for i in chosen.inputs}}
 
 
 def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, float]:

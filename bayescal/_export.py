@@ -289,7 +289,8 @@ def program_of(
         return equation.point(theta, s, given, inverse.reference)
 
     def all_of(s, given):
-        expected, slope = jax.value_and_grad(at)(s, given, theta)
+        # Forward, because the reverse of a slice is a padding, for which there is no scalar operation.
+        expected, slope = jax.jvp(lambda s: at(s, given, theta), (s,), (jnp.ones(()),))
         gradient = [
             jax.jvp(
                 lambda value, key=e.key: at(s, given, {**theta, key: value}),

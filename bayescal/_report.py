@@ -197,7 +197,7 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
     if not words.ok(chapter):
         return None, "There is no budget of a fit that is not to be trusted."
     try:
-        return budget(chapter.calibration, k=tables.K), ""
+        return budget(chapter.calibration, k=tables.K).shown(), ""
     except BayescalError as error:
         return None, f"There is no budget: {error}"
 

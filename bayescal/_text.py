@@ -349,7 +349,10 @@ def calibration_text(calibration: Calibration) -> str:
 def budget_text(found: Budget) -> str:
     """Both tables of an uncertainty budget; k and the kind of each interval said."""
     unit = pretty(found.unit)
-    at = ", ".join(f"{name} = {number(value, 4)}" for name, value in found.at.items())
+    at = ", ".join(
+        f"{name} = {number(value, 4)} {pretty(found.at_units[name])}".strip()
+        for name, value in found.at.items()
+    )
     parts = [
         f"Uncertainty budget of {found.stimulus} at {at}",
         table(

@@ -10,6 +10,7 @@ NAMES = (  # each a module here with `main()`
     "thermal_ramp",
     "false_discoveries",
     "coverage",
+    "compensation",
     "ng_accelerometer",
     "quartz_beam_accelerometer",
     "differential_pair",

@@ -1,6 +1,7 @@
 """Effective draws per second of the ng accelerometer's hierarchical model: ours beside the samplers of today.
 
     python -m benchmarks samplers        one row after another; stopped, it goes on where it was
+    BAYESCAL_ONLY="bayescal;nutpie, low rank" python -m benchmarks samplers      rows whose name holds one of these
 
 The model is the instrument's baseline on its own campaign, 12 positions × 5 temperatures × 3 runs, every unknown
 counted: coefficients, deviations of cells, learned spreads, noise. All get the same log density, compiled by JAX:
@@ -18,9 +19,11 @@ chains the warm-up too. Every row's posterior is compared with the best chains o
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -29,7 +32,6 @@ import numpy as np
 from arviz_stats.base import array_stats
 from jax.flatten_util import ravel_pytree
 
-import bayescal as bc
 from bayescal import _chains as chains
 from bayescal import _importance as importance
 from bayescal import _laplace as laplace
@@ -45,7 +47,7 @@ LINES = ROOT / "benchmarks" / "results" / "samplers.jsonl"
 CHAINS = 2
 DRAWS = 1000
 SEED = 20261121
-PROPOSALS = 8192
+PROPOSALS = {"its default": (8192, 3), "65536 proposals, 6 rounds": (65536, 6)}
 
 
 class Target(NamedTuple):
@@ -270,16 +272,14 @@ def summary(values: np.ndarray, ran: Ran) -> dict[str, Any]:
     }
 
 
-def ours(p: Problem) -> dict[str, Any]:
+def ours(p: Problem, proposals: int, rounds: int) -> dict[str, Any]:
     """`Marginal`: joint importance draws with their corrected weights."""
 
     def once(seed: int):
         layout = promotion.choose(p.plain, p.frame, p.y, None)[0]
         mode = laplace.compiled_mode(layout, p.frame, p.y)
         key = jax.random.key(seed)
-        found = importance.sample_jit(
-            layout, p.frame, p.y, mode, key, PROPOSALS, bc.Marginal().rounds
-        )
+        found = importance.sample_jit(layout, p.frame, p.y, mode, key, proposals, rounds)
         return layout, jax.tree.map(np.asarray, found)
 
     begun = time.perf_counter()
@@ -321,7 +321,10 @@ def _in_plain_order(plain: Any, layout: Any, x: np.ndarray, v: np.ndarray) -> np
     return np.concatenate(columns, axis=1)
 
 
-ROWS: dict[str, Callable[[Problem], dict[str, Any]]] = {"bayescal, joint importance draws": ours}
+ROWS: dict[str, Callable[[Problem], dict[str, Any]]] = {
+    f"bayescal, {name}": partial(ours, proposals=proposals, rounds=rounds)
+    for name, (proposals, rounds) in PROPOSALS.items()
+}
 
 
 def _chains_row(kind: str, sampler: Callable[[Target], Ran]) -> Callable[[Problem], dict[str, Any]]:
@@ -360,8 +363,9 @@ def main() -> None:
     )
     done = {line["row"]: line for line in lines}
     p = problem()
+    only = [part for part in os.environ.get("BAYESCAL_ONLY", "").split(";") if part]
     for name, row in ROWS.items():
-        if name in done:
+        if name in done or (only and not any(part in name for part in only)):
             continue
         try:
             done[name] = {"row": name, **row(p)}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bent_sensor
 import numpy as np
 import pytest
@@ -62,6 +64,25 @@ def test_k_and_noise_are_said_and_multiply(gyro) -> None:
     text = str(gyro)
     assert "Expanded uncertainty (k = 2)" in text and "scale.constant" in text and "ppm" in text
     np.testing.assert_allclose(np.diag(gyro.correlation), 1.0)
+
+
+def test_it_is_shown_in_the_unit_in_which_the_instrument_reports(gyro) -> None:
+    """A tilt is kept in rad; of an inclinometer that reads arcsec the budget says arcsec, and its tilt in degrees."""
+    made = replace(
+        gyro, unit="rad", output_unit="arcsec", at={"tilt": 0.1}, at_units={"tilt": "rad"}
+    )
+    shown = made.shown()
+    second = np.pi / 648000
+    np.testing.assert_allclose(shown.uncertainty * second, made.uncertainty)
+    np.testing.assert_allclose(shown.expanded_reading * second, made.expanded_reading)
+    for before, after in zip(made.coefficients, shown.coefficients, strict=True):
+        np.testing.assert_allclose(after.contribution, abs(after.sensitivity) * after.uncertainty)
+        assert (after.share, after.value) == (before.share, before.value)
+    text = str(made)
+    assert "at tilt = 5.73 °" in text and "contribution arcsec" in text and "rad" not in text
+    assert "at rate_input = 80 °/s, temperature = 70 °C" in str(gyro)  # of another kind: as it was
+    other = replace(made, output_unit="Hz").shown()
+    assert (other.unit, other.uncertainty) == ("rad", made.uncertainty)
 
 
 def test_a_name_that_plays_no_part_is_refused() -> None:

@@ -34,6 +34,18 @@ def linear(
     column: str = "temperature",
     name: str = "temperature",
 ) -> Effect:
+    """c·(T − T0): a straight line in a temperature, in practice the tempco.
+
+    Args:
+        slot: that it adds to, such as "bias".
+        size: prior standard deviation of c, in `unit`: how large it plausibly is.
+        unit: of c, such as "deg/s/degC" or "ppm/degC"; of the dimension of the slot's unit over a temperature.
+        source: where the size comes from: a document, or whose estimate it is.
+        column: the temperature T, °C; T0 is its rounded mean in the fit, printed and stored with the result.
+        name: of the effect, after the slot: `slot.name`.
+
+    Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
+    """
     return _power(slot, 1, column, size, unit, name, source)
 
 
@@ -46,6 +58,18 @@ def quadratic(
     column: str = "temperature",
     name: str = "temperature",
 ) -> Effect:
+    """c·(T − T0)²: what bends evenly about T0.
+
+    Args:
+        slot: that it adds to, such as "bias".
+        size: prior standard deviation of c, in `unit`: how large it plausibly is.
+        unit: of c, such as "deg/s/degC^2"; of the dimension of the slot's unit over a squared temperature.
+        source: where the size comes from: a document, or whose estimate it is.
+        column: the temperature T, °C; T0 is its rounded mean in the fit, printed and stored with the result.
+        name: of the effect, after the slot: `slot.name_quadratic`.
+
+    Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
+    """
     return _power(slot, 2, column, size, unit, name, source)
 
 
@@ -58,4 +82,16 @@ def cubic(
     column: str = "temperature",
     name: str = "temperature",
 ) -> Effect:
+    """c·(T − T0)³: what bends unevenly about T0.
+
+    Args:
+        slot: that it adds to, such as "bias".
+        size: prior standard deviation of c, in `unit`: how large it plausibly is.
+        unit: of c, such as "deg/s/degC^3"; of the dimension of the slot's unit over a cubed temperature.
+        source: where the size comes from: a document, or whose estimate it is.
+        column: the temperature T, °C; T0 is its rounded mean in the fit, printed and stored with the result.
+        name: of the effect, after the slot: `slot.name_cubic`.
+
+    Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
+    """
     return _power(slot, 3, column, size, unit, name, source)
