@@ -176,8 +176,7 @@ def draw_back(split: Split, mode: Mode, density, u: Array, key: Array):
     value, found = density(u)
     normal = jax.random.normal(key, (split.size,))
     x = found.place(normal)
-    volume = jnp.sum(jnp.log(jnp.diag(found.chol)))
-    of_x = volume - 0.5 * (normal @ normal + split.size * LOG_2PI)
+    of_x = -found.stretch - 0.5 * (normal @ normal + split.size * LOG_2PI)
     v = mode.centre + mode.width * u
     true = log_joint(split, x, v) + jnp.sum(jnp.log(mode.width))
     return x, v, value, true - (value + of_x)
