@@ -44,10 +44,11 @@ def docstring(instrument: str) -> str:
 
 
 def data_sheet(instrument: str) -> str:
-    """An instrument's docstring as Markdown: aligned columns become tables."""
+    """An instrument's docstring as Markdown: aligned columns become tables, a source's name leads to its title."""
     title, _, body = docstring(instrument).partition("\n")
     paragraphs = re.split(r"\n\s*\n", body.strip("\n"))
-    return "\n\n".join([f"**{title}**", *(_aligned(p) or p for p in paragraphs)])
+    text = "\n\n".join([f"**{title}**", *(_aligned(p) or p for p in paragraphs)])
+    return re.sub(r"\bsource [0-4]\b", r"[\g<0>](../sources.md)", text)
 
 
 def _aligned(paragraph: str) -> str | None:
