@@ -90,8 +90,9 @@ class DeviceResult:
 
     def __str__(self) -> str:
         head = f"device {self.device}: {'ok' if self.ok else self.reason}"
-        rows = zip(self.names, self.mean, self.sd, self.units, strict=True)
-        return "\n".join([head, *(f"  {n} = {m:.6g} ± {s:.2g} {u}" for n, m, s, u in rows)])
+        known = [("" if np.isnan(s) else f" ± {s:.2g}") for s in self.sd]
+        rows = zip(self.names, self.mean, known, self.units, strict=True)
+        return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -240,12 +240,11 @@ def compensator_from(
 def chapters_from(paths: list[Path], effects: Path | None, instrument: str | None) -> list[Chapter]:
     """What a report is of: saved calibrations, and folders with the trail that led to one."""
     own = () if instrument is None else (instrument_named(instrument),)
-    return chapters(
-        of_folder(path, user_effects(effects), own)
-        if path.is_dir()
-        else saved(path, effects, instrument)
-        for path in paths
+    theirs = user_effects(effects)
+    given = (
+        of_folder(p, theirs, own) if p.is_dir() else saved(p, effects, instrument) for p in paths
     )
+    return chapters(given, theirs)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ Everything that comes from files (names of files, devices, effects) is escaped; 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from bayescal import _report_tables as tables
 from bayescal import _report_words as words
 from bayescal._budget import Budget, budget
 from bayescal._calibration import Calibration
+from bayescal._effect import Effect
 from bayescal._errors import BayescalError, InputError
 from bayescal._report_chapter import Chapter, chapters, taken
 from bayescal._text import number, pretty, probability, with_error
@@ -24,7 +26,11 @@ MANY = 60  # rows of a table of candidates or coefficients that are shown
 
 
 def report(
-    given: Calibration | Trail | Chapter | list[Any], path: str | Path, *, title: str = ""
+    given: Calibration | Trail | Chapter | list[Any],
+    path: str | Path,
+    *,
+    title: str = "",
+    effects: Iterable[Effect] = (),
 ) -> Path:
     """Write the report to sign.
 
@@ -34,6 +40,8 @@ def report(
             looked for, which takes a few seconds each. A trail brings all that with it.
         path: of the file, ending in .html.
         title: of the report.
+        effects: of your own, candidates where what a calibration lacks is looked for; those that one of the
+            calibrations has are so anyway.
 
     Returns:
         The path.
@@ -48,7 +56,7 @@ def report(
         raise InputError(
             f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}"
         )
-    return write_text(page(chapters(taken(given)), title), path)
+    return write_text(page(chapters(taken(given), effects), title), path)
 
 
 def page(found: list[Chapter], title: str = "") -> str:

@@ -50,13 +50,16 @@ class Chapter:
     picture: bytes | None = None
 
 
-def chapters(given: Iterable[Calibration | Trail | Chapter]) -> list[Chapter]:
+def chapters(
+    given: Iterable[Calibration | Trail | Chapter], effects: Iterable[Effect] = ()
+) -> list[Chapter]:
     """Chapters of what is given, in its order; calibrations of the same readings that stand together are one."""
+    own = tuple(effects)
     found: list[Chapter] = []
     waiting: list[Calibration] = []
     for one in [*given, None]:
         if waiting and not (isinstance(one, Calibration) and _same_readings(waiting[-1], one)):
-            found.append(of_trail(trail_of(waiting), _titles(waiting)))
+            found.append(of_trail(trail_of(waiting, own), _titles(waiting)))
             waiting = []
         if isinstance(one, Calibration):
             waiting.append(one)
@@ -148,8 +151,15 @@ def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibrati
             )
 
 
-def trail_of(calibrations: list[Calibration]) -> Trail:
-    """The trail of calibrations of the same readings, each checked and asked what it lacks."""
+def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) -> Trail:
+    """The trail of calibrations of the same readings, each checked and asked what it lacks.
+
+    An effect of the user's own that one of them has is a candidate for the others.
+    """
+    used = {e.name: e for c in calibrations for e in c.model.effects}
+    instrument = calibrations[0].model.instrument
+    catalogue = {e.name for e in (*instrument.effects, *instrument.candidates)}
+    own = [e for n, e in used.items() if n not in catalogue]
     steps = []
     for c in calibrations:
         checked = check(c)
@@ -164,7 +174,7 @@ def trail_of(calibrations: list[Calibration]) -> Trail:
                 leave_one_group_out(c),
                 noise_floor(c),
                 checked,
-                discover(c) if c.verdict.ok else None,
+                discover(c, effects=(*own, *effects)) if c.verdict.ok else None,
             )
         )
     return Trail(tuple(steps), gate(steps[-1]), None)

@@ -18,6 +18,8 @@ NAMES = (  # each a module here with `main()`
     "batches",
     "samplers",
     "hidden_effects",
+    "start_up",
+    "scaling",
 )
 
 

@@ -13,11 +13,18 @@ pytestmark = needs_installation
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "own_effect.md").read_text("utf-8")
 (MY_EFFECTS,) = blocks(PAGE, "python")
 
+REFUSED = "bayescal discover with_humidity/calibration.nc"
+REPORT = "bayescal report line/calibration.nc with_humidity/calibration.nc --effects my_effects.py"
+
 
 @pytest.fixture(scope="module")
-def followed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Ran]:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("own_effect")
+
+
+@pytest.fixture(scope="module")
+def followed(folder: Path) -> dict[str, Ran]:
     """Every command of the page, in order, by its text."""
-    folder = tmp_path_factory.mktemp("own_effect")
     (folder / "my_effects.py").write_text(MY_EFFECTS, encoding="utf-8")
     done = {}
     with pytest.MonkeyPatch.context() as patch:
@@ -28,8 +35,8 @@ def followed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Ran]:
                 assert name == "bayescal"
                 done[command] = run(*arguments)
                 assert done[command].status == 0, f"{command}\n{done[command].err}"
-        refused = "bayescal discover with_humidity/calibration.nc"
-        done[refused] = run(*refused.split()[1:])
+        for further in (REFUSED, REPORT):
+            done[further] = run(*further.split()[1:])
     return done
 
 
@@ -72,7 +79,12 @@ def test_the_coefficient_is_what_was_simulated(followed: dict[str, Ran]) -> None
 
 
 def test_a_saved_calibration_asks_for_the_file_with_its_effect(followed: dict[str, Ran]) -> None:
-    refused = followed["bayescal discover with_humidity/calibration.nc"]
+    refused = followed[REFUSED]
     assert refused.status == 2
     assert "uses the effect bias.humidity, which 'mems_gyro' does not have" in refused.said[0]
     assert "--effects my_effects.py" in refused.said[0]
+
+
+def test_a_report_looks_for_it_too(followed: dict[str, Ran], folder: Path) -> None:
+    assert followed[REPORT].status == 0
+    assert "bias.humidity was found missing." in (folder / "report.html").read_text("utf-8")

@@ -1,0 +1,252 @@
+"""One least-squares fit, warm and from a cold start, beside `scipy.optimize.least_squares` and lmfit.
+
+All minimise the same sum of squares from the same start, the priors' centre: residuals over the noise's standard
+deviation, and every unknown over its prior's. The peers are told the noise, which `bc.fit` has to find; it also draws,
+names, and judges. Where a model is not written out here by hand, the peers are given our compiled expected output.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.record import ROOT
+
+READINGS, SEED, T0, NOISE = 600, 5, 20.0, 0.2
+SIZES = {"offset": 50.0, "slope": 0.05, "warm_up": 0.5}  # prior sd, replaced by the instrument's
+REPEATS = 7
+TIGHT = 1e-12  # tolerances of the peers, for answers that can be compared
+NEAR = 1e-6  # standard deviations that ours may be off the optimum by; the peers' differences are coarser: ten times
+GOAL = 5.0
+
+
+class Problem(NamedTuple):
+    """Least squares in standardised unknowns z: residuals of z, and how many there are."""
+
+    residuals: Callable[[np.ndarray], np.ndarray]
+    size: int
+
+
+def arrays() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, s; temperature, °C; output, °/s, of one run that warms up."""
+    rng = np.random.default_rng(SEED)
+    t = 10.0 * np.arange(READINGS)
+    temperature = T0 + 30.0 * np.sin(2 * np.pi * t / 4000.0)
+    temperature -= temperature.mean() - T0  # so that the reference temperature is T0
+    output = 2.0 + 0.03 * (temperature - T0) + 0.6 * np.exp(-t / 700.0)
+    return t, temperature, output + rng.normal(0.0, NOISE, READINGS)
+
+
+def interleaved(
+    runs: dict[str, Callable[[], Any]], repeats: int
+) -> tuple[dict[str, float], dict[str, Any]]:
+    """The least seconds of each, one after the other in every round; and what each made."""
+    best = dict.fromkeys(runs, np.inf)
+    made: dict[str, Any] = {}
+    for _ in range(repeats):
+        for name, run in runs.items():
+            begun = time.perf_counter()
+            made[name] = run()
+            best[name] = min(best[name], time.perf_counter() - begun)
+    return best, made
+
+
+def by_hand(kind: str, scale: dict[str, float], noise: float) -> Problem:
+    """The gyroscope's line, or with its warm-up, written out in numpy.
+
+    Args:
+        kind: "line" or "warm-up".
+        scale: prior sd of "offset", "slope", "warm_up"; median of τ and its sd in log τ.
+        noise: standard deviation, °/s.
+    """
+    t, temperature, output = arrays()
+    warm, centred = t - t[0], temperature - T0
+
+    def residuals(z: np.ndarray) -> np.ndarray:
+        guess = scale["offset"] * z[0] + scale["slope"] * z[1] * centred
+        if kind == "warm-up":
+            tau = scale["tau"] * np.exp(scale["log_tau"] * z[3])
+            guess = guess + scale["warm_up"] * z[2] * np.exp(-warm / tau)
+        return np.concatenate([(output - guess) / noise, z])
+
+    return Problem(residuals, 4 if kind == "warm-up" else 2)
+
+
+def by_scipy(problem: Problem, method: Any) -> tuple[np.ndarray, np.ndarray]:
+    """z and its covariance by `scipy.optimize.least_squares`."""
+    from scipy.optimize import least_squares
+
+    own = {"ftol": TIGHT, "xtol": TIGHT, "gtol": TIGHT}
+    found: Any = least_squares(problem.residuals, np.zeros(problem.size), method=method, **own)
+    return found.x, np.linalg.inv(found.jac.T @ found.jac)
+
+
+def by_lmfit(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """The same by lmfit's `minimize` (leastsq)."""
+    import lmfit
+
+    start = lmfit.Parameters()
+    for i in range(problem.size):
+        start.add(f"z{i}", value=0.0)
+
+    def residuals(p: Any) -> np.ndarray:
+        return problem.residuals(np.array([p[f"z{i}"].value for i in range(problem.size)]))
+
+    found: Any = lmfit.minimize(residuals, start, scale_covar=False, ftol=TIGHT, xtol=TIGHT)
+    return np.array([p.value for p in found.params.values()]), found.covar
+
+
+def _exactly(problem: Problem, near: np.ndarray) -> np.ndarray:
+    """z by Gauss–Newton steps on central differences, from near the answer until rounding stops them."""
+    z, step = near.copy(), 1e-5
+    for _ in range(20):
+        moved = [
+            (problem.residuals(z + step * e) - problem.residuals(z - step * e)) / (2 * step)
+            for e in np.eye(problem.size)
+        ]
+        z = z - np.linalg.lstsq(np.column_stack(moved), problem.residuals(z), rcond=None)[0]
+    return z
+
+
+def _case(kind: str) -> tuple[Any, Any]:
+    """Model and readings."""
+    import bayescal as bc
+    from bayescal_models import mems_gyro, ng_accelerometer
+
+    if kind == "ng accelerometer":
+        return ng_accelerometer.INSTRUMENT.baseline(), ng_accelerometer.simulate(seed=0)
+    t, temperature, output = arrays()
+    readings = bc.Measurements.from_arrays(
+        mems_gyro.INSTRUMENT, time=t, temperature=temperature, output=output
+    )
+    model = mems_gyro.INSTRUMENT.baseline()
+    return model + "bias.warm_up" if kind == "warm-up" else model, readings
+
+
+def _problem(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
+    """The same problem for the peers, with the noise that `bc.fit` found; and its answer in z."""
+    import jax
+    import jax.numpy as jnp
+
+    from bayescal import _composition as composition
+    from bayescal import _linear as linear
+    from bayescal._least_squares import split_hypers
+
+    layout, frame, mode = found.layout, found.frame, found.mode
+    prior = linear.prior_of(layout, composition.hyper_values(layout, mode.v), mode.flat)
+    _, places = split_hypers(layout)
+    if layout.row_blocks or layout.improper:
+        raise RuntimeError(f"{kind}: has flat priors or one coefficient for each reading")
+    hyper = composition.hyper_values(layout, mode.v)
+    noise = np.sqrt(np.asarray(layout.model.noise.variance(hyper, frame)))
+    answer = np.concatenate(
+        [(mode.point.x - prior.mean) / prior.sd, mode.v[jnp.array(places, int)]]
+    )
+    if kind != "ng accelerometer":
+        size = dict(zip(("offset", "slope", "warm_up"), map(float, prior.sd), strict=False))
+        for h in layout.hypers:
+            if h.kind == "shape":
+                size |= {"tau": float(h.prior.median), "log_tau": float(h.prior.sd)}
+        return by_hand(kind, size, float(noise[0])), answer
+    y, sd = found.readings["output"], jnp.asarray(noise)
+
+    @jax.jit
+    def residuals(z: jax.Array) -> jax.Array:
+        x, w = prior.mean + prior.sd * z[: layout.size], z[layout.size :]
+        own = composition.hyper_values(layout, mode.v.at[jnp.array(places, int)].set(w))
+        guess = composition.mean(layout, frame, x, mode.point.rows, own)
+        return jnp.concatenate([(y - guess) / sd, z])
+
+    return Problem(lambda z: np.asarray(residuals(z)), len(answer)), answer
+
+
+def warm(kind: str) -> dict[str, Any]:
+    """All in one process, after each has run once.
+
+    Raises:
+        RuntimeError: the answers differ.
+    """
+    import jax
+
+    import bayescal as bc
+    from bayescal import _laplace as laplace
+    from bayescal import _least_squares as least_squares
+
+    model, readings = _case(kind)
+    found = bc.fit(model, readings, bc.LeastSquares())
+    problem, answer = _problem(kind, found)
+    layout, frame, y = found.layout, found.frame, jax.numpy.asarray(readings["output"])
+
+    def solve() -> Any:
+        mode = laplace.compiled_mode(layout, frame, y)
+        return jax.block_until_ready(least_squares.refine(layout, frame, y, mode, False).covariance)
+
+    solve()
+    best, made = interleaved(
+        {
+            "bc.fit": lambda: bc.fit(model, readings, bc.LeastSquares()),
+            "bayescal, the solve alone": solve,
+            "scipy, trf": lambda: by_scipy(problem, "trf"),
+            "scipy, lm": lambda: by_scipy(problem, "lm"),
+            "lmfit": lambda: by_lmfit(problem),
+        },
+        REPEATS,
+    )
+    exact = _exactly(problem, answer)
+    sd = np.sqrt(np.diag(made["scipy, trf"][1]))
+    answers = {"bc.fit": answer, **{n: made[n][0] for n in ("scipy, trf", "scipy, lm", "lmfit")}}
+    apart = {n: float(np.max(np.abs(z - exact) / sd)) for n, z in answers.items()}
+    if not (apart["bc.fit"] <= NEAR and max(apart.values()) <= 10 * NEAR):
+        raise RuntimeError(f"{kind}: answers from the least sum of squares, sd: {apart}")
+    peers = {"scipy": min(best["scipy, trf"], best["scipy, lm"]), "lmfit": best["lmfit"]}
+    return {
+        "readings": len(readings),
+        "unknowns": problem.size,
+        "seconds": best,
+        "apart_sd": apart,
+        "times_bc_fit": {n: s / best["bc.fit"] for n, s in peers.items()},
+        "times_the_solve": {n: s / best["bayescal, the solve alone"] for n, s in peers.items()},
+        "goal": GOAL,
+        "told": f"bc.fit {1e3 * best['bc.fit']:.1f} ms (the solve alone "
+        f"{1e3 * best['bayescal, the solve alone']:.1f}), "
+        + ", ".join(
+            f"{n} {1e3 * s:.1f} ms = {s / best['bc.fit']:.2f} × bc.fit" for n, s in peers.items()
+        )
+        + f" (goal {GOAL:.0f}); ours within {apart['bc.fit']:.1g} sd of the optimum, "
+        f"the peers' within {max(apart.values()):.1g}",
+    }
+
+
+COLD = {
+    "bayescal": "import bayescal as bc; from benchmarks.fit_cost import _case; "
+    "m, r = _case('warm-up'); bc.fit(m, r, bc.LeastSquares())",
+    "scipy": "from benchmarks.fit_cost import *; "
+    "by_scipy(by_hand('warm-up', {**SIZES, 'tau': 537.0, 'log_tau': 0.76}, NOISE), 'trf')",
+    "lmfit": "from benchmarks.fit_cost import *; "
+    "by_lmfit(by_hand('warm-up', {**SIZES, 'tau': 537.0, 'log_tau': 0.76}, NOISE))",
+}
+
+
+def cold() -> dict[str, Any]:
+    """Seconds of a fresh process that fits the warm-up: with nothing kept from before, and again with what it kept."""
+
+    def once(code: str, folder: str) -> float:
+        begun = time.perf_counter()
+        own = {**os.environ, "BAYESCAL_CACHE": folder}
+        subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=own, check=True)
+        return time.perf_counter() - begun
+
+    first, again = {}, {}
+    for name, code in COLD.items():
+        with tempfile.TemporaryDirectory() as folder:
+            first[name] = once(code, folder)
+            again[name] = min(once(code, folder) for _ in range(2))
+    told = ", ".join(f"{n} {first[n]:.1f} s, then {again[n]:.1f} s" for n in COLD)
+    return {"nothing_kept": first, "again": again, "told": f"fresh processes: {told}"}
