@@ -196,7 +196,7 @@ def gram_function(layout: Layout, frame: Frame, y: Float[Array, "n"], point: Poi
 
     def between(hyper: composition.Values, v: Float[Array, "d"]) -> Gram:
         share = _shares(v[jnp.asarray(moving, int)])
-        variance = noise.variance(hyper, frame)[0]
+        variance = noise.shared_variance(hyper, frame)
         made = jax.tree.map(lambda g: jnp.tensordot(share, g, 1) / variance, grams)
         return made._replace(logdet=frame.size * jnp.log(variance))
 

@@ -68,6 +68,11 @@ class Noise(eqx.Module):
         """Whether all readings share one variance and are independent: products over them are needed once."""
         return self.independent and UNCERTAINTY not in frame.columns
 
+    def shared_variance(self, parameters: Parameters, frame: Frame) -> Float[Array, ""]:
+        """The variance of every reading where it is `constant`, at a cost that does not grow with them."""
+        first = eqx.tree_at(lambda f: f.order, frame, frame.order[:1])
+        return self.variance(parameters, first)[0]
+
     def whiten(
         self,
         columns: Float[Array, "n m"],

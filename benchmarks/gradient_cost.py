@@ -8,11 +8,13 @@ readings, beside the dense Cholesky factor that it replaces.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from benchmarks.fit_cost import interleaved
 
 GROWTH_GOAL, RATE_GOAL = 1.2, 1e5  # times from 10³ to 10⁶; readings a second
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
@@ -94,15 +96,11 @@ def per_call(function: Callable[..., Any], start: Any, steps: int, *data: Any) -
     return lambda: jax.block_until_ready(loop(start, *data))
 
 
-def least(runs: dict[str, Callable[[], Any]], repeats: int = REPEATS) -> dict[str, float]:
-    """The least seconds of each, taken in turn."""
-    best = dict.fromkeys(runs, np.inf)
-    for _ in range(repeats):
-        for name, run in runs.items():
-            begun = time.perf_counter()
-            run()
-            best[name] = min(best[name], time.perf_counter() - begun)
-    return best
+def _ready(function: Callable[..., Any], *data: Any) -> Any:
+    """What a compiled function returns, once it is there."""
+    import jax
+
+    return jax.block_until_ready(function(*data))
 
 
 def plain(model: Any) -> Callable[..., Any]:
@@ -148,7 +146,7 @@ def integrated(joint: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _white_at(n: int) -> tuple[Bound, dict[str, float]]:
-    """Seconds of one gradient, ours and NumPyro's.
+    """The line, and seconds of one gradient, ours and NumPyro's.
 
     Raises:
         RuntimeError: values or slopes differ.
@@ -172,7 +170,8 @@ def _white_at(n: int) -> tuple[Bound, dict[str, float]]:
             raise RuntimeError(f"at {n} readings: {mine}, NumPyro's integrated {theirs}")
     steps, few = 2000, max(4, 4_000_000 // n)
     q = np.append(np.array([0.04, 0.6]), np.asarray(b.v))
-    best = least({"ours": per_call(of_phi, b.v, steps), "plain": per_call(joint, q, few, *data)})
+    runs = {"ours": per_call(of_phi, b.v, steps), "plain": per_call(joint, q, few, *data)}
+    best, _ = interleaved(runs, REPEATS)
     return b, {"ours": best["ours"] / steps, "NumPyro": best["plain"] / few}
 
 
@@ -203,12 +202,13 @@ def _one_pass(b: Bound) -> dict[str, float]:
         raise RuntimeError(f"the products are {gram.jtj}, by numpy {j.T @ j / variance}")
     source, target = np.ones(16_000_000), np.zeros(16_000_000)
     square = np.random.default_rng(0).normal(size=(1500, 1500))
-    best = least(
+    best, _ = interleaved(
         {
             "pass": run,
             "copy": lambda: np.copyto(target, source),
             "product": lambda: square @ square,
-        }
+        },
+        REPEATS,
     )
     least_bytes, columns = 16 * n, 3  # temperature and output; 1, T − T0, residual
     bandwidth = 2 * source.nbytes / best["copy"]
@@ -240,7 +240,8 @@ def white() -> dict[str, Any]:
         "one_pass": one,
         "told": f"one gradient {1e6 * first['ours']:.1f} µs at 10³ readings, {1e6 * last['ours']:.1f} µs at 10⁶: "
         f"{growth['ours']:.2f} × (goal {GROWTH_GOAL}); NumPyro's {1e6 * first['NumPyro']:.0f} µs and "
-        f"{1e6 * last['NumPyro']:.0f} µs, {growth['NumPyro']:.0f} ×. The one pass at 10⁶: {1e3 * one['seconds']:.1f} ms, "
+        f"{1e6 * last['NumPyro']:.0f} µs, {growth['NumPyro']:.0f} ×. The one pass at 10⁶: "
+        f"{1e3 * one['seconds']:.1f} ms, "
         f"{100 * one['share_of_bandwidth']:.0f} % of the memory bandwidth of a copy "
         f"({one['bandwidth_of_a_copy'] / 1e9:.1f} GB/s), {100 * one['share_of_flops']:.1f} % of a dense product's "
         f"{one['flops_of_a_dense_product'] / 1e9:.0f} GFLOP/s",
@@ -287,14 +288,14 @@ def wander() -> dict[str, Any]:
         mine, steps = float(value(b.v, b.frame, b.y)), max(1, 30_000 // n)
         runs: dict[str, Callable[[], Any]] = {
             "gradient": per_call(of_phi, b.v, steps, b.frame, b.y),
-            "value": lambda: jax.block_until_ready(value(b.v, b.frame, b.y)),
+            "value": partial(_ready, value, b.v, b.frame, b.y),
         }
         if n in DENSE:
             theirs = dense_density(b)
             if not abs(mine - theirs) <= 1e-8 * abs(theirs):
                 raise RuntimeError(f"at {n} readings: log density {mine}, dense {theirs}")
-            runs["dense value"] = lambda b=b: dense_density(b)
-        best = least(runs, 3)
+            runs["dense value"] = partial(dense_density, b)
+        best, _ = interleaved(runs, 3)
         seconds[n] = {**best, "gradient": best["gradient"] / steps}
     first, middle, last = WANDER_SIZES[0], WANDER_SIZES[2], WANDER_SIZES[-1]
     exponent = np.log10(seconds[last]["gradient"] / seconds[middle]["gradient"]) / np.log10(
