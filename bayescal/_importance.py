@@ -152,6 +152,9 @@ def sample(
         one, key = args
         log_phi, found = density(one)
         x, rows, correction = draw_coefficients(layout, frame, y, mode.point, one, found, key)
+        # Where there is no density there are no coefficients: a finite stand-in, for weight zero times NaN is NaN.
+        some = jnp.isfinite(correction)
+        x, rows = jnp.where(some, x, mode.point.x), jnp.where(some, rows, mode.point.rows)
         return log_phi, correction, x, rows
 
     extra_keys = jax.random.split(place_key, proposals)

@@ -199,7 +199,8 @@ def sample(split: Split, mode: Mode, key: Array, proposals: int, rounds: int) ->
     x, v, value, bend = over(
         lambda a: draw_back(split, mode, density, *a), (u, keys), importance.BATCH
     )
-    bend = jnp.where(jnp.isfinite(bend), bend, -1e300)
+    some = jnp.isfinite(bend)
+    x, bend = jnp.where(some[:, None], x, mode.x), jnp.where(some, bend, -1e300)
     return Weighted(x, v, value - log_proposal + bend, bend)
 
 

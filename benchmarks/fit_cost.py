@@ -7,6 +7,7 @@ names, and judges. Where a model is not written out here by hand, the peers are 
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -20,7 +21,6 @@ import numpy as np
 from benchmarks.record import ROOT
 
 READINGS, SEED, T0, NOISE = 600, 5, 20.0, 0.2
-SIZES = {"offset": 50.0, "slope": 0.05, "warm_up": 0.5}  # prior sd, replaced by the instrument's
 REPEATS = 7
 TIGHT = 1e-12  # tolerances of the peers, for answers that can be compared
 NEAR = 1e-6  # standard deviations that ours may be off the optimum by
@@ -137,6 +137,18 @@ def _case(kind: str) -> tuple[Any, Any]:
     return model + "bias.warm_up" if kind == "warm-up" else model, readings
 
 
+def _scales(found: Any) -> tuple[dict[str, float], float]:
+    """What `by_hand` needs of a fit: the priors' sizes, and the noise that was found."""
+    model, layout = found.model, found.layout
+    sizes = [e.coefficients[0].size for e in model.effects]
+    scale = dict(zip(("offset", "slope", "warm_up"), sizes, strict=False))
+    for h in layout.hypers:
+        if h.kind == "shape":
+            scale |= {"tau": float(h.prior.median), "log_tau": float(h.prior.sd)}
+    place = [h.name for h in layout.hypers].index("noise.white")
+    return scale, float(layout.hypers[place].prior.value(found.mode.v[place]))
+
+
 def _problem(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
     """The same problem for the peers, with the noise that `bc.fit` found; and its answer in z."""
     import jax
@@ -157,11 +169,7 @@ def _problem(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
         [(mode.point.x - prior.mean) / prior.sd, mode.v[jnp.array(places, int)]]
     )
     if kind != "ng accelerometer":
-        size = dict(zip(("offset", "slope", "warm_up"), map(float, prior.sd), strict=False))
-        for h in layout.hypers:
-            if h.kind == "shape":
-                size |= {"tau": float(h.prior.median), "log_tau": float(h.prior.sd)}
-        return by_hand(kind, size, float(noise[0])), answer
+        return by_hand(kind, *_scales(found)), answer
     y, sd = found.readings["output"], jnp.asarray(noise)
 
     @jax.jit
@@ -234,28 +242,56 @@ def warm(kind: str) -> dict[str, Any]:
 
 
 COLD = {
-    "bayescal": "import bayescal as bc; from benchmarks.fit_cost import _case; "
-    "m, r = _case('warm-up'); bc.fit(m, r, bc.LeastSquares())",
-    "scipy": "from benchmarks.fit_cost import *; "
-    "by_scipy(by_hand('warm-up', {**SIZES, 'tau': 537.0, 'log_tau': 0.76}, NOISE), 'trf')",
-    "lmfit": "from benchmarks.fit_cost import *; "
-    "by_lmfit(by_hand('warm-up', {**SIZES, 'tau': 537.0, 'log_tau': 0.76}, NOISE))",
+    "bayescal": "import bayescal as bc; from benchmarks.fit_cost import _case, told_z; "
+    "told_z(bc.fit(*_case('warm-up'), bc.LeastSquares()))",
+    "scipy": "import sys, json; from benchmarks.fit_cost import *; scale, noise = json.loads(sys.argv[1]); "
+    "print(json.dumps(by_scipy(by_hand('warm-up', scale, noise), 'trf')[0].tolist()))",
+    "lmfit": "import sys, json; from benchmarks.fit_cost import *; scale, noise = json.loads(sys.argv[1]); "
+    "print(json.dumps(by_lmfit(by_hand('warm-up', scale, noise))[0].tolist()))",
 }
 
 
-def cold() -> dict[str, Any]:
-    """Seconds of a fresh process that fits the warm-up: with nothing kept from before, and again with what it kept."""
+def told_z(found: Any) -> None:
+    """Print the answer of `bc.fit`, in standardised unknowns."""
+    print(json.dumps(_problem("warm-up", found)[1].tolist()))
 
-    def once(code: str, folder: str) -> float:
+
+def cold() -> dict[str, Any]:
+    """Seconds of a fresh process that fits the warm-up: with nothing kept from before, and again with what it kept.
+
+    Raises:
+        RuntimeError: the answers differ.
+    """
+    import bayescal as bc
+
+    fitted = bc.fit(*_case("warm-up"), bc.LeastSquares())
+    problem, answer = _problem("warm-up", fitted)
+    sd = np.sqrt(np.diag(by_scipy(problem, "trf")[1]))
+    given = json.dumps(_scales(fitted))
+
+    def once(name: str, folder: str) -> float:
         begun = time.perf_counter()
         own = {**os.environ, "BAYESCAL_CACHE": folder}
-        subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=own, check=True)
-        return time.perf_counter() - begun
+        command = [sys.executable, "-c", COLD[name], given]
+        ran = subprocess.run(
+            command, cwd=ROOT, env=own, check=True, stdout=subprocess.PIPE, text=True
+        )
+        seconds = time.perf_counter() - begun
+        z = np.array(json.loads(ran.stdout.splitlines()[-1]))
+        apart[name] = max(apart.get(name, 0.0), float(np.max(np.abs(z - answer) / sd)))
+        return seconds
 
-    first, again = {}, {}
-    for name, code in COLD.items():
+    first, again, apart = {}, {}, {}
+    for name in COLD:
         with tempfile.TemporaryDirectory() as folder:
-            first[name] = once(code, folder)
-            again[name] = min(once(code, folder) for _ in range(2))
+            first[name] = once(name, folder)
+            again[name] = min(once(name, folder) for _ in range(2))
+    if not max(apart.values()) <= PEERS_NEAR:
+        raise RuntimeError(f"cold starts: answers from ours, sd: {apart}")
     told = ", ".join(f"{n} {first[n]:.1f} s, then {again[n]:.1f} s" for n in COLD)
-    return {"nothing_kept": first, "again": again, "told": f"fresh processes: {told}"}
+    return {
+        "nothing_kept": first,
+        "again": again,
+        "apart_sd": apart,
+        "told": f"fresh processes: {told}; answers within {max(apart.values()):.1g} sd",
+    }

@@ -1,13 +1,13 @@
-"""Effective draws per second of the ng accelerometer's hierarchical model: ours beside the samplers of today.
+"""Effective draws per second of three models: ours beside the samplers of today.
 
     python -m benchmarks samplers        one row after another; stopped, it goes on where it was
-    BAYESCAL_ONLY="bayescal;nutpie, low rank" python -m benchmarks samplers      rows whose name holds one of these
+    BAYESCAL_ONLY="fleet: nutpie;bayescal" python -m benchmarks samplers      rows whose name holds one of these
 
-The model is the instrument's baseline on its own campaign, 12 positions × 5 temperatures × 3 runs, every unknown
-counted: coefficients, deviations of cells, learned spreads, noise. All get the same log density, compiled by JAX:
+The models are in `sampler_problems.py`. Every unknown counts: coefficients, deviations of cells or devices, learned
+spreads, noise. All get the same log density, compiled by JAX:
 
 - *plain*: the NumPyro program, non-centred, as anyone would write it;
-- *marginal*: of φ alone, coefficients integrated out of the linearised model, with `fixture_tilt.constant` in φ;
+- *marginal*: of φ alone, coefficients integrated out of the linearised model, but for those that bend it, in φ;
 - *whitened*: exact, in coordinates whitened by that.
 
 Effective draws are the least over all unknowns: for weighted draws the variance over the squared Monte-Carlo error,
@@ -32,6 +32,7 @@ import numpy as np
 from arviz_stats.base import array_stats
 from jax.flatten_util import ravel_pytree
 
+import bayescal as bc
 from bayescal import _chains as chains
 from bayescal import _importance as importance
 from bayescal import _laplace as laplace
@@ -40,8 +41,8 @@ from bayescal._fit import bind
 from bayescal._frame import build_frame, reference_of
 from bayescal._marginal import smoothed
 from bayescal._nuts import program
-from bayescal_models import ng_accelerometer as ng
 from benchmarks.record import ROOT, write
+from benchmarks.sampler_problems import PROBLEMS
 
 LINES = ROOT / "benchmarks" / "results" / "samplers.jsonl"
 CHAINS = 2
@@ -73,10 +74,8 @@ class Problem(NamedTuple):
     y: jax.Array
 
 
-def problem() -> Problem:
-    """The ng accelerometer's baseline on its default campaign."""
-    readings = ng.simulate(seed=0)
-    plain, _ = bind(ng.INSTRUMENT.baseline(), readings)
+def bound(model: bc.Model, readings: bc.Measurements) -> Problem:
+    plain, _ = bind(model, readings)
     frame = build_frame(readings, reference_of(readings))
     y = jnp.asarray(readings["output"])
     return Problem(plain, promotion.choose(plain, frame, y, None)[0], frame, y)
@@ -358,43 +357,46 @@ for _kind, _warmups in (("plain", (1000, 5000)), ("whitened", (500,)), ("margina
 
 def main() -> None:
     """Run the rows that are missing; write and print the table."""
-    lines = (
-        [json.loads(s) for s in LINES.read_text("utf-8").splitlines()] if LINES.is_file() else []
-    )
-    done = {line["row"]: line for line in lines}
-    p = problem()
+    text = LINES.read_text("utf-8") if LINES.is_file() else ""
+    done = {line["row"]: line for line in map(json.loads, text.splitlines())}
     only = [part for part in os.environ.get("BAYESCAL_ONLY", "").split(";") if part]
-    for name, row in ROWS.items():
-        if name in done or (only and not any(part in name for part in only)):
+    for problem, given in PROBLEMS.items():
+        wanted = {f"{problem}: {name}": row for name, row in ROWS.items()}
+        if only:
+            wanted = {n: row for n, row in wanted.items() if any(part in n for part in only)}
+        if wanted.keys() <= done.keys():
             continue
-        try:
-            done[name] = {"row": name, **row(p)}
-        except ImportError as missing:
-            print(f"{name}: skipped, {missing.name} is not installed", file=sys.stderr)
-            continue
-        with LINES.open("a", encoding="utf-8") as out:
-            out.write(json.dumps(done[name]) + "\n")
-        print(_told(done[name], done), flush=True)
-    write(
-        "samplers",
-        {"draws": DRAWS, "chains": CHAINS, "rows": [_short(r, done) for r in done.values()]},
-    )
+        p = bound(*given())
+        for name, row in wanted.items():
+            if name in done:
+                continue
+            try:
+                done[name] = {"row": name, **row(p)}
+            except ImportError as missing:
+                print(f"{name}: skipped, {missing.name} is not installed", file=sys.stderr)
+                continue
+            with LINES.open("a", encoding="utf-8") as out:
+                out.write(json.dumps(done[name]) + "\n")
+            print(_told(done[name], done), flush=True)
+    rows = [_short(r, done) for r in done.values()]
+    write("samplers", {"draws": DRAWS, "chains": CHAINS, "rows": rows})
     print("\n".join(_told(r, done) for r in done.values()))
 
 
-def reference(done: dict[str, dict[str, Any]]) -> dict[str, Any] | None:
-    """The row of chains on an exact target with most effective draws, R̂ below 1.01."""
+def reference(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str, Any] | None:
+    """The row of chains on an exact target of the same problem with most effective draws, R̂ below 1.01."""
+    problem = row["row"].partition(":")[0]
     good = [
         r
         for n, r in done.items()
-        if "max_r_hat" in r and r["max_r_hat"] < 1.01 and "marginal" not in n
+        if n.startswith(f"{problem}:") and r.get("max_r_hat", 2) < 1.01 and "marginal" not in n
     ]
     return max(good, key=lambda r: r["least_ess"], default=None)
 
 
 def _short(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str, Any]:
     kept = {k: v for k, v in row.items() if k not in ("mean", "sd")}
-    against = reference(done)
+    against = reference(row, done)
     if against is None or against is row:
         return kept
     sd = np.array(against["sd"], float)
@@ -412,7 +414,7 @@ def _told(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> str:
     health = f"k̂ {own['pareto_k']:.2f}" if "pareto_k" in own else f"R̂ {own['max_r_hat']:.2f}"
     apart = own.get("largest_distance_of_a_mean_sd")
     return (
-        f"{own['row']:48s} {own['per_second']:9.3g} a second, least ESS {own['least_ess']:6.0f} in "
+        f"{own['row']:62s} {own['per_second']:9.3g} a second, least ESS {own['least_ess']:6.0f} in "
         f"{own['seconds']:6.2f} s, compiling {own['compiling']:5.1f} s, {health}"
         + ("" if apart is None else f", means within {apart:.2f} sd")
     )
