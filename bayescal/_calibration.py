@@ -69,8 +69,7 @@ class Calibration:
     Attributes:
         model: what was fitted.
         readings: to what.
-        tree: ArviZ DataTree: posterior, prior, posterior_predictive, log_prior, sample_stats, observed_data,
-            constant_data. Variables carry `units`; group dimensions carry the members' names.
+        joint: equally weighted joint draws, from which everything else is computed when it is asked for.
         verdict: whether to trust it.
         method: name of the method.
         seed: of every random number.
@@ -83,7 +82,7 @@ class Calibration:
 
     model: Model
     readings: Measurements
-    tree: xr.DataTree
+    joint: Draws
     verdict: Verdict
     method: str
     seed: int
@@ -99,6 +98,27 @@ class Calibration:
         return calibration_text(self)
 
     @cached_property
+    def posterior(self) -> xr.Dataset:
+        """Draws (chain, draw, …) of each unknown under its name, in its reported unit, as `units` says.
+
+        Group dimensions carry the members' names.
+        """
+        from bayescal._tree import named  # names and units stand above it, offered as a property
+
+        return named(self.layout, self.levels, self.joint.x, self.joint.rows, self.joint.v)
+
+    @cached_property
+    def tree(self) -> xr.DataTree:
+        """The ArviZ DataTree, made when it is first looked at: replicated readings take time and memory.
+
+        Groups: posterior, prior, posterior_predictive, log_prior, sample_stats, observed_data, constant_data, and the
+        joint draws as plain vectors.
+        """
+        from bayescal._tree import build_tree
+
+        return build_tree(self)
+
+    @cached_property
     def frame(self) -> Frame:
         return build_frame(self.readings, self.reference)
 
@@ -112,8 +132,7 @@ class Calibration:
 
     def draws(self, limit: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Joint draws (x, rows, v) as flat arrays, evenly thinned to `limit`."""
-        group = self.tree["draws"]
-        x, rows, v = (flat(group[name].values) for name in ("x", "rows", "v"))
+        x, rows, v = (flat(a) for a in (self.joint.x, self.joint.rows, self.joint.v))
         step = 1 if limit is None else max(1, -(-len(x) // limit))
         return x[::step], rows[::step], v[::step]
 
@@ -123,12 +142,11 @@ class Calibration:
         Raises:
             InputError: nothing is called so.
         """
-        posterior = self.tree["posterior"].to_dataset()
-        if name not in posterior:
+        if name not in self.posterior:
             raise InputError(
-                f"no unknown is called {name!r}; there are: {', '.join(map(str, posterior))}"
+                f"no unknown is called {name!r}; there are: {', '.join(map(str, self.posterior))}"
             )
-        values = posterior[name].values
+        values = self.posterior[name].values
         return values.reshape(-1, *values.shape[2:])
 
     def log_likelihood(self, limit: int = PREDICTIVE_CELLS) -> xr.Dataset:
@@ -139,12 +157,10 @@ class Calibration:
 
         Under correlated noise it is that of each reading's white part given all else.
         """
-        posterior = self.tree["posterior"].to_dataset()
-        chains, draws = posterior.sizes["chain"], posterior.sizes["draw"]
+        chains, draws = self.joint.x.shape[:2]
         keep = max(1, min(draws, limit // max(1, chains * len(self.readings))))
         step = -(-draws // keep)
-        group = self.tree["draws"].to_dataset().isel(draw=slice(None, None, step))
-        vectors = [flat(group[name].values) for name in ("x", "rows", "v")]
+        vectors = [flat(a[:, ::step]) for a in (self.joint.x, self.joint.rows, self.joint.v)]
         values = pointwise(self.layout, self.frame, jnp.asarray(self.readings["output"]), *vectors)
         shaped = values.reshape(chains, -1, len(self.readings))
         return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})

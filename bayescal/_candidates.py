@@ -79,10 +79,11 @@ def lay_out(calibration: Calibration, effects: Sequence[Effect]) -> Columns:
     width = 0
     for candidate, (effect, grid, stack) in enumerate(zip(effects, grids, stacks, strict=True)):
         spreads = _spread_grid(effect)
+        stack = [(np.asarray(columns), size) for columns, size in stack]
         weight = 1 / (len(grid) * len(spreads))
         for (i, shape), spread in product(enumerate(grid), spreads):
             parts = [
-                np.asarray(columns[i]) * (size if spread is None or c.spread is None else spread)
+                columns[i] * (size if spread is None or c.spread is None else spread)
                 for (columns, size), c in zip(stack, effect.coefficients, strict=True)
             ]
             block = np.concatenate(parts, axis=1)

@@ -159,7 +159,7 @@ def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
     tree = xr.DataTree.from_dict(
         {
             "log_likelihood": calibration.log_likelihood(),
-            "posterior": calibration.tree["posterior"].to_dataset(),
+            "posterior": calibration.posterior,
         }
     )
     with warnings.catch_warnings():

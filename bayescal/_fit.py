@@ -20,7 +20,6 @@ from bayescal._measurements import Measurements
 from bayescal._method import Method, kept_outcome
 from bayescal._model import Model
 from bayescal._startup import spare_memory_maps
-from bayescal._tree import build_tree
 
 if TYPE_CHECKING:
     from bayescal._program import ProgramFit
@@ -98,11 +97,10 @@ def fit(
     y = jnp.asarray(readings["output"])
     with keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)):
         outcome = kept_outcome(layout, lambda: method.run(layout, frame, y, seed))
-    tree = build_tree(outcome.layout, frame, readings, levels, outcome.draws, seed)
     calibration = Calibration(
         model,
         readings,
-        tree,
+        outcome.draws,
         outcome.verdict,
         method.name,
         seed,

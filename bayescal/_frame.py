@@ -6,6 +6,7 @@ the mean time, the span, the start of every run): stored at the fit and never re
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 
 import equinox as eqx
@@ -245,25 +246,30 @@ def causal_slope(
     The first reading of a run has no past and gets 0; so does the first after a gap of ten windows, such as the
     soak before a tumble, for the change over hours says nothing of the rate now.
     """
-    t, y = time[order], values[order]
+    t, y, here = time[order], values[order], np.arange(time.size)
     steps = step[step > 0]
     window = max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0) * (1 + 1e-9)
     begins = np.flatnonzero(step < 0)
-    run_begin = begins[np.searchsorted(begins, np.arange(t.size), side="right") - 1]
+    first = np.empty(t.size, dtype=int)  # reading of each window, one of an earlier time at least
+    for low, high in itertools.pairwise([*begins, t.size]):
+        own = t[low:high]
+        earlier = np.searchsorted(own, own) - 1
+        first[low:high] = low + np.clip(np.searchsorted(own, own - window), 0, earlier.clip(0))
+    count, *sums = (
+        np.ones(t.size),
+        *np.zeros((4, t.size)),
+    )  # of dt, dy, dt², dt·dy before each reading
+    for back in range(1, int(np.max(here - first, initial=0)) + 1):
+        at = here[here - back >= first]
+        dt, dy = t[at - back] - t[at], y[at - back] - y[at]
+        count[at] += 1
+        for total, part in zip(sums, (dt, dy, dt * dt, dt * dy), strict=True):
+            total[at] += part
+    of_t, of_y, of_tt, of_ty = sums
+    scatter = of_tt - of_t**2 / count
+    known = (first < here) & (scatter > 0) & (t - t[first] <= GAP * window)
     slopes = np.zeros_like(y)
-    left = 0
-    for i in range(t.size):
-        left = max(left, run_begin[i])
-        while t[left] < t[i] - window:
-            left += 1
-        earlier = (
-            run_begin[i] + np.searchsorted(t[run_begin[i] : i], t[i]) - 1
-        )  # of an earlier time
-        past = slice(max(min(left, earlier), run_begin[i]), i + 1)
-        dt = t[past] - t[past].mean()
-        scatter = dt @ dt
-        if scatter > 0 and t[i] - t[past.start] <= GAP * window:
-            slopes[i] = dt @ (y[past] - y[past].mean()) / scatter
+    slopes[known] = (of_ty - of_t * of_y / count)[known] / scatter[known]
     result = np.zeros_like(slopes)
     result[order] = slopes
     return result

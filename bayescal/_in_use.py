@@ -283,7 +283,7 @@ def known(found: InUse, calibration: Calibration, draws: int, seed: int = 0) -> 
     they move no mean.
     """
     entries, blocks = found.entries(), {b.name: b for b in found.blocks}
-    size = calibration.tree["posterior"].sizes
+    size = calibration.posterior.sizes
     total = size["chain"] * size["draw"]
     random = np.random.default_rng(seed)
     step = max(1, -(-total // draws))

@@ -94,7 +94,7 @@ def members(calibration: Calibration, name: str) -> Figure:
     """
     from arviz_plots import plot_forest
 
-    posterior = calibration.tree["posterior"].to_dataset()
+    posterior = calibration.posterior
     grouped = [
         n for n in map(str, posterior) if set(posterior[n].dims) & {"run", "cell", "axis", "device"}
     ]
@@ -257,7 +257,7 @@ def identifiability(calibration: Calibration, ax: Any = None) -> Figure:
 
 def _chosen(calibration: Calibration, names: Sequence[str] | None, most: int) -> xr.Dataset:
     """Draws of the named unknowns, thinned; of those with one value each, if none is named."""
-    posterior = calibration.tree["posterior"].to_dataset()
+    posterior = calibration.posterior
     single = [str(n) for n in posterior if set(posterior[n].dims) == {"chain", "draw"}]
     unknown = [n for n in names or () if n not in single]
     if unknown:

@@ -141,7 +141,7 @@ def _between(low: float, high: float, error: float) -> str:
 def skewed(chapter: Chapter) -> list[str]:
     """Unknowns whose mean ± 2 u holds clearly more or less than a Gaussian's share of the draws."""
     found, c = [], chapter.calibration
-    posterior = c.tree["posterior"].to_dataset()
+    posterior = c.posterior
     for name in map(str, posterior):
         if "reading" in posterior[name].dims:
             continue

@@ -106,7 +106,7 @@ def step_data(step: Step) -> dict[str, Any]:
     evidence = calibration.log_evidence
     noise = {
         n: float(calibration.samples(n).mean())
-        for n in calibration.tree["posterior"].to_dataset()
+        for n in calibration.posterior
         if str(n).startswith("noise.")
     }
     held = {k: v for k, v in calibration.model.fixed if k.startswith("noise.")}

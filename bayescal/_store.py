@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from bayescal import _noise
-from bayescal._calibration import Calibration, Verdict
+from bayescal._calibration import Calibration, Draws, Verdict
 from bayescal._effect import Effect
 from bayescal._errors import InputError
 from bayescal._instrument import UNKNOWN, Instrument
@@ -162,10 +162,10 @@ def load_calibration(
     del tree["mode"]
     verdict = described["verdict"]
     evidence = described["log_evidence"]
-    return Calibration(
+    calibration = Calibration(
         model,
         readings,
-        tree,
+        _draws_from(tree),
         Verdict(
             **{**verdict, "reasons": tuple(verdict["reasons"]), "notes": tuple(verdict["notes"])}
         ),
@@ -177,6 +177,14 @@ def load_calibration(
         mode,
         None if evidence is None else (evidence[0], evidence[1]),
     )
+    vars(calibration)["tree"] = tree  # as it was saved, not made again
+    return calibration
+
+
+def _draws_from(tree: xr.DataTree) -> Draws:
+    vectors, stats = tree["draws"].to_dataset(), tree["sample_stats"].to_dataset()
+    x, rows, v = (vectors[name].values for name in ("x", "rows", "v"))
+    return Draws(x, rows, v, {str(name): stats[name].values for name in stats})
 
 
 def _parsed(text: object) -> dict[str, Any]:

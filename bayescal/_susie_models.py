@@ -87,9 +87,8 @@ def log_bayes_factor(score: ArrayLike, information: ArrayLike, prior_variance: A
     It is ½ u'(W⁻¹ + I)⁻¹u - ½ log|1 + IW|. A direction without information counts nothing, so that
     zero and linearly dependent columns are allowed. Arguments and refusals: `single_effects`.
     """
-    whole = Item(0, 1.0, tuple(range(np.size(score))))
-    problem = make_problem(score, information, prior_variance, [whole], None)
-    return float(Blocks(problem.information, problem.columns).effects(problem.score)[0][0])
+    u, unit, _ = _in_prior_units(score, information, prior_variance)
+    return float(Blocks(unit, np.arange(u.size)[None]).effects(u)[0][0])
 
 
 def enumerate_models(
@@ -170,6 +169,20 @@ def make_problem(
     candidate_prior: ArrayLike | None,
 ) -> Problem:
     """Check everything and bring it to unit priors."""
+    u, unit, scale = _in_prior_units(score, information, prior_variance)
+    p = u.size
+    member, log_prior = _prior(items, p, candidate_prior)
+    columns = np.full((len(items), max(len(item.columns) for item in items)), p, dtype=np.intp)
+    for row, item in zip(columns, items, strict=True):
+        row[: len(item.columns)] = item.columns
+    padded = (np.append(u, 0.0), np.pad(unit, (0, 1)), np.append(scale, 0.0))
+    return Problem(*padded, columns, member, log_prior)
+
+
+def _in_prior_units(
+    score: ArrayLike, information: ArrayLike, prior_variance: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Score and information per prior standard deviation, and these, checked."""
     u, full, variance = (np.asarray(a, float) for a in (score, information, prior_variance))
     p = u.size
     if (u.shape, full.shape, variance.shape) != ((p,), (p, p), (p,)):
@@ -183,17 +196,12 @@ def make_problem(
             raise InputError(f"The {name} is not finite at {where}: every prior must be proper.")
     if (variance < 0).any():
         raise InputError(f"The prior variance is negative at {int(variance.argmin())}.")
-    scale = np.append(np.sqrt(variance), 0.0)
-    unit = scale[:, None] * np.pad(full, (0, 1)) * scale
-    if not np.allclose(unit, unit.T, rtol=0, atol=1e-6 * max(1.0, np.abs(unit).max())):
+    scale = np.sqrt(variance)
+    unit = scale[:, None] * full * scale
+    largest = np.abs(unit).max(initial=1.0)
+    if np.abs(unit - unit.T).max(initial=0.0) > 1e-6 * largest:
         raise InputError("The information is not symmetric: give X'V⁻¹X.")
-    member, log_prior = _prior(items, p, candidate_prior)
-    columns = np.full((len(items), max(len(item.columns) for item in items)), p, dtype=np.intp)
-    for row, item in zip(columns, items, strict=True):
-        row[: len(item.columns)] = item.columns
-    return Problem(
-        np.append(u, 0.0) * scale, (unit + unit.T) / 2, scale, columns, member, log_prior
-    )
+    return u * scale, (unit + unit.T) / 2, scale
 
 
 def _prior(items: Sequence[Item], p: int, candidate_prior: ArrayLike | None) -> tuple[Array, Array]:

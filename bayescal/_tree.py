@@ -11,7 +11,7 @@ import xarray as xr
 
 from bayescal import _composition as composition
 from bayescal._batches import over
-from bayescal._calibration import PREDICTIVE_CELLS, Draws, flat
+from bayescal._calibration import PREDICTIVE_CELLS, Calibration, Draws, flat
 from bayescal._compile import compiled
 from bayescal._frame import Frame
 from bayescal._layout import Block, Layout
@@ -21,14 +21,14 @@ PRIOR_DRAWS = 1000
 Levels = Mapping[str, tuple[str, ...]]
 
 
-def build_tree(
-    layout: Layout, frame: Frame, readings: Measurements, levels: Levels, draws: Draws, seed: int
-) -> xr.DataTree:
+def build_tree(calibration: Calibration) -> xr.DataTree:
     """All groups of a calibration's tree.
 
     `draws` beside ArviZ's own groups holds the same joint draws as plain vectors x, rows and v, from which
     everything else can be computed again.
     """
+    c, draws, seed = calibration, calibration.joint, calibration.seed
+    layout, levels, readings, frame = c.layout, c.levels, c.readings, c.frame
     vectors = xr.Dataset(
         {
             "x": (("chain", "draw", "x_entry"), draws.x),
@@ -36,11 +36,10 @@ def build_tree(
             "v": (("chain", "draw", "v_entry"), draws.v),
         }
     )
-    posterior = named(layout, levels, draws.x, draws.rows, draws.v)
     predictive = _predictive(layout, frame, draws, seed)
     groups = {
-        "posterior": posterior,
-        "log_prior": _log_prior(layout, levels, posterior, draws),
+        "posterior": c.posterior,
+        "log_prior": _log_prior(layout, c.posterior, draws),
         "posterior_predictive": _output(readings, predictive),
         "sample_stats": xr.Dataset(
             {name: (("chain", "draw"), values) for name, values in draws.stats.items()}
@@ -65,6 +64,10 @@ def named(
     def one(x, rows, v):
         return composition.coefficients(layout, x, rows, composition.hyper_values(layout, v))
 
+    if (
+        not layout.row_blocks
+    ):  # XLA spends seconds and gigabytes on an empty array that has a place for each reading
+        rows = rows[:, :, :1]
     x, rows, v = jnp.asarray(x), jnp.asarray(rows), jnp.asarray(v)
     values = jax.vmap(jax.vmap(one))(x, rows, v)
     found: dict[str, tuple] = {}
@@ -87,7 +90,7 @@ def named(
     return xr.Dataset(found, coords=coordinates)
 
 
-def _log_prior(layout: Layout, levels: Levels, posterior: xr.Dataset, draws: Draws) -> xr.Dataset:
+def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Dataset:
     """Log prior density of each unknown in its own unit, given the hyper-parameters, per draw; no flat ones."""
     found: dict[str, tuple] = {}
     fixed = dict(layout.model.fixed)
@@ -138,7 +141,11 @@ def _output(readings: Measurements, values: np.ndarray) -> xr.Dataset:
 
 @compiled
 def _draw_priors(layout: Layout, frame: Frame, keys):
-    return over(lambda k: composition.draw_prior(layout, frame, k), keys, 64)
+    def one(key):
+        x, rows, v = composition.draw_prior(layout, frame, key)
+        return x, rows if layout.row_blocks else rows[:1], v
+
+    return over(one, keys, 64)
 
 
 def _prior_draws(layout: Layout, frame: Frame, seed: int) -> tuple | None:

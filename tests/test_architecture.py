@@ -47,6 +47,7 @@ ORDER = " ".join(FLOORS.values()).split()
 LATE = {
     ("_instrument", "_model"): "instrument.baseline() makes a model, which holds the instrument",
     ("_calibration", "_store"): "calibration.save() is a verb above it, offered as a method",
+    ("_calibration", "_tree"): "names, units and replicated readings, made when first looked at",
     ("_calibration", "_text"): "printing is above it, offered as str()",
     ("_budget", "_text"): "as above",
     ("_check", "_text"): "as above",

@@ -7,6 +7,7 @@ coefficients, given its length and amplitude, which are shapes.
 
 from __future__ import annotations
 
+import functools
 import math
 
 import jax.numpy as jnp
@@ -23,6 +24,7 @@ LENGTHS_IN_TIME = (0.03, 0.8)
 WIDER = 1.5  # interval over range
 
 
+@functools.cache  # the same dependence is the same object, so that what was compiled for it serves again
 def unknown(
     covariate: str, slot: str, low: float, high: float, unit: str, *, name: str = ""
 ) -> Effect:
