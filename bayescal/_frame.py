@@ -224,7 +224,7 @@ def build_frame(
             known = {level: i for i, level in enumerate(levels.get(group, ()))}
             table = np.array([known.get(level, -1) for level in own_levels] + [-1])
             own_codes = table[own_codes]
-        group_codes[group] = jnp.asarray(own_codes)
+        group_codes[group] = jnp.asarray(own_codes, dtype=jnp.int32)
     scalars = {k: jnp.asarray(v) for k, v in reference.items() if not isinstance(v, dict)}
     return Frame(
         columns,
