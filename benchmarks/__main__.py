@@ -1,9 +1,11 @@
-"""`python -m benchmarks` runs every benchmark, `python -m benchmarks NAME …` those named."""
+"""`python -m benchmarks` runs every benchmark, `python -m benchmarks NAME …` those named; speeds become a page."""
 
 from __future__ import annotations
 
 import importlib
 import sys
+
+from benchmarks import speed_page
 
 NAMES = (  # each a module here with `main()`
     "certified",
@@ -38,6 +40,7 @@ def main(names: list[str]) -> int:
         return 2
     for name in names or NAMES:
         importlib.import_module(f"benchmarks.{name}").main()
+    speed_page.render()
     return 0
 
 

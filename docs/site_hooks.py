@@ -21,7 +21,7 @@ HERE = Path(__file__).parent
 MODELS = HERE.parent / "models" / "bayescal_models"
 PART = re.compile(r"^<!-- (data sheet|commands|names)(?:: (.*?))? -->$", re.MULTILINE)
 # Pages that a benchmark writes: in the navigation where they exist.
-OPTIONAL = {"hidden_effects.md": "Hidden effects"}
+OPTIONAL = {"hidden_effects.md": "Hidden effects", "speed.md": "Speed"}
 
 
 def on_config(config: Any) -> Any:
