@@ -38,8 +38,8 @@ One core.
 """
 START_UP = """## From a command to its answer
 
-`bayescal calibrate` on the gyroscope's table of 18 rows, a fresh process; beside it a script of PyMC and nutpie that fits
-a line and a quadratic and compares them. `calibrate` also checks the line and weighs every candidate effect.
+`bayescal calibrate` on the gyroscope's table of 18 rows, a fresh process; beside it a script of PyMC and nutpie that
+fits a line and a quadratic and compares them. `calibrate` also checks the line and weighs every candidate effect.
 
 | start | bayescal, s | PyMC + nutpie cold, s | ratio by the clock | ratio by the processor | goal |
 |---|---|---|---|---|---|
