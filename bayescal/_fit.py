@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from bayescal._calibration import Calibration
 from bayescal._checkpoint import fingerprint, keeping
 from bayescal._effect import Effect
-from bayescal._errors import ModelError, NotConverged
+from bayescal._errors import InputError, ModelError, NotConverged
 from bayescal._frame import Reference, build_frame, reference_of
 from bayescal._layout import Layout
 from bayescal._marginal import Marginal
@@ -81,7 +81,8 @@ def fit(
             Own models only.
 
     Raises:
-        InputError: the checkpoint is none, or one of another model, readings, method, seed or version.
+        InputError: `reference` names what is no constant of these readings; the checkpoint is none, or one of another
+            model, readings, method, seed or version.
         ModelError: readings lack a column or have too few rows for the flat coefficients; or a program observes
             nothing, has discrete unknowns, or does not take these readings.
         NotConverged: the verdict is not good; carries the calibration.
@@ -91,7 +92,13 @@ def fit(
     spare_memory_maps()
     method = Marginal() if method is None else method
     model.require(readings)
-    reference = {**reference_of(readings), **(reference or {})}
+    own = reference_of(readings)
+    strange = sorted(set(reference or {}) - set(own))
+    if strange:
+        raise InputError(
+            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: {', '.join(own)}"
+        )
+    reference = {**own, **(reference or {})}
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference)
     y = jnp.asarray(readings["output"])

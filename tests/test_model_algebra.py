@@ -315,3 +315,8 @@ def test_every_unknown_stands_in_exactly_one_place() -> None:
         "bias.temperature",
     ]
     assert layout == Layout(layout.model, layout.counts, ("bias.temperature",))
+
+
+def test_a_constant_that_no_basis_has_is_refused_with_those_there_are() -> None:
+    with pytest.raises(bc.InputError, match=r"no basis has a constant T_0; .* T0"):
+        bc.fit(BASELINE, readings(), reference={"T_0": 20.0})
