@@ -1,7 +1,7 @@
 """Effects hidden in simulated campaigns: found, told apart, not invented; and what other selections make of them.
 
     python -m benchmarks hidden_effects            every instrument
-    BAYESCAL_ONLY=inclinometer python -m benchmarks hidden_effects
+    BAYESCAL_ONLY=inclinometer BAYESCAL_KINDS="empty prior" python -m benchmarks hidden_effects
 
 A bank of campaigns for each instrument, by its own simulator: each candidate hidden in turn at sizes drawn at random
 (a third to three times the plausible one), two at once, none, and what no catalogue has: an output that follows a
@@ -71,10 +71,11 @@ def run(name: str, seconds: float) -> None:
     path = RESULTS / f"hidden_effects_{name}.jsonl"
     path.parent.mkdir(exist_ok=True)
     done = {row["seed"] for row in read(path)} if path.is_file() else set()
+    kinds = os.environ.get("BAYESCAL_KINDS", "").split()
     begun = time.perf_counter()
     with path.open("a", encoding="utf-8") as out:
         for case in plan(instrument):
-            if case.seed in done:
+            if case.seed in done or (kinds and case.kind not in kinds):
                 continue
             if time.perf_counter() - begun > seconds:
                 print(f"{name}: stopped after {seconds:.0f} s; run again to go on")
