@@ -55,6 +55,7 @@ def main() -> None:
         run(name, float(os.environ.get("BAYESCAL_SECONDS", SECONDS)))
     banks = {p.stem.removeprefix("hidden_effects_"): read(p) for p in lines_of()}
     hidden_effects_page.write(banks, ROOT / "docs" / "hidden_effects.md")
+    hidden_effects_page.in_readme(banks, ROOT / "README.md")
 
 
 def lines_of() -> list[Path]:

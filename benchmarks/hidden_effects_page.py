@@ -13,6 +13,7 @@ from benchmarks.customary import SELECTIONS
 from benchmarks.hidden_effects_bank import COUNTS
 
 STRONG = 8.0  # oracle
+MARKS = ("<!-- the bank in short -->", "<!-- end of it -->")
 FAIR = 1.05  # held-out error of the true effect's catalogue form, in the final model's, up to which it is the truth
 EDGES = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.01)
 BINS = ((-np.inf, 5.0), (5.0, 8.0), (8.0, 15.0), (15.0, np.inf))
@@ -47,6 +48,44 @@ def write(banks: dict[str, Rows], path: Path) -> None:
         _reliability(banks),
     ]
     path.write_text("\n".join(parts), encoding="utf-8")
+
+
+def in_readme(banks: dict[str, Rows], path: Path) -> None:
+    """Put the bank in short between the marks in README.md."""
+    strong = [r for r in _all(banks, "single") if r["oracle"] >= 15]
+    first = sum(next(iter(r["hidden"])) in r["first_set"] for r in strong)
+    final = sum(next(iter(r["hidden"])) in r["final"] for r in strong)
+    empty = _all(banks, "empty")
+    pairs = [r for r in _all(banks, "pair") if min(r["oracle_of_each"]) >= STRONG]
+    outside = [r for r in _all(banks, "outside") if r["shape"] == "column"]
+    outside = [r for r in outside if r["oracle"] >= STRONG]
+    rows = [
+        ["one effect hidden (log Bayes factor above 15): in the first credible set", first, strong],
+        ["the same: in the final model", final, strong],
+        [
+            "two hidden: both in the final model",
+            sum(set(r["hidden"]) <= set(r["final"]) for r in pairs),
+            pairs,
+        ],
+        [
+            "a dependence that is not in the catalogue: its column named",
+            sum("unknown(humidity)" in r["final"] for r in outside),
+            outside,
+        ],
+        ["nothing hidden: something added", sum(bool(r["final"]) for r in empty), empty],
+    ]
+    rows += [
+        [
+            f"the same, by {name}",
+            sum(bool(r["customary"][name]["effects"]) for r in empty),
+            empty,
+        ]
+        for name in SELECTIONS
+    ]
+    made = _table(["campaigns", "count"], [[c, interval(n, len(of))] for c, n, of in rows])
+    text = path.read_text("utf-8")
+    before, after = text.partition(MARKS[0])[0], text.partition(MARKS[1])[2]
+    path.write_text(f"{before}{MARKS[0]}\n\n{made}\n{MARKS[1]}{after}", encoding="utf-8")
 
 
 def interval(count: int, total: int) -> str:
