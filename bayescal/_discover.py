@@ -109,7 +109,8 @@ def discover(
         ]
         judged = judgement.name_aliases(judged, columns, score, found)
     sets = tuple(Found(tuple(tested[m].name for m in s.members), s.probability) for s in found.sets)
-    leading = verification.leading(found, judged)
+    learned = any(h.kind == "spread" for h in calibration.layout.hypers)
+    leading = verification.leading(found, judged, learned)
     nothing, best, verified = float(found.nothing_probability), (), {}
     if leading and verify:
         verified = verification.verify(calibration, [tested[m] for m in leading])

@@ -106,8 +106,8 @@ def null_directions(calibration: Calibration) -> list[dict[str, str]]:
 
 
 def _single(block: Block) -> bool:
-    """Whether a coefficient stands for itself: no group's deviation, no part of an unknown function."""
-    return block.coefficient.per is None and block.effect.measure is None
+    """Whether a coefficient stands for itself: no deviation of learned spread, no part of an unknown function."""
+    return block.coefficient.spread is None and block.effect.measure is None
 
 
 def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:

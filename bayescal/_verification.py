@@ -42,11 +42,22 @@ def laplace_evidence(model: Model, calibration: Calibration) -> float:
     return float(compiled_mode(layout, frame, y).log_evidence)
 
 
-def leading(found: susie.SingleEffects, judged: Sequence[Candidate]) -> list[int]:
-    """Candidates worth a refit: the leading set's members, and leads that come near the best."""
+def leading(
+    found: susie.SingleEffects, judged: Sequence[Candidate], learned_spreads: bool
+) -> list[int]:
+    """Candidates worth a refit: the leading set's members, and leads that come near the best.
+
+    Args:
+        found: single effects, by score.
+        judged: the candidates.
+        learned_spreads: deviations of cells or runs stand in for what is missing, with spreads as wide as that takes,
+            and next to them the score sees little of it, however large: the least evidence is worth a refit.
+    """
     chosen = list(found.sets[0].members[:VERIFIED]) if found.sets else []
     factors = np.array([_weighed(c, c.log_bayes_factor) for c in judged])
-    enough = max(LEAD + np.log(max(c.prior for c in judged)), RIVAL * factors.max())
+    share = float(np.log(max(c.prior for c in judged)))
+    least = 0.0 if learned_spreads else LEAD
+    enough = share + max(least, RIVAL * (float(factors.max()) - share))
     for i in np.argsort(-factors):
         if factors[i] > enough and i not in chosen and len(chosen) < VERIFIED:
             chosen.append(int(i))
