@@ -28,6 +28,7 @@ from bayescal._frame import Frame
 from bayescal._laplace import start_point
 from bayescal._layout import Layout
 from bayescal._noise import UNCERTAINTY, White
+from bayescal._triangle import triangle
 
 GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
 STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits
@@ -134,7 +135,7 @@ def _placed(layout: Layout, own: _Parts, variance: Float[Array, ""]) -> Line:
 
 def _triangle(table: Float[Array, "n q"]) -> Float[Array, "q q"]:
     """R of the QR factors, square however few rows there are."""
-    upper = jnp.linalg.qr(table, mode="r")
+    upper = triangle(table)
     missing = table.shape[1] - upper.shape[0]
     return jnp.pad(upper, ((0, missing), (0, 0))) if missing > 0 else upper
 

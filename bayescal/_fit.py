@@ -101,7 +101,7 @@ def fit(
     reference = {**own, **(reference or {})}
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference)
-    y = jnp.asarray(readings["output"])
+    y = frame["output"]
     with keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)):
         outcome = kept_outcome(layout, lambda: method.run(layout, frame, y, seed))
     calibration = Calibration(

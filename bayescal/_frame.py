@@ -224,7 +224,9 @@ def build_frame(
             known = {level: i for i, level in enumerate(levels.get(group, ()))}
             table = np.array([known.get(level, -1) for level in own_levels] + [-1])
             own_codes = table[own_codes]
-        group_codes[group] = jnp.asarray(own_codes, dtype=jnp.int32)
+        members = own_levels if levels is None else levels.get(group, ())
+        fitting = np.min_scalar_type(-len(members) - 1)  # of four for each reading, most are zeros
+        group_codes[group] = jnp.asarray(own_codes, dtype=fitting)
     scalars = {k: jnp.asarray(v) for k, v in reference.items() if not isinstance(v, dict)}
     return Frame(
         columns,
@@ -232,7 +234,7 @@ def build_frame(
         rates,
         group_codes,
         scalars,
-        jnp.asarray(order),
+        jnp.asarray(order, dtype=jnp.int32),
         jnp.asarray(step),
         dict(columns),
     )

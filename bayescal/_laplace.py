@@ -73,11 +73,10 @@ def mode_of_x(
 
     def table(z: Array) -> Array:
         at = composition.linearise(layout, frame, centre + prior.sd * z, point.rows, hyper)
-        both = jnp.column_stack([-at.jacobian * prior.sd, y - at.mean + back])
-        white, _ = noise.whiten(both, extra, hyper, frame)
-        return jnp.concatenate(
-            [white, jnp.column_stack([jnp.diag(prior.weight), prior.weight * z])]
-        )
+        both = jnp.column_stack([at.jacobian, y - at.mean + back])
+        white, _ = linear.whitener(layout, frame, both, extra)(hyper)
+        own = jnp.column_stack([jnp.diag(prior.weight), prior.weight * z])
+        return jnp.concatenate([white * jnp.append(-prior.sd, 1.0), own])
 
     start = (point.x - centre) / jnp.where(prior.sd > 0, prior.sd, 1.0)
     x = (

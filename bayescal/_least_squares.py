@@ -119,34 +119,40 @@ def refine(
         hyper = composition.hyper_values(layout, v.at[place_at].set(w))
         return composition.mean(layout, frame, x, rows, hyper)
 
-    def spread(theta, v):
-        hyper = composition.hyper_values(layout, v.at[place_at].set(theta[layout.size :]))
-        line = composition.linearise(layout, frame, theta[: layout.size], rows, hyper)
-        back = jnp.sum(line.rows * rows, axis=1)
-        return hyper, linear.row_variance(layout, line), back
+    def table_at(theta, v):
+        """Slopes of (x, shapes) beside what the expected output leaves, and the variance that the rows add."""
+        x, w = theta[: layout.size], theta[layout.size :]
+        hyper = composition.hyper_values(layout, v.at[place_at].set(w))
+        line = composition.linearise(layout, frame, x, rows, hyper)
+        slopes = line.jacobian
+        if places:
+            bent = jax.jacfwd(lambda w: output(jnp.concatenate([x, w]), v))(w)
+            slopes = jnp.column_stack([slopes, bent])
+        rest = y - line.mean + jnp.sum(line.rows * rows, axis=1)
+        return jnp.column_stack([slopes, rest]), linear.row_variance(layout, line)
 
     def fit_places(theta, v):
         prior = joined(v)
-        hyper, extra, back = spread(theta, v)
         centre = jnp.where(prior.weight > 0, prior.mean, theta)
+        size = jnp.append(-prior.sd, 1.0)
+        hyper, extra = composition.hyper_values(layout, v), table_at(theta, v)[1]
 
-        def residuals(z):
-            bent = output(centre + prior.sd * z, v)
-            white, _ = noise.whiten((y - bent + back)[:, None], extra, hyper, frame)
-            return jnp.concatenate([white[:, 0], prior.weight * z])
+        def table(z):
+            at = centre + prior.sd * z
+            white, _ = linear.whitener(layout, frame, table_at(at, v)[0], extra)(hyper)
+            own = jnp.column_stack([jnp.diag(prior.weight), prior.weight * z])
+            return jnp.concatenate([white * size, own])
 
         start = (theta - centre) / jnp.where(prior.sd > 0, prior.sd, 1.0)
-        found = least_squares(residuals, start)
+        found = least_squares(lambda z: table(z)[:, -1], start, table=table)
         return centre + prior.sd * found.value, found.converged
 
     def conditional_at(theta, v):
-        jacobian = jax.jacfwd(output)(theta, v)
-        _, extra, back = spread(theta, v)
-        table = jnp.column_stack([jacobian, y - output(theta, v) + back])
+        table, extra = table_at(theta, v)
+        whiten = linear.whitener(layout, frame, table, extra)
 
         def conditional(v) -> linear.Conditional:
-            hyper = composition.hyper_values(layout, v)
-            white, logdet = noise.whiten(table, extra, hyper, frame)
+            white, logdet = whiten(composition.hyper_values(layout, v))
             return linear.condition_white(white[:, :-1], white[:, -1], logdet, joined(v), theta)
 
         return conditional
@@ -197,8 +203,8 @@ def refine(
         prior = joined(v)
 
         def negative_log(theta):
-            hyper, extra, back = spread(theta, v)
-            r, _ = noise.whiten((y - output(theta, v) + back)[:, None], extra, hyper, frame)
+            bent, extra = table_at(theta, v)
+            r, _ = noise.whiten(bent[:, -1:], extra, composition.hyper_values(layout, v), frame)
             z = (theta - prior.mean) / prior.sd
             return 0.5 * (jnp.sum(r**2) + jnp.sum(prior.weight * z**2))
 

@@ -7,6 +7,7 @@ The solve is in the whitened z = (x − m)/s, so that a spread of zero is no spe
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -21,6 +22,7 @@ from bayescal._frame import Frame
 from bayescal._layout import Layout
 from bayescal._noise import Gram
 from bayescal._prior import Normal
+from bayescal._triangle import triangle
 
 NODES = 7  # of each promoted coefficient
 REACH = 6.0  # prior standard deviations, up to which they stand
@@ -148,7 +150,7 @@ def condition_white(
     offset = jnp.where(prior.weight > 0, prior.mean - at, 0.0)
     own = jnp.column_stack([jacobian * prior.sd, residual - jacobian @ offset])
     table = jnp.concatenate([own, jnp.eye(size, size + 1) * prior.weight[:, None]])
-    upper = jnp.linalg.qr(table, mode="r")
+    upper = triangle(table)
     upper = upper * jnp.where(jnp.diag(upper) < 0, -1.0, 1.0)[:, None]
     root, u, rest = upper[:size, :size], upper[:size, size], upper[size, size]
     scale = jnp.sqrt(jnp.sum(root**2, axis=0))
@@ -158,6 +160,33 @@ def condition_white(
     volume = logdet + 2 * jnp.sum(jnp.log(jnp.diag(root)))
     log_marginal = flat_volume - 0.5 * (len(residual) * jnp.log(2 * jnp.pi) + volume + rest**2)
     return Conditional(log_marginal, at + offset, prior.sd, Dense(root.T), u)
+
+
+def whitener(
+    layout: Layout, frame: Frame, table: Float[Array, "n m"], extra: Float[Array, "n"]
+) -> Callable[[composition.Values], tuple[Float[Array, "k m"], Float[Array, ""]]]:
+    """A function of φ's values: rows with the products of the whitened table, and log|Σ| for `condition_white`.
+
+    Where one variance holds for all readings it needs the table once, and its triangle stands for it.
+
+    Args:
+        table: J and r beside each other.
+        extra: variance that the per-reading coefficients add.
+    """
+    noise = layout.model.noise
+    if layout.row_blocks or not noise.constant(frame):
+        return lambda hyper: noise.whiten(table, extra, hyper, frame)
+    upper = triangle(table)
+    lost = frame.size - len(
+        upper
+    )  # readings without a row of their own, which are counted all the same
+
+    def scaled(hyper: composition.Values) -> tuple[Float[Array, "k m"], Float[Array, ""]]:
+        variance = noise.shared_variance(hyper, frame)
+        volume = frame.size * jnp.log(variance) + lost * jnp.log(2 * jnp.pi)
+        return upper / jnp.sqrt(variance), volume
+
+    return scaled
 
 
 def needs_one_pass(layout: Layout, frame: Frame) -> bool:

@@ -274,7 +274,7 @@ def _variable(values: np.ndarray, unit: str | None) -> xr.Variable:
     if unit is None:
         return xr.Variable(ROW, values.astype(str))
     check_unit(unit)
-    return xr.Variable(ROW, values.astype(np.float64), {"units": unit})
+    return xr.Variable(ROW, values.astype(np.float64, copy=False), {"units": unit})
 
 
 def _equally_long(columns: Mapping[str, ArrayLike]) -> list[np.ndarray]:

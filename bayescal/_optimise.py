@@ -21,6 +21,8 @@ import optimistix as optx
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Int
 
+from bayescal._triangle import triangle
+
 TRIES = 2  # by the columns' norms, then by the unknowns' own scales
 NEAR = 1e-6  # share of the residuals in the tangent plane, at which polishing starts
 GOOD = 1e-5  # and at which a point counts as the optimum
@@ -192,7 +194,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
 def _triangle(table: Float[Array, "n p1"]) -> Float[Array, "p p1"]:
     """R of the QR factors of [J r]: R of J beside Qᵀr."""
-    return jnp.linalg.qr(table, mode="r")[: table.shape[1] - 1]
+    return triangle(table)[: table.shape[1] - 1]
 
 
 def _inside(upper: Float[Array, "p p1"]) -> Float[Array, ""]:

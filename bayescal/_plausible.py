@@ -92,10 +92,9 @@ def flags_of(
         unchecked: columns that hold a default, hence are constant.
     """
     flags = []
-    repeated = pd.DataFrame(dict(columns)).duplicated().to_numpy()
-    if repeated.any():
-        first = int(np.argmax(repeated))
-        count = int(repeated.sum())
+    repeated = _repeated(columns)
+    if count := len(repeated):
+        first = int(repeated[0])
         flags.append(
             f"{count} row{'s repeat' if count > 1 else ' repeats'} an earlier one in every column, "
             f"first at {where(first)}"
@@ -110,6 +109,18 @@ def flags_of(
         if number and len(values) > 1 and (values == values[0]).all():
             flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
     return flags
+
+
+def _repeated(columns: Columns) -> np.ndarray:
+    """Rows that repeat an earlier one in every column: looked for among those whose hashes agree, to save memory."""
+    table = pd.DataFrame(dict(columns), copy=False)
+    hashes = pd.util.hash_pandas_object(table, index=False).to_numpy()
+    ordered = np.sort(hashes)
+    shared = ordered[1:][ordered[1:] == ordered[:-1]]
+    if not shared.size:
+        return shared.astype(np.int64)
+    alike = np.flatnonzero(np.isin(hashes, shared))
+    return alike[table.iloc[alike].duplicated().to_numpy()]
 
 
 def _saturated(values: np.ndarray) -> tuple[int, str, float] | None:

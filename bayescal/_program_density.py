@@ -20,6 +20,7 @@ from bayescal import _linear as linear
 from bayescal._batches import over
 from bayescal._compile import compiled
 from bayescal._program_affine import Split
+from bayescal._triangle import triangle
 
 STARTS = 64  # prior draws, among which the start of the search for the mode is chosen
 SCALES = 256  # prior draws that the coordinates are scaled by
@@ -89,15 +90,15 @@ def conditional_function(split: Split, centre: Float[Array, "p"]):
         found = split.densities(x, zero).gaussian
         return {name: jnp.ravel(found[name].rest) for name in split.fixed}
 
-    def triangle(rest, slope):
+    def reduced(rest, slope):
         table = jnp.column_stack([slope, rest])
-        return jnp.linalg.qr(table, mode="r") if len(table) > size + 1 else table
+        return triangle(table) if len(table) > size + 1 else table
 
     tables, entries = {}, {}
     if split.fixed:
         here = rests(centre)
         entries = {name: rest.size for name, rest in here.items()}
-        tables = jax.tree.map(triangle, here, jax.jacfwd(rests)(centre))
+        tables = jax.tree.map(reduced, here, jax.jacfwd(rests)(centre))
 
     def parts(x, v):
         found = split.densities(x, v)

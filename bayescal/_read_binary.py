@@ -41,6 +41,7 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
             for position, number in wanted.items():
                 name = fields[position].name
                 found[position] = _arrow_cells(opened.read(columns=[name]).column(name), number)
+        pa.default_memory_pool().release_unused()  # what it unpacked, as much again as the numbers
         return found
 
     return Table(file, headers, rows, sha256_of(path), load, _place)
