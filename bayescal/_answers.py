@@ -143,5 +143,7 @@ def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
         )
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
     parts.append(f"COEFFICIENTS\n\n{final.calibration}")
+    if trail.other_path is not None:
+        parts.append(textwrap.fill(f"undecided: {trail.other_path}", WIDTH))
     parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))
     return "\n\n".join(parts)

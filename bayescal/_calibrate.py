@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from bayescal._noise import White, over_record
 from bayescal._predict import predict
 from bayescal._progress import stage
 from bayescal._spikes import without_spikes
-from bayescal._trail import Step, Trail, gate, noise_floor
+from bayescal._trail import NEARLY, OtherPath, Step, Trail, gate, noise_floor
 from bayescal._verification import laplace_evidence
 
 WIDER = 1.0  # log evidence that correlated noise must gain over white before it is believed
@@ -48,7 +49,7 @@ def calibrate(
     White noise is widened to an Ornstein–Uhlenbeck process per run where that is more probable, before any effect
     is believed: a screen that takes wandering noise for white reports effects that are not there. On short
     records white noise with effects and wandering noise with effects are both followed to their ends, and the
-    more probable end is kept.
+    more probable end is kept; the other one is named where it is nearly as probable.
 
     Args:
         model: to begin with.
@@ -73,10 +74,10 @@ def calibrate(
     loop = _Loop(
         readings, tuple(effects), method, max_effects, seed, reference, frozenset(model.names)
     )
-    steps = loop.follow(model, widen_noise)
+    steps, other = loop.follow(model, widen_noise)
     if holdout is not None:
         steps = [replace(s, holdout_rmse=predict(s.calibration, holdout).rmse) for s in steps]
-    return Trail(tuple(steps), gate(steps[-1]), holdout)
+    return Trail(tuple(steps), gate(steps[-1]), holdout, other)
 
 
 @dataclass(frozen=True)
@@ -91,21 +92,26 @@ class _Loop:
     reference: Reference | None
     start: frozenset[str]
 
-    def follow(self, model: Model, widen_noise: bool) -> list[Step]:
-        """The steps from a model to the end, the noise law chosen on the way."""
+    def follow(self, model: Model, widen_noise: bool) -> tuple[list[Step], OtherPath | None]:
+        """The steps from a model to the end, the noise law chosen on the way; and the end nearly chosen."""
         first = self.step(model)
         wide = self._wide(model) if widen_noise and first.calibration.verdict.ok else None
         if wide is None:
-            return self.forward([first])
+            return self.forward([first]), None
         wanders = self._gain(first, wide) > WIDER
         if not wanders or len(self.readings) <= SHORT:
             white = self.forward([first])
-            rival = laplace_evidence(wide, first.calibration) if wanders else -np.inf
-            if self._gain(white[-1], wide) <= WIDER and _evidence(white[-1]) >= rival:
-                return white
-            correlated = self._correlated(first, wide)
-            return max(white, correlated, key=lambda steps: _evidence(steps[-1]))
-        return self._correlated(first, wide)
+            behind = -np.inf
+            if wanders:
+                behind = laplace_evidence(wide, first.calibration) - _evidence(white[-1])
+            if self._gain(white[-1], wide) <= WIDER and behind <= 0:
+                return white, _other_path(white, wide.noise.law, [], behind)
+            paths = [white, self._correlated(first, wide)]
+            chosen, other = sorted(paths, key=lambda steps: -_evidence(steps[-1]))
+            behind = _evidence(other[-1]) - _evidence(chosen[-1])
+            law = other[-1].calibration.model.noise.law
+            return chosen, _other_path(chosen, law, other, behind)
+        return self._correlated(first, wide), None
 
     def _correlated(self, first: Step, wide: Model) -> list[Step]:
         """The path under correlated noise; white noise again at its end, if that then suffices."""
@@ -134,7 +140,12 @@ class _Loop:
             model = last.calibration.model + added
             model, dropped = self._look_back(model, steps, added.name)
             steps.append(self.step(model, added.name, dropped))
-        return steps
+        turn = _wrong_turn(steps)
+        if turn is None:
+            return steps
+        index, name = turn
+        model = steps[index].calibration.model + name
+        return self.forward([*steps[: index + 1], self.step(model, name)])
 
     def _look_back(
         self, model: Model, steps: list[Step], newest: str
@@ -212,6 +223,41 @@ class _Loop:
         with stage("asking whether the noise wanders"):
             widened = step.calibration.model.with_noise(wide.noise)
             return laplace_evidence(widened, step.calibration) - _evidence(step)
+
+
+def _wrong_turn(steps: list[Step]) -> tuple[int, str] | None:
+    """Where an effect with a name was preferred to an unknown function that explains more than all added since.
+
+    Returns:
+        The step after which it was, and the function; None if there is none.
+    """
+    end = _evidence(steps[-1])
+    for i, (step, following) in enumerate(pairwise(steps)):
+        if step.discovery is None or following.added is None:
+            continue
+        unknown = {c.effect for c in step.discovery.candidates if c.unknown}
+        gains = {n: g for n, g in step.discovery.verified.items() if n in unknown}
+        best = max(gains, key=gains.__getitem__, default=following.added)
+        if best != following.added and _evidence(step) + gains[best] > end:
+            return i, best
+    return None
+
+
+def _other_path(
+    chosen: list[Step], noise: str, other: list[Step], behind: float
+) -> OtherPath | None:
+    """The path that was not chosen, if it ends elsewhere and is nearly as probable.
+
+    Args:
+        chosen, other: the paths' steps.
+        noise: the other one's law.
+        behind: log Bayes factor of its end against the chosen one.
+    """
+    here, there = (tuple(s.added for s in steps if s.added) for steps in (chosen, other))
+    same = noise == chosen[-1].calibration.model.noise.law and set(here) == set(there)
+    if same or behind < -NEARLY:
+        return None
+    return OtherPath(noise, there, behind)
 
 
 def _evidence(step: Step) -> float:

@@ -126,6 +126,8 @@ def unexplained(chapter: Chapter) -> list[str]:
         said.append(
             f"{len(chapter.check.outliers)} outlying readings (more than 4 standard deviations)."
         )
+    if chapter.data["other_path"] is not None:
+        said.append(chapter.data["other_path"]["in_words"])
     if not chapter.data["gate"]["ok"]:
         said.append(chapter.data["gate"]["reason"])
     return said

@@ -50,6 +50,9 @@ def result(trail: Trail) -> dict[str, Any]:
             "holdout": None if trail.holdout is None else _source(trail.holdout),
             "flags": list(final.readings.flags),
             "gate": {"ok": trail.gate.ok, "reason": trail.gate.reason},
+            "other_path": None
+            if trail.other_path is None
+            else {**vars(trail.other_path), "in_words": str(trail.other_path)},
             "steps": [step_data(s) for s in trail.steps],
             "check": [e for i, s in enumerate(trail.steps) for e in check_data(s.check, i)],
             "pairs": [p for i, s in enumerate(trail.steps) for p in pairs_data(s.check, i)],

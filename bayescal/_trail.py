@@ -14,6 +14,7 @@ from bayescal._folds import LeaveOneGroupOut
 from bayescal._measurements import Measurements
 from bayescal._score import residuals
 
+NEARLY = 3.0  # log Bayes factor, odds of twenty, within which the end of another path is named
 AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
 NOTICEABLE = 0.1  # if the coefficient itself is above this
 
@@ -66,6 +67,30 @@ class Gate:
 
 
 @dataclass(frozen=True)
+class OtherPath:
+    """Where the search ends under the other noise law, if these readings do not tell the two ends apart.
+
+    Attributes:
+        noise: that law.
+        added: what was added under it.
+        log_bayes_factor: of that end against the trail's own, natural logarithm; negative.
+    """
+
+    noise: str
+    added: tuple[str, ...]
+    log_bayes_factor: float
+
+    def __str__(self) -> str:
+        law = "white" if self.noise == "white" else "wandering"
+        what = " and ".join(self.added) if self.added else "nothing"
+        return (
+            f"These readings cannot tell this end from {law} noise with {what} added (log Bayes factor "
+            f"{self.log_bayes_factor:.1f}): a dependence on time can look like wandering noise, and wandering noise "
+            "like an effect. A repeat of the campaign tells: noise will wander otherwise, an effect will not."
+        )
+
+
+@dataclass(frozen=True)
 class Trail:
     """The sequence of models from the baseline to the last, and whether to trust the last.
 
@@ -73,11 +98,13 @@ class Trail:
         steps: in order.
         gate: of the last model.
         holdout: the readings kept apart.
+        other_path: an end under another noise law that is nearly as probable; None where there is none.
     """
 
     steps: tuple[Step, ...]
     gate: Gate
     holdout: Measurements | None
+    other_path: OtherPath | None = None
 
     @property
     def final(self) -> Step:

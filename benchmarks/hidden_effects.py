@@ -138,6 +138,7 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
         "added": [s.added for s in trail.steps if s.added],
         "final": [n for n in trail.final.calibration.model.names if n not in model.names],
         "noise": trail.final.calibration.model.noise.law,
+        "undecided": [] if trail.other_path is None else list(trail.other_path.added),
         "gate": trail.gate.ok,
         "held_out": [first.holdout_rmse, trail.final.holdout_rmse, bc.predict(true, later).rmse],
         "customary": {n: select(n, first.calibration, later) for n in SELECTIONS},

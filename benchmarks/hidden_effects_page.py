@@ -195,7 +195,8 @@ def _others(banks: dict[str, Rows]) -> str:
         own = [r for r in _all(banks, "outside") if r["shape"] == shape and r["oracle"] >= STRONG]
         right = "unknown(humidity)" if shape == "column" else "unknown(time)"
         named = sum(right in r["final"] for r in own)
-        wanders = sum(right not in r["final"] and r["noise"] != "white" for r in own)
+        wanders = [r for r in own if right not in r["final"] and r["noise"] != "white"]
+        undecided = sum(right in r.get("undecided", ()) for r in wanders)
         away = sum(
             any(p > 0.9 for n, p in r["probabilities"].items() if not n.startswith("unknown("))
             for r in own
@@ -205,7 +206,14 @@ def _others(banks: dict[str, Rows]) -> str:
                 f"outside the catalogue, {shape}: `{right}` in the final model",
                 interval(named, len(own)),
             ],
-            [f"{shape}: said to be wandering noise instead", interval(wanders, len(own))],
+            [
+                f"{shape}: said to be wandering noise instead, `{right}` named as nearly as probable",
+                interval(undecided, len(own)),
+            ],
+            [
+                f"{shape}: said to be wandering noise instead, and no more",
+                interval(len(wanders) - undecided, len(own)),
+            ],
             [
                 f"{shape}: explained away by a named effect (probability > 0.9)",
                 interval(away, len(own)),

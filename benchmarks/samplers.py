@@ -20,10 +20,13 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -42,27 +45,23 @@ from bayescal._frame import build_frame, reference_of
 from bayescal._marginal import smoothed
 from bayescal._nuts import program
 from benchmarks.record import ROOT, write
+from benchmarks.sampler_peers import (
+    CHAINS,
+    DRAWS,
+    Ran,
+    Target,
+    blackjax_laplace,
+    blackjax_nuts,
+    numpyro_nuts,
+    nutpie_nuts,
+    pymc_nuts,
+)
 from benchmarks.sampler_problems import PROBLEMS
 
 LINES = ROOT / "benchmarks" / "results" / "samplers.jsonl"
-CHAINS = 2
-DRAWS = 1000
 SEED = 20261121
+SECONDS = 3300.0  # of one row, after which it is ended; one that was ended is tried again where more are given
 PROPOSALS = {"its default": (8192, 3), "65536 proposals, 6 rounds": (65536, 6)}
-
-
-class Target(NamedTuple):
-    """A log density over R^d for a sampler of others, and what its coordinates stand for.
-
-    Attributes:
-        log_density: of a point, traceable.
-        start: (chains, d).
-        unknowns: from a point to every unknown of the model, (q,), NaN where the target integrates it out.
-    """
-
-    log_density: Callable[[jax.Array], jax.Array]
-    start: jax.Array
-    unknowns: Callable[[jax.Array], jax.Array]
 
 
 class Problem(NamedTuple):
@@ -96,7 +95,13 @@ def plain_target(p: Problem) -> Target:
         sites = made.postprocess_fn(unravel(q))
         return jnp.concatenate([sites["x"], sites["v"]])
 
-    return Target(lambda q: -made.potential_fn(unravel(q)), start, unknowns)
+    inner = {
+        n: np.full(np.size(a), n not in {h.name for h in p.plain.hypers}) for n, a in first.items()
+    }
+    latent = np.concatenate(
+        [inner[name] for name in sorted(inner)]
+    )  # the order in which they are ravelled
+    return Target(lambda q: -made.potential_fn(unravel(q)), start, unknowns, latent)
 
 
 def whitened_target(p: Problem) -> Target:
@@ -110,7 +115,8 @@ def whitened_target(p: Problem) -> Target:
         x, _, v, _, _ = unpack(centre + root @ q)
         return jnp.concatenate([x, v])
 
-    return Target(lambda q: density(centre + root @ q), 0.5 * noise, unknowns)
+    none = np.zeros(centre.size, bool)
+    return Target(lambda q: density(centre + root @ q), 0.5 * noise, unknowns, none)
 
 
 def marginal_target(p: Problem) -> Target:
@@ -124,129 +130,11 @@ def marginal_target(p: Problem) -> Target:
     def unknowns(q: jax.Array) -> jax.Array:
         return jnp.concatenate([missing, mode.v + root @ q])
 
-    return Target(lambda q: density(mode.v + root @ q)[0], 0.5 * noise, unknowns)
+    none = np.zeros(mode.v.size, bool)
+    return Target(lambda q: density(mode.v + root @ q)[0], 0.5 * noise, unknowns, none)
 
 
 TARGETS = {"plain": plain_target, "whitened": whitened_target, "marginal": marginal_target}
-
-
-class Ran(NamedTuple):
-    """Draws of a target's coordinates (chains, draws, d), and seconds without and of compilation."""
-
-    draws: np.ndarray
-    seconds: float
-    compiling: float
-    divergences: int
-
-
-def numpyro_nuts(target: Target, dense: bool, warmup: int) -> Ran:
-    """NumPyro's NUTS, chains one after another."""
-    import numpyro.infer as infer
-
-    kernel = infer.NUTS(
-        potential_fn=lambda q: -target.log_density(q), dense_mass=dense, target_accept_prob=0.9
-    )
-
-    def mcmc(warmup: int, draws: int) -> infer.MCMC:
-        return infer.MCMC(
-            kernel,
-            num_warmup=warmup,
-            num_samples=draws,
-            num_chains=CHAINS,
-            chain_method="sequential",
-            progress_bar=False,
-        )
-
-    begun = time.perf_counter()
-    made = mcmc(warmup, DRAWS)
-    made.run(jax.random.key(1), init_params=target.start, extra_fields=("diverging",))
-    whole = time.perf_counter() - begun
-    draws = np.asarray(made.get_samples(group_by_chain=True))
-    diverging = int(np.sum(made.get_extra_fields()["diverging"]))
-    begun = time.perf_counter()
-    short = mcmc(2, 2)
-    short.run(jax.random.key(2), init_params=target.start)
-    compiling = time.perf_counter() - begun  # two draws take no time beside it
-    return Ran(draws, whole - compiling, compiling, diverging)
-
-
-def blackjax_nuts(target: Target, warmup: int) -> Ran:
-    """BlackJAX's NUTS after its window adaptation, chains one after another."""
-    import blackjax
-
-    adapt = blackjax.window_adaptation(
-        blackjax.nuts, target.log_density, is_mass_matrix_diagonal=False, target_acceptance_rate=0.9
-    )
-
-    @jax.jit
-    def chain(key, start):
-        k1, k2 = jax.random.split(key)
-        (state, parameters), _ = adapt.run(k1, start, num_steps=warmup)
-        step = blackjax.nuts(target.log_density, **parameters).step
-
-        def one(state, key):
-            state, told = step(key, state)
-            return state, (state.position, told.is_divergent)
-
-        return jax.lax.scan(one, state, jax.random.split(k2, DRAWS))[1]
-
-    begun = time.perf_counter()
-    compiled = chain.lower(jax.random.key(0), target.start[0]).compile()
-    compiling = time.perf_counter() - begun
-    begun = time.perf_counter()
-    found = [compiled(jax.random.key(i), target.start[i]) for i in range(CHAINS)]
-    draws = np.stack([np.asarray(f[0]) for f in found])
-    seconds = time.perf_counter() - begun
-    return Ran(draws, seconds, compiling, int(sum(np.sum(f[1]) for f in found)))
-
-
-def nutpie_nuts(target: Target, low_rank: bool, warmup: int) -> Ran:
-    """nutpie on the compiled value and gradient."""
-    import nutpie
-    from nutpie.compiled_pyfunc import from_pyfunc
-
-    both = jax.jit(jax.value_and_grad(target.log_density))
-    dim = target.start.shape[1]
-    begun = time.perf_counter()
-    jax.block_until_ready(both(target.start[0]))
-    compiling = time.perf_counter() - begun
-
-    def logp() -> Callable[..., tuple[float, np.ndarray]]:
-        def function(q, **_):
-            value, slope = both(q)
-            return float(value), np.asarray(slope)
-
-        return function
-
-    def expand(*_):
-        return lambda q, **_: {"q": np.asarray(q)}
-
-    def begin(seed):
-        return np.asarray(target.start)[seed % CHAINS]
-
-    model = from_pyfunc(
-        dim,
-        logp,
-        expand,
-        [np.dtype("float64")],
-        [(dim,)],
-        ["q"],
-        make_initial_point_fn=begin,
-    )
-    begun = time.perf_counter()
-    trace = nutpie.sample(
-        model,
-        tune=warmup,
-        draws=DRAWS,
-        chains=CHAINS,
-        cores=2,
-        seed=1,
-        low_rank_modified_mass_matrix=low_rank,
-        progress_bar=False,
-    )
-    seconds = time.perf_counter() - begun
-    draws = np.asarray(trace.posterior["q"])
-    return Ran(draws, seconds, compiling, int(np.sum(np.asarray(trace.sample_stats["diverging"]))))
 
 
 def summary(values: np.ndarray, ran: Ran) -> dict[str, Any]:
@@ -350,37 +238,64 @@ for _kind, _warmups in (("plain", (1000, 5000)), ("whitened", (500,)), ("margina
             "BlackJAX NUTS, dense": lambda t, w=_warmup: blackjax_nuts(t, w),
             "nutpie, diagonal": lambda t, w=_warmup: nutpie_nuts(t, False, w),
             "nutpie, low rank": lambda t, w=_warmup: nutpie_nuts(t, True, w),
+            "PyMC NUTS": lambda t, w=_warmup: pymc_nuts(t, w),
+            "BlackJAX Laplace HMC": lambda t, w=_warmup: blackjax_laplace(t, w),
         }.items():
             if _kind == "plain" or "nutpie, diagonal" in _name or "dense" in _name:
                 ROWS[f"{_name}, {_kind}, {_warmup} warm-up"] = _chains_row(_kind, _run)
 
 
 def main() -> None:
-    """Run the rows that are missing; write and print the table."""
+    """Run the rows that are missing, each in a process of its own; write and print the table."""
+    limit = float(os.environ.get("BAYESCAL_SECONDS", SECONDS))
     text = LINES.read_text("utf-8") if LINES.is_file() else ""
     done = {line["row"]: line for line in map(json.loads, text.splitlines())}
     only = [part for part in os.environ.get("BAYESCAL_ONLY", "").split(";") if part]
-    for problem, given in PROBLEMS.items():
-        wanted = {f"{problem}: {name}": row for name, row in ROWS.items()}
-        if only:
-            wanted = {n: row for n, row in wanted.items() if any(part in n for part in only)}
-        if wanted.keys() <= done.keys():
+    for name in (f"{problem}: {row}" for problem in PROBLEMS for row in ROWS):
+        ended = done.get(name, {}).get("ended_after", 0.0 if name not in done else np.inf)
+        if ended >= limit or (only and not any(part in name for part in only)):
             continue
-        p = bound(*given())
-        for name, row in wanted.items():
-            if name in done:
-                continue
-            try:
-                done[name] = {"row": name, **row(p)}
-            except ImportError as missing:
-                print(f"{name}: skipped, {missing.name} is not installed", file=sys.stderr)
-                continue
-            with LINES.open("a", encoding="utf-8") as out:
-                out.write(json.dumps(done[name]) + "\n")
-            print(_told(done[name], done), flush=True)
+        found = _apart(name, limit)
+        if found is None:
+            continue
+        done[name] = {"row": name, **found}
+        with LINES.open("a", encoding="utf-8") as out:
+            out.write(json.dumps(done[name]) + "\n")
+        print(_told(done[name], done), flush=True)
     rows = [_short(r, done) for r in done.values()]
     write("samplers", {"draws": DRAWS, "chains": CHAINS, "rows": rows})
     print("\n".join(_told(r, done) for r in done.values()))
+
+
+def _apart(name: str, limit: float) -> dict[str, Any] | None:
+    """A row from a process of its own, which is ended after some seconds; None if its sampler is not installed.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    code = "import sys; from benchmarks.samplers import in_here; in_here(*sys.argv[1:])"
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "row.json"
+        try:
+            ran = subprocess.run(
+                [sys.executable, "-c", code, name, str(out)], cwd=ROOT, timeout=limit, check=False
+            )
+        except subprocess.TimeoutExpired:
+            return {"ended_after": limit}
+        if ran.returncode:
+            raise RuntimeError(f"{name}: ended with {ran.returncode}; its reason stands above")
+        return json.loads(out.read_text("utf-8"))
+
+
+def in_here(name: str, out: str) -> None:
+    """One row, in this process, to a file."""
+    problem, _, row = name.partition(": ")
+    found = None
+    try:
+        found = ROWS[row](bound(*PROBLEMS[problem]()))
+    except ImportError as missing:
+        print(f"{name}: skipped, {missing.name} is not installed", file=sys.stderr)
+    Path(out).write_text(json.dumps(found), encoding="utf-8")
 
 
 def reference(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str, Any] | None:
@@ -396,6 +311,8 @@ def reference(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str,
 
 def _short(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str, Any]:
     kept = {k: v for k, v in row.items() if k not in ("mean", "sd")}
+    if "ended_after" in row:
+        return kept
     against = reference(row, done)
     if against is None or against is row:
         return kept
@@ -411,6 +328,8 @@ def _short(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str, An
 
 def _told(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> str:
     own = _short(row, done)
+    if "ended_after" in own:
+        return f"{own['row']:62s} not ended in {own['ended_after']:.0f} s"
     health = f"k̂ {own['pareto_k']:.2f}" if "pareto_k" in own else f"R̂ {own['max_r_hat']:.2f}"
     apart = own.get("largest_distance_of_a_mean_sd")
     return (

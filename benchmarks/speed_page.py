@@ -68,10 +68,17 @@ def render() -> None:
 
 
 def _samplers(found: dict[str, Any]) -> list[str]:
-    rows = sorted(found["rows"], key=lambda r: (r["row"].partition(":")[0], -r["per_second"]))
+    rows = sorted(
+        found["rows"], key=lambda r: (r["row"].partition(":")[0], -r.get("per_second", 0.0))
+    )
     lines = []
     for r in rows:
         model, _, sampler = r["row"].partition(": ")
+        if "ended_after" in r:
+            lines.append(
+                f"| {model} | {sampler} | – | > {r['ended_after']:.0f} | – | – | not ended | – | – |"
+            )
+            continue
         health = f"k̂ {r['pareto_k']:.2f}" if "pareto_k" in r else f"R̂ {r['max_r_hat']:.2f}"
         apart, ratio = r.get("largest_distance_of_a_mean_sd"), r.get("sd_ratio")
         cells = (

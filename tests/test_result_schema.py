@@ -37,6 +37,7 @@ KEYS = {
     "readings": "file sha256 rows groups",
     "holdout": "file sha256 rows",
     "gate": "ok reason",
+    "other_path": "noise added log_bayes_factor in_words",
     "steps[]": "effects added dropped rmse rmse_fitted unit holdout_rmse leave_one_group_out "
     "log_evidence noise noise_floor verdict",
     "steps[].leave_one_group_out": "group n rmse",
@@ -145,6 +146,8 @@ def test_every_documented_key_is_found_in_one_result_or_the_other(
             "pairs[].against[]",
             "pairs[].log_bayes_factor",
         ),  # the table has one covariate
+        *(f"other_path.{key}" for key in KEYS["other_path"].split()),
+        "other_path.added[]",
     }
     assert set(DOCUMENTED) - found <= rare
 

@@ -211,3 +211,20 @@ def test_a_hidden_effect_is_found(name: str, size: float, noise_law: str) -> Non
     trail = bc.calibrate(instrument.baseline(), readings)
     assert name in trail.final.calibration.model.names
     assert trail.ok
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_wave_in_time_is_named_or_left_undecided_against_noise(seed: int) -> None:
+    """No effect of the catalogue is a wave, and wandering noise can look like one."""
+    readings = still_sensor.simulate({}, seed=seed, interval=30)
+    phase, cycles = np.random.default_rng(seed).uniform([0, 3], [2 * np.pi, 8])
+    part = readings["time"] / readings["time"].max()
+    wave = 60.0 * np.sin(2 * np.pi * cycles * part + phase)
+    instrument = still_sensor.INSTRUMENT.for_readings(readings)
+    spoilt = readings.with_column("output", readings["output"] + wave)
+    trail = bc.calibrate(instrument.baseline(), spoilt, method=bc.LeastSquares())
+    other = () if trail.other_path is None else trail.other_path.added
+    ends = [name for name in (*trail.final.calibration.model.names, *other) if "unknown" in name]
+    assert set(ends) & {"unknown(time)", "unknown(elapsed)"}
+    assert (trail.other_path is None) or -3 <= trail.other_path.log_bayes_factor <= 0
