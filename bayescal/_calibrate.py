@@ -228,12 +228,15 @@ class _Loop:
 def _wrong_turn(steps: list[Step]) -> tuple[int, str] | None:
     """Where an effect with a name was preferred to an unknown function that explains more than all added since.
 
+    One effect alone keeps its preference: real physics departs a little from the catalogue's form. Where several are
+    needed and do not suffice, they only imitate.
+
     Returns:
         The step after which it was, and the function; None if there is none.
     """
-    end = _evidence(steps[-1])
+    end = _evidence(steps[-1]) + NEARLY
     for i, (step, following) in enumerate(pairwise(steps)):
-        if step.discovery is None or following.added is None:
+        if step.discovery is None or following.added is None or i + 2 == len(steps):
             continue
         unknown = {c.effect for c in step.discovery.candidates if c.unknown}
         gains = {n: g for n, g in step.discovery.verified.items() if n in unknown}

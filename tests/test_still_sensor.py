@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -203,13 +204,22 @@ def test_a_saved_calibration_keeps_the_sizes_it_was_made_with(tmp_path: Path) ->
 @pytest.mark.parametrize("noise_law", NOISE_LAWS)
 @pytest.mark.parametrize(
     ("name", "size"),
-    [("bias.temperature_quadratic", 0.2), ("bias.thermal_lag", 5.0), ("bias.hysteresis", 80.0)],
+    [("bias.temperature_quadratic", 0.2), ("bias.thermal_lag", 5.0), ("bias.hysteresis", 20.0)],
 )
 def test_a_hidden_effect_is_found(name: str, size: float, noise_law: str) -> None:
+    """Or left open beside what was added: these ramps turn so fast that a rate and a direction are nearly one."""
     readings = still_sensor.simulate({name: size}, seed=5, interval=30, noise_law=noise_law)
     instrument = still_sensor.INSTRUMENT.for_readings(readings)
     trail = bc.calibrate(instrument.baseline(), readings)
-    assert name in trail.final.calibration.model.names
+    open_ = {
+        rival
+        for step, following in pairwise(trail.steps)
+        if step.discovery is not None
+        for found in step.discovery.sets
+        if following.added in found.effects
+        for rival in found.effects
+    }
+    assert name in {*trail.final.calibration.model.names, *open_}
     assert trail.ok
 
 
