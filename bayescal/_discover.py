@@ -156,9 +156,7 @@ def _named(
         names = {name for found in together for name in found.effects}
         return together, verification.shared_out(judged, names, share, sets[0].probability)
     near = verification.nearly(verified, judged, sets[0].effects[0])
-    if near is None:
-        return sets, judged
-    beside = dict.fromkeys((*sets[0].effects, near))
+    beside = dict.fromkeys((*sets[0].effects, *near))
     return (Found(tuple(beside), sets[0].probability), *sets[1:]), judged
 
 

@@ -67,11 +67,12 @@ def leading(
     return chosen
 
 
-def nearly(verified: dict[str, float], judged: Sequence[Candidate], leader: str) -> str | None:
-    """The effect with a name that explains nearly all that an unknown function does, by refit; None without one."""
-    named = {c.effect for c in judged if not c.unknown and c.effect in verified}
-    best = max(named, key=lambda name: verified[name], default=None)
-    return best if best and verified[best] >= NEARLY * verified[leader] else None
+def nearly(verified: dict[str, float], judged: Sequence[Candidate], leader: str) -> tuple[str, ...]:
+    """Effects with a name that explain nearly all that an unknown function does, by refit: their own credible set."""
+    named = {c.effect: verified[c.effect] for c in judged if not c.unknown and c.effect in verified}
+    if max(named.values(), default=-np.inf) < NEARLY * verified[leader]:
+        return ()
+    return members(judged, named)
 
 
 def verify(calibration: Calibration, effects: Sequence[Effect]) -> dict[str, float]:
@@ -135,11 +136,14 @@ def nothing_after(
 
 
 def members(judged: Sequence[Candidate], verified: dict[str, float]) -> tuple[str, ...]:
-    """The verified candidates that together hold 95 % of their posterior, the most probable first."""
+    """The verified candidates that together hold 95 % of their posterior, the most probable first.
+
+    What no reading can tell apart stands in the catalogue's order, whatever the last digits say.
+    """
     names = [c.effect for c in judged if c.effect in verified]
     factor = np.array([_weighed(c, verified[c.effect]) for c in judged if c.effect in verified])
     share = np.exp(factor - logsumexp(factor))
-    order = np.argsort(-share)
+    order = np.argsort(-share.round(4), kind="stable")
     kept = order[: int(np.searchsorted(np.cumsum(share[order]), susie.COVERAGE)) + 1]
     return tuple(names[i] for i in kept)
 
