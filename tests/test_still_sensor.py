@@ -13,7 +13,6 @@ from bayescal import effects
 from bayescal._doors import Request, open_up
 from bayescal._frame import build_frame, reference_of
 from bayescal._model import testable as can_test
-from bayescal._verification import laplace_evidence
 from bayescal_models import still_sensor
 from bayescal_models.still_sensor.simulate import LAG_TIME, NOISE_LAWS, WARM_UP_TIME
 
@@ -202,24 +201,20 @@ def test_a_saved_calibration_keeps_the_sizes_it_was_made_with(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise_law", NOISE_LAWS)
 @pytest.mark.parametrize(
-    ("name", "size"),
-    [("bias.temperature_quadratic", 0.2), ("bias.thermal_lag", 5.0), ("bias.hysteresis", 20.0)],
+    ("name", "size", "noise_law"),
+    [
+        *(("bias.temperature_quadratic", 0.2, law) for law in NOISE_LAWS),
+        *(("bias.thermal_lag", 5.0, law) for law in NOISE_LAWS),
+        ("bias.hysteresis", 20.0, "white"),  # which wandering noise hides
+    ],
 )
 def test_a_hidden_effect_is_found(name: str, size: float, noise_law: str) -> None:
-    """Or left open beside what was added: these ramps turn so fast that a rate and a direction are nearly one.
-
-    The claim is made where the true model is e^15 times as probable as the line under the noise law that was chosen.
-    """
+    """Or left open beside what was added: these ramps turn so fast that a rate and a direction are nearly one."""
     readings = still_sensor.simulate({name: size}, seed=5, interval=30, noise_law=noise_law)
     instrument = still_sensor.INSTRUMENT.for_readings(readings)
     trail = bc.calibrate(instrument.baseline(), readings)
-    line = instrument.baseline().with_noise(trail.final.calibration.model.noise)
-    first = trail.steps[0].calibration
-    oracle = laplace_evidence(line + name, first) - laplace_evidence(line, first)
-    assert oracle < 15 or name in named(trail), oracle
-    assert oracle > 5
+    assert name in named(trail)
     assert trail.ok
 
 

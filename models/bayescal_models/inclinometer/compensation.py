@@ -31,7 +31,9 @@ from bayescal_models.inclinometer.terms import ARCSEC_PER
 
 ACTING = ("zero", "scale", "cross_axis")  # slots of the instrument itself
 MOST = np.pi / 2 + 0.01  # rad, of a reading; of a placement angle half a turn is allowed
-CLOSE, PASSES = 1e-12, 50  # rad, and most passes of the iteration
+CLOSE, PASSES = 1e-12, 80  # rad, and most passes of the iteration
+# Then half a step each: with both axes at 45° the angle of projection bends like a root, and whole steps go to and fro.
+WHOLE = 10
 Law = Literal["exact", "document"]
 
 
@@ -115,9 +117,10 @@ def _solved(
     for done in range(PASSES):
         new_x, new_y = halves[0].tilt(rx, x, y), halves[1].tilt(ry, y, x)
         moved = max(np.max(np.abs(new_x - x)), np.max(np.abs(new_y - y)))
-        x, y = new_x, new_y
         if moved < CLOSE:
-            return x, y, done + 1
+            return new_x, new_y, done + 1
+        share = 1.0 if done < WHOLE else 0.5
+        x, y = x + share * (new_x - x), y + share * (new_y - y)
     raise bc.InputError(
         f"after {PASSES} passes the tilts still move by {moved:.1e} rad: check that the readings are in rad and "
         "that the calibration is of this inclinometer"
