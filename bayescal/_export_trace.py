@@ -166,6 +166,7 @@ def _others(graph: Graph, name: str, parameters: Any, arguments: list[np.ndarray
     one = graph.constant(1.0)
     each: dict[str, Callable[[int], int]] = {
         "square": lambda x: apply("mul", x, x),
+        "one_minus_square": lambda x: apply("sub", one, apply("mul", x, x)),  # JAX 0.12
         "integer_pow": lambda x: _power(graph, x, parameters["y"]),
         "rsqrt": lambda x: apply("div", one, apply("sqrt", x)),
         "logistic": lambda x: apply("div", one, apply("add", one, apply("exp", apply("neg", x)))),
