@@ -56,9 +56,7 @@ def in_readme(banks: dict[str, Rows], path: Path) -> None:
     first = sum(next(iter(r["hidden"])) in r["first_set"] for r in strong)
     final = sum(next(iter(r["hidden"])) in r["final"] for r in strong)
     empty = _all(banks, "empty")
-    pairs = [r for r in _all(banks, "pair") if min(r["oracle_of_each"]) >= STRONG]
-    outside = [r for r in _all(banks, "outside") if r["shape"] == "column"]
-    outside = [r for r in outside if r["oracle"] >= STRONG]
+    pairs, outside = _strong_pairs(banks), _strong_outside(banks, "column")
     rows = [
         ["one effect hidden (log Bayes factor above 15): in the first credible set", first, strong],
         ["the same: in the final model", final, strong],
@@ -86,6 +84,14 @@ def in_readme(banks: dict[str, Rows], path: Path) -> None:
     text = path.read_text("utf-8")
     before, after = text.partition(MARKS[0])[0], text.partition(MARKS[1])[2]
     path.write_text(f"{before}{MARKS[0]}\n\n{made}\n{MARKS[1]}{after}", encoding="utf-8")
+
+
+def _strong_pairs(banks: dict[str, Rows]) -> Rows:
+    return [r for r in _all(banks, "pair") if min(r["oracle_of_each"]) >= STRONG]
+
+
+def _strong_outside(banks: dict[str, Rows], shape: str) -> Rows:
+    return [r for r in _all(banks, "outside") if r["shape"] == shape and r["oracle"] >= STRONG]
 
 
 def interval(count: int, total: int) -> str:
@@ -184,7 +190,7 @@ def _empty(banks: dict[str, Rows]) -> str:
 
 
 def _others(banks: dict[str, Rows]) -> str:
-    pairs = [r for r in _all(banks, "pair") if min(r["oracle_of_each"]) >= STRONG]
+    pairs = _strong_pairs(banks)
     both = sum(set(r["hidden"]) <= set(r["final"]) for r in pairs)
     one = sum(bool(set(r["hidden"]) & set(r["final"])) for r in pairs)
     rows = [
@@ -192,7 +198,7 @@ def _others(banks: dict[str, Rows]) -> str:
         ["the same: at least one", interval(one, len(pairs))],
     ]
     for shape in ("column", "periodic", "step"):
-        own = [r for r in _all(banks, "outside") if r["shape"] == shape and r["oracle"] >= STRONG]
+        own = _strong_outside(banks, shape)
         right = "unknown(humidity)" if shape == "column" else "unknown(time)"
         named = sum(right in r["final"] for r in own)
         wanders = [r for r in own if right not in r["final"] and r["noise"] != "white"]

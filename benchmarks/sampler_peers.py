@@ -155,6 +155,12 @@ def _both(target: Target) -> tuple[Callable[..., Any], float]:
     return both, time.perf_counter() - begun
 
 
+def _traced(trace: Any, seconds: float, compiling: float) -> Ran:
+    """What a sampler hands back as an ArviZ tree."""
+    draws, diverging = trace.posterior["q"], trace.sample_stats["diverging"]
+    return Ran(np.asarray(draws), seconds, compiling, int(np.sum(np.asarray(diverging))))
+
+
 def nutpie_nuts(target: Target, low_rank: bool, warmup: int) -> Ran:
     """nutpie on the compiled value and gradient."""
     import nutpie
@@ -197,8 +203,7 @@ def nutpie_nuts(target: Target, low_rank: bool, warmup: int) -> Ran:
         progress_bar=False,
     )
     seconds = time.perf_counter() - begun
-    draws = np.asarray(trace.posterior["q"])
-    return Ran(draws, seconds, compiling, int(np.sum(np.asarray(trace.sample_stats["diverging"]))))
+    return _traced(trace, seconds, compiling)
 
 
 def pymc_nuts(target: Target, warmup: int) -> Ran:
@@ -240,5 +245,4 @@ def pymc_nuts(target: Target, warmup: int) -> Ran:
             compute_convergence_checks=False,
         )
         seconds = time.perf_counter() - begun
-    draws = np.asarray(trace.posterior["q"])
-    return Ran(draws, seconds, compiling, int(np.sum(np.asarray(trace.sample_stats["diverging"]))))
+    return _traced(trace, seconds, compiling)

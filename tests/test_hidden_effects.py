@@ -10,7 +10,6 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from left_open import named
 
 import bayescal as bc
 from bayescal._verification import laplace_evidence
@@ -20,10 +19,17 @@ from bayescal_models.mems_gyro.campaign import SIZES
 INSTRUMENT = mems_gyro.INSTRUMENT
 CANDIDATES = tuple(name for name in SIZES if name != "bias.temperature")
 SAMPLE = ("bias.thermal_lag",)  # the fast tests; the slow ones hide every candidate
-DETECTABLE = 8.0  # log Bayes factor of the true model against the baseline: the oracle
-CERTAIN = (
-    15.0  # the same where deviations of cells, with spreads of their own, can cover for an effect
+# Claims that are not met, and why; docs/hidden_effects.md counts how often.
+LATE = pytest.mark.xfail(
+    reason="a short lag predicts better than a rate known half a minute late", strict=True
 )
+ALIAS = pytest.mark.xfail(
+    reason="the circuit's temperature is an exact alias, and stands first", strict=True
+)
+COVERED = pytest.mark.xfail(
+    reason="deviations of cells cover for it at an oracle of 8.2", strict=False
+)
+DETECTABLE = 8.0  # log Bayes factor of the true model against the baseline: the oracle
 
 
 def campaign_for(name: str) -> mems_gyro.Campaign:
@@ -69,13 +75,9 @@ def hidden_and_found(name: str, seed: int) -> None:
     )
     if factor < DETECTABLE:
         return  # too small to be seen here: only harm is forbidden
+    final = trail.final.calibration.model.names
+    assert name in final, f"{name} = {size:g} (oracle {factor:.1f}): added {added or 'nothing'}"
     assert after <= 1.05 * true_error
-    if name not in trail.final.calibration.model.names:
-        # Only where the physics departs from the catalogue's form of it, so that another form predicts it better: a
-        # rate that is known half a minute late, beside a short lag.
-        told = f"{name} = {size:g} (oracle {factor:.1f}): added {added or 'nothing'}"
-        assert after < 0.95 * true_error, told
-        return
     found = trail.final.calibration.samples(name)
     middle, spread = float(np.mean(found)), float(np.std(found))
     if name != "bias.run":
@@ -90,7 +92,9 @@ def test_a_hidden_effect_is_found_and_the_error_falls(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [11, 12, 13])
-@pytest.mark.parametrize("name", CANDIDATES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=LATE if n == "bias.rate" else ()) for n in CANDIDATES]
+)
 def test_every_candidate_hidden_in_turn(name: str, seed: int) -> None:
     hidden_and_found(name, seed)
 
@@ -111,9 +115,9 @@ def elsewhere(name: str, effect: str, seed: int) -> None:
     assert final.holdout_rmse <= 1.02 * first.holdout_rmse
     factor = laplace_evidence(model + effect, first.calibration)
     factor -= laplace_evidence(model, first.calibration)
-    if factor >= CERTAIN:
+    if factor >= DETECTABLE:
         added = [step.added for step in trail.steps if step.added]
-        assert effect in named(trail), f"{hidden}, oracle {factor:.1f}: {added}"
+        assert effect in final.calibration.model.names, f"{hidden}, oracle {factor:.1f}: {added}"
         true = bc.fit(model + effect, readings, quick)
         assert final.holdout_rmse <= 1.05 * bc.predict(true, later).rmse
 
@@ -130,6 +134,7 @@ OTHERS = {
     "ng_accelerometer": ("base_tilt.lab_temperature", "second_order"),
     "still_sensor": ("bias.temperature_quadratic", "bias.thermal_lag"),
 }
+MISSED = {"bias.gradient": ALIAS, "base_tilt.lab_temperature": COVERED}
 
 
 @pytest.mark.parametrize("effect", OTHERS["inclinometer"][:2])
@@ -138,7 +143,10 @@ def test_an_effect_hidden_in_an_inclinometers_campaign(effect: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "effect"), [(n, e) for n, found in OTHERS.items() for e in found])
+@pytest.mark.parametrize(
+    ("name", "effect"),
+    [pytest.param(n, e, marks=MISSED.get(e, ())) for n, found in OTHERS.items() for e in found],
+)
 def test_effects_hidden_in_campaigns_of_other_instruments(name: str, effect: str) -> None:
     elsewhere(name, effect, seed=11)
 
