@@ -14,6 +14,7 @@ from bayescal._effect import Effect
 from bayescal._fit import fit
 from bayescal._folds import leave_one_group_out
 from bayescal._frame import Reference, build_frame, reference_of
+from bayescal._instrument import free_curve
 from bayescal._measurements import Measurements
 from bayescal._method import Method
 from bayescal._model import Model
@@ -150,7 +151,10 @@ class _Loop:
     def _look_back(
         self, model: Model, steps: list[Step], newest: str
     ) -> tuple[Model, tuple[str, ...]]:
-        """Drop what was added before and is superfluous now: the model is more probable without it."""
+        """Drop what was added before and is superfluous now: the model is more probable without it.
+
+        A free curve can stand in for any effect, so what has a name gives way to it only at odds of twenty to one.
+        """
         dropped: list[str] = []
         earlier = [n for n in model.names if n not in self.start and n != newest]
         if not earlier:
@@ -160,7 +164,7 @@ class _Loop:
             best = laplace_evidence(model, calibration)
             for name in earlier:
                 without = laplace_evidence(model - name, calibration)
-                if without >= best:
+                if without >= best + (NEARLY if free_curve(newest) and not free_curve(name) else 0):
                     model, best = model - name, without
                     dropped.append(name)
         return model, tuple(dropped)

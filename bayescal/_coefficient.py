@@ -64,6 +64,7 @@ class Shape(eqx.Module):
         unit: the unit in which the basis takes it and in which it is reported.
         low, high: plausible range, in `unit`.
         scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one.
+        ragged: whether the evidence has many maxima over it, as over a period; the search begins at more points.
     """
 
     name: str = eqx.field(static=True)
@@ -71,6 +72,7 @@ class Shape(eqx.Module):
     low: float = eqx.field(static=True)
     high: float = eqx.field(static=True)
     scale: Literal["log", "linear"] = eqx.field(static=True, default="log")
+    ragged: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
         if not self.low < self.high or (self.scale == "log" and self.low <= 0):

@@ -19,6 +19,7 @@ from bayescal import _verification as verification
 from bayescal._calibration import Calibration
 from bayescal._effect import Effect
 from bayescal._frame import derived
+from bayescal._instrument import FORMS, free_curve
 from bayescal._judgement import FINDING, Candidate
 from bayescal._model import testable
 from bayescal._progress import stage
@@ -122,7 +123,7 @@ def discover(
             together = _together(columns, score, max_effects)
             leaders = [known[s.effects[0]] for s in together]
             share = verification.share_of(calibration, leaders, judged, verified)
-            sets, judged = _named(sets, together, share, judged, verified)
+            sets, judged = _named(sets, together, share, judged, verified, len(readings))
     if nothing <= FINDING and sets:
         best = (_first(sets[0], known),)
         names = [e.name for e in tested]
@@ -143,6 +144,7 @@ def _named(
     share: float,
     judged: list[Candidate],
     verified: dict[str, float],
+    readings: int,
 ) -> tuple[tuple[Found, ...], list[Candidate]]:
     """Sets and candidates where an unknown function leads, after effects with a name have been set beside it.
 
@@ -151,11 +153,14 @@ def _named(
         together: of named effects.
         share: their probability together, against the unknown's.
         judged, verified: candidates, and log Bayes factors by refit.
+        readings: how many there are.
     """
     if share > 0.5:
         names = {name for found in together for name in found.effects}
         return together, verification.shared_out(judged, names, share, sets[0].probability)
-    near = verification.nearly(verified, judged, sets[0].effects[0])
+    leader, near = sets[0].effects[0], ()
+    if free_curve(leader):
+        near = verification.nearly(verified, judged, leader, readings)
     beside = dict.fromkeys((*sets[0].effects, *near))
     return (Found(tuple(beside), sets[0].probability), *sets[1:]), judged
 
@@ -204,11 +209,13 @@ def _rivals(sets: tuple[Found, ...], ranked: Sequence[Candidate]) -> list[str]:
 
 
 def _unknowns(calibration: Calibration) -> list[Effect]:
-    """An unknown smooth dependence on each covariate, beside the catalogue's effects."""
+    """An unknown smooth dependence on each covariate, a jump and a cycle in time, beside the catalogue's effects."""
     instrument, readings = calibration.model.instrument, calibration.readings
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
-    return [instrument.unknown(name) for name, v in derived(readings).items() if np.ptp(v) > 0]
+    names = [name for name, values in derived(readings).items() if np.ptp(values) > 0]
+    forms = [form for form in FORMS if form.split(",")[0] in names]
+    return [instrument.unknown(name) for name in (*names, *forms)]
 
 
 def _plausible(effect: Effect) -> float:

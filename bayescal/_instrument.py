@@ -20,12 +20,20 @@ from bayescal._measurements import Column, Measurements, NominalScale
 from bayescal._noise import Noise, White
 from bayescal._units import ANY, coefficient_factor, same_dimension
 from bayescal.effects.unknown import unknown
+from bayescal.effects.unknown_in_time import cycle, jump
 
 if TYPE_CHECKING:
     from bayescal._model import Model
 
 Slots = Mapping[str, Float[Array, "n"]]
 UNKNOWN = re.compile(r"unknown\((.+)\)")
+FORMS = {"time, jump": jump, "time, cycle": cycle}  # of unknown functions, beside the smooth one
+
+
+def free_curve(name: str) -> bool:
+    """Whether an effect follows any smooth curve, and so can stand in for others; a law or a form in time cannot."""
+    found = UNKNOWN.fullmatch(name)
+    return found is not None and found[1] not in FORMS
 
 
 class Slot(eqx.Module):
@@ -186,13 +194,13 @@ class Instrument(eqx.Module):
         )
 
     def unknown(self, covariate: str) -> Effect:
-        """An unknown smooth dependence of the output on a covariate.
+        """An unknown dependence of the output on a covariate: a smooth one, or a jump or a cycle in time.
 
         Its plausible amplitudes are those of the instrument's own effects that are stated in the output's unit.
 
         Args:
             covariate: a numeric column, "elapsed" (time within the run), or a temperature's rate such as
-                "temperature rate".
+                "temperature rate"; "time, jump" and "time, cycle" for these forms.
 
         Raises:
             ModelError: no slot has the output's unit.
@@ -213,4 +221,6 @@ class Instrument(eqx.Module):
         ]
         noise = getattr(getattr(self.noise, "scale", None), "scale", 1.0)
         low, high = min(sizes, default=noise) / 3, max(sizes, default=noise) * 3
+        if covariate in FORMS:
+            return FORMS[covariate](slot.name, low, high, slot.unit)
         return unknown(covariate, slot.name, low, high, slot.unit)

@@ -23,7 +23,8 @@ from bayescal._optimise import least_squares
 
 STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
-STARTS = 64  # prior draws of φ among which the start is chosen
+STARTS = 64  # prior draws of φ among which the start is chosen,
+RAGGED = 4  # times as many where a shape's evidence has many maxima
 
 
 class Mode(NamedTuple):
@@ -146,7 +147,9 @@ def _best_start(layout: Layout, frame: Frame, y: Array, point: linear.Point, fla
     dim = len(layout.hypers)
     if not dim:
         return jnp.zeros(0)
-    draws = 1.5 * jax.random.normal(jax.random.key(0), (STARTS, dim))
+    ragged = any(s.ragged for e in layout.model.effects for s in e.shapes)
+    count = STARTS * (RAGGED if ragged else 1)
+    draws = 1.5 * jax.random.normal(jax.random.key(0), (count, dim))
     density = density_of_phi(layout, frame, y, point, flat)
     starts = jnp.concatenate([jnp.zeros((1, dim)), draws])
     if layout.promoted:

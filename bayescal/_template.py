@@ -18,7 +18,8 @@ from bayescal._frame import derived
 
 ENOUGH = 0.97  # share of the shape's variance from which a simple curve will do
 POINTS = 101
-PERIODS = np.geomspace(0.15, 2.0, 80)  # of a sine, in parts of the range
+PERIODS = np.geomspace(0.06, 2.0, 160)  # of a sine, in parts of the range
+PLACES = np.linspace(-0.48, 0.48, 49)  # of a jump, in parts of the range
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of an exponential, in parts of the range
 
 
@@ -58,21 +59,20 @@ def shape_of(calibration: Calibration, name: str) -> Shape:
         raise ModelError(
             f"{name!r} is a named effect, not an unknown dependence: it has a form of its own"
         )
-    covariate = name[name.index("(") + 1 : -1]
+    covariate = name[name.index("(") + 1 : -1].split(",")[0]
     low, high = (calibration.reference[f"{covariate}_{end}"] for end in ("low", "high"))
     assert isinstance(low, float) and isinstance(high, float)
     coefficients = np.stack(
         [calibration.samples(effect.coefficient_name(i)) for i in range(len(effect.coefficients))],
         axis=1,
     )
-    lengths, amplitudes = (calibration.samples(effect.shape_name(s)) for s in effect.shapes)
-    step = max(1, len(lengths) // 200)
+    shapes = {s.name: calibration.samples(effect.shape_name(s)) for s in effect.shapes}
+    step = max(1, len(coefficients) // 200)
     draws = []
     waves = _Ramp(jnp.linspace(0.0, 1.0, POINTS))
-    for x, length, amplitude in zip(
-        coefficients[::step], lengths[::step], amplitudes[::step], strict=True
-    ):
-        draws.append(np.asarray(effect.basis(waves, length=length, amplitude=amplitude)) @ x)
+    for i in range(0, len(coefficients), step):
+        columns = np.asarray(effect.basis(waves, **{s: v[i] for s, v in shapes.items()}))
+        draws.append(columns.reshape(POINTS, -1) @ coefficients[i])
     curves = np.array(draws)
     curves -= curves.mean(axis=1, keepdims=True)  # a constant belongs to the bias
     mean = curves.mean(axis=0)
@@ -149,6 +149,14 @@ def _closest(shape: Shape) -> tuple[str, str, float]:
             np.exp(-(x + 0.5) / w),
         )
         for w in WIDTHS
+    ]
+    forms += [
+        (
+            f"a jump at {p + 0.5:.2g} of the range",
+            f"jnp.where(x > {p:.3g}, 0.5, -0.5)",
+            0.5 * np.sign(x - p),
+        )
+        for p in PLACES
     ]
     best = max(forms, key=lambda form: _share(shape.mean, [form[2]]))
     share = _share(shape.mean, [best[2]])

@@ -27,7 +27,9 @@ LEAD = 1.0  # log Bayes factor from which an effect that is not a finding is a l
 RIVAL = (
     0.5  # part of the best log Bayes factor by score from which another candidate is refitted too
 )
-NEARLY = 0.5  # of an unknown function's log Bayes factor, from which an effect with a name is added first
+# Of what an unknown function explains, from which an effect with a name is added first:
+HALF = 0.5  # of its log Bayes factor,
+MOST = 0.9  # or of its variance
 VERIFIED = 4  # candidates that are refitted: the leading set's members, then other leads
 
 
@@ -67,12 +69,19 @@ def leading(
     return chosen
 
 
-def nearly(verified: dict[str, float], judged: Sequence[Candidate], leader: str) -> tuple[str, ...]:
-    """Effects with a name that explain nearly all that an unknown function does, by refit: their own credible set."""
+def nearly(
+    verified: dict[str, float], judged: Sequence[Candidate], leader: str, readings: int
+) -> tuple[str, ...]:
+    """Effects with a name that explain nearly all that an unknown function does, by refit: their own credible set.
+
+    Far above the noise a law that takes away nine tenths of the variance, and leaves a departure that the readings
+    show, has less than half of the log evidence. The variance is read off the evidence: 1 − exp(−2·log B/n), the
+    coefficient of determination of Cox and Snell.
+    """
     named = {c.effect: verified[c.effect] for c in judged if not c.unknown and c.effect in verified}
-    if max(named.values(), default=-np.inf) < NEARLY * verified[leader]:
-        return ()
-    return members(judged, named)
+    best, whole = max(named.values(), default=-np.inf), verified[leader]
+    most = np.expm1(-2 * best / readings) <= MOST * np.expm1(-2 * whole / readings)
+    return members(judged, named) if best >= HALF * whole or most else ()
 
 
 def verify(calibration: Calibration, effects: Sequence[Effect]) -> dict[str, float]:

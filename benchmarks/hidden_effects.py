@@ -5,11 +5,11 @@
 
 A bank of campaigns for each instrument, by its own simulator: each candidate hidden in turn at sizes drawn at random
 (a third to three times the plausible one), two at once, none, and what no catalogue has: an output that follows a
-further recorded column, a wave and a step in time. Every campaign is searched by `calibrate` with least squares
-(Laplace) fits, and by three customary selections on the same candidate columns. The oracle is the log Bayes factor
-of the true model against the baseline. A bank of its own, drawn from the priors (half of it empty), is searched by
-`discover` alone: are the stated probabilities right? One JSON line a campaign in results/hidden_effects_NAME.jsonl:
-stopped, it goes on where it was.
+further recorded column, a wave, a step and a shock in time. Every campaign is searched by `calibrate` with least
+squares (Laplace) fits, and by three customary selections on the same candidate columns. The oracle is the log Bayes
+factor of the true model against the baseline. A bank of its own, drawn from the priors (half of it empty), is
+searched by `discover` alone: are the stated probabilities right? One JSON line a campaign in
+results/hidden_effects_NAME.jsonl: stopped, it goes on where it was.
 """
 
 from __future__ import annotations
@@ -25,15 +25,17 @@ import numpy as np
 from scipy.special import logsumexp
 
 import bayescal as bc
+from bayescal import _candidates as candidates
+from bayescal import _score as scores
 from bayescal._verification import laplace_evidence
 from bayescal_models import INSTRUMENTS
 from benchmarks import hidden_effects_page
 from benchmarks.customary import SELECTIONS, select
 from benchmarks.hidden_effects_bank import (
+    OUTSIDE,
     Case,
     instrument_named,
     open_effects,
-    outside_effect,
     plan,
     simulated,
 )
@@ -112,7 +114,7 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
     trail = bc.calibrate(model, readings, holdout=later, method=METHOD)
     taken = time.perf_counter() - begun
     first = trail.steps[0]
-    missing = [outside_effect(case)] if case.kind == "outside" else list(case.hidden)
+    missing = [OUTSIDE[case.shape]] if case.kind == "outside" else list(case.hidden)
     truth = model + missing if missing else model
     true = bc.fit(truth, readings, METHOD, strict=False) if missing else first.calibration
     oracle, each = _oracles(model, first.calibration, missing)
@@ -126,6 +128,9 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
         "oracle_of_each": each,
         "nothing": None if found is None else found.nothing_missing,
         "first_set": list(found.sets[0].effects) if found and found.sets else [],
+        "likeness": _likeness(instrument, case, readings, first.calibration)
+        if case.kind == "outside"
+        else None,
         "exact_set": _exact_set(first.calibration)
         if case.kind == "single" and oracle >= ENUMERATED
         else None,
@@ -161,6 +166,22 @@ def _oracles(
         laplace_evidence(model + [n for n in missing if n != name], first) for name in missing
     ]
     return whole - laplace_evidence(model, first), [whole - w for w in without]
+
+
+def _likeness(
+    instrument: bc.Instrument, case: Case, readings: bc.Measurements, first: bc.Calibration
+) -> float:
+    """Largest correlation of what was hidden with a catalogue effect's columns, the nuisances projected out."""
+    bare = simulated(instrument, Case("empty", case.seed, {}))
+    hidden = readings["output"] - bare["output"]
+    laid = candidates.lay_out(first, open_effects(first.model, readings))
+    found = scores.score(first, np.column_stack([laid.matrix, hidden])).information
+    alike = [0.0]
+    for item in laid.items:
+        at = list(item.columns)
+        shared = np.linalg.lstsq(found[np.ix_(at, at)], found[at, -1], rcond=1e-10)[0]
+        alike.append(float(shared @ found[at, -1] / found[-1, -1]))
+    return float(np.sqrt(min(1.0, max(alike))))
 
 
 def _exact_set(first: bc.Calibration) -> list[str]:

@@ -15,7 +15,14 @@ SIZES = (1 / 3, 3.0)  # of the plausible size
 # Campaigns of each kind for each instrument; single: for each candidate.
 COUNTS = {"single": 3, "empty": 60, "pair": 8, "outside": 8, "prior": 40}
 FIRST_SEED = {"single": 1000, "empty": 2000, "pair": 3000, "outside": 4000, "prior": 5000}
-OUTSIDE = ("column", "periodic", "step")
+# What no catalogue has, and the placeholder that is nearest to it. A wave and a step have a form of their own among
+# the placeholders; a shock that dies away has none.
+OUTSIDE = {
+    "column": "unknown(humidity)",
+    "periodic": "unknown(time, cycle)",
+    "step": "unknown(time, jump)",
+    "shock": "unknown(time)",
+}
 # Where an instrument's own standard campaign could show only a part of its effects.
 CAMPAIGNS: dict[str, dict[str, Any]] = {
     "mems_gyro": {"campaign": mems_gyro.Campaign(rate_input=(0.0, 100.0, -100.0))}
@@ -70,7 +77,7 @@ def plan(instrument: bc.Instrument) -> Iterator[Case]:
             hidden = {str(n): _drawn(n, size[n], rng) for n in pair}
             yield Case("pair", FIRST_SEED["pair"] + turn, hidden)
         if turn < COUNTS["outside"]:
-            shape = OUTSIDE[turn % len(OUTSIDE)]
+            shape = list(OUTSIDE)[turn % len(OUTSIDE)]
             yield Case("outside", FIRST_SEED["outside"] + turn, {}, shape)
         if turn < COUNTS["empty"]:
             yield Case("empty", FIRST_SEED["empty"] + turn, {})
@@ -103,7 +110,8 @@ def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) ->
 
     `column`: the output follows a further recorded column, which wanders as the humidity of a laboratory does.
     `periodic`: it goes up and down with the time, three to eight times in the record. `step`: at a moment in the
-    middle half of the record it jumps, and stays.
+    middle half of the record it jumps, and stays. `shock`: it jumps twice as far, and comes back within a tenth of
+    the record.
     """
     strength, phase, place = np.random.default_rng(case.seed).random(3)
     strength = 1.0 + 5.0 * strength  # the same in both campaigns
@@ -125,10 +133,8 @@ def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) ->
     if case.shape == "periodic":
         wave = np.sin(2 * np.pi * ((3 + 5 * place) * part + phase))
     else:
-        wave = np.where(part > 0.25 + 0.5 * place, 0.5, -0.5)
+        since = part - (0.25 + 0.5 * place)
+        wave = np.where(since > 0, 0.5, -0.5)
+        if case.shape == "shock":
+            wave = np.where(since > 0, 2 * np.exp(-np.maximum(since, 0.0) / 0.05), 0.0)
     return readings.with_column("output", readings["output"] + strength * noise * wave)
-
-
-def outside_effect(case: Case) -> str:
-    """The effect that names what was hidden outside the catalogue."""
-    return "unknown(humidity)" if case.shape == "column" else "unknown(time)"

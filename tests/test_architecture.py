@@ -24,6 +24,7 @@ FLOORS = {
     "_measurements _read_csv _read_binary _read",
     "parts of a model": "_prior _coefficient _frame _effect _noise "
     "effects.constant effects.temperature effects.thermal effects.thermometer effects.time effects.unknown "
+    "effects.unknown_in_time "
     "effects _instrument _model",
     "the model as numbers": "_layout _composition _arrow _linear _laplace",
     "a calibration": "_calibration _store _tree _checkpoint _method _predict _score _directions _summary _text",

@@ -16,3 +16,5 @@ from bayescal.effects.thermometer import thermometer as thermometer
 from bayescal.effects.time import drift as drift
 from bayescal.effects.time import warm_up as warm_up
 from bayescal.effects.unknown import unknown as unknown
+from bayescal.effects.unknown_in_time import cycle as cycle
+from bayescal.effects.unknown_in_time import jump as jump
