@@ -82,7 +82,7 @@ def discover(
     """
     model, readings = calibration.model, calibration.readings
     known = {e.name: e for e in (*model.instrument.candidates, *model.instrument.effects, *effects)}
-    known |= {e.name: e for e in _unknowns(calibration)}
+    known |= {e.name: e for e in unknowns(calibration)}
     open_ = [e for n, e in known.items() if n not in model.names]
     reasons = {e.name: testable(e, readings) for e in open_}
     tested = [e for e in open_ if reasons[e.name] is None]
@@ -208,7 +208,7 @@ def _rivals(sets: tuple[Found, ...], ranked: Sequence[Candidate]) -> list[str]:
     return [*first, *near][:RIVALS]
 
 
-def _unknowns(calibration: Calibration) -> list[Effect]:
+def unknowns(calibration: Calibration) -> list[Effect]:
     """An unknown smooth dependence on each covariate, a jump and a cycle in time, beside the catalogue's effects."""
     instrument, readings = calibration.model.instrument, calibration.readings
     if all(s.unit != instrument.unit for s in instrument.slots):

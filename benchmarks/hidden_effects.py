@@ -34,6 +34,7 @@ from benchmarks.customary import SELECTIONS, select
 from benchmarks.hidden_effects_bank import (
     OUTSIDE,
     Case,
+    by_law,
     instrument_named,
     open_effects,
     plan,
@@ -83,7 +84,7 @@ def run(name: str, seconds: float) -> None:
             if time.perf_counter() - begun > seconds:
                 print(f"{name}: stopped after {seconds:.0f} s; run again to go on")
                 return
-            row = (stated if case.kind == "prior" else campaign)(instrument, case)
+            row = (stated if case.kind in ("prior", "law") else campaign)(instrument, case)
             out.write(json.dumps(row) + "\n")
             out.flush()
             told = f"{row['seconds']:.1f} s {case.kind} {list(case.hidden) or case.shape}"
@@ -92,14 +93,16 @@ def run(name: str, seconds: float) -> None:
 
 def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
     """What is said of a campaign drawn from the priors."""
-    readings = simulated(instrument, case)
+    readings, hidden = simulated(instrument, case), list(case.hidden)
+    if case.kind == "law":
+        readings, hidden = by_law(instrument, case)
     begun = time.perf_counter()
     model = instrument.for_readings(readings).baseline()
     found = bc.discover(bc.fit(model, readings, METHOD, strict=False))
     return {
         "seed": case.seed,
         "kind": case.kind,
-        "hidden": case.hidden,
+        "hidden": case.hidden or hidden,
         "nothing": found.nothing_missing,
         "probabilities": _probabilities(found),
         "seconds": time.perf_counter() - begun,

@@ -8,13 +8,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import bayescal as bc
+from bayescal import _candidates as candidates
+from bayescal._discover import unknowns
 from bayescal._model import testable
 from bayescal_models import mems_gyro
 
 SIZES = (1 / 3, 3.0)  # of the plausible size
 # Campaigns of each kind for each instrument; single: for each candidate.
-COUNTS = {"single": 3, "empty": 60, "pair": 8, "outside": 8, "prior": 40}
-FIRST_SEED = {"single": 1000, "empty": 2000, "pair": 3000, "outside": 4000, "prior": 5000}
+COUNTS = {"single": 3, "empty": 60, "pair": 8, "outside": 8, "prior": 40, "law": 40}
+FIRST_SEED = {
+    "single": 1000,
+    "empty": 2000,
+    "pair": 3000,
+    "outside": 4000,
+    "prior": 5000,
+    "law": 6000,
+}
 # What no catalogue has, and the placeholder that is nearest to it. A wave and a step have a form of their own among
 # the placeholders; a shock that dies away has none.
 OUTSIDE = {
@@ -83,6 +92,8 @@ def plan(instrument: bc.Instrument) -> Iterator[Case]:
             yield Case("empty", FIRST_SEED["empty"] + turn, {})
         if turn < COUNTS["prior"]:
             yield Case("prior", FIRST_SEED["prior"] + turn, _from_prior(effects, rng))
+        if turn < COUNTS["law"]:
+            yield Case("law", FIRST_SEED["law"] + turn, {})
 
 
 def _signed(name: str, value: float) -> float:
@@ -103,6 +114,26 @@ def _from_prior(effects: list[bc.Effect], rng: np.random.Generator) -> dict[str,
     if coefficient.spread is not None:
         value = float(coefficient.spread.value(normal))
     return {} if empty else {effects[at].name: _signed(effects[at].name, float(value))}
+
+
+def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, list[str]]:
+    """Readings drawn from the search's own prior, and what is hidden in them.
+
+    Half of the time nothing; else one candidate by its share of the prior, an unknown function among them, at one of
+    the shapes and spreads of its prior, with standard normal coefficients in the catalogue's own columns.
+    """
+    rng = np.random.default_rng(case.seed)
+    readings = simulated(instrument, case)
+    if rng.random() < 0.5:
+        return readings, []
+    model = instrument.for_readings(readings).baseline()
+    fit = bc.fit(model, readings, bc.LeastSquares(), strict=False)
+    laid = candidates.lay_out(fit, [*open_effects(model, readings), *unknowns(fit)])
+    chosen = int(rng.choice(len(laid.effects), p=laid.prior))
+    at = list(laid.items[int(rng.choice(laid.of(chosen)))].columns)
+    hidden = laid.matrix[:, at] @ rng.standard_normal(len(at))
+    changed = readings.with_column("output", readings["output"] + hidden)
+    return changed, [laid.effects[chosen].name]
 
 
 def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) -> bc.Measurements:

@@ -1,0 +1,100 @@
+"""A jump and a cycle in time, of no known cause, are told from wandering noise, measured, drafted and saved."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._template import shape_of, template
+from bayescal_models import mems_gyro
+
+INSTRUMENT = mems_gyro.INSTRUMENT
+METHOD = bc.LeastSquares(draws=200)
+PLACE, HEIGHT = 0.53, 0.2  # of the record, within the second run; °/s, four times the noise
+CYCLES, WAVE = 6.3, 0.06  # in the record; °/s
+
+
+def part_of_the_record(readings: bc.Measurements) -> np.ndarray:
+    time = readings["time"]
+    return (time - time.min()) / np.ptp(time)
+
+
+def changed(seed: int, contribution) -> bc.Measurements:
+    readings = mems_gyro.simulate({}, seed=seed)
+    at = part_of_the_record(readings)
+    return readings.with_column("output", readings["output"] + contribution(at))
+
+
+def drafted(pattern: str, text: str) -> float:
+    found = re.search(pattern, text)
+    assert found is not None, text
+    return float(found[1])
+
+
+@pytest.fixture(scope="module")
+def jumped() -> bc.Trail:
+    readings = changed(41, lambda at: np.where(at > PLACE, HEIGHT, 0.0))
+    return bc.calibrate(INSTRUMENT.baseline(), readings, method=METHOD)
+
+
+@pytest.fixture(scope="module")
+def cycled() -> bc.Trail:
+    readings = changed(42, lambda at: WAVE * np.sin(2 * np.pi * CYCLES * at + 0.4))
+    return bc.calibrate(INSTRUMENT.baseline(), readings, method=METHOD)
+
+
+def test_a_jump_is_found_where_it_is_and_as_high_as_it_is(jumped: bc.Trail) -> None:
+    final = jumped.final.calibration
+    assert [s.added for s in jumped.steps] == [None, "unknown(time, jump)"]
+    assert final.model.noise.law == "white"
+    at = part_of_the_record(final.readings)
+    beside = np.sort(at[np.argsort(np.abs(at - PLACE))[:2]])  # no reading tells more than these
+    place = float(final.samples("unknown(time, jump).place").mean())
+    assert beside[0] - 0.01 < place < beside[1] + 0.01
+    half = final.samples("unknown(time, jump)[1]") * final.samples("unknown(time, jump).amplitude")
+    assert abs(2 * half.mean() - HEIGHT) < 4 * 2 * half.std()
+    assert jumped.final.rmse == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.Trail) -> None:
+    final = cycled.final.calibration
+    assert [s.added for s in cycled.steps] == [None, "unknown(time, cycle)"]
+    assert final.model.noise.law == "white"
+    cycles = float(final.samples("unknown(time, cycle).cycles").mean())
+    assert cycles == pytest.approx(CYCLES, abs=0.05)
+    parts = [final.samples(f"unknown(time, cycle)[{i}]") for i in (1, 2)]
+    wave = np.hypot(*parts) * final.samples("unknown(time, cycle).amplitude")
+    assert wave.mean() == pytest.approx(WAVE, rel=0.2)
+
+
+def test_their_shapes_are_drafted_as_what_they_are(jumped: bc.Trail, cycled: bc.Trail) -> None:
+    jump = template(jumped.final.calibration, "unknown(time, jump)")
+    assert drafted(r"a jump at (\S+) of the range", jump) == pytest.approx(PLACE, abs=0.02)
+    assert "jnp.where(x >" in jump
+    wave = template(cycled.final.calibration, "unknown(time, cycle)")
+    period = drafted(r"a sine of period (\S+) of the range", wave)
+    assert period == pytest.approx(1 / CYCLES, rel=0.05)
+    assert shape_of(cycled.final.calibration, "unknown(time, cycle)").covariate == "time"
+    for text in (jump, wave):
+        compile(text, "draft", "exec")
+
+
+def test_a_calibration_with_one_is_saved_and_loaded(jumped: bc.Trail, tmp_path) -> None:
+    final = jumped.final.calibration
+    final.save(tmp_path / "c.nc")
+    again = bc.load(tmp_path / "c.nc")
+    assert again.model.names == final.model.names
+    fresh = mems_gyro.simulate({}, seed=43)
+    np.testing.assert_allclose(bc.predict(again, fresh).mean, bc.predict(final, fresh).mean)
+
+
+def test_a_law_keeps_its_name_beside_a_free_curve_but_not_beside_a_form(jumped: bc.Trail) -> None:
+    """A jump is as definite as a law: what explains half of it is not put in its place."""
+    first = jumped.steps[0].discovery
+    assert first is not None
+    assert first.sets[0].effects == ("unknown(time, jump)",)
+    others = [f for n, f in first.verified.items() if not n.startswith("unknown(")]
+    assert max(others) < first.verified["unknown(time, jump)"]
