@@ -3,7 +3,7 @@
     python -m benchmarks false_discoveries
     BAYESCAL_ONLY=mems_gyro BAYESCAL_PART=0/2 python -m benchmarks false_discoveries     one process of two
 
-Empty campaigns of two instruments, each spoilt in seven ways, searched by `calibrate` with least squares (Laplace)
+Empty campaigns of three instruments, each spoilt in seven ways, searched by `calibrate` with least squares (Laplace)
 fits; for wandering noise also by `discover` under white noise, which shows what ignoring it costs. One JSON line a
 campaign in results/false_discoveries_NAME.jsonl: stopped, it goes on where it was.
 """
@@ -28,8 +28,8 @@ from benchmarks.hidden_effects_page import interval
 from benchmarks.record import ROOT, write
 
 RESULTS = ROOT / "benchmarks" / "results"
-SEARCHED = ("mems_gyro", "still_sensor")
-CAMPAIGNS = {"wandering noise": 200}  # for each instrument; of the others:
+SEARCHED = ("mems_gyro", "inclinometer", "still_sensor")
+CAMPAIGNS = {"wandering noise": 100}  # for each instrument; of the others:
 OTHERS = 60
 FIRST_SEED = 7000
 METHOD = bc.LeastSquares(draws=200)
