@@ -166,6 +166,7 @@ def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) ->
     else:
         since = part - (0.25 + 0.5 * place)
         wave = np.where(since > 0, 0.5, -0.5)
-        if case.shape == "shock":
+        if case.shape == "shock":  # while readings are taken, or it has died away unseen
+            since = part - np.quantile(part, 0.25 + 0.5 * place)
             wave = np.where(since > 0, 2 * np.exp(-np.maximum(since, 0.0) / 0.05), 0.0)
     return readings.with_column("output", readings["output"] + strength * noise * wave)
