@@ -29,8 +29,8 @@ from benchmarks.record import ROOT, write
 
 RESULTS = ROOT / "benchmarks" / "results"
 SEARCHED = ("mems_gyro", "inclinometer", "still_sensor")
-CAMPAIGNS = {"wandering noise": 100}  # for each instrument; of the others:
-OTHERS = 60
+CAMPAIGNS = {"wandering noise": 60}  # for each instrument; of the others:
+OTHERS = 40
 FIRST_SEED = 7000
 METHOD = bc.LeastSquares(draws=200)
 SECONDS = 3300.0
