@@ -154,10 +154,11 @@ def _missing(instrument, readings, noise, random) -> Spoilt:
 
 
 def _uneven(instrument, readings, noise, random) -> Spoilt:
-    """Readings come in bursts: of every ten, those after a random one are lost."""
-    count = random.integers(2, 11, len(readings) // 10 + 1)
+    """Readings come in bursts: of every ten, those after a random one are lost; as many in each campaign."""
+    count = random.permutation(np.resize(np.arange(2, 11), len(readings) // 10 + 1))
     place = np.arange(len(readings))
-    return instrument, readings.select(np.flatnonzero(place % 10 < count[place // 10]))
+    kept = np.flatnonzero(place % 10 < count[place // 10])
+    return instrument, readings.select(kept[: len(readings) // 2])
 
 
 def _scaled(factor: float) -> Spoil:
