@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._calibrate import _other_path
 from bayescal._template import shape_of, template
 from bayescal_models import mems_gyro
 
@@ -98,3 +100,22 @@ def test_a_law_keeps_its_name_beside_a_free_curve_but_not_beside_a_form(jumped: 
     assert first.sets[0].effects == ("unknown(time, jump)",)
     others = [f for n, f in first.verified.items() if not n.startswith("unknown(")]
     assert max(others) < first.verified["unknown(time, jump)"]
+
+
+def steps(law: str, *added: str) -> list:
+    model = SimpleNamespace(noise=SimpleNamespace(law=law))
+    first = SimpleNamespace(added=None, calibration=SimpleNamespace(model=model))
+    return [first, *(SimpleNamespace(added=a, calibration=first.calibration) for a in added)]
+
+
+def test_an_end_is_named_if_it_differs_and_is_within_odds_of_twenty() -> None:
+    white, wandering = steps("white", "unknown(time)"), steps("ornstein_uhlenbeck")
+    near = _other_path(white, "ornstein_uhlenbeck", wandering, -2.0)
+    assert near is not None
+    assert (near.noise, near.added, near.log_bayes_factor) == ("ornstein_uhlenbeck", (), -2.0)
+    assert "wandering noise with nothing added" in str(near)
+    assert _other_path(white, "ornstein_uhlenbeck", wandering, -3.1) is None
+    assert _other_path(white, "white", steps("white", "unknown(time)"), -0.5) is None
+    other = _other_path(wandering, "white", white, -1.0)
+    assert other is not None
+    assert "white noise with unknown(time) added" in str(other)
