@@ -199,10 +199,9 @@ def _single(banks: dict[str, Rows]) -> str:
     told = (
         f"Missed above 15: {len(missed)}. In {alike} of these the hidden effect stands in the first set beside what "
         "was added, and the two predict the second campaign within 2 %: the readings do not tell them apart. In "
-        f"{better} the final model predicts better than the hidden effect's catalogue form. Each, with its oracle, what was "
-        "added instead, and the held-out error in that of the catalogue form: "
-        + (listed or "none")
-        + ".\n"
+        f"{better} the final model predicts better than the catalogue's form of the hidden effect. Each, with its "
+        "oracle, what was added instead, and the held-out error in that of the catalogue's form: "
+        f"{listed or 'none'}.\n"
     )
     return _table(head, rows) + "\n" + told
 
