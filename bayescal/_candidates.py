@@ -23,6 +23,7 @@ from bayescal._susie import Item
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
 SEVERAL_SHAPES = 32  # of several at once, a Sobol sequence
+RAGGED_SHAPES = 128  # where the evidence has many maxima over one of them
 WIDEST = 256  # columns of one candidate over all its grid points
 SPREAD_POINTS = 7  # of a learned spread
 UNKNOWN_SHARE = 0.1  # of the prior, for what no named effect describes
@@ -96,10 +97,21 @@ def lay_out(calibration: Calibration, effects: Sequence[Effect]) -> Columns:
             points.append(GridPoint(named, amplitude, spread is not None, at))
     rows = len(calibration.readings)
     whole = np.concatenate(matrix, axis=1) if matrix else np.zeros((rows, 0))
-    return Columns(whole, tuple(items), tuple(points), tuple(effects), _prior(effects))
+    return Columns(whole, tuple(items), tuple(points), tuple(effects), prior_shares(effects))
 
 
-def _prior(effects: Sequence[Effect]) -> np.ndarray:
+def columns_at(
+    calibration: Calibration, effect: Effect, shapes: Sequence[float]
+) -> list[tuple[np.ndarray, float]]:
+    """Columns ∂μ/∂θ (n, members) of each coefficient at one value of the effect's shapes, and its prior's size."""
+    grid = jnp.asarray(shapes, float).reshape(1, -1)
+    stacks = _all_columns(
+        calibration.layout, calibration.frame, calibration.mode, (effect,), (grid,)
+    )
+    return [(np.asarray(columns[0]), float(size)) for columns, size in stacks[0]]
+
+
+def prior_shares(effects: Sequence[Effect]) -> np.ndarray:
     """Equal shares for named effects, and a small one for all unknown dependences together."""
     unknown = np.array([e.measure is not None for e in effects])
     if unknown.all() or not unknown.any():
@@ -134,7 +146,8 @@ def _shape_grid(effect: Effect) -> np.ndarray:
     if count == 1:
         levels = ((np.arange(SHAPE_POINTS) + 0.5) / SHAPE_POINTS)[:, None]
     else:
-        points = max(8, min(SEVERAL_SHAPES, WIDEST // len(effect.coefficients)))
+        most = RAGGED_SHAPES if any(s.ragged for s in effect.shapes) else SEVERAL_SHAPES
+        points = max(8, min(most, WIDEST // len(effect.coefficients)))
         with warnings.catch_warnings():
             warnings.simplefilter(
                 "ignore", UserWarning

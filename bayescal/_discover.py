@@ -82,7 +82,8 @@ def discover(
     """
     model, readings = calibration.model, calibration.readings
     known = {e.name: e for e in (*model.instrument.candidates, *model.instrument.effects, *effects)}
-    known |= {e.name: e for e in unknowns(calibration)}
+    for effect in unknowns(calibration):
+        known.setdefault(effect.name, effect)
     open_ = [e for n, e in known.items() if n not in model.names]
     reasons = {e.name: testable(e, readings) for e in open_}
     tested = [e for e in open_ if reasons[e.name] is None]

@@ -221,6 +221,7 @@ class Instrument(eqx.Module):
         ]
         noise = getattr(getattr(self.noise, "scale", None), "scale", 1.0)
         low, high = min(sizes, default=noise) / 3, max(sizes, default=noise) * 3
-        if covariate in FORMS:
-            return FORMS[covariate](slot.name, low, high, slot.unit)
+        form = ", ".join(part.strip() for part in covariate.split(","))
+        if form in FORMS:
+            return FORMS[form](slot.name, low, high, slot.unit)
         return unknown(covariate, slot.name, low, high, slot.unit)

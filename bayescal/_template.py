@@ -15,11 +15,12 @@ import numpy as np
 from bayescal._calibration import Calibration
 from bayescal._errors import ModelError
 from bayescal._frame import derived
+from bayescal._instrument import FORMS
 
 ENOUGH = 0.97  # share of the shape's variance from which a simple curve will do
 POINTS = 101
-PERIODS = np.geomspace(0.06, 2.0, 160)  # of a sine, in parts of the range
-PLACES = np.linspace(-0.48, 0.48, 49)  # of a jump, in parts of the range
+PERIODS = np.geomspace(0.06, 2.0, 1000)  # of a sine, in parts of the range
+PLACES = np.linspace(-0.485, 0.485, 98)  # of a jump, in parts of the range
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of an exponential, in parts of the range
 
 
@@ -59,7 +60,8 @@ def shape_of(calibration: Calibration, name: str) -> Shape:
         raise ModelError(
             f"{name!r} is a named effect, not an unknown dependence: it has a form of its own"
         )
-    covariate = name[name.index("(") + 1 : -1].split(",")[0]
+    inside = name[name.index("(") + 1 : -1]
+    covariate = inside.split(",")[0] if inside in FORMS else inside
     low, high = (calibration.reference[f"{covariate}_{end}"] for end in ("low", "high"))
     assert isinstance(low, float) and isinstance(high, float)
     coefficients = np.stack(

@@ -72,14 +72,16 @@ def leading(
 def nearly(
     verified: dict[str, float], judged: Sequence[Candidate], leader: str, readings: int
 ) -> tuple[str, ...]:
-    """Effects with a name that explain nearly all that an unknown function does, by refit: their own credible set.
+    """Effects with a name that explain nearly all that a free curve does, by refit: their own credible set.
 
     Far above the noise a law that takes away nine tenths of the variance, and leaves a departure that the readings
     show, has less than half of the log evidence. The variance is read off the evidence: 1 − exp(−2·log B/n), the
-    coefficient of determination of Cox and Snell.
+    coefficient of determination of Cox and Snell; under wandering noise it is of what the noise does not foretell.
     """
     named = {c.effect: verified[c.effect] for c in judged if not c.unknown and c.effect in verified}
     best, whole = max(named.values(), default=-np.inf), verified[leader]
+    if best <= 0:
+        return ()
     most = np.expm1(-2 * best / readings) <= MOST * np.expm1(-2 * whole / readings)
     return members(judged, named) if best >= HALF * whole or most else ()
 

@@ -154,7 +154,7 @@ def _missing(instrument, readings, noise, random) -> Spoilt:
 
 
 def _uneven(instrument, readings, noise, random) -> Spoilt:
-    """Readings come in bursts: of every ten, those after a random one are lost; as many in each campaign."""
+    """Readings come in bursts: of every ten, those after a random one are lost; then the end, to half of the rows."""
     count = random.permutation(np.resize(np.arange(2, 11), len(readings) // 10 + 1))
     place = np.arange(len(readings))
     kept = np.flatnonzero(place % 10 < count[place // 10])

@@ -119,21 +119,27 @@ def _from_prior(effects: list[bc.Effect], rng: np.random.Generator) -> dict[str,
 def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, list[str]]:
     """Readings drawn from the search's own prior, and what is hidden in them.
 
-    Half of the time nothing; else one candidate by its share of the prior, an unknown function among them, at one of
-    the shapes and spreads of its prior, with standard normal coefficients in the catalogue's own columns.
+    Half of the time nothing; else one candidate by its share of the prior, an unknown function among them, with its
+    shapes, spread and coefficients from their priors, in the catalogue's own columns.
     """
-    rng = np.random.default_rng(case.seed)
+    rng = np.random.default_rng([case.seed, 1])
     readings = simulated(instrument, case)
     if rng.random() < 0.5:
         return readings, []
     model = instrument.for_readings(readings).baseline()
     fit = bc.fit(model, readings, bc.LeastSquares(), strict=False)
-    laid = candidates.lay_out(fit, [*open_effects(model, readings), *unknowns(fit)])
-    chosen = int(rng.choice(len(laid.effects), p=laid.prior))
-    at = list(laid.items[int(rng.choice(laid.of(chosen)))].columns)
-    hidden = laid.matrix[:, at] @ rng.standard_normal(len(at))
-    changed = readings.with_column("output", readings["output"] + hidden)
-    return changed, [laid.effects[chosen].name]
+    effects = [*open_effects(model, readings), *unknowns(fit)]
+    effects = [e for e in effects if testable(e, readings) is None]
+    effect = effects[int(rng.choice(len(effects), p=candidates.prior_shares(effects)))]
+    shapes = [float(s.prior.value(rng.standard_normal())) for s in effect.shapes]
+    hidden = np.zeros(len(readings))
+    for (columns, size), c in zip(
+        candidates.columns_at(fit, effect, shapes), effect.coefficients, strict=True
+    ):
+        if c.spread is not None:
+            size = float(c.spread.value(rng.standard_normal()))
+        hidden += size * columns @ rng.standard_normal(columns.shape[1])
+    return readings.with_column("output", readings["output"] + hidden), [effect.name]
 
 
 def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) -> bc.Measurements:

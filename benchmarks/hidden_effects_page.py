@@ -18,6 +18,13 @@ MARKS = ("<!-- the bank in short -->", "<!-- end of it -->")
 FAIR = 1.05  # held-out error of the true effect's catalogue form, in the final model's, up to which it is the truth
 EDGES = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.01)
 BINS = ((-np.inf, 5.0), (5.0, 8.0), (8.0, 15.0), (15.0, np.inf))
+FATES = (
+    "the right column in the final model",
+    "a catalogue effect of the same set in its place",
+    "said to be wandering noise, the column nearly as probable",
+    "said to be wandering noise, and no more",
+    "something else",
+)
 Rows = list[dict[str, Any]]
 
 
@@ -140,7 +147,6 @@ def _counts(banks: dict[str, Rows]) -> str:
             "outside",
             "from the priors",
             "by the search's prior",
-            "by the search's prior",
             "median s",
         ],
         rows,
@@ -190,7 +196,10 @@ def _single(banks: dict[str, Rows]) -> str:
         for r in _all(banks, "single")
         if r["oracle"] >= BINS[-1][0] and next(iter(r["hidden"])) not in r["final"]
     ]
-    alike = sum(name in r["first_set"] and abs(ratio - 1) < 0.02 for r, name, ratio in missed)
+    alike = sum(
+        {name, *r["added"][:1]} <= set(r["first_set"]) and abs(ratio - 1) < 0.02
+        for r, name, ratio in missed
+    )
     better = sum(ratio < 0.98 for _, _, ratio in missed)
     listed = "; ".join(
         f"`{name}` ({r['oracle']:.0f}): {', '.join(r['final']) or 'nothing'}, {ratio:.2f}"
@@ -232,26 +241,16 @@ def _others(banks: dict[str, Rows]) -> str:
             interval(sum(_named(r, "final") for r in everything), len(everything)),
         ],
         [
-            "the same, or in the first set beside a catalogue effect that was added",
-            interval(
-                sum(_named(r, "final") or _named(r, "first_set") for r in everything),
-                len(everything),
-            ),
+            "the same, or beside a catalogue effect of its set that was added",
+            interval(sum(_fate(r) in FATES[:2] for r in everything), len(everything)),
         ],
     ]
     for shape in OUTSIDE:
-        own = _strong_outside(banks, shape)
-        missed = [r for r in own if not _named(r, "final")]
-        wanders = [r for r in missed if r["noise"] != "white"]
-        undecided = sum(_named(r, "undecided") for r in wanders)
+        own = [_fate(r) for r in _strong_outside(banks, shape)]
         rows += [
-            [f"{shape}: {words}", interval(count, len(own))]
-            for words, count in (
-                ("the column in the final model", len(own) - len(missed)),
-                ("not there, but in the first set", sum(_named(r, "first_set") for r in missed)),
-                ("said to be wandering noise, the column nearly as probable", undecided),
-                ("said to be wandering noise, and no more", len(wanders) - undecided),
-            )
+            [f"{shape}: {fate}", interval(own.count(fate), len(own))]
+            for fate in FATES
+            if fate in own
         ]
     for words, chosen in (
         ("< 0.7", [r for r in everything if r["likeness"] < ALIKE]),
@@ -274,6 +273,17 @@ def _named(row: dict[str, Any], where: str) -> bool:
     """Whether the column outside the catalogue is named there, in whatever form."""
     column = OUTSIDE[row["shape"]].removesuffix(")").split(",")[0]
     return any(n.removesuffix(")").split(",")[0] == column for n in row[where])
+
+
+def _fate(row: dict[str, Any]) -> str:
+    """What became of something outside the catalogue."""
+    if _named(row, "final"):
+        return FATES[0]
+    if _named(row, "first_set") and set(row["final"]) & set(row["first_set"]):
+        return FATES[1]
+    if row["noise"] != "white":
+        return FATES[2] if _named(row, "undecided") else FATES[3]
+    return FATES[4]
 
 
 def _sets(banks: dict[str, Rows]) -> str:

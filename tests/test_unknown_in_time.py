@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal import _calibrate
 from bayescal._calibrate import _other_path
+from bayescal._instrument import free_curve
+from bayescal._judgement import Candidate
 from bayescal._template import shape_of, template
+from bayescal._verification import nearly
 from bayescal_models import mems_gyro
 
 INSTRUMENT = mems_gyro.INSTRUMENT
@@ -56,8 +60,10 @@ def test_a_jump_is_found_where_it_is_and_as_high_as_it_is(jumped: bc.Trail) -> N
     beside = np.sort(at[np.argsort(np.abs(at - PLACE))[:2]])  # no reading tells more than these
     place = float(final.samples("unknown(time, jump).place").mean())
     assert beside[0] - 0.01 < place < beside[1] + 0.01
-    half = final.samples("unknown(time, jump)[1]") * final.samples("unknown(time, jump).amplitude")
-    assert abs(2 * half.mean() - HEIGHT) < 4 * 2 * half.std()
+    height = final.samples("unknown(time, jump)[1]") * final.samples(
+        "unknown(time, jump).amplitude"
+    )
+    assert abs(height.mean() - HEIGHT) < 4 * height.std()
     assert jumped.final.rmse == pytest.approx(0.05, rel=0.1)
 
 
@@ -93,13 +99,89 @@ def test_a_calibration_with_one_is_saved_and_loaded(jumped: bc.Trail, tmp_path) 
     np.testing.assert_allclose(bc.predict(again, fresh).mean, bc.predict(final, fresh).mean)
 
 
-def test_a_law_keeps_its_name_beside_a_free_curve_but_not_beside_a_form(jumped: bc.Trail) -> None:
-    """A jump is as definite as a law: what explains half of it is not put in its place."""
-    first = jumped.steps[0].discovery
-    assert first is not None
-    assert first.sets[0].effects == ("unknown(time, jump)",)
-    others = [f for n, f in first.verified.items() if not n.startswith("unknown(")]
-    assert max(others) < first.verified["unknown(time, jump)"]
+def candidate(effect: str) -> Candidate:
+    return Candidate(effect, prior=0.1)
+
+
+@pytest.mark.parametrize(
+    ("law", "curve", "first"),
+    [
+        (300.0, 500.0, True),  # half of the log evidence
+        (959.0, 2417.0, True),  # less, but 0.967 of the variance where the curve takes 1.000
+        (240.0, 2417.0, False),  # 0.57 of it
+        (-1e300, 2417.0, False),  # no mode was found
+    ],
+)
+def test_a_law_comes_before_a_free_curve_if_it_explains_most_of_it(law, curve, first) -> None:
+    verified = {"unknown(temperature)": curve, "bias.temperature_quadratic": law}
+    found = nearly(verified, [candidate(n) for n in verified], "unknown(temperature)", 563)
+    assert found == (("bias.temperature_quadratic",) if first else ())
+
+
+def test_only_smooth_functions_are_free_curves() -> None:
+    assert free_curve("unknown(time)")
+    assert free_curve("unknown(temperature rate)")
+    assert not free_curve("unknown(time, jump)")
+    assert not free_curve("unknown(time, cycle)")
+    assert not free_curve("bias.drift")
+
+
+@pytest.mark.parametrize(
+    ("newest", "gain", "kept"),
+    [
+        ("unknown(time)", 2.9, True),
+        ("unknown(time)", 3.1, False),
+        ("unknown(time, jump)", 0.1, False),
+        ("bias.warm_up", 0.1, False),
+    ],
+)
+def test_a_law_gives_way_to_a_free_curve_only_at_odds_of_twenty(
+    newest, gain, kept, monkeypatch
+) -> None:
+    start = INSTRUMENT.baseline()
+    monkeypatch.setattr(
+        _calibrate,
+        "laplace_evidence",
+        lambda model, _: 0.0 if "bias.drift" in model.names else gain,
+    )
+    loop = _calibrate._Loop(None, (), None, 5, 0, None, frozenset(start.names))
+    model, dropped = loop._look_back(
+        start + "bias.drift" + newest, [SimpleNamespace(calibration=None)], newest
+    )
+    assert ("bias.drift" in model.names) == kept
+    assert dropped == (() if kept else ("bias.drift",))
+
+
+def test_forms_need_enough_readings_and_their_names_bear_any_space() -> None:
+    effect = INSTRUMENT.unknown("time,jump")
+    assert effect.name == "unknown(time, jump)"
+    readings = mems_gyro.simulate({}, seed=1)
+    assert effect.untestable(readings) is None
+    assert effect.untestable(readings.select(np.arange(29))) == (
+        "needs 30 different times; there are 29"
+    )
+
+
+@pytest.mark.slow
+def test_a_fast_wave_is_found_and_measured_by_the_default_method() -> None:
+    readings = changed(44, lambda at: WAVE * np.sin(2 * np.pi * 13.2 * at))
+    trail = bc.calibrate(INSTRUMENT.baseline(), readings)
+    assert trail.final.calibration.verdict.ok
+    draws = trail.final.calibration.samples("unknown(time, cycle).cycles")
+    assert abs(draws.mean() - 13.2) < max(4 * draws.std(), 0.02)
+    assert 0 < draws.std() < 0.1
+
+
+@pytest.mark.slow
+def test_a_jump_is_measured_by_the_default_method() -> None:
+    readings = changed(45, lambda at: np.where(at > PLACE, HEIGHT, 0.0))
+    sampled = bc.fit(INSTRUMENT.baseline() + "unknown(time, jump)", readings)
+    assert sampled.verdict.ok
+    height = sampled.samples("unknown(time, jump)[1]") * sampled.samples(
+        "unknown(time, jump).amplitude"
+    )
+    assert abs(height.mean() - HEIGHT) < 4 * height.std()
+    assert 0 < sampled.samples("unknown(time, jump).place").std() < 0.02
 
 
 def steps(law: str, *added: str) -> list:

@@ -2,7 +2,7 @@
 
 A smooth process follows both, but spends most of its freedom on what is not there: a record that jumps once, or goes
 up and down evenly, is then more probable as noise that wanders. Each of these forms needs one shape and one or two
-coefficients, scaled by an amplitude as the smooth process is.
+coefficients, scaled by an amplitude as the smooth process is. Beyond the record a jump stays, and a cycle goes on.
 """
 
 from __future__ import annotations
@@ -11,37 +11,45 @@ import functools
 import math
 
 import jax.numpy as jnp
+import numpy as np
 
 from bayescal._coefficient import Coefficient, Shape
 from bayescal._effect import Effect
+from bayescal._measurements import Measurements
 from bayescal._prior import Normal
 
 PLACES = (0.05, 0.95)  # of a jump, in parts of the record
 SHARP = 0.01  # half width of a jump, in parts of the record: as good as sudden, and its place has a slope
 CYCLES = (1.5, 15.0)  # in the record
+FEWEST = (
+    30  # different times, twice as many as the most cycles: fewer would leave a period undetermined
+)
 
 
 @functools.cache
-def jump(slot: str, low: float, high: float, unit: str) -> Effect:
+def jump(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Effect:
     """A slot's value changes at one moment of the record, and stays.
 
     Args:
-        low, high: plausible amplitudes (half the change), in `unit`.
+        low, high: plausible changes, in `unit`.
+        name: canonical; `unknown(time, jump)` if not given.
     """
 
     def basis(r, place, amplitude):
-        return amplitude * jnp.tanh((r.position("time") - place) / SHARP)
+        return 0.5 * amplitude * jnp.tanh((r.position("time") - place) / SHARP)
 
     place = Shape("place", "1", *PLACES, scale="linear", ragged=True)
-    return _in_time("jump", slot, basis, 1, place, (low, high), unit, "±a, from one moment on")
+    equation = "−a/2 before one moment, a/2 after it"
+    return _in_time(name or "jump", slot, basis, 1, place, (low, high), unit, equation)
 
 
 @functools.cache
-def cycle(slot: str, low: float, high: float, unit: str) -> Effect:
+def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Effect:
     """A slot's value goes up and down evenly in time.
 
     Args:
         low, high: plausible amplitudes, in `unit`.
+        name: canonical; `unknown(time, cycle)` if not given.
     """
 
     def basis(r, cycles, amplitude):
@@ -49,12 +57,18 @@ def cycle(slot: str, low: float, high: float, unit: str) -> Effect:
         return amplitude * jnp.stack([jnp.sin(angle), jnp.cos(angle)], axis=1)
 
     cycles = Shape("cycles", "1", *CYCLES, ragged=True)
-    return _in_time("cycle", slot, basis, 2, cycles, (low, high), unit, "a·sin(2π·cycles·t + φ)")
+    equation = "a·sin(2π·cycles·t + φ)"
+    return _in_time(name or "cycle", slot, basis, 2, cycles, (low, high), unit, equation)
 
 
-def _in_time(form, slot, basis, count, shape, amplitudes, unit, equation) -> Effect:
+def _too_few(readings: Measurements) -> str | None:
+    count = np.unique(readings["time"]).size
+    return None if count >= FEWEST else f"needs {FEWEST} different times; there are {count}"
+
+
+def _in_time(name, slot, basis, count, shape, amplitudes, unit, equation) -> Effect:
     return Effect(
-        f"unknown(time, {form})",
+        f"unknown(time, {name})" if name in ("jump", "cycle") else name,
         slot,
         basis,
         coefficients=tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(count)),
@@ -62,6 +76,7 @@ def _in_time(form, slot, basis, count, shape, amplitudes, unit, equation) -> Eff
         measure="amplitude",
         columns=("time",),
         varies=("time",),
+        untestable=_too_few,
         equation=equation,
         source="ours: not in the catalogue; find out what it is, and name it",
     )
