@@ -14,7 +14,7 @@ from bayescal._model import testable
 from bayescal_models import mems_gyro
 
 SIZES = (1 / 3, 3.0)  # of the plausible size
-# Campaigns of each kind for each instrument; single: turns through all candidates, and one more at the end.
+# Campaigns of each kind for each instrument; single: turns through all candidates, and two more at the end.
 COUNTS = {"single": 3, "empty": 60, "pair": 8, "outside": 8, "prior": 40, "law": 40}
 FIRST_SEED = {
     "single": 1000,
@@ -94,9 +94,10 @@ def plan(instrument: bc.Instrument) -> Iterator[Case]:
             yield Case("prior", FIRST_SEED["prior"] + turn, _from_prior(effects, rng))
         if turn < COUNTS["law"]:
             yield Case("law", FIRST_SEED["law"] + turn, {})
-    for i, name in enumerate(names):  # a further turn, drawn last: what was drawn before stays
-        seed = FIRST_SEED["single"] + 100 * COUNTS["single"] + i
-        yield Case("single", seed, {name: _drawn(name, size[name], rng)})
+    for turn in (COUNTS["single"], COUNTS["single"] + 1):  # drawn last: what was drawn before stays
+        for i, name in enumerate(names):
+            seed = FIRST_SEED["single"] + 100 * turn + i
+            yield Case("single", seed, {name: _drawn(name, size[name], rng)})
 
 
 def _signed(name: str, value: float) -> float:
