@@ -39,7 +39,8 @@ def write(banks: dict[str, Rows], path: Path) -> None:
         _counts(banks),
         "Planned for each instrument: "
         + ", ".join(f"{kind} {count}" for kind, count in COUNTS.items())
-        + " (single: for each candidate, and twice more at the end); what is missing of it goes on with the same command.\n",
+        + " (single: for each candidate, and twice more at the end); what is missing of it goes on with the same "
+        "command.\n",
         "## One hidden effect\n",
         _single(banks),
         _sets(banks),
