@@ -28,8 +28,8 @@ FATES = (
 Rows = list[dict[str, Any]]
 
 
-def write(banks: dict[str, Rows], path: Path) -> None:
-    """Render `docs/hidden_effects.md`."""
+def write(banks: dict[str, Rows], spoilt: dict[str, Any], path: Path) -> None:
+    """Render `docs/hidden_effects.md`; `spoilt` is what `false_discoveries` found, by instrument."""
     parts = [
         "# Hidden effects: found, or not\n",
         "Rendered by `python -m benchmarks hidden_effects` from `benchmarks/results/hidden_effects_*.jsonl`. Each "
@@ -46,6 +46,9 @@ def write(banks: dict[str, Rows], path: Path) -> None:
         _sets(banks),
         "## Nothing hidden\n",
         _empty(banks),
+        "## Nothing hidden, and noise or priors that are not as the model takes them\n",
+        "By `python -m benchmarks false_discoveries`.\n",
+        _spoilt(spoilt),
         "## Two hidden effects, and effects outside the catalogue\n",
         _others(banks),
         "## Side by side with customary selections\n",
@@ -225,6 +228,15 @@ def _empty(banks: dict[str, Rows]) -> str:
     every = _all(banks, "empty")
     rows.append(["all", interval(sum(bool(r["final"]) for r in every), len(every)), ""])
     return _table(["instrument", "something added", "what"], rows)
+
+
+def _spoilt(found: dict[str, Any]) -> str:
+    rows = [
+        [name, how, row["added"], ", ".join(row["what"])]
+        for name, kinds in found.items()
+        for how, row in kinds.items()
+    ]
+    return _table(["instrument", "spoilt by", "something added", "what"], rows)
 
 
 def _others(banks: dict[str, Rows]) -> str:
