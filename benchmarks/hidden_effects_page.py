@@ -87,7 +87,7 @@ def in_readme(banks: dict[str, Rows], path: Path) -> None:
             pairs,
         ],
         [
-            "outside the catalogue (a recorded column; a wave, a step or a shock in time): its column in the final model",
+            "outside the catalogue (a column; a wave, step or shock in time): its column in the final model",
             sum(_named(r, "final") for r in outside),
             outside,
         ],
