@@ -24,7 +24,8 @@ Laplace fit, choice of what is sampled, adaptation, warm-up and draws. All sampl
 by JAX. *Plain* is the NumPyro program as anyone would write it; *whitened* and *marginal* are our programs of the same
 posterior, handed to the samplers of others. *Means* and *sds*: the largest distance of a mean from those of the
 reference chains, in their standard deviations, and the range of ratios of standard deviations. A row with R̂ above
-1.01 has not converged, and its effective draws are not to be believed.
+1.01 has not converged, and its effective draws are not to be believed. A row that had not ended was given up after
+the seconds stated, with other work on the machine: it bounds that sampler's speed, and measures none.
 
 | model | sampler | least ESS | seconds | a second | compiling, s | k̂ or R̂ | means | sds |
 |---|---|---|---|---|---|---|---|---|
