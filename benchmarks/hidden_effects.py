@@ -95,16 +95,17 @@ def run(name: str, seconds: float) -> None:
 
 def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
     """What is said of a campaign drawn from the priors."""
-    readings, hidden = simulated(instrument, case), list(case.hidden)
     if case.kind == "law":
         readings, hidden = by_law(instrument, case)
+    else:
+        readings, hidden = simulated(instrument, case), case.hidden
     begun = time.perf_counter()
     model = instrument.for_readings(readings).baseline()
     found = bc.discover(bc.fit(model, readings, METHOD, strict=False))
     return {
         "seed": case.seed,
         "kind": case.kind,
-        "hidden": case.hidden or hidden,
+        "hidden": hidden,
         "nothing": found.nothing_missing,
         "probabilities": _probabilities(found),
         "seconds": time.perf_counter() - begun,

@@ -132,8 +132,8 @@ def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, list
         return readings, []
     model = instrument.for_readings(readings).baseline()
     fit = bc.fit(model, readings, bc.LeastSquares(), strict=False)
-    effects = [*open_effects(model, readings), *unknowns(fit)]
-    effects = [e for e in effects if testable(e, readings) is None]
+    effects = open_effects(model, readings)
+    effects += [e for e in unknowns(fit) if testable(e, readings) is None]
     effect = effects[int(rng.choice(len(effects), p=candidates.prior_shares(effects)))]
     shapes = [float(s.prior.value(rng.standard_normal())) for s in effect.shapes]
     hidden = np.zeros(len(readings))

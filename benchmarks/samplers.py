@@ -241,7 +241,7 @@ for _kind, _warmups in (("plain", (1000, 5000)), ("whitened", (500,)), ("margina
             "PyMC NUTS": lambda t, w=_warmup: pymc_nuts(t, w),
             "BlackJAX Laplace HMC": lambda t, w=_warmup: blackjax_laplace(t, w),
         }.items():
-            long = _warmup == 5000 and "nutpie" not in _name  # only nutpie gains from a longer one
+            long = _warmup == 5000 and "nutpie" not in _name  # asked of nutpie alone
             few = _kind != "plain" and "nutpie, diagonal" not in _name and "dense" not in _name
             if not (long or few):
                 ROWS[f"{_name}, {_kind}, {_warmup} warm-up"] = _chains_row(_kind, _run)

@@ -21,9 +21,7 @@ from bayescal._prior import Normal
 PLACES = (0.05, 0.95)  # of a jump, in parts of the record
 SHARP = 0.01  # half width of a jump, in parts of the record: as good as sudden, and its place has a slope
 CYCLES = (1.5, 15.0)  # in the record
-FEWEST = (
-    30  # different times, twice as many as the most cycles: fewer would leave a period undetermined
-)
+FEWEST = 30  # different times, twice the most cycles: fewer leave a period undetermined
 
 
 @functools.cache
@@ -40,7 +38,8 @@ def jump(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Ef
 
     place = Shape("place", "1", *PLACES, scale="linear", ragged=True)
     equation = "−a/2 before one moment, a/2 after it"
-    return _in_time(name or "jump", slot, basis, 1, place, (low, high), unit, equation)
+    name = name or "unknown(time, jump)"
+    return _in_time(name, slot, basis, 1, place, (low, high), unit, equation)
 
 
 @functools.cache
@@ -58,7 +57,8 @@ def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> E
 
     cycles = Shape("cycles", "1", *CYCLES, ragged=True)
     equation = "a·sin(2π·cycles·t + φ)"
-    return _in_time(name or "cycle", slot, basis, 2, cycles, (low, high), unit, equation)
+    name = name or "unknown(time, cycle)"
+    return _in_time(name, slot, basis, 2, cycles, (low, high), unit, equation)
 
 
 def _too_few(readings: Measurements) -> str | None:
@@ -68,7 +68,7 @@ def _too_few(readings: Measurements) -> str | None:
 
 def _in_time(name, slot, basis, count, shape, amplitudes, unit, equation) -> Effect:
     return Effect(
-        f"unknown(time, {name})" if name in ("jump", "cycle") else name,
+        name,
         slot,
         basis,
         coefficients=tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(count)),
