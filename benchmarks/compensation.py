@@ -40,10 +40,10 @@ import numpy as np
 from scipy import stats
 
 import bayescal as bc
-from bayescal import _composition as composition
-from bayescal._fit import bind
-from bayescal._frame import build_frame, reference_of
-from bayescal._inverse import first_order
+from bayescal._calibration.fit import bind
+from bayescal._compensation.inversion import first_order
+from bayescal._model import forward
+from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import (
     inclinometer,
     mems_gyro,
@@ -118,15 +118,15 @@ class Trial(Ground):
 
         def one(key):
             k = jax.random.split(key, 4)
-            x, rows, v = composition.draw_prior(layout, frame, k[0])
-            hyper = composition.hyper_values(layout, v)
+            x, rows, v = forward.draw_prior(layout, frame, k[0])
+            hyper = forward.hyper_values(layout, v)
             z = jax.random.normal(k[1], (later.size,))
-            new = composition.prior_mean(later) + composition.prior_sd(later, hyper) * z
+            new = forward.prior_mean(later) + forward.prior_sd(later, hyper) * z
             new = new.at[come].set(x[keep]) * act
             no_rows = jnp.zeros((there.size, 0))
-            first = composition.draw_readings(layout, frame, x, rows, v, k[2])
-            second = composition.draw_readings(later, there, new, no_rows, v, k[3]) + extra
-            truth = {**hyper, **composition.coefficients(layout, x, rows, hyper)}
+            first = forward.draw_readings(layout, frame, x, rows, v, k[2])
+            second = forward.draw_readings(later, there, new, no_rows, v, k[3]) + extra
+            truth = {**hyper, **forward.coefficients(layout, x, rows, hyper)}
             return first, second, truth
 
         keys = jax.random.split(jax.random.key(seed), count)

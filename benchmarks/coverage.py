@@ -26,9 +26,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal import _promotion as promotion
-from bayescal._fit import bind
-from bayescal._frame import build_frame, reference_of
+from bayescal._calibration.fit import bind
+from bayescal._inference import sampled_products
+from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import INSTRUMENTS
 from benchmarks.ranks import Judgement, band, drawn, judge, ranks
 from benchmarks.record import ROOT, write
@@ -66,7 +66,7 @@ class Ground:
         """What is promoted is chosen once, on the proving readings, because one program serves all data sets."""
         layout, _ = bind(self.model, self.plan)
         frame = build_frame(self.plan, reference_of(self.plan))
-        chosen, _ = promotion.choose(layout, frame, jnp.asarray(self.plan["output"]), None)
+        chosen, _ = sampled_products.choose(layout, frame, jnp.asarray(self.plan["output"]), None)
         return bc.Marginal(proposals=PROPOSALS, rounds=ROUNDS, promote=chosen.promoted)
 
     @cached_property

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal import _candidates as candidates
-from bayescal import _score as scores
+from bayescal._diagnostics import efficient_score
+from bayescal._discovery import candidate_columns
 from benchmarks.hidden_effects_bank import open_effects
 
 SELECTIONS = ("stepwise BIC", "LASSO", "STLSQ")
@@ -51,7 +51,7 @@ def _columns(
     seen = (
         calibration if readings is calibration.readings else replace(calibration, readings=readings)
     )
-    laid = candidates.lay_out(seen, effects)
+    laid = candidate_columns.lay_out(seen, effects)
     at, owners = [], []
     for i, effect in enumerate(effects):
         items = laid.of(i)
@@ -70,7 +70,7 @@ def _baseline(calibration: bc.Calibration, readings: bc.Measurements) -> tuple[n
         calibration if readings is calibration.readings else replace(calibration, readings=readings)
     )
     y = jnp.asarray(readings["output"])
-    null = scores.null_model(seen.layout, seen.frame, y, seen.mode)
+    null = efficient_score.null_model(seen.layout, seen.frame, y, seen.mode)
     return np.asarray(null.nuisance), None
 
 

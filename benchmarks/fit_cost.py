@@ -154,16 +154,16 @@ def _problem(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
     import jax
     import jax.numpy as jnp
 
-    from bayescal import _composition as composition
-    from bayescal import _linear as linear
-    from bayescal._least_squares import split_hypers
+    from bayescal._inference import gaussian
+    from bayescal._inference.least_squares import split_hypers
+    from bayescal._model import forward
 
     layout, frame, mode = found.layout, found.frame, found.mode
-    prior = linear.prior_of(layout, composition.hyper_values(layout, mode.v), mode.flat)
+    prior = gaussian.prior_of(layout, forward.hyper_values(layout, mode.v), mode.flat)
     _, places = split_hypers(layout)
     if layout.row_blocks or layout.improper:
         raise RuntimeError(f"{kind}: has flat priors or one coefficient for each reading")
-    hyper = composition.hyper_values(layout, mode.v)
+    hyper = forward.hyper_values(layout, mode.v)
     noise = np.sqrt(np.asarray(layout.model.noise.variance(hyper, frame)))
     answer = np.concatenate(
         [(mode.point.x - prior.mean) / prior.sd, mode.v[jnp.array(places, int)]]
@@ -175,8 +175,8 @@ def _problem(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
     @jax.jit
     def residuals(z: jax.Array) -> jax.Array:
         x, w = prior.mean + prior.sd * z[: layout.size], z[layout.size :]
-        own = composition.hyper_values(layout, mode.v.at[jnp.array(places, int)].set(w))
-        guess = composition.mean(layout, frame, x, mode.point.rows, own)
+        own = forward.hyper_values(layout, mode.v.at[jnp.array(places, int)].set(w))
+        guess = forward.mean(layout, frame, x, mode.point.rows, own)
         return jnp.concatenate([(y - guess) / sd, z])
 
     slopes = jax.jit(jax.jacfwd(residuals))
@@ -193,8 +193,7 @@ def warm(kind: str) -> dict[str, Any]:
     import jax
 
     import bayescal as bc
-    from bayescal import _laplace as laplace
-    from bayescal import _least_squares as least_squares
+    from bayescal._inference import laplace, least_squares
 
     model, readings = _case(kind)
     found = bc.fit(model, readings, bc.LeastSquares())

@@ -42,9 +42,9 @@ def bound(n: int, correlated: bool) -> Bound:
     from scipy.signal import lfilter
 
     import bayescal as bc
-    from bayescal import _laplace as laplace
-    from bayescal._fit import bind
-    from bayescal._frame import build_frame, reference_of
+    from bayescal._calibration.fit import bind
+    from bayescal._inference import laplace
+    from bayescal._model.frame import build_frame, reference_of
     from bayescal_models import mems_gyro
 
     rng = np.random.default_rng(SEED)
@@ -153,7 +153,7 @@ def _white_at(n: int) -> tuple[Bound, dict[str, float]]:
     """
     import jax
 
-    from bayescal import _laplace as laplace
+    from bayescal._inference import laplace
 
     b = bound(n, correlated=False)
     density = laplace.density_of_phi(b.layout, b.frame, b.y, b.point, b.flat)
@@ -183,14 +183,14 @@ def _one_pass(b: Bound) -> dict[str, float]:
     """
     import jax
 
-    from bayescal import _composition as composition
-    from bayescal import _linear as linear
-    from bayescal._compile import compiled
+    from bayescal._core.jit import compiled
+    from bayescal._inference import gaussian
+    from bayescal._model import forward
 
     @compiled
     def products(layout: Any, frame: Any, y: Any, point: Any, v: Any) -> Any:
-        grams = linear.gram_function(layout, frame, y, point)
-        return grams(composition.hyper_values(layout, v), v)
+        grams = gaussian.gram_function(layout, frame, y, point)
+        return grams(forward.hyper_values(layout, v), v)
 
     def run() -> Any:
         return jax.block_until_ready(products(b.layout, b.frame, b.y, b.point, b.v))
@@ -274,7 +274,7 @@ def wander() -> dict[str, Any]:
     """
     import jax
 
-    from bayescal import _laplace as laplace
+    from bayescal._inference import laplace
 
     seconds: dict[int, dict[str, float]] = {}
     for n in WANDER_SIZES:

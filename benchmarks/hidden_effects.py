@@ -25,9 +25,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 import bayescal as bc
-from bayescal import _candidates as candidates
-from bayescal import _score as scores
-from bayescal._verification import laplace_evidence
+from bayescal._diagnostics import efficient_score
+from bayescal._discovery import candidate_columns
+from bayescal._discovery.refit import laplace_evidence
 from bayescal_models import INSTRUMENTS
 from benchmarks import hidden_effects_page
 from benchmarks.customary import SELECTIONS, select
@@ -180,8 +180,8 @@ def _likeness(
     """Largest correlation of what was hidden with a catalogue effect's columns, the nuisances projected out."""
     bare = simulated(instrument, Case("empty", case.seed, {}))
     hidden = readings["output"] - bare["output"]
-    laid = candidates.lay_out(first, open_effects(first.model, readings))
-    found = scores.score(first, np.column_stack([laid.matrix, hidden])).information
+    laid = candidate_columns.lay_out(first, open_effects(first.model, readings))
+    found = efficient_score.score(first, np.column_stack([laid.matrix, hidden])).information
     alike = [0.0]
     for item in laid.items:
         at = list(item.columns)

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import bayescal as bc
-from bayescal import _candidates as candidates
-from bayescal._discover import unknowns
-from bayescal._model import testable
+from bayescal._discovery import candidate_columns
+from bayescal._discovery.discover import unknowns
+from bayescal._model.model import testable
 from bayescal_models import mems_gyro
 
 SIZES = (1 / 3, 3.0)  # of the plausible size
@@ -134,11 +134,11 @@ def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, list
     fit = bc.fit(model, readings, bc.LeastSquares(), strict=False)
     effects = open_effects(model, readings)
     effects += [e for e in unknowns(fit) if testable(e, readings) is None]
-    effect = effects[int(rng.choice(len(effects), p=candidates.prior_shares(effects)))]
+    effect = effects[int(rng.choice(len(effects), p=candidate_columns.prior_shares(effects)))]
     shapes = [float(s.prior.value(rng.standard_normal())) for s in effect.shapes]
     hidden = np.zeros(len(readings))
     for (columns, size), c in zip(
-        candidates.columns_at(fit, effect, shapes), effect.coefficients, strict=True
+        candidate_columns.columns_at(fit, effect, shapes), effect.coefficients, strict=True
     ):
         if c.spread is not None:
             size = float(c.spread.value(rng.standard_normal()))

@@ -28,13 +28,11 @@ import xarray as xr
 from arviz_stats.base import array_stats
 
 import bayescal as bc
-from bayescal import _chains as chains
-from bayescal import _laplace as laplace
-from bayescal import _promotion as promotion
-from bayescal._batches import over
-from bayescal._fit import bind
-from bayescal._frame import build_frame, reference_of
-from bayescal._tree import named
+from bayescal._calibration.fit import bind
+from bayescal._calibration.posterior_tree import named
+from bayescal._core.batched_map import over
+from bayescal._inference import laplace, nuts_chains, sampled_products
+from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import INSTRUMENTS
 from benchmarks.record import ROOT, surroundings
 
@@ -63,11 +61,11 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     """
     layout, levels = bind(model, readings)
     frame, y = build_frame(readings, reference_of(readings)), jnp.asarray(readings["output"])
-    layout, _ = promotion.choose(layout, frame, y, None)
+    layout, _ = sampled_products.choose(layout, frame, y, None)
     mode = jax.jit(lambda: laplace.find_mode(layout, frame, y))()
-    density, unpack, start, covariance = chains.whitened(layout, frame, y, mode)
+    density, unpack, start, covariance = nuts_chains.whitened(layout, frame, y, mode)
     key = jax.random.key(SEED)
-    ran = chains.run(
+    ran = nuts_chains.run(
         density, start, covariance, key, warmup=WARMUP, draws=draws, chains=CHAINS, dense=True
     )
     place = jax.jit(lambda q: over(lambda one: unpack(one)[:3], q, 64))

@@ -19,9 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal import _laplace as laplace
-from bayescal import _linear as linear
-from bayescal._optimise import least_squares
+from bayescal._core.levenberg_marquardt import least_squares
+from bayescal._inference import gaussian, laplace
 from benchmarks.record import REFERENCE_DATA
 
 FOLDER = REFERENCE_DATA / "nist_strd"
@@ -169,8 +168,8 @@ def fit_nonlinear(
         residual = expected(found.value, *predictors) - y
         jacobian = jax.jacfwd(lambda b: expected(b, *predictors))(found.value)
         sigma = jnp.sqrt(residual @ residual / (len(y) - start.size))
-        flat = linear.Prior(0 * start, laplace.column_scale(jacobian), 0 * start)
-        given = linear.condition_white(
+        flat = gaussian.Prior(0 * start, laplace.column_scale(jacobian), 0 * start)
+        given = gaussian.condition_white(
             jacobian / sigma, residual / sigma, jnp.zeros(()), flat, found.value
         )
         return found, jnp.sqrt(jnp.diag(given.covariance)), sigma

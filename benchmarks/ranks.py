@@ -17,9 +17,9 @@ import numpy as np
 from scipy import stats
 
 import bayescal as bc
-from bayescal import _composition as composition
-from bayescal._fit import bind
-from bayescal._frame import build_frame, reference_of
+from bayescal._calibration.fit import bind
+from bayescal._model import forward
+from bayescal._model.frame import build_frame, reference_of
 
 MEMBERS = 4  # of each group: the others are exchangeable with them
 POINTS = 50  # at which an ECDF is compared with its band
@@ -42,10 +42,10 @@ def drawn(
 
     def one(key):
         k1, k2 = jax.random.split(key)
-        x, rows, v = composition.draw_prior(layout, frame, k1)
-        hyper = composition.hyper_values(layout, v)
-        values = composition.coefficients(layout, x, rows, hyper)
-        return composition.draw_readings(layout, frame, x, rows, v, k2), {**hyper, **values}
+        x, rows, v = forward.draw_prior(layout, frame, k1)
+        hyper = forward.hyper_values(layout, v)
+        values = forward.coefficients(layout, x, rows, hyper)
+        return forward.draw_readings(layout, frame, x, rows, v, k2), {**hyper, **values}
 
     outputs, truth = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), count))
     data = [plan.with_column("output", np.asarray(y)) for y in outputs]

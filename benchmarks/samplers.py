@@ -36,14 +36,11 @@ from arviz_stats.base import array_stats
 from jax.flatten_util import ravel_pytree
 
 import bayescal as bc
-from bayescal import _chains as chains
-from bayescal import _importance as importance
-from bayescal import _laplace as laplace
-from bayescal import _promotion as promotion
-from bayescal._fit import bind
-from bayescal._frame import build_frame, reference_of
-from bayescal._marginal import smoothed
-from bayescal._nuts import program
+from bayescal._calibration.fit import bind
+from bayescal._inference import importance_sampling, laplace, nuts_chains, sampled_products
+from bayescal._inference.marginal import smoothed
+from bayescal._inference.nuts import program
+from bayescal._model.frame import build_frame, reference_of
 from benchmarks.record import ROOT, write
 from benchmarks.sampler_peers import (
     CHAINS,
@@ -77,7 +74,7 @@ def bound(model: bc.Model, readings: bc.Measurements) -> Problem:
     plain, _ = bind(model, readings)
     frame = build_frame(readings, reference_of(readings))
     y = jnp.asarray(readings["output"])
-    return Problem(plain, promotion.choose(plain, frame, y, None)[0], frame, y)
+    return Problem(plain, sampled_products.choose(plain, frame, y, None)[0], frame, y)
 
 
 def plain_target(p: Problem) -> Target:
@@ -107,7 +104,7 @@ def plain_target(p: Problem) -> Target:
 def whitened_target(p: Problem) -> Target:
     """The exact log density in our whitened coordinates."""
     mode = laplace.compiled_mode(p.layout, p.frame, p.y)
-    density, unpack, centre, covariance = chains.whitened(p.layout, p.frame, p.y, mode)
+    density, unpack, centre, covariance = nuts_chains.whitened(p.layout, p.frame, p.y, mode)
     root = jnp.linalg.cholesky(covariance)
     noise = jax.random.normal(jax.random.key(SEED), (CHAINS, centre.size))
 
@@ -163,10 +160,10 @@ def ours(p: Problem, proposals: int, rounds: int) -> dict[str, Any]:
     """`Marginal`: joint importance draws with their corrected weights."""
 
     def once(seed: int):
-        layout = promotion.choose(p.plain, p.frame, p.y, None)[0]
+        layout = sampled_products.choose(p.plain, p.frame, p.y, None)[0]
         mode = laplace.compiled_mode(layout, p.frame, p.y)
         key = jax.random.key(seed)
-        found = importance.sample_jit(layout, p.frame, p.y, mode, key, proposals, rounds)
+        found = importance_sampling.sample_jit(layout, p.frame, p.y, mode, key, proposals, rounds)
         return layout, jax.tree.map(np.asarray, found)
 
     begun = time.perf_counter()

@@ -50,10 +50,9 @@ def fit_in_here(path: str, what: str) -> None:
     import numpy as np
 
     import bayescal as bc
-    from bayescal import _laplace as laplace
-    from bayescal import _least_squares as least_squares
-    from bayescal._fit import bind
-    from bayescal._frame import build_frame, reference_of
+    from bayescal._calibration.fit import bind
+    from bayescal._inference import laplace, least_squares
+    from bayescal._model.frame import build_frame, reference_of
     from bayescal_models import mems_gyro
 
     def peak() -> float:

@@ -40,7 +40,7 @@ NEAR = 0.1  # standard deviations that the slopes may differ by
 GOALS = {"cold": 2.0, "warm": 4.0}  # times the peer's cold start
 
 OURS = (
-    "from bayescal._cli import main; main()",
+    "from bayescal._cli.main import main; main()",
     "calibrate",
     str(TABLE),
     "--instrument",

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import bayescal as bc
-from bayescal._text import number, pretty
+from bayescal._diagnostics.text import number, pretty
 
 HERE = Path(__file__).parent
 KEPT = HERE.parent / "benchmarks" / "results" / "faults.json"

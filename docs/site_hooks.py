@@ -77,7 +77,7 @@ def commands(_: str = "") -> str:
     """Every command with its arguments and options, as its own `--help` has them."""
     import typer
 
-    from bayescal._cli import app
+    from bayescal._cli.main import app
 
     group: Any = typer.main.get_command(app)
     return "\n\n".join(_command(name, command) for name, command in group.commands.items())

@@ -16,7 +16,7 @@ import hypothesis
 import pytest
 
 import bayescal  # noqa: F401  before JAX
-from bayescal._startup import cache_folder, configure_jax
+from bayescal._core.jax_setup import cache_folder, configure_jax
 
 if TYPE_CHECKING:
     import jax

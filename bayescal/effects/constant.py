@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bayescal._coefficient import Coefficient, Group
-from bayescal._effect import Effect
-from bayescal._prior import Flat, HalfNormal, Normal
+from bayescal._model.coefficient import Coefficient, Group
+from bayescal._model.effect import Effect
+from bayescal._model.prior import Flat, HalfNormal, Normal
 
 
 def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bayescal._coefficient import Coefficient
-from bayescal._effect import Effect
-from bayescal._prior import Normal
+from bayescal._model.coefficient import Coefficient
+from bayescal._model.effect import Effect
+from bayescal._model.prior import Normal
 
 _POWERS = {1: ("", ""), 2: ("_quadratic", "²"), 3: ("_cubic", "³")}
 

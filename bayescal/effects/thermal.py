@@ -5,11 +5,11 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._coefficient import Coefficient, Shape
-from bayescal._effect import Effect
-from bayescal._frame import build_frame, reference_of
-from bayescal._measurements import Measurements
-from bayescal._prior import Normal
+from bayescal._model.coefficient import Coefficient, Shape
+from bayescal._model.effect import Effect
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.prior import Normal
+from bayescal._readings.measurements import Measurements
 
 DEAD_BAND = 0.2  # °C/min, of hysteresis: a chamber that holds its temperature wanders by less
 SEEN = 0.02  # share of the readings that a direction must have to count as one

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bayescal._coefficient import Coefficient
-from bayescal._effect import Effect
-from bayescal._prior import Normal
+from bayescal._model.coefficient import Coefficient
+from bayescal._model.effect import Effect
+from bayescal._model.prior import Normal
 
 
 def thermometer(sd: float, *, source: str, column: str = "temperature") -> Effect:

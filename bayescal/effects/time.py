@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from bayescal._coefficient import Coefficient, Shape
-from bayescal._effect import Effect
-from bayescal._prior import Normal
+from bayescal._model.coefficient import Coefficient, Shape
+from bayescal._model.effect import Effect
+from bayescal._model.prior import Normal
 
 
 def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:

@@ -12,9 +12,9 @@ import math
 
 import jax.numpy as jnp
 
-from bayescal._coefficient import Coefficient, Shape
-from bayescal._effect import Effect
-from bayescal._prior import Normal
+from bayescal._model.coefficient import Coefficient, Shape
+from bayescal._model.effect import Effect
+from bayescal._model.prior import Normal
 
 TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
 LENGTHS = (0.1, 0.8)  # plausible lengths of the process, in parts of the range

@@ -13,10 +13,10 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._coefficient import Coefficient, Shape
-from bayescal._effect import Effect
-from bayescal._measurements import Measurements
-from bayescal._prior import Normal
+from bayescal._model.coefficient import Coefficient, Shape
+from bayescal._model.effect import Effect
+from bayescal._model.prior import Normal
+from bayescal._readings.measurements import Measurements
 
 PLACES = (0.05, 0.95)  # of a jump, in parts of the record
 SHARP = 0.01  # half width of a jump, in parts of the record: as good as sudden, and its place has a slope

@@ -1,0 +1,192 @@
+"""One verb: fit a model to readings by a method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import jax
+import jax.numpy as jnp
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._core.errors import InputError, ModelError, NotConverged
+from bayescal._core.jax_setup import spare_memory_maps
+from bayescal._inference.checkpoint import fingerprint, keeping
+from bayescal._inference.marginal import Marginal
+from bayescal._inference.method import Method, kept_outcome
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Reference, build_frame, reference_of
+from bayescal._model.model import Model
+from bayescal._model.parameters import Layout
+from bayescal._readings.measurements import Measurements
+
+if TYPE_CHECKING:
+    from bayescal._numpyro.fit_program import ProgramFit
+
+GROUPS = ("run", "cell", "axis", "device")
+
+
+@overload
+def fit(
+    model: Model,
+    readings: Measurements,
+    method: Method | None = None,
+    *,
+    seed: int = 0,
+    strict: bool = True,
+    reference: Reference | None = None,
+    checkpoint: str | Path | None = None,
+) -> Calibration: ...
+
+
+@overload
+def fit(
+    model: Callable[..., Any],
+    readings: Any,
+    method: Method | None = None,
+    *,
+    seed: int = 0,
+    strict: bool = True,
+) -> ProgramFit: ...
+
+
+def fit(
+    model: Model | Callable[..., Any],
+    readings: Any,
+    method: Method | None = None,
+    *,
+    seed: int = 0,
+    strict: bool = True,
+    reference: Reference | None = None,
+    checkpoint: str | Path | None = None,
+) -> Calibration | ProgramFit:
+    """Fit a model to readings.
+
+    A NumPyro program is fitted as it is. Its Normal and MultivariateNormal sites are found by tracing it and are
+    integrated out where, given all others, every location is affine in them; what is left is sampled as φ of an
+    own model is. The verdict says which sites, and why not the others. Where none is, NumPyro's NUTS runs.
+
+    Args:
+        model: an instrument, effects, a noise law; or a NumPyro program.
+        readings: measurements of that instrument; for a program its arguments, as a dict by name, a tuple or list
+            in order, or anything else as the only one.
+        method: `Marginal()` if not given; or `LeastSquares()` (own models only), `NUTS()`. For a program,
+            `Marginal(promote=…)` names sites to sample rather than integrate out.
+        seed: of every random number; the same seed gives the same draws on the same machine.
+        strict: raise if the fit did not converge; False returns it with its verdict.
+        reference: constants of the bases, such as {"T0": 0.0}, to use in place of the data's own. Own models only.
+        checkpoint: a file, …nc, that finished pieces of the fit are kept in. A fit that was stopped, killed even,
+            takes up from there and ends with the same draws, bit for bit; one that had ended does not sample again.
+            Own models only.
+
+    Raises:
+        InputError: `reference` names what is no constant of these readings; the checkpoint is none, or one of another
+            model, readings, method, seed or version.
+        ModelError: readings lack a column or have too few rows for the flat coefficients; or a program observes
+            nothing, has discrete unknowns, or does not take these readings.
+        NotConverged: the verdict is not good; carries the calibration.
+    """
+    if not isinstance(model, Model):
+        return _fit_program(model, readings, method, seed, strict, reference, checkpoint)
+    spare_memory_maps()
+    method = Marginal() if method is None else method
+    model.require(readings)
+    own = reference_of(readings)
+    strange = sorted(set(reference or {}) - set(own))
+    if strange:
+        raise InputError(
+            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: {', '.join(own)}"
+        )
+    reference = {**own, **(reference or {})}
+    layout, levels = bind(model, readings)
+    frame = build_frame(readings, reference)
+    y = frame["output"]
+    with keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)):
+        outcome = kept_outcome(layout, lambda: method.run(layout, frame, y, seed))
+    calibration = Calibration(
+        model,
+        readings,
+        outcome.draws,
+        outcome.verdict,
+        method.name,
+        seed,
+        reference,
+        levels,
+        outcome.layout,
+        jax.tree.map(jnp.asarray, outcome.mode),
+        outcome.log_evidence,
+    )
+    if strict and not outcome.verdict.ok:
+        raise NotConverged(
+            f"The fit of {', '.join(model.names)} to {readings.file} did not converge: "
+            f"{' '.join(outcome.verdict.reasons)} (strict=False returns it all the same.)",
+            calibration,
+        )
+    return calibration
+
+
+def _fit_program(model, readings, method, seed, strict, reference, checkpoint) -> ProgramFit:
+    if not callable(model):
+        raise ModelError(
+            f"A model is an instrument with effects, such as mems_gyro.INSTRUMENT.baseline(), or a NumPyro program; "
+            f"this is a {type(model).__name__}"
+        )
+    if reference is not None or checkpoint is not None:
+        name = "reference" if reference is not None else "checkpoint"
+        raise ModelError(
+            f"{name} is for bayescal's own models, and this is a program: leave it out"
+        )
+    from bayescal._numpyro.fit_program import (
+        fit_program,
+    )  # loads NumPyro, which the default fit does without
+
+    return fit_program(model, readings, method, seed=seed, strict=strict)
+
+
+def bind(model: Model, readings: Measurements) -> tuple[Layout, dict[str, tuple[str, ...]]]:
+    """The model's layout for these readings, and the members of each group.
+
+    Raises:
+        ModelError: fewer readings than flat coefficients, or a group effect without its group.
+    """
+    levels = {group: readings.groups(group)[0] for group in GROUPS}
+    counts = {**{g: len(names) for g, names in levels.items()}, "reading": len(readings)}
+    layout = Layout(model, tuple(counts.items()))
+    flat = sum(b.size for b in layout.x_blocks if b.coefficient.flat)
+    if len(readings) <= flat:
+        raise ModelError(
+            f"{readings.file} has {len(readings)} readings for {flat} coefficients with a flat prior: "
+            "measure more, take effects out, or give them a Normal prior"
+        )
+    if not model.noise.independent and layout.row_blocks:
+        raise ModelError(
+            f"Effect {layout.row_blocks[0].effect.name!r} has one coefficient for each reading, which is not "
+            f"combined with {model.noise.law} noise: take the effect out, or use White() noise"
+        )
+    if not model.noise.independent and not readings.has("time"):
+        raise ModelError(
+            f"{model.noise.law} noise needs the column 'time', which {readings.file} lacks: record it, or use "
+            "White() noise"
+        )
+    for b in layout.blocks:
+        if b.size == 0:
+            raise ModelError(
+                f"Effect {b.effect.name!r} has one coefficient for each {b.coefficient.per}, and "
+                f"{readings.file} has none: name them in a column, or take the effect out"
+            )
+    return layout, levels
+
+
+def load(path: str | Path, *, effects: Sequence[Effect] = ()) -> Calibration:
+    """Read a saved calibration.
+
+    Its effects are resolved by name against the installed instruments and `effects`; nothing in the file is
+    evaluated.
+
+    Raises:
+        InputError: not a calibration, another version, or an effect that is not installed.
+    """
+    from bayescal._calibration.storage import load_calibration
+
+    return load_calibration(Path(path), effects)

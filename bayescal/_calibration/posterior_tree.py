@@ -1,0 +1,159 @@
+"""Names and units put to draws: the ArviZ DataTree of a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from bayescal._calibration.calibration import PREDICTIVE_CELLS, Calibration, Draws, flat
+from bayescal._core.batched_map import over
+from bayescal._core.jit import compiled
+from bayescal._model import forward
+from bayescal._model.frame import Frame
+from bayescal._model.parameters import Block, Layout
+from bayescal._readings.measurements import Measurements
+
+PRIOR_DRAWS = 1000
+Levels = Mapping[str, tuple[str, ...]]
+
+
+def build_tree(calibration: Calibration) -> xr.DataTree:
+    """All groups of a calibration's tree.
+
+    `draws` beside ArviZ's own groups holds the same joint draws as plain vectors x, rows and v, from which
+    everything else can be computed again.
+    """
+    c, draws, seed = calibration, calibration.joint, calibration.seed
+    layout, levels, readings, frame = c.layout, c.levels, c.readings, c.frame
+    vectors = xr.Dataset(
+        {
+            "x": (("chain", "draw", "x_entry"), draws.x),
+            "rows": (("chain", "draw", "reading", "row_entry"), draws.rows),
+            "v": (("chain", "draw", "v_entry"), draws.v),
+        }
+    )
+    predictive = _predictive(layout, frame, draws, seed)
+    groups = {
+        "posterior": c.posterior,
+        "log_prior": _log_prior(layout, c.posterior, draws),
+        "posterior_predictive": _output(readings, predictive),
+        "sample_stats": xr.Dataset(
+            {name: (("chain", "draw"), values) for name, values in draws.stats.items()}
+        ),
+        "observed_data": xr.Dataset(
+            {"output": ("reading", readings["output"], {"units": readings.unit("output")})}
+        ),
+        "constant_data": readings.data.drop_vars("output"),
+        "draws": vectors,
+    }
+    prior = _prior_draws(layout, frame, seed)
+    if prior is not None:
+        groups["prior"] = named(layout, levels, *prior)
+    return xr.DataTree.from_dict(groups)
+
+
+def named(
+    layout: Layout, levels: Levels, x: np.ndarray, rows: np.ndarray, v: np.ndarray
+) -> xr.Dataset:
+    """Draws (chains, draws, …) as one variable per unknown, in its reported unit."""
+
+    def one(x, rows, v):
+        return forward.coefficients(layout, x, rows, forward.hyper_values(layout, v))
+
+    if (
+        not layout.row_blocks
+    ):  # XLA spends seconds and gigabytes on an empty array that has a place for each reading
+        rows = rows[:, :, :1]
+    x, rows, v = jnp.asarray(x), jnp.asarray(rows), jnp.asarray(v)
+    values = jax.vmap(jax.vmap(one))(x, rows, v)
+    found: dict[str, tuple] = {}
+    coordinates: dict[str, list[str]] = {}
+    for b in layout.blocks:
+        if b.place == "fixed":
+            continue
+        value, dims = np.asarray(values[b.name]), ("chain", "draw")
+        if b.coefficient.per is None:
+            value = value[..., 0]
+        else:
+            dims = (*dims, b.coefficient.per)
+            if b.coefficient.per != "reading":
+                coordinates[b.coefficient.per] = list(levels[b.coefficient.per])
+        found[b.name] = (dims, value, {"units": b.coefficient.unit, "effect": b.effect.name})
+    for i, h in enumerate(layout.hypers):
+        if h.kind != "promoted":
+            value = np.asarray(h.prior.value(v[..., i]))
+            found[h.name] = (("chain", "draw"), value, {"units": h.unit, "kind": h.kind})
+    return xr.Dataset(found, coords=coordinates)
+
+
+def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Dataset:
+    """Log prior density of each unknown in its own unit, given the hyper-parameters, per draw; no flat ones."""
+    found: dict[str, tuple] = {}
+    fixed = dict(layout.model.fixed)
+    for i, h in enumerate(layout.hypers):
+        if h.kind == "promoted" or h.name not in posterior:
+            continue
+        v = jnp.asarray(draws.v[..., i])
+        _, slope = jax.jvp(h.prior.value, (v,), (jnp.ones_like(v),))  # the value by its coordinate
+        found[h.name] = (("chain", "draw"), np.asarray(h.prior.log_density(v) - jnp.log(slope)))
+    for b in layout.blocks:
+        if b.place == "fixed" or b.coefficient.flat or b.name not in posterior:
+            continue
+        spread = fixed.get(b.spread_name, b.coefficient.size)
+        if b.spread_name in posterior.data_vars:  # `get` would take ".spread" for an attribute
+            spread = posterior[b.spread_name]
+        z = (posterior[b.name] - b.coefficient.mean) / spread
+        density = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
+        found[b.name] = (posterior[b.name].dims, density.transpose(*posterior[b.name].dims).values)
+    return xr.Dataset(found)
+
+
+@compiled
+def replicate(layout: Layout, frame: Frame, draws, keys):
+    """Readings (count, n) simulated from draws (x, rows, v), count each."""
+
+    def one(args):
+        (x, rows, v), key = args
+        return forward.draw_readings(layout, frame, x, rows, v, key)
+
+    return over(one, (draws, keys), 64)
+
+
+def _predictive(layout: Layout, frame: Frame, draws: Draws, seed: int) -> np.ndarray:
+    """Replicated readings, draws thinned so that they stay within a stated size."""
+    chains, count = draws.x.shape[:2]
+    keep = max(1, min(count, PREDICTIVE_CELLS // (chains * frame.size)))
+    step = -(-count // keep)
+    thin = tuple(jnp.asarray(flat(a[:, ::step])) for a in (draws.x, draws.rows, draws.v))
+    keys = jax.random.split(jax.random.key(seed + 1), len(thin[0]))
+    made = np.asarray(replicate(layout, frame, thin, keys))
+    return made.reshape(chains, -1, frame.size)
+
+
+def _output(readings: Measurements, values: np.ndarray) -> xr.Dataset:
+    attributes = {"units": readings.unit("output")}
+    return xr.Dataset({"output": (("chain", "draw", "reading"), values, attributes)})
+
+
+@compiled
+def _draw_priors(layout: Layout, frame: Frame, keys):
+    def one(key):
+        x, rows, v = forward.draw_prior(layout, frame, key)
+        return x, rows if layout.row_blocks else rows[:1], v
+
+    return over(one, keys, 64)
+
+
+def _prior_draws(layout: Layout, frame: Frame, seed: int) -> tuple | None:
+    if layout.improper:
+        return None
+    keys = jax.random.split(jax.random.key(seed + 2), PRIOR_DRAWS)
+    return tuple(np.asarray(a)[None] for a in _draw_priors(layout, frame, keys))
+
+
+def block_of(layout: Layout, name: str) -> Block | None:
+    return next((b for b in layout.blocks if b.name == name), None)

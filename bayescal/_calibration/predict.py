@@ -1,0 +1,108 @@
+"""Expected output of a calibrated model on readings, with its uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._core.batched_map import over
+from bayescal._core.jit import compiled
+from bayescal._model import forward
+from bayescal._model.frame import Frame
+from bayescal._model.parameters import Layout
+from bayescal._readings.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Expected output per reading.
+
+    Attributes:
+        mean: posterior mean of the expected output, output unit, (n,).
+        model_sd: standard uncertainty of the expected output, from coefficients and, for groups that the fit
+            has not seen, from their spread.
+        sd: standard uncertainty of a reading: with noise.
+        residual: output − mean.
+    """
+
+    mean: np.ndarray
+    model_sd: np.ndarray
+    sd: np.ndarray
+    residual: np.ndarray
+
+    @property
+    def rmse(self) -> float:
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+
+def predict(
+    calibration: Calibration,
+    readings: Measurements | None = None,
+    *,
+    new_groups: bool = True,
+    draws: int = 1000,
+) -> Prediction:
+    """Predict readings.
+
+    Args:
+        calibration: a fit.
+        readings: to predict; the fitted ones if not given.
+        new_groups: take every run, cell or device as one that the fit has not seen: its deviation is zero,
+            give or take its spread. False uses the deviations of members that the fit knows by name. An axis
+            is part of its instrument: one that the fit knows is itself either way.
+        draws: posterior draws to average over, at most.
+
+    Raises:
+        ModelError: the readings lack a column that an effect needs.
+    """
+    known = readings is None
+    readings = calibration.readings if readings is None else readings
+    calibration.model.require(readings)
+    frame = calibration.frame_of(readings)
+    if new_groups:
+        frame = eqx.tree_at(
+            lambda f: f.codes,
+            frame,
+            {k: c if k == "axis" else -jnp.ones_like(c) for k, c in frame.codes.items()},
+        )
+    x, rows, v = calibration.draws(draws)
+    if not (known and not new_groups) or rows.shape[1] != len(readings):
+        rows = np.zeros((len(x), len(readings), rows.shape[2]))
+    counts = {**dict(calibration.layout.counts), "reading": len(readings)}
+    layout = Layout(calibration.model, tuple(counts.items()), calibration.layout.promoted)
+    mean, variance, beside = (
+        np.asarray(a) for a in _moments(layout, frame, tuple(jnp.asarray(a) for a in (x, rows, v)))
+    )
+    expected = mean.mean(axis=0)
+    model_variance = mean.var(axis=0) + beside.mean(axis=0)
+    total = np.sqrt(model_variance + variance.mean(axis=0))
+    return Prediction(expected, np.sqrt(model_variance), total, readings["output"] - expected)
+
+
+@compiled
+def _moments(layout: Layout, frame: Frame, draws):
+    """Per draw: expected output, variance of the noise, and of group members and thermometer errors unseen."""
+
+    def one(draw):
+        x, rows, v = draw
+        hyper = forward.hyper_values(layout, v)
+        values = forward.coefficients(layout, x, rows, hyper)
+        mean = forward.mean(layout, frame, x, rows, hyper)
+        noise = layout.model.noise.variance(hyper, frame)
+        line = forward.linearise(layout, frame, x, rows, hyper)
+        beside = jnp.sum((line.rows * forward.row_sd(layout)) ** 2, axis=1)
+        for block in layout.blocks:
+            c = block.coefficient
+            if c.per is None or c.per == "reading" or block.place == "fixed":
+                continue
+            spread = hyper[block.spread_name] if c.spread is not None else c.size
+            column = forward.effect_slope(layout, frame, values, hyper, block)
+            unseen = frame.codes[c.per] < 0
+            beside = beside + jnp.where(unseen, (column * spread) ** 2, 0.0)
+        return mean, noise, beside
+
+    return over(one, draws, 64)

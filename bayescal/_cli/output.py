@@ -1,0 +1,149 @@
+"""What a command answers: as text where a result does not print itself, and as plain JSON data."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._diagnostics.check import Check
+from bayescal._diagnostics.compare import Comparison
+from bayescal._diagnostics.summary import null_directions, summary
+from bayescal._diagnostics.text import WIDTH, number, pretty, table
+from bayescal._discovery.calibrate import Trail
+from bayescal._discovery.draft_effect import template
+from bayescal._model.effect import Effect
+from bayescal._model.instrument import Instrument
+from bayescal._report.result_json import clean
+
+UNEXPLAINED = 3.0  # log Bayes factor from which structure in the residuals is worth a sentence
+
+Kinds = Mapping[str, Sequence[Effect]]
+
+
+def instruments_text(known: Mapping[str, Instrument]) -> str:
+    rows = [[name, pretty(i.unit), i.title] for name, i in known.items()]
+    return table(["instrument", "output", "measures"], rows, left=2, fold=40)
+
+
+def instruments_data(known: Mapping[str, Instrument]) -> dict[str, Any]:
+    return {
+        name: {
+            "title": i.title,
+            "source": i.source,
+            "unit": i.unit,
+            "columns": [column.name for column in i.columns],
+        }
+        for name, i in known.items()
+    }
+
+
+def effects_text(kinds: Kinds) -> str:
+    """A table for each kind of effect ("baseline", …), then the source of each effect."""
+    tables, by_source = [], {}
+    for kind, effects in kinds.items():
+        rows = []
+        for e in effects:
+            first = e.coefficients[0]
+            size = f"{number(first.size)} {pretty(first.unit)}".rstrip()
+            equation = e.equation.replace(",  ", ",\n")
+            rows.append([e.name, size, ", ".join(e.columns) or "–", equation])
+            by_source.setdefault(e.source, []).append(e.name)
+        if rows:
+            head = [kind, "plausible size", "needs", "equation"]
+            tables.append(table(head, rows, left=3, fold=42))
+    sources = (
+        textwrap.fill(f"{source}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
+        for source, names in by_source.items()
+    )
+    return "\n\n".join([*tables, "\n".join(["sources", *sources])])
+
+
+def effects_data(kinds: Kinds) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": e.name,
+            "kind": kind,
+            "equation": e.equation,
+            "size": e.coefficients[0].size,
+            "unit": e.coefficients[0].unit,
+            "columns": list(e.columns),
+            "source": e.source,
+        }
+        for kind, effects in kinds.items()
+        for e in effects
+    ]
+
+
+def fit_data(found: Calibration) -> dict[str, Any]:
+    coefficients, spreads = summary(found)
+    data = {
+        "coefficients": coefficients,
+        "spreads": spreads,
+        "reference": found.reference,
+        "fixed": dict(found.model.fixed),
+        "log_evidence": found.log_evidence,
+        "verdict": vars(found.verdict),
+        "identifiability": {"null_directions": null_directions(found)},
+    }
+    return clean(data)
+
+
+def comparison_data(found: Comparison) -> dict[str, Any]:
+    data = {
+        "rows": [vars(row) for row in found.rows],
+        "group": found.group,
+        "groups": found.groups,
+        "unit": found.unit,
+        "chosen_by": found.chosen_by,
+        "warnings": found.warnings,
+    }
+    return clean(data)
+
+
+def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effect] = ()) -> str:
+    """Columns that the residuals depend on and that no known effect uses, a sentence each.
+
+    Args:
+        calibration, check: a model and where it fails.
+        own: effects of the user's own, known too.
+    """
+    instrument = calibration.model.instrument
+    known = (*instrument.effects, *instrument.candidates, *calibration.model.effects, *own)
+    used = {"run", "time", *(column for effect in known for column in effect.columns)}
+    lines = []
+    for e in check.entries:
+        open_ = e.against not in used and calibration.readings.has(e.against)
+        if open_ and e.log_bayes_factor > UNEXPLAINED:
+            size = f"{abs(e.worst.size):.2g} {pretty(check.unit)}"
+            lines.append(
+                f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "
+                f"{e.log_bayes_factor:.1f}), which no effect of {instrument.name} uses; what is "
+                "found may only stand in for it. Write an effect of your own, and give it with "
+                "--effects."
+            )
+    return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
+
+
+def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
+    """The loop from its first model to its last."""
+    final = trail.final
+    parts = [f"WHERE THE FIRST MODEL FAILS\n\n{trail.steps[0].check}"]
+    for i, step in enumerate(trail.steps):
+        reasons = " ".join(step.calibration.verdict.reasons)
+        said = str(step.discovery) if step.discovery else f"no probabilities: {reasons}"
+        parts.append(f"WHAT IS MISSING FROM STEP {i} ({step.title})\n\n{said}")
+    unexplained = unexplained_text(final.calibration, final.check, own)
+    parts += [unexplained] if unexplained else []
+    for name in (e.name for e in final.calibration.model.effects if e.measure is not None):
+        draft = template(final.calibration, name)
+        parts.append(
+            f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"
+        )
+    parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
+    parts.append(f"COEFFICIENTS\n\n{final.calibration}")
+    if trail.other_path is not None:
+        parts.append(textwrap.fill(f"undecided: {trail.other_path}", WIDTH))
+    parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))
+    return "\n\n".join(parts)

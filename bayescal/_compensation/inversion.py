@@ -1,0 +1,192 @@
+"""The inverse of the equation in use: the stimulus of each reading, for draws of θ or to first order.
+
+A straight line in the stimulus is solved in closed form, anything else by optimistix' Newton, reading by reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._compensation.operating_equation import InUse, Scalars
+from bayescal._core.jit import compiled
+from bayescal._model import forward
+from bayescal._model.frame import Frame
+
+TIGHT = 1e-13  # of Newton's last step, relative
+
+
+def live(function, *arguments: Any) -> list[bool]:
+    """Which leaves of the arguments the value of a function depends on, by its traced operations."""
+    jaxpr = jax.make_jaxpr(function)(*arguments).jaxpr
+    wanted = {id(v) for v in jaxpr.outvars}
+    for equation in reversed(jaxpr.eqns):
+        if any(id(v) in wanted for v in equation.outvars):
+            wanted |= {id(v) for v in equation.invars}
+    return [id(v) in wanted for v in jaxpr.invars]
+
+
+@dataclass(frozen=True)
+class Inverse:
+    """The inverse of an equation in use.
+
+    Attributes:
+        equation: in use.
+        reference: constants of the bases.
+        names: all inputs that there could be.
+    """
+
+    equation: InUse
+    reference: Scalars
+    names: tuple[str, ...]
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs that the output depends on."""
+        theta, inputs = self._zeros()
+        keep = live(
+            lambda inputs: self.equation.point(theta, jnp.ones(()), inputs, self.reference), inputs
+        )
+        return tuple(n for n, k in zip(sorted(inputs), keep, strict=True) if k)
+
+    @cached_property
+    def affine(self) -> bool:
+        """Whether the output is a straight line in the stimulus, by its traced derivative."""
+        theta, inputs = self._zeros()
+        return not live(lambda s: jax.grad(self._at(theta, inputs))(s), jnp.ones(()))[0]
+
+    def _zeros(self) -> tuple[Scalars, Scalars]:
+        theta = {e.key: jnp.ones(()) for e in self.equation.entries()}
+        return theta, {n: jnp.ones(()) for n in self.names}
+
+    def _at(self, theta: Scalars, inputs: Scalars):
+        return lambda s: self.equation.point(theta, s, inputs, self.reference)
+
+
+@compiled
+def over_draws(equation: InUse, reference, affine: bool, theta, output, inputs, record):
+    """Mean and variance of the stimulus over draws of θ, and the mean square of its slope, (n,) each."""
+
+    def add(state, one):
+        count, mean, square, slope = state
+        own = _with_lags(equation, one, inputs, record)
+        found, inclination = _invert(equation, reference, affine, one, output, own)
+        count = count + 1
+        step = found - mean
+        mean = mean + step / count
+        return (count, mean, square + step * (found - mean), slope + inclination**-2), None
+
+    zero = jnp.zeros_like(output)
+    (count, mean, square, slope), _ = jax.lax.scan(add, (0.0, zero, zero, zero), theta)
+    return mean, square / jnp.maximum(count - 1, 1), slope / count
+
+
+@compiled
+def first_order(
+    equation: InUse, reference, affine: bool, theta, covariance, output, inputs, record
+):
+    """Stimulus at θ, its variance by first-order propagation, and its squared slope by the output, (n,) each."""
+    own = _with_lags(equation, theta, inputs, record)
+    found, inclination = _invert(equation, reference, affine, theta, output, own)
+
+    def expected(theta):
+        own = _with_lags(equation, theta, inputs, record)
+        return jax.vmap(lambda s, i: equation.point(_named(equation, theta), s, i, reference))(
+            found, own
+        )
+
+    gradient = -jax.jacfwd(expected)(theta) / inclination[:, None]
+    return found, jnp.einsum("ni,ij,nj->n", gradient, covariance, gradient), inclination**-2
+
+
+def _named(equation: InUse, theta: Float[Array, "p"]) -> Scalars:
+    return {e.key: theta[i] for i, e in enumerate(equation.entries())}
+
+
+def _with_lags(equation: InUse, theta, inputs: Scalars, record: Frame | None) -> Scalars:
+    """The inputs with the lags of a record, for the time constants in θ."""
+    if record is None:
+        return inputs
+    named, found = _named(equation, theta), dict(inputs)
+    for lag in equation.lags:
+        if lag.name not in found:
+            tau = named[lag.shape] if lag.shape else jnp.asarray(lag.tau)
+            found[lag.name] = record.lag(tau, lag.column)
+    return found
+
+
+def _invert(equation: InUse, reference, affine: bool, theta, output, inputs):
+    """Stimulus and the slope of the output by it, reading by reading; NaN where Newton finds none."""
+    named = _named(equation, theta)
+
+    def one(target, inputs):
+        def miss(s, _):
+            return equation.point(named, s, inputs, reference) - target
+
+        at_zero, slope = jax.value_and_grad(miss)(0.0, None)
+        first = -at_zero / slope
+        if affine:
+            return first, slope
+        solver = optx.Newton(rtol=TIGHT, atol=1e-300)
+        found = optx.root_find(miss, solver, first, max_steps=40, throw=False)
+        _, slope = jax.value_and_grad(miss)(found.value, None)
+        settled = jnp.abs(miss(found.value, None)) <= 1e-9 * (jnp.abs(target) + jnp.abs(at_zero))
+        return jnp.where(settled, found.value, jnp.nan), slope
+
+    return jax.vmap(one)(output, inputs)
+
+
+def noise_variance(calibration: Calibration) -> float:
+    """Mean over the posterior of the variance of one reading's noise, output unit squared."""
+    _, _, v = calibration.draws(2000)
+    layout = calibration.layout
+    one = jnp.zeros(1)
+    frame = Frame({}, {}, {}, {}, {}, one.astype(int), one, {})
+
+    def variance(v):
+        return layout.model.noise.variance(forward.hyper_values(layout, v), frame)[0]
+
+    return float(jnp.mean(jax.vmap(variance)(jnp.asarray(v))))
+
+
+class AtPoint(NamedTuple):
+    """The equation at one operating point: expected output, its slope by the stimulus, its gradient by θ."""
+
+    expected: float
+    slope: float
+    gradient: np.ndarray
+
+
+def at_point(
+    equation: InUse,
+    reference: Scalars,
+    mean: np.ndarray,
+    point: Mapping[str, float],
+    names: tuple[str, ...],
+) -> AtPoint:
+    """The equation in use, with its derivatives, at one operating point.
+
+    Args:
+        equation, reference, mean: the equation, its constants, θ.
+        point: stimulus and inputs by name.
+        names: of all inputs; those not in `point` are zero, since the equation makes no use of them.
+    """
+    stimulus = equation.use.stimulus
+    inputs = {n: jnp.asarray(v) for n, v in point.items() if n != stimulus}
+    inputs = {**dict.fromkeys(names, jnp.zeros(())), **inputs}
+
+    def expected(theta, s):
+        return equation.point(_named(equation, theta), s, inputs, reference)
+
+    theta, s = jnp.asarray(mean), jnp.asarray(float(point[stimulus]))
+    value, (gradient, slope) = jax.value_and_grad(expected, argnums=(0, 1))(theta, s)
+    return AtPoint(float(value), float(slope), np.asarray(gradient))

@@ -1,0 +1,4 @@
+"""Where a model fails, and which model predicts better.
+
+Imports `_calibration` and what is below.
+"""

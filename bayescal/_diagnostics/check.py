@@ -1,0 +1,274 @@
+"""Where the model fails: residuals against every covariate, with evidence and the worst region in physical units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import stats
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fit import GROUPS, fit
+from bayescal._diagnostics import efficient_score, smooth_terms
+from bayescal._diagnostics.worst_region import Region, worst_regions
+from bayescal._inference.least_squares import LeastSquares
+
+ALIKE = 0.95  # rank correlation from which two covariates are taken for one
+DUOS = 15  # pairs of covariates, at most
+MEMBERS = 64  # of a group that is looked at member by member, at most
+OUTLIER = 4.0  # leave-one-out standard deviations
+MEAN_IS_OFF = 3.0  # log Bayes factor of structure from which the scatter is not judged
+SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One covariate, or group of readings (`by_group`): a run, a cell, an axis, a device."""
+
+    against: str
+    log_bayes_factor: float
+    worst: Region
+    by_group: bool = False
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two covariates: evidence that the residuals depend on them in a way that is no sum of one of each."""
+
+    against: tuple[str, str]
+    log_bayes_factor: float
+
+
+@dataclass(frozen=True)
+class FixedComparison:
+    """Residuals of a model with fixed coefficients, and the noise that they are judged against, output unit.
+
+    Attributes:
+        noise: standard deviation used as the measure.
+        free_fit: noise of the same model with its coefficients set free.
+        known: contributions known before any fit, by name.
+        mean, low, high, rms: of the residuals.
+        positive, count: residuals above zero, and all of them.
+    """
+
+    noise: float
+    free_fit: float
+    known: dict[str, float]
+    mean: float
+    low: float
+    high: float
+    rms: float
+    positive: int
+    count: int
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the fixed coefficients leave clearly more than the noise of the same model set free."""
+        return self.rms > 2 * self.noise
+
+
+@dataclass(frozen=True)
+class Check:
+    """Where a model fails.
+
+    Attributes:
+        entries: a covariate each, the strongest evidence first.
+        pairs: of covariates, likewise.
+        unit: of the output.
+        rms: of the residuals, output unit.
+        noise: standard deviation that they are judged against.
+        autocorrelation: (lag-1 coefficient within runs, its z).
+        spread_with: covariates with which the scatter changes, and the p-value of each.
+        outliers: (row, leave-one-out standard deviations).
+        pit_p: p-value of uniform leave-one-out probability integral transforms.
+        fixed: only for models with fixed coefficients.
+        residuals: (n,), output unit.
+    """
+
+    entries: tuple[Entry, ...]
+    pairs: tuple[Pair, ...]
+    unit: str
+    rms: float
+    noise: float
+    autocorrelation: tuple[float, float]
+    spread_with: dict[str, float]
+    outliers: tuple[tuple[int, float], ...]
+    pit_p: float
+    fixed: FixedComparison | None
+    residuals: np.ndarray = field(repr=False)
+
+    def __str__(self) -> str:
+        from bayescal._diagnostics.text import (
+            check_text,
+        )  # tables for people stand above this floor
+
+        return check_text(self)
+
+
+def check(calibration: Calibration) -> Check:
+    """Where a fitted model fails.
+
+    A model with fixed coefficients is judged against the noise of the same model set free (and that is set beside
+    the noise known before any fit), not against a noise inflated to cover its misfit.
+    """
+    judged, free_noise = _judged(calibration)
+    residual, white, sd = efficient_score.residuals(judged)
+    noise = float(np.sqrt(np.mean(sd**2)))
+    covariates = covariates_of(judged)
+    duos = _duos(covariates)
+    products = [smooth_terms.together(a, b) for a, b in duos]
+    evidence = smooth_terms.log_bayes_factors(judged, [*covariates, *products], noise)
+    factors, of_duos = evidence[: len(covariates)], evidence[len(covariates) :]
+    regions = worst_regions(judged, covariates, residual)
+    entries = [
+        Entry(b.name, f, region, bool(b.levels))
+        for b, f, region in zip(covariates, factors, regions, strict=True)
+    ]
+    pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(duos, of_duos, strict=True)]
+    pairs.sort(key=lambda p: -p.log_bayes_factor)
+    entries.sort(key=lambda e: -e.log_bayes_factor)
+    loo = _leave_one_out(judged, white)
+    return Check(
+        tuple(entries),
+        tuple(pairs),
+        calibration.unit,
+        float(np.sqrt(np.mean(residual**2))),
+        noise,
+        autocorrelation(judged, white),
+        # Where the mean is off, so is the size of the residuals: scatter is judged only where it is not.
+        _spread_with(covariates, white) if max(factors, default=0.0) < MEAN_IS_OFF else {},
+        tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
+        float(stats.kstest(stats.norm.cdf(loo), "uniform").pvalue),
+        None if free_noise is None else _compare_fixed(calibration, residual, noise, free_noise),
+        residual,
+    )
+
+
+def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
+    """The calibration with the noise to judge by; and the free fit's noise, if coefficients are fixed."""
+    held = {b.name for b in calibration.layout.blocks if b.place == "fixed"}
+    if not held:
+        return calibration, None
+    free = fit(
+        calibration.model.free(*held),
+        calibration.readings,
+        LeastSquares(draws=400),
+        reference=calibration.reference,
+        strict=False,
+    )
+    sd = efficient_score.residuals(free).sd
+    names = {h.name: i for i, h in enumerate(calibration.layout.hypers) if h.kind == "noise"}
+    v = np.array(calibration.mode.v)
+    for i, h in enumerate(free.layout.hypers):
+        if h.name in names:
+            v[names[h.name]] = free.mode.v[i]
+    mode = calibration.mode._replace(v=jnp.asarray(v))
+    judged = replace(calibration, mode=mode) if names else calibration
+    return judged, float(np.sqrt(np.mean(sd**2)))
+
+
+def _compare_fixed(
+    calibration: Calibration, residual: np.ndarray, noise: float, free: float
+) -> FixedComparison:
+    known = calibration.model.instrument.known_noise
+    slope = 0.0
+    if calibration.readings.has("temperature"):
+        t = calibration.readings["temperature"]
+        slope = float(np.polyfit(t, calibration.readings["output"], 1)[0]) if np.ptp(t) > 0 else 0.0
+    return FixedComparison(
+        noise,
+        free,
+        known(slope) if known else {},
+        float(residual.mean()),
+        float(residual.min()),
+        float(residual.max()),
+        float(np.sqrt(np.mean(residual**2))),
+        int((residual > 0).sum()),
+        residual.size,
+    )
+
+
+def covariates_of(calibration: Calibration) -> list[smooth_terms.Block]:
+    """Everything recorded or derived that residuals can be laid against."""
+    readings, frame = calibration.readings, calibration.frame
+    found = []
+    for name in readings.columns:
+        unit = readings.unit(name)
+        skip = name in ("output", "output_uncertainty", "temperature_point") or unit is None
+        if not skip and np.ptp(readings[name]) > 0:
+            found.append(
+                smooth_terms.smooth(name, readings[name], unit or "", in_time=name == "time")
+            )
+    if "temperature" in frame.rates and np.ptp(np.asarray(frame.rates["temperature"])) > 0:
+        rate = np.asarray(frame.rates["temperature"]) * 60
+        found.append(smooth_terms.smooth("temperature rate", rate, "degC/min"))
+    if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
+        elapsed = np.asarray(frame.columns["elapsed"])
+        found.append(smooth_terms.smooth("elapsed", elapsed, "s", in_time=True))
+    for group in GROUPS:
+        levels, codes = readings.groups(group)
+        if 1 < len(levels) <= MEMBERS:
+            found.append(smooth_terms.members(group, codes, levels))
+    if not readings.has("time"):
+        found.append(smooth_terms.smooth("order", np.arange(1.0, len(readings) + 1), in_time=True))
+    return found
+
+
+def _duos(
+    covariates: list[smooth_terms.Block],
+) -> list[tuple[smooth_terms.Block, smooth_terms.Block]]:
+    """Pairs of covariates that are not nearly one and the same."""
+    varied = [b for b in covariates if not b.levels]
+    rank = {b.name: stats.rankdata(b.values) for b in varied}
+    return [
+        (a, b)
+        for a, b in combinations(varied, 2)
+        if abs(np.corrcoef(rank[a.name], rank[b.name])[0, 1]) < ALIKE
+    ][:DUOS]
+
+
+def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
+    """Lag-1 autocorrelation of neighbours in time within runs, and its z under independence."""
+    frame = calibration.frame
+    order = np.asarray(frame.order)
+    ordered = standardised[order]
+    linked = np.asarray(frame.step)[1:] > 0
+    if not calibration.readings.has("time"):
+        linked = np.ones(len(ordered) - 1, bool)
+    pairs = (ordered[1:] * ordered[:-1])[linked]
+    if not pairs.size:
+        return 0.0, 0.0
+    coefficient = float(pairs.mean() / np.mean(ordered**2))
+    return coefficient, coefficient * float(np.sqrt(pairs.size))
+
+
+def _spread_with(
+    covariates: list[smooth_terms.Block], standardised: np.ndarray
+) -> dict[str, float]:
+    """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
+    found = {}
+    for block in covariates:
+        if not block.levels:
+            p = float(stats.spearmanr(np.abs(standardised), block.values).pvalue)
+            if p < SIGNIFICANT:
+                found[block.name] = p
+    return found
+
+
+def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
+    """Each reading predicted from the others, in standard deviations of that prediction.
+
+    Under correlated noise: each reading predicted from those before it in its run.
+    """
+    if not calibration.model.noise.independent:
+        return white
+    y = jnp.asarray(calibration.readings["output"])
+    null = efficient_score.null_model(calibration.layout, calibration.frame, y, calibration.mode)
+    noise = calibration.model.noise.variance(null.hyper, calibration.frame) + null.extra
+    scaled = np.asarray(null.nuisance * null.prior.sd) / np.sqrt(np.asarray(noise))[:, None]
+    inner = scaled.T @ scaled + np.diag(np.asarray(null.prior.weight))
+    leverage = np.einsum("ij,ij->i", scaled, np.linalg.solve(inner, scaled.T).T)
+    # V⁻¹r over the root of V⁻¹'s diagonal, both from the leverages.
+    return white / np.sqrt(np.maximum(1 - leverage, 1e-12))

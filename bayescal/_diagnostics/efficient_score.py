@@ -1,0 +1,158 @@
+"""The efficient score: what the readings say of a column that is not in the model.
+
+At the fitted model, with every nuisance marginalised under its prior (V = Σ + J·D·Jᵀ, spreads and noise at their
+marginal-likelihood estimates), a column X has the score u = XᵀV⁻¹r and the information I = XᵀV⁻¹X. No refit per
+candidate. Columns are scaled by their prior standard deviation, so that every prior here is standard normal.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._core.jit import compiled
+from bayescal._inference import gaussian
+from bayescal._model import forward
+from bayescal._model.frame import Frame
+from bayescal._model.parameters import Layout
+
+
+class Score(NamedTuple):
+    """Score and information of P columns.
+
+    u (P,), information (P, P) after the nuisances; `before` (P,): information with every nuisance known.
+    """
+
+    u: np.ndarray
+    information: np.ndarray
+    before: np.ndarray
+
+    def part(self, columns: list[int]) -> Score:
+        at = np.ix_(columns, columns)
+        return Score(self.u[columns], self.information[at], self.before[columns])
+
+    def given(self, columns: list[int]) -> Score:
+        """What the readings say of every column once these, under their unit priors, are nuisances too."""
+        inner = self.information[np.ix_(columns, columns)] + np.eye(len(columns))
+        cross = self.information[columns]
+        pull = np.linalg.solve(inner, np.column_stack([cross, self.u[columns]]))
+        left = self.information - cross.T @ pull[:, :-1]
+        return Score(self.u - cross.T @ pull[:, -1], left, self.before)
+
+
+class Null(NamedTuple):
+    """The fitted model as a linear one: residual at the prior mean, and all nuisance columns."""
+
+    residual: Float[Array, "n"]
+    nuisance: Float[Array, "n q"]
+    prior: gaussian.Prior
+    extra: Float[Array, "n"]
+    hyper: forward.Values
+
+
+def null_model(layout: Layout, frame: Frame, y: Float[Array, "n"], mode) -> Null:
+    """Linearise the fitted model; shapes and promoted coefficients are nuisances too."""
+    hyper = forward.hyper_values(layout, mode.v)
+    point = mode.point
+    line = forward.linearise(layout, frame, point.x, point.rows, hyper)
+    moving = [i for i, h in enumerate(layout.hypers) if h.moves]
+    nuisance, prior = line.jacobian, gaussian.prior_of(layout, hyper, mode.flat)
+    at = point.x
+    if moving:
+        places = jnp.asarray(moving)
+
+        def output(w):
+            values = forward.hyper_values(layout, mode.v.at[places].set(w))
+            return forward.mean(layout, frame, point.x, point.rows, values)
+
+        nuisance = jnp.concatenate([nuisance, jax.jacfwd(output)(mode.v[places])], axis=1)
+        ones = jnp.ones(len(moving))
+        prior = gaussian.Prior(
+            jnp.concatenate([prior.mean, 0 * ones]),
+            jnp.concatenate([prior.sd, ones]),
+            jnp.concatenate([prior.weight, ones]),
+        )
+        at = jnp.concatenate([at, mode.v[places]])
+    back = jnp.sum(line.rows * point.rows, axis=1)
+    offset = jnp.where(prior.weight > 0, prior.mean - at, 0.0)
+    residual = y - line.mean + back - nuisance @ offset
+    return Null(residual, nuisance, prior, gaussian.row_variance(layout, line), hyper)
+
+
+@compiled
+def _score(layout: Layout, frame: Frame, y: Array, mode, columns: Float[Array, "n m"]):
+    null = null_model(layout, frame, y, mode)
+    q = null.nuisance.shape[1]
+    stacked = jnp.concatenate([null.nuisance * null.prior.sd, columns], axis=1)
+    gram = layout.model.noise.gram(stacked, null.residual, null.extra, null.hyper, frame)
+    inner = gram.jtj[:q, :q] + jnp.diag(null.prior.weight)
+    cross, own = gram.jtj[:q, q:], gram.jtj[q:, q:]
+    solved = (
+        jnp.linalg.solve(inner, jnp.concatenate([cross, gram.jtr[:q, None]], axis=1)) if q else 0.0
+    )
+    if q == 0:
+        return gram.jtr, own, jnp.diag(own)
+    u = gram.jtr[q:] - cross.T @ solved[:, -1]
+    return u, own - cross.T @ solved[:, :-1], jnp.diag(own)
+
+
+def score(calibration: Calibration, columns: np.ndarray) -> Score:
+    """Score and information of columns (n, P) at a fitted model, output unit per prior sd."""
+    y = jnp.asarray(calibration.readings["output"])
+    found = _score(calibration.layout, calibration.frame, y, calibration.mode, jnp.asarray(columns))
+    u, information, before = (np.asarray(a) for a in found)
+    return Score(u, 0.5 * (information + information.T), before)
+
+
+@compiled
+def _residuals(layout: Layout, frame: Frame, y: Array, mode):
+    null = null_model(layout, frame, y, mode)
+    noise = layout.model.noise
+    q = null.nuisance.shape[1]
+    scaled = null.nuisance * null.prior.sd
+    gram = noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
+    fitted = jnp.zeros(frame.size)
+    if q:
+        fitted = scaled @ jnp.linalg.solve(gram.jtj + jnp.diag(null.prior.weight), gram.jtr)
+    residual = null.residual - fitted
+    white, _ = noise.whiten(residual[:, None], null.extra, null.hyper, frame)
+    sd = jnp.sqrt(noise.variance(null.hyper, frame) + null.extra)
+    return residual, white[:, 0], sd
+
+
+class Residuals(NamedTuple):
+    """Residuals at the fit (n,): in the output unit; whitened, so that sd is one and neighbours are independent if
+    the noise law is right; and the standard deviation of the noise of each reading, output unit."""
+
+    raw: np.ndarray
+    white: np.ndarray
+    sd: np.ndarray
+
+
+def residuals(calibration: Calibration) -> Residuals:
+    """Residuals of the fitted readings, group deviations as fitted."""
+    y = jnp.asarray(calibration.readings["output"])
+    found = _residuals(calibration.layout, calibration.frame, y, calibration.mode)
+    return Residuals(*(np.asarray(a) for a in found))
+
+
+@compiled
+def _projections(layout: Layout, frame: Frame, y: Array, mode, residual: Array, columns: Array):
+    null = null_model(layout, frame, y, mode)
+    gram = layout.model.noise.gram(columns, residual, null.extra, null.hyper, frame)
+    return gram.jtr, gram.jtj
+
+
+def projections(
+    calibration: Calibration, residual: np.ndarray, columns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns (n, P) and the residuals at the fit: no nuisance is taken out again."""
+    y = jnp.asarray(calibration.readings["output"])
+    args = (y, calibration.mode, jnp.asarray(residual), jnp.asarray(columns))
+    found = _projections(calibration.layout, calibration.frame, *args)
+    return np.asarray(found[0]), np.asarray(found[1])

@@ -1,0 +1,384 @@
+"""Results as text for people: every table that a result prints."""
+
+from __future__ import annotations
+
+import textwrap
+import unicodedata
+from math import floor, log10
+from typing import TYPE_CHECKING
+
+from bayescal._diagnostics.summary import null_directions, summary
+from bayescal._readings.units import pretty as pretty_unit
+
+if TYPE_CHECKING:
+    from bayescal._calibration.calibration import Calibration
+    from bayescal._compensation.budget import Budget
+    from bayescal._diagnostics.check import Check, Region
+    from bayescal._diagnostics.compare import Comparison
+    from bayescal._discovery.discover import Candidate, Discovery
+    from bayescal._discovery.next_experiment import NextExperiment
+    from bayescal._discovery.search_path import Trail
+
+CLEAR = 5.0  # expected log Bayes factor from which an experiment tells two effects apart
+STRUCTURE = (
+    3.0  # log Bayes factor from which two covariates together are worth a line, if above each one's
+)
+WIDTH = 110  # columns that a table or a sentence should fit in
+
+
+def pretty(unit: str) -> str:
+    """A unit for people; nothing for a number without one."""
+    return pretty_unit(unit) if unit not in ("", "1") else ""
+
+
+def _width(text: str) -> int:
+    """Columns that a text takes: the mark over a letter takes none."""
+    return sum(not unicodedata.combining(c) for c in text)
+
+
+def table(head: list[str], rows: list[list[str]], left: int = 1, fold: int = 0) -> str:
+    """Columns under a ruled head.
+
+    Args:
+        head, rows: cells; in a folded column, a line break stays one.
+        left: this many columns are flush left, the others flush right.
+        fold: if not zero, the last column is flush left too, and is folded to this width or to
+            what is left of the page, whichever is more.
+    """
+    widths = [
+        max(_width(t) for r in [head, *rows] for t in r[i].split("\n")) for i in range(len(head))
+    ]
+    if fold:
+        room = WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1)
+        widths[-1] = min(widths[-1], max(room, fold))
+
+    def line(cells: list[str]) -> str:
+        *most, last = cells
+        folded = [t for part in last.split("\n") for t in _folded(part, widths[-1] if fold else 0)]
+        parts = []
+        for i, (cell, width) in enumerate(zip([*most, folded[0]], widths, strict=True)):
+            space = " " * (width - _width(cell))
+            flush_left = i < left or (fold and i == len(cells) - 1)
+            parts.append(cell + space if flush_left else space + cell)
+        indent = " " * (sum(widths[:-1]) + 2 * (len(widths) - 1))
+        return "\n".join(["  ".join(parts).rstrip(), *(indent + rest for rest in folded[1:])])
+
+    return "\n".join([line(head), "  ".join("─" * w for w in widths), *(line(r) for r in rows)])
+
+
+def _folded(text: str, width: int) -> list[str]:
+    return [text] if _width(text) <= width or not width else textwrap.wrap(text, width)
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Significant digits, no exponent where it can be avoided, – for nothing."""
+    if value is None:
+        return "–"
+    if value == 0 or 1e-4 <= abs(value) < 1e6:
+        text = f"{value:.{digits}g}"
+        return f"{float(text):.0f}" if "e" in text else text
+    return f"{value:.{digits}g}"
+
+
+def _scaled(value: float, error: float) -> tuple[int, int]:
+    """(power of ten to take out, decimal places that show the error to two digits)."""
+    place = floor(log10(error))
+    largest = max(place, floor(log10(abs(value))) if value else place)
+    power = largest if largest < -3 or largest > 6 else 0
+    return power, max(0, 1 - place + power)
+
+
+def with_error(value: float, error: float) -> str:
+    """value ± error, the error to two significant digits and the value to the same place.
+
+    A value without a sizeable error (held at an estimate, not sampled) stands alone.
+    """
+    if not error > 1e-9 * abs(value):
+        return number(value, 4)
+    power, places = _scaled(value, error)
+    if places > 8:
+        return f"{value:.6g} ± {error:.2g}"
+    text = f"{value / 10**power:z.{places}f} ± {error / 10**power:.{places}f}"
+    return f"({text})e{power}" if power else text
+
+
+def _interval(low: float, high: float, mean: float, error: float) -> str:
+    """The two ends, to the place of the error, or one further where that is coarse."""
+    if not error > 1e-9 * abs(mean):
+        return "–"
+    power, places = _scaled(mean, error)
+    if places > 8:
+        return f"{low:.6g} to {high:.6g}"
+    text = f"{low / 10**power:z.{places}f} to {high / 10**power:z.{places}f}"
+    return f"({text})e{power}" if power else text
+
+
+def probability(p: float | None) -> str:
+    if p is None:
+        return "–"
+    if p > 0.995:
+        return "> 0.99"
+    return f"{p:.2f}" if p >= 0.005 else "< 0.01"
+
+
+def check_text(check: Check) -> str:
+    """Where a model fails, the worst covariate first."""
+    unit = pretty(check.unit)
+    rows = [
+        [
+            e.against,
+            f"{e.log_bayes_factor:z.1f}",
+            f"{e.worst.size:+.3g} {unit}",
+            f"{e.worst.z:+.1f}",
+            f"{e.against} {e.worst.group}" if e.by_group else _where(e.against, e.worst),
+        ]
+        for e in check.entries
+    ]
+    head = ["residuals against", "log Bayes factor", "worst mean", "z", "where"]
+    noise = f"judged against noise of {check.noise:.3g} {unit}"
+    lines = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
+    if check.fixed:
+        lines += [_fixed_text(check), ""]
+    lines.append(table(head, rows, fold=25) if rows else "no covariate varies")
+    lines += [
+        f"{' and '.join(p.against)} together: no sum of one on each explains it (log Bayes factor "
+        f"{p.log_bayes_factor:.1f})"
+        for p in check.pairs[:2]
+        if p.log_bayes_factor > max(STRUCTURE, *(e.log_bayes_factor for e in check.entries))
+    ]
+    coefficient, z = check.autocorrelation
+    lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
+    for name, p in check.spread_with.items():
+        lines.append(f"scatter changes with {name} (p = {p:.1g})")
+    if check.outliers:
+        shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
+        lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
+    lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
+    return "\n".join(lines)
+
+
+def _where(against: str, region: Region) -> str:
+    if against == "order":
+        rows = f"{region.low:.0f} to {region.high:.0f}"
+        return f"row {region.low:.0f}" if region.low == region.high else f"rows {rows}"
+    unit = pretty(region.covariate_unit)
+    place = f"{number(region.low, 4)} to {number(region.high, 4)} {unit}".rstrip()
+    if region.low == region.high:
+        place = f"at {number(region.low, 4)} {unit}".rstrip()
+    return place + (f" in run {region.group}" if region.group else "")
+
+
+def _fixed_text(check: Check) -> str:
+    f, unit = check.fixed, pretty(check.unit)
+    assert f is not None
+    known = sum(v**2 for v in f.known.values()) ** 0.5
+    lines = [
+        f"with the fixed coefficients: {f.positive} of {f.count} residuals are positive, "
+        f"mean {f.mean:.2f} ({f.low:.2f} to {f.high:.2f}) {unit}, rms {f.rms:.2f}",
+        f"the same model set free leaves {f.free_fit:.3g} {unit}: "
+        f"the rms is {f.rms / f.noise:.1f} times that",
+    ]
+    if known > 0:
+        parts = ", ".join(f"{k} {v:.2g}" for k, v in f.known.items())
+        lines.append(
+            f"known beforehand: {known:.2g} {unit} ({parts}):\n"
+            f"  the rms is {f.rms / known:.0f} times that"
+        )
+    return "\n".join(lines)
+
+
+def discovery_text(found: Discovery) -> str:
+    """What is missing, and every candidate, the most probable first."""
+    lines = [f"nothing is missing: probability {probability(found.nothing_missing)}"]
+    for s in found.sets:
+        names = " or ".join(s.effects)
+        tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
+        lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
+    quiet = (None, "not visible")  # an unknown dependence without evidence is not worth a line
+    tested = [
+        c
+        for c in found.candidates
+        if c.kind != "not testable" and not (c.unknown and c.kind in quiet)
+    ]
+    head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
+    lines.append(table(head, [_candidate_row(c) for c in tested], fold=29) if tested else "")
+    if any(c.source == "refit" for c in tested):
+        lines.append("* log Bayes factor by refit; the others by score")
+    lines += _alike(found) + _not_testable(found)
+    return "\n".join(line for line in lines if line)
+
+
+def _candidate_row(c: Candidate) -> list[str]:
+    remark = "this experiment cannot see it" if c.kind == "not visible" else c.kind or ""
+    factor = "–" if c.log_bayes_factor is None else f"{c.log_bayes_factor:z.1f}"
+    return [
+        c.effect,
+        probability(c.probability),
+        factor + ("*" if c.source == "refit" else " "),
+        f"{with_error(c.size or 0.0, c.size_sd or 0.0)} {pretty(c.unit)}".rstrip(),
+        number(c.minimum_detectable, 2),
+        remark,
+    ]
+
+
+def _alike(found: Discovery) -> list[str]:
+    """One line for each group of candidates that these readings can hardly tell apart."""
+    groups: dict[frozenset[str], str] = {}
+    for c in found.candidates:
+        if c.indistinguishable_from:
+            members = (c.effect, *c.indistinguishable_from)
+            if not any(frozenset(members) <= known for known in groups):
+                groups[frozenset(members)] = ", ".join(members)
+    return [
+        textwrap.fill(f"hard to tell apart: {names}", WIDTH, subsequent_indent="  ")
+        for names in groups.values()
+    ]
+
+
+def _not_testable(found: Discovery) -> list[str]:
+    """One line for each reason, with the effects that it holds back."""
+    by_reason: dict[str, list[str]] = {}
+    for c in found.candidates:
+        if c.kind == "not testable":
+            by_reason.setdefault(c.reason, []).append(c.effect)
+    return [
+        textwrap.fill(f"not testable, {reason}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
+        for reason, names in by_reason.items()
+    ]
+
+
+def comparison_text(found: Comparison) -> str:
+    """Models side by side, the best first."""
+    unit = pretty(found.unit)
+    grouped = found.chosen_by == "left-out groups"
+    head = ["model", f"rmse [{unit}]"]
+    head += [f"left-out {found.group}", "score", "difference"] if grouped else []
+    head += ["LOO", "difference", "log evidence", "weight"]
+    rows = []
+    for r in found.rows:
+        cells = [r.name, number(r.rmse)]
+        if grouped:
+            score = "–" if r.group_score is None else f"{r.group_score:.1f}"
+            cells += [number(r.group_rmse), score, _gap(r.group_difference, r.group_error)]
+        evidence = "null" if r.log_evidence is None else f"{r.log_evidence:.1f}"
+        loo = _gap(r.loo_difference, r.loo_error)
+        rows.append([*cells, f"{r.loo:.1f}", loo, evidence, f"{r.weight:.2f}"])
+    count = f" ({found.groups} of them)" if grouped else ""
+    lines = [table(head, rows), f"chosen by {found.chosen_by}{count}"]
+    return "\n".join([*lines, *(textwrap.fill(w, WIDTH) for w in found.warnings)])
+
+
+def _gap(value: float | None, error: float | None) -> str:
+    if value is None or error is None or (value == 0 and error == 0):
+        return "0" if value == 0 else "–"
+    return f"{value:.1f} ± {error:.1f}"
+
+
+def experiment_text(found: NextExperiment) -> str:
+    """Feasible experiments, the most telling first."""
+    rows = []
+    for e in found.experiments:
+        (truth, rival), least = min(e.expected.items(), key=lambda item: item[1])
+        rows.append([e.name, f"{least:.1f}", f"{truth} against {rival}"])
+    lines = [
+        f"to tell apart: {', '.join(found.members)}",
+        table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
+    ]
+    if found.experiments[0].worst < CLEAR:
+        lines.append(
+            f"None of these is expected to tell them apart (a log Bayes factor of {CLEAR:g} would)."
+        )
+    return "\n".join(lines)
+
+
+def trail_text(trail: Trail) -> str:
+    """The error, step by step."""
+    unit = pretty(trail.final.calibration.unit)
+    head = [
+        *("step", f"rmse [{unit}]", "left-out", "held-out", "noise", "floor"),
+        *("log evidence", "nothing missing"),
+    ]
+    rows = []
+    for i, s in enumerate(trail.steps):
+        evidence = s.calibration.log_evidence
+        rows.append(
+            [
+                f"{i} {s.title}",
+                number(s.rmse),
+                number(s.left_out.rmse if s.left_out else None),
+                number(s.holdout_rmse),
+                number(s.check.noise),
+                number(s.noise_floor),
+                "–" if evidence is None else f"{evidence[0]:z.1f}",
+                probability(s.discovery.nothing_missing if s.discovery else None),
+            ]
+        )
+    return table(head, rows)
+
+
+def calibration_text(calibration: Calibration) -> str:
+    """Unknowns with standard uncertainty and 95 % credible interval; the verdict."""
+    rows = []
+    coefficients, spreads = summary(calibration)
+    for s in (*coefficients, *spreads):
+        contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
+        low, high = s["interval95"]
+        interval = _interval(low, high, s["mean"], s["sd"])
+        value = with_error(s["mean"], s["sd"])
+        rows.append([s["name"], value, pretty(s["unit"]), interval, contraction])
+    head = [
+        *("unknown", "mean ± standard uncertainty", "unit"),
+        *("95 % credible interval", "contraction"),
+    ]
+    lines = [table(head, rows)] if rows else ["every unknown is fixed"]
+    fixed = ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed)
+    if fixed:
+        lines.append(f"fixed: {fixed}")
+    at = [
+        f"{k} = {v:g} °C"
+        for k, v in calibration.reference.items()
+        if isinstance(v, float) and k.endswith("0")
+    ]
+    if at:
+        lines.append("constants hold at " + ", ".join(at))
+    lines += [f"not measured: {d['in_words']}" for d in null_directions(calibration)]
+    lines.append(str(calibration.verdict))
+    return "\n".join([lines[0], *(textwrap.fill(line, WIDTH) for line in lines[1:])])
+
+
+def budget_text(found: Budget) -> str:
+    """Both tables of an uncertainty budget; k and the kind of each interval said."""
+    unit = pretty(found.unit)
+    at = ", ".join(
+        f"{name} = {number(value, 4)} {pretty(found.at_units[name])}".strip()
+        for name, value in found.at.items()
+    )
+    parts = [
+        f"Uncertainty budget of {found.stimulus} at {at}",
+        table(
+            ["coefficient", "estimate", "sensitivity", f"contribution {unit}".strip(), "share"],
+            [
+                [
+                    c.name,
+                    f"{with_error(c.value, c.uncertainty)} {pretty(c.unit)}".strip(),
+                    number(c.sensitivity),
+                    number(c.contribution),
+                    f"{100 * c.share:.1f} %",
+                ]
+                for c in found.coefficients
+            ],
+        ),
+        "Shares count correlations and add up to 100 %; one below zero takes away.",
+        table(
+            ["the same by where it comes from", "type", f"contribution {unit}".strip(), "share"],
+            [
+                [s.name, s.kind, number(s.contribution), f"{100 * s.share:.1f} %"]
+                for s in found.sources
+            ],
+        ),
+        f"Combined standard uncertainty {number(found.uncertainty)} {unit}; with the noise of one reading "
+        f"({number(found.noise)} {unit}): {number(found.expanded_reading / found.k)} {unit}.",
+        f"Expanded uncertainty (k = {found.k:g}): {number(found.expanded)} {unit}; with the noise of one reading: "
+        f"{number(found.expanded_reading)} {unit}.",
+    ]
+    return "\n\n".join(parts)

@@ -1,0 +1,110 @@
+"""The worst region of a covariate: the stretch where the residuals lean one way the most."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._diagnostics import efficient_score, smooth_terms
+
+BINS = 12  # of a covariate
+FEWEST = 8  # readings that a run needs for a region of its own
+
+
+@dataclass(frozen=True)
+class Region:
+    """A stretch of a covariate where the residuals lean one way.
+
+    Attributes:
+        low, high: of the covariate, in `covariate_unit`.
+        group: the run, where it is one run's alone; the member, where the covariate is a group.
+        size: mean residual there (weighted by the noise law), output unit.
+        z: size over its standard uncertainty.
+    """
+
+    low: float
+    high: float
+    group: str | None
+    size: float
+    z: float
+    covariate_unit: str
+
+
+@dataclass(frozen=True)
+class _Binned:
+    """A covariate cut into bins, over all readings or one run's."""
+
+    covariate: int
+    group: str | None
+    bins: np.ndarray  # (n,), −1 outside
+    count: int
+    longest: int
+
+
+def worst_regions(
+    calibration: Calibration, covariates: list[smooth_terms.Block], residual: np.ndarray
+) -> list[Region]:
+    """For each covariate the stretch of neighbouring bins whose mean residual is worst against its uncertainty.
+
+    Means and uncertainties follow the noise law: under correlated noise a long stretch counts for less.
+    """
+    levels, codes = calibration.readings.groups("run")
+    cuts: list[_Binned] = []
+    for i, block in enumerate(covariates):
+        cuts.append(_cut(i, block, np.ones(len(codes), bool), None))
+        if len(levels) > 1 and not block.levels:
+            for k, level in enumerate(levels):
+                if (codes == k).sum() >= FEWEST:
+                    cuts.append(_cut(i, block, codes == k, level))
+    if not cuts:
+        return []
+    indicators = np.concatenate(
+        [(c.bins[:, None] == np.arange(c.count)).astype(float) for c in cuts], axis=1
+    )
+    pull, weight = efficient_score.projections(calibration, residual, indicators)
+    best: dict[int, tuple[float, Region]] = {}
+    at = 0
+    for cut in cuts:
+        own = slice(at, at + cut.count)
+        at += cut.count
+        region = _worst(cut, covariates[cut.covariate], pull[own], weight[own, own])
+        # One run's own region must be clearly worse than the common one to be named.
+        rank = abs(region.z) - (1.0 if cut.group is not None else 0.0)
+        if cut.covariate not in best or rank > best[cut.covariate][0]:
+            best[cut.covariate] = (rank, region)
+    regions = [best[i][1] for i in range(len(covariates))]
+    return [
+        replace(r, group=b.levels[int(r.low)]) if b.levels else r
+        for r, b in zip(regions, covariates, strict=True)
+    ]
+
+
+def _cut(index: int, block: smooth_terms.Block, own: np.ndarray, group: str | None) -> _Binned:
+    values = block.values[own]
+    distinct = np.unique(values)
+    bins = np.full(len(block.values), -1)
+    if block.levels or len(distinct) <= BINS:
+        bins[own] = np.searchsorted(distinct, values)
+        count = len(distinct)
+    else:
+        edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
+        bins[own], count = np.searchsorted(edges, values, side="right"), BINS
+    longest = 1 if block.levels else max(1, (2 * count) // 3)
+    return _Binned(index, group, bins, count, longest)
+
+
+def _worst(cut: _Binned, block: smooth_terms.Block, pull: np.ndarray, weight: np.ndarray) -> Region:
+    best = (0.0, 0.0, 0, 1)
+    for i in range(cut.count):
+        for j in range(i + 1, min(i + cut.longest, cut.count) + 1):
+            information = weight[i:j, i:j].sum()
+            if information > 0:
+                z = pull[i:j].sum() / np.sqrt(information)
+                if abs(z) > abs(best[0]):
+                    best = (float(z), float(pull[i:j].sum() / information), i, j)
+    z, size, i, j = best
+    inside = (cut.bins >= i) & (cut.bins < j)
+    values = block.values[inside] if inside.any() else block.values
+    return Region(float(values.min()), float(values.max()), cut.group, size, z, block.unit)

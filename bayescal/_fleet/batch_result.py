@@ -1,0 +1,302 @@
+"""What a batch gives: for each device its unknowns, their covariance and a verdict, as a few arrays and as a table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from bayescal._core.errors import InputError
+from bayescal._fleet.population import Population
+from bayescal._readings.write import beside
+
+SCHEMA = "bayescal.batch/1"
+SHOWN = 10  # devices that are named in print when they cannot be trusted
+COLUMNS = ("device", "coefficient", "mean", "sd", "unit", "ok", "reason")
+POPULATION = ("coefficient", "mean", "mean_sd", "spread", "spread_sd", "unit")
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Devices that have the same unknowns.
+
+    Attributes:
+        devices: their places in the batch.
+        names, units: of the unknowns.
+        mean: (b, q), in these units.
+        covariance: (b, q, q); NaN for what is held at its estimate (noise and spreads, by least squares).
+    """
+
+    devices: np.ndarray
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard uncertainties, (b, q)."""
+        variance = np.diagonal(self.covariance, axis1=1, axis2=2)
+        return np.sqrt(np.where(variance >= 0, variance, np.nan))
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceResult:
+    """One device of a batch.
+
+    Attributes:
+        device: its name.
+        ok: whether to trust it.
+        reason: why not: a refusal, or what the fit did not reach; empty if nothing.
+        names, units: of its unknowns; none if it was refused.
+        mean: (q,), in these units.
+        covariance: (q, q).
+    """
+
+    device: str
+    ok: bool
+    reason: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard uncertainties, (q,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def __getitem__(self, name: str) -> tuple[float, float]:
+        """Mean and standard uncertainty of one unknown.
+
+        Raises:
+            InputError: nothing is called so.
+        """
+        if name not in self.names:
+            raise InputError(
+                f"device {self.device!r} has no unknown {name!r}; it has: {', '.join(self.names) or 'none'}"
+                f"{' (' + self.reason + ')' if self.reason else ''}"
+            )
+        i = self.names.index(name)
+        return float(self.mean[i]), float(self.sd[i])
+
+    def __str__(self) -> str:
+        head = f"device {self.device}: {'ok' if self.ok else self.reason}"
+        known = [("" if np.isnan(s) else f" ± {s:.2g}") for s in self.sd]
+        rows = zip(self.names, self.mean, known, self.units, strict=True)
+        return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult:
+    """Fits of many devices. `result["A17"]` or `result[3]` is one device's; `table()` is all of them.
+
+    Attributes:
+        devices: names, in the order in which they came.
+        ok: whether each can be trusted, (devices,).
+        reasons: why not; empty where nothing stands against it.
+        parts: the numbers, devices with the same unknowns together.
+        population: what the devices have in common, if it was asked for.
+        about: instrument, effects, method, seed and notes.
+    """
+
+    devices: tuple[str, ...]
+    ok: np.ndarray
+    reasons: tuple[str, ...]
+    parts: tuple[Part, ...]
+    population: Population | None
+    about: dict[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.devices)
+
+    def __iter__(self) -> Iterator[DeviceResult]:
+        return (self[i] for i in range(len(self)))
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.devices)}
+
+    @cached_property
+    def _where(self) -> dict[int, tuple[int, int]]:
+        """Place in the batch → part, and place in it."""
+        return {
+            int(d): (p, i) for p, part in enumerate(self.parts) for i, d in enumerate(part.devices)
+        }
+
+    def __getitem__(self, device: str | int) -> DeviceResult:
+        """One device's result, by its name or by its place.
+
+        Raises:
+            InputError: there is no such device.
+        """
+        at = self._places.get(device) if isinstance(device, str) else device
+        if at is None or not -len(self) <= at < len(self):
+            shown = ", ".join(self.devices[:5])
+            raise InputError(f"there is no device {device!r} among the {len(self)}: {shown} …")
+        at %= len(self)
+        name, ok, reason = self.devices[at], bool(self.ok[at]), self.reasons[at]
+        if at not in self._where:
+            return DeviceResult(name, ok, reason, (), (), np.zeros(0), np.zeros((0, 0)))
+        p, i = self._where[at]
+        part = self.parts[p]
+        return DeviceResult(
+            name, ok, reason, part.names, part.units, part.mean[i], part.covariance[i]
+        )
+
+    def table(self) -> pd.DataFrame:
+        """One row for each device and unknown: device, coefficient, mean, sd, unit, ok, reason.
+
+        A device that was refused has one row without a coefficient. Devices in the order in which they came.
+        """
+        return self._long(covariance=False)
+
+    def _long(self, covariance: bool) -> pd.DataFrame:
+        names = np.array(self.devices, dtype=object)
+        reasons = np.array(self.reasons, dtype=object)
+        refused = np.array([i for i in range(len(self)) if i not in self._where], dtype=int)
+        pieces, places = [], []
+        for part in self.parts:
+            q = len(part.names)
+            at = np.repeat(part.devices, q)
+            piece = {
+                "device": names[at],
+                "coefficient": np.tile(np.array(part.names, dtype=object), len(part.devices)),
+                "mean": part.mean.ravel(),
+                "sd": part.sd.ravel(),
+                "unit": np.tile(np.array(part.units, dtype=object), len(part.devices)),
+                "ok": self.ok[at],
+                "reason": reasons[at],
+            }
+            if covariance:
+                piece["covariance"] = list(part.covariance.reshape(-1, q))
+            pieces.append(pd.DataFrame(piece))
+            places.append(at)
+        none = {"coefficient": None, "mean": np.nan, "sd": np.nan, "unit": None, "ok": False}
+        empty = pd.DataFrame(
+            {"device": names[refused], **none, "reason": reasons[refused]}, columns=list(COLUMNS)
+        )
+        if covariance:
+            empty["covariance"] = None
+        if len(refused) or not pieces:
+            pieces.append(empty)
+            places.append(refused)
+        order = np.argsort(np.concatenate(places), kind="stable")
+        return pd.concat(pieces, ignore_index=True).iloc[order].reset_index(drop=True)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the table to Parquet, with each unknown's row of the covariance. `load_batch` reads it back.
+
+        Raises:
+            InputError: another suffix, or a place that cannot be written to.
+        """
+        path = Path(path)
+        if path.suffix != ".parquet":
+            raise InputError(
+                f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
+            )
+        long = self._long(covariance=True)
+        kinds = [pa.string(), pa.string(), pa.float64(), pa.float64(), pa.string(), pa.bool_()]
+        kinds += [pa.string(), pa.list_(pa.float64())]
+        head = {"schema": SCHEMA, "about": self.about, "population": _told(self.population)}
+        fields = [pa.field(n, k) for n, k in zip((*COLUMNS, "covariance"), kinds, strict=True)]
+        schema = pa.schema(fields, metadata={"bayescal": json.dumps(head)})
+        columns = [
+            pa.array(long[f.name].tolist() if f.name == "covariance" else long[f.name], type=f.type)
+            if f.name not in ("mean", "sd")
+            else pa.array(long[f.name].to_numpy(np.float64), type=f.type)  # NaN stays NaN
+            for f in fields
+        ]
+        with beside(path) as partial:
+            pq.write_table(pa.Table.from_arrays(columns, schema=schema), partial)
+        return path
+
+    def __str__(self) -> str:
+        bad = np.flatnonzero(~self.ok)
+        lines = [
+            f"{len(self)} devices, {len(self) - len(bad)} to be trusted ({self.about['method']})"
+        ]
+        lines += [f"  {self.devices[i]}: {self.reasons[i]}" for i in bad[:SHOWN]]
+        lines += [f"  … and {len(bad) - SHOWN} more"] if len(bad) > SHOWN else []
+        for part in self.parts:
+            good = self.ok[part.devices]
+            if not good.any():
+                continue
+            rows = {
+                "coefficient": part.names,
+                "median": np.median(part.mean[good], axis=0),
+                "between devices": part.mean[good].std(axis=0),
+                "typical sd": np.median(part.sd[good], axis=0),
+                "unit": part.units,
+            }
+            lines.append(
+                pd.DataFrame(rows).to_string(index=False, float_format=lambda v: f"{v:.4g}")
+            )
+        return "\n".join([*lines, *([str(self.population)] if self.population else [])])
+
+
+def _told(population: Population | None) -> dict[str, Any] | None:
+    if population is None:
+        return None
+    return {
+        "table": population.table.to_dict("list"),
+        "ok": population.ok,
+        "reason": population.reason,
+        "devices": population.devices,
+        "pareto_k": population.pareto_k,
+    }
+
+
+def load_batch(path: str | Path) -> BatchResult:
+    """Read a saved batch back.
+
+    Raises:
+        InputError: there is no such file, or it is no batch of this version.
+    """
+    path = Path(path)
+    try:
+        table = pq.read_table(path)
+        head = json.loads((table.schema.metadata or {})[b"bayescal"])
+        if head["schema"] != SCHEMA:
+            raise KeyError(head["schema"])
+        about, told = head["about"], head["population"]
+        columns = {name: table.column(name).to_numpy() for name in (*COLUMNS, "covariance")}
+    except FileNotFoundError:
+        raise InputError(f"There is no file {path}: give a batch saved by bayescal") from None
+    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
+        raise InputError(
+            f"{path.name} is no batch of this version ({type(error).__name__}): give a file that `save` of a batch "
+            "wrote"
+        ) from None
+    codes, names = pd.factorize(columns["device"])
+    starts = np.searchsorted(codes, np.arange(len(names)))
+    alike: dict[tuple, list[int]] = {}
+    for d, (begin, end) in enumerate(zip(starts, [*starts[1:], len(codes)], strict=True)):
+        if columns["coefficient"][begin] is not None:
+            kind = (tuple(columns["coefficient"][begin:end]), tuple(columns["unit"][begin:end]))
+            alike.setdefault(kind, []).append(d)
+    parts = []
+    for (own, units), devices in alike.items():
+        rows = starts[devices][:, None] + np.arange(len(own))
+        covariance = np.stack([np.stack(list(columns["covariance"][r])) for r in rows])
+        parts.append(Part(np.array(devices), own, units, columns["mean"][rows], covariance))
+    population = None
+    if told is not None:
+        frame = pd.DataFrame(told.pop("table"), columns=list(POPULATION))
+        population = Population(frame, **told)
+    return BatchResult(
+        tuple(map(str, names)),
+        columns["ok"][starts].astype(bool),
+        tuple(columns["reason"][starts]),
+        tuple(parts),
+        population,
+        about,
+    )

@@ -1,0 +1,192 @@
+"""Least squares of one device in closed form but for one number, the noise: the quick way through a batch.
+
+Where the expected output is affine in the coefficients, their priors are fixed and the noise is white, the readings
+enter through R of the QR factors of [J_flat, J·s, r] alone (s: prior standard deviations), and through the singular
+values d of its block of proper columns. The restricted likelihood of the noise σ is then a sum of p terms,
+
+    −2 log L(σ) = (n − f) log σ² + ρ²/σ² + Σ log(1 + d²/σ²) + c²/(σ² + d²)
+
+with ρ what no column explains, c the readings along the singular vectors and f the number of flat coefficients. Its
+maximum is that of `LeastSquares`, and so are the coefficients at it and their covariance.
+Source: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Float
+
+from bayescal._core.jit import compiled
+from bayescal._core.tall_qr import triangle
+from bayescal._inference import sampled_products
+from bayescal._inference.laplace import start_point
+from bayescal._model import forward
+from bayescal._model.frame import Frame
+from bayescal._model.noise import UNCERTAINTY, White
+from bayescal._model.parameters import Layout
+
+GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
+STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits
+LEAST = 1e-24  # share of the readings' variance, below which the noise counts as none
+NOISE = "noise.white"
+
+
+class Line(NamedTuple):
+    """What least squares finds of one device: x̂, its covariance, σ, and whether all of it was determined."""
+
+    x: Float[Array, "p"]
+    covariance: Float[Array, "p p"]
+    noise: Float[Array, ""]
+    determined: Array
+    scatter: Array  # whether the readings left any
+
+
+def applies(layout: Layout, frame: Frame) -> bool:
+    """Whether the model is of this kind for readings like these."""
+    noise = layout.model.noise
+    only_noise = all(h.kind == "noise" for h in layout.hypers)
+    return (
+        type(noise) is White
+        and only_noise
+        and layout.size > 0
+        and not layout.row_blocks
+        and UNCERTAINTY not in frame.columns
+        and not sampled_products.bends(layout, frame)
+    )
+
+
+class _Parts(NamedTuple):
+    """What the readings of one device come down to."""
+
+    scale: Float[Array, "p"]
+    centre: Float[Array, "p"]
+    upper: Float[Array, "q q"]  # R, flat columns first, then the proper ones, then the readings
+    d: Float[Array, "m"]
+    vt: Float[Array, "m m"]
+    c: Float[Array, "m"]  # along the singular vectors
+    count: Float[Array, ""]  # readings less flat coefficients
+
+
+@compiled
+def solve(
+    layout: Layout, frames: Frame, ys: Float[Array, "b n"], real: Float[Array, "b n"]
+) -> Line:
+    """All devices of a stack."""
+    parts = jax.vmap(lambda *device: _reduced(layout, *device))(frames, ys, real)
+    if NOISE in dict(layout.model.fixed):
+        variance = jnp.full(len(ys), dict(layout.model.fixed)[NOISE] ** 2)
+    else:
+        rest = parts.upper[:, -1, -1] ** 2
+        variance = jnp.exp(_log_variance(parts.count, rest, parts.c.T**2, parts.d.T**2))
+    return jax.vmap(lambda *device: _placed(layout, *device))(parts, variance)
+
+
+def _order(layout: Layout) -> tuple[np.ndarray, int]:
+    """The coefficients, flat ones first, and how many of them are flat."""
+    flat = np.concatenate([np.full(b.size, b.coefficient.flat) for b in layout.x_blocks])
+    return np.concatenate([np.flatnonzero(flat), np.flatnonzero(~flat)]), int(flat.sum())
+
+
+def _reduced(layout: Layout, frame: Frame, y: Float[Array, "n"], real: Float[Array, "n"]) -> _Parts:
+    point, (places, f) = start_point(layout, frame), _order(layout)
+    hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
+    line = forward.linearise(layout, frame, point.x, point.rows, hyper)
+    norm = jnp.sqrt(jnp.sum((line.jacobian * real[:, None]) ** 2, axis=0))
+    scale = forward.prior_sd(layout, hyper, 1 / jnp.where(norm > 0, norm, 1.0))
+    table = jnp.column_stack([(line.jacobian * scale)[:, places], y - line.mean])
+    upper, p = _triangle(table * real[:, None]), layout.size
+    u, d, vt = jnp.linalg.svd(upper[f:p, f:p])
+    return _Parts(scale, point.x, upper, d, vt, u.T @ upper[f:p, p], jnp.sum(real) - f)
+
+
+def _placed(layout: Layout, own: _Parts, variance: Float[Array, ""]) -> Line:
+    """x̂ and its covariance given the noise."""
+    (places, f), p, d2 = _order(layout), layout.size, own.d**2
+    z = own.vt.T @ (own.d * own.c / (variance + d2))
+    covariance_z = (own.vt.T * (variance / (variance + d2))) @ own.vt
+    value, covariance = z, covariance_z
+    left, first = own.upper[:f, :f], own.upper[:f, p]
+    if f:  # the flat ones, given the others: R11·x = first − R12·z + noise
+        right = jnp.column_stack([own.upper[:f, f:p], first, jnp.eye(f)])
+        back = solve_triangular(left, right, lower=False)
+        slope, free, root = back[:, : p - f], back[:, p - f], back[:, p - f + 1 :]
+        value = jnp.concatenate([free - slope @ z, z])
+        cross = -slope @ covariance_z
+        inner = variance * root @ root.T - cross @ slope.T
+        covariance = jnp.block([[inner, cross], [cross.T, covariance_z]])
+    undo = np.argsort(places)
+    value, covariance = value[undo], covariance[undo][:, undo]
+    # Flat columns have length one: a diagonal of R near zero is a direction that nothing determines.
+    determined = jnp.all(jnp.abs(jnp.diag(left)) > 1e-10) & jnp.all(jnp.isfinite(value))
+    rest = own.upper[p, p] ** 2
+    return Line(
+        own.centre + own.scale * value,
+        own.scale[:, None] * covariance * own.scale,
+        jnp.sqrt(variance),
+        determined,
+        rest > LEAST * jnp.sum(own.upper[:, p] ** 2),
+    )
+
+
+def _triangle(table: Float[Array, "n q"]) -> Float[Array, "q q"]:
+    """R of the QR factors, square however few rows there are."""
+    upper = triangle(table)
+    missing = table.shape[1] - upper.shape[0]
+    return jnp.pad(upper, ((0, missing), (0, 0))) if missing > 0 else upper
+
+
+def _log_variance(
+    count: Float[Array, "b"],
+    rest: Float[Array, "b"],
+    c2: Float[Array, "m b"],
+    d2: Float[Array, "m b"],
+) -> Float[Array, "b"]:
+    """Where the restricted likelihood of log σ² is greatest. Devices come last: sums over few numbers are slow.
+
+    Args:
+        count: readings less flat coefficients.
+        rest: sum of squares that no column explains, positive.
+        c2, d2: squares along the singular vectors, and of the singular values.
+    """
+
+    def value(t):
+        s = jnp.exp(t)
+        return -(count * t + rest / s + jnp.sum(jnp.log1p(d2 / s) + c2 / (s + d2), axis=0))
+
+    def slopes(t):
+        s = jnp.exp(t)
+        share = s / (s + d2)
+        pull = c2 * share / (s + d2)
+        first = -count + rest / s + jnp.sum(1 - share + pull, axis=0)
+        second = -rest / s + jnp.sum(-share * (1 - share) + pull * (1 - 2 * share), axis=0)
+        return first, second
+
+    # From none of it explained by noise to all of it.
+    least = jnp.log(rest / count + 1e-300) - 0.5
+    most = jnp.log((rest + jnp.sum(c2, axis=0)) / count + 1e-300) + 4.0
+
+    def grid(k):
+        return least + (most - least) * (k / (GRID - 1)) ** 2
+
+    def better(k, best):
+        new = value(grid(k))
+        return jnp.where(new > best[1], k, best[0]), jnp.maximum(new, best[1])
+
+    nowhere = (jnp.zeros_like(count), jnp.full_like(count, -jnp.inf))
+    best = jax.lax.fori_loop(0, GRID, better, nowhere)[0]
+    low, high = grid(jnp.maximum(best - 1, 0)), grid(jnp.minimum(best + 1, GRID - 1))
+
+    def closer(_, state):
+        t, low, high = state
+        first, second = slopes(t)
+        low, high = jnp.where(first > 0, t, low), jnp.where(first > 0, high, t)
+        step = t - first / jnp.where(second < 0, second, -1.0)
+        inside = (step >= low) & (step <= high) & (second < 0)
+        return jnp.where(inside, step, 0.5 * (low + high)), low, high
+
+    return jax.lax.fori_loop(0, STEPS, closer, (grid(best), low, high))[0]

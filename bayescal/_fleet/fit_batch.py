@@ -1,0 +1,300 @@
+"""One verb for many devices of one type: `fit_batch`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayescal._core.errors import BayescalError, InputError, ModelError
+from bayescal._core.jax_setup import spare_memory_maps
+from bayescal._fleet import fit_stack
+from bayescal._fleet.batch_result import BatchResult, Part
+from bayescal._fleet.devices import Block, Devices, gathered
+from bayescal._fleet.fit_stack import Found
+from bayescal._fleet.population import FEWEST, Population, Spread, chosen, pool
+from bayescal._fleet.split_devices import split_devices
+from bayescal._fleet.stacks import Refusal, Stack, stacks
+from bayescal._inference.least_squares import LeastSquares
+from bayescal._inference.marginal import Marginal
+from bayescal._inference.method import Method
+from bayescal._model.frame import Reference
+from bayescal._model.model import Model
+from bayescal._model.parameters import Layout
+from bayescal._readings.measurements import Measurements
+
+CHUNK = 4096  # devices in one compiled program at most
+
+Readings = (
+    Devices
+    | Sequence[Measurements]
+    | Mapping[str, Measurements]
+    | str
+    | Path
+    | Sequence[str | Path]
+)
+
+
+def fit_batch(
+    model: Model,
+    readings: Readings,
+    *,
+    method: Method | None = None,
+    population: bool | Sequence[str] | Mapping[str, Spread] = False,
+    seed: int = 0,
+    chunk: int = CHUNK,
+    reference: Reference | None = None,
+) -> BatchResult:
+    """Fit one model to many devices of one type, each by itself, in a few compiled programs.
+
+        result = bc.fit_batch(mems_gyro.INSTRUMENT.baseline(), "lot.parquet", population=True)
+        result.table()          # device, coefficient, mean, sd, unit, ok, reason
+        result["A17"]           # one device
+        result.save("lot_result.parquet")
+
+    Estimates and uncertainties are those of `fit` with the same method. A device whose readings cannot be used (no
+    number in a cell, too few rows, a missing column, one temperature) or whose fit does not converge gets a reason
+    and changes nothing for the others. Devices with the same number of readings share a compiled program; where
+    there are many different numbers, they are padded to a common one with readings of no weight.
+
+    **Population.** Names a coefficient of which each device has its own: they are then taken as drawn from a normal
+    distribution over the devices, whose mean and standard deviation are learned, and every device's estimates move
+    toward it by as much as its own readings leave open (partial pooling). A coefficient's own prior becomes that of
+    the population's mean. It is a second step on the devices' Gaussian marginals: exact for a model linear in its
+    coefficients with Gaussian noise that is known; else approximate, for each device is then represented by its mean
+    and covariance, and its noise stays at its own estimate. Unlike coefficients that are `per="device"` in one joint
+    fit, noise is not shared between devices.
+
+    Args:
+        model: an instrument, effects, a noise law.
+        readings: `split_devices(…)`, or paths of files with a column `device`, or measurements, one for each device
+            (a mapping names them).
+        method: `LeastSquares()` if not given; or `Marginal()`, by importance sampling alone.
+        population: True for all coefficients that a device has one of, or names, or names with the priors of
+            their spreads; a half-Cauchy of the coefficient's plausible size is the default.
+        seed: of every random number.
+        chunk: devices fitted at once at most, which bounds memory; fewer where they have very many readings.
+        reference: constants of the bases, such as {"T0": 0.0}, in place of each device's own. A population of
+            offsets needs a common T0: it is set to that of all readings where none is given.
+
+    Raises:
+        InputError: files that cannot be read, no device at all, or none that can be used.
+        ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
+    """
+    spare_memory_maps()
+    mapped = _mappable(model, LeastSquares() if method is None else method)
+    named = chosen(model, population)
+    devices = _devices(model, readings)
+    if chunk < 1:
+        raise InputError(f"chunk is {chunk}: give at least 1")
+    if not len(devices):
+        raise InputError("there is no device to fit: give at least one")
+    reference = dict(reference or {})
+    if named:
+        reference = {**_common(devices), **reference}
+    refused, run = dict(devices.refused), _Run(model, mapped, seed, chunk, reference)
+    wrong: list[BayescalError] = []
+    for block in devices.blocks:
+        try:
+            model.require(block.measurements(0))
+            run.add(block)
+        except BayescalError as error:  # a column is missing, of all its devices
+            wrong.append(error)
+            refused |= {name: str(error) for name in block.names}
+    if wrong and len(wrong) == len(devices.blocks):
+        raise wrong[0]
+    return run.result(devices.names, {**refused, **run.refused}, named)
+
+
+def _mappable(model: Model, method: Method) -> LeastSquares | Marginal:
+    """The method, if it can be mapped over devices.
+
+    Raises:
+        ModelError: it cannot.
+    """
+    if not isinstance(method, LeastSquares | Marginal):
+        raise ModelError(
+            f"fit_batch maps LeastSquares() and Marginal() over devices, not {type(method).__name__}: fit them one by "
+            "one with it"
+        )
+    if isinstance(method, Marginal) and (
+        not model.noise.gaussian or method.sampler != "importance"
+    ):
+        raise ModelError(
+            "fit_batch maps Marginal() over devices by importance sampling, which needs Gaussian noise: use "
+            "LeastSquares(), or fit them one by one"
+        )
+    return method
+
+
+def _devices(model: Model, readings: Readings) -> Devices:
+    if isinstance(readings, Devices):
+        return readings
+    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
+    if isinstance(readings, str | Path):
+        return split_devices(readings, model.instrument, needs=needs)
+    if isinstance(readings, Mapping):
+        return gathered(readings)
+    given: list[Any] = list(readings)
+    if given and all(isinstance(one, str | Path) for one in given):
+        return split_devices(given, model.instrument, needs=needs)
+    for i, one in enumerate(given):
+        if not isinstance(one, Measurements):
+            raise InputError(
+                f"fit_batch: entry {i + 1} of the readings is of type {type(one).__name__}; measurements were "
+                "expected, or paths"
+            )
+    return gathered(given)
+
+
+def _common(devices: Devices) -> dict[str, float | dict[str, float]]:
+    """T0 and its like over all devices, so that offsets mean the same for each."""
+    sums: dict[str, list[np.ndarray]] = {}
+    for block in devices.blocks:
+        for name, unit in block.units.items():
+            if unit == "degC" and name != "temperature_point":
+                sums.setdefault(name, []).append(block.values[name])
+    names = {"temperature": "T0", "lab_temperature": "L0"}
+    return {
+        names.get(name, f"{name}_0"): float(np.round(np.mean(np.concatenate(values))))
+        for name, values in sums.items()
+    }
+
+
+class _Run:
+    """Fits as they come in."""
+
+    def __init__(
+        self, model: Model, method: LeastSquares | Marginal, seed: int, chunk: int, reference: Any
+    ) -> None:
+        self.model, self.method, self.seed, self.chunk = model, method, seed, chunk
+        self.reference = reference
+        self.refused: dict[str, str] = {}
+        self.notes: dict[str, None] = {}
+        self.reasons: dict[str, str] = {}
+        self.ways: dict[str, bool] = {}
+        self.found: dict[tuple[tuple[str, str], ...], list[tuple]] = {}
+
+    def add(self, block: Block) -> None:
+        masked = self._masked(block)
+        for stack in stacks(self.model, block, self.reference, masked, self.chunk):
+            if isinstance(stack, Refusal):
+                self.refused[block.names[stack.device]] = stack.reason
+                continue
+            layout, way = Layout(self.model, stack.counts), self._straight(stack)
+            self._keep(block, stack, fit_stack.solve(layout, stack, self.method, self.seed, way))
+
+    def _masked(self, block: Block) -> bool:
+        """Whether padded readings cost nothing: on the quick way, which leaves them out."""
+        for stack in stacks(self.model, block, self.reference, False, 1):
+            if isinstance(stack, Stack):
+                return self._straight(stack)
+        return False
+
+    def _straight(self, stack: Stack) -> bool:
+        """Whether the quick way is open, asked once for groups of these sizes and columns of these names."""
+        kind = (dict(stack.counts) | {"reading": 0}, sorted(stack.frame.columns))
+        if str(kind) not in self.ways:
+            layout = Layout(self.model, stack.counts)
+            self.ways[str(kind)] = fit_stack.straight(layout, stack, self.method)
+        return self.ways[str(kind)]
+
+    def _keep(self, block: Block, stack: Stack, made: Found) -> None:
+        self.notes |= dict.fromkeys(made.notes)
+        alike: dict[tuple, list[int]] = {}
+        if _grouped(made.layout):  # then unknowns are called after the members, each device's own
+            for i, levels in enumerate(stack.levels):
+                alike.setdefault(tuple(levels.items()), []).append(i)
+        for members in alike.values() or [list(range(len(stack.devices)))]:
+            own = tuple(fit_stack.unknowns(made.layout, stack.levels[members[0]]))
+            names = [block.names[stack.devices[i]] for i in members]
+            self.found.setdefault(own, []).append(
+                (names, made.mean[members], made.covariance[members])
+            )
+            self.reasons |= dict(zip(names, (made.reasons[i] for i in members), strict=True))
+
+    def result(self, devices: tuple[str, ...], refused: dict[str, str], named) -> BatchResult:
+        places = {name: i for i, name in enumerate(devices)}
+        parts = []
+        for own, pieces in self.found.items():
+            at = np.array([places[n] for names, _, _ in pieces for n in names], dtype=int)
+            order = np.argsort(at)
+            mean = np.concatenate([m for _, m, _ in pieces])[order]
+            covariance = np.concatenate([c for _, _, c in pieces])[order]
+            names, units = zip(*own, strict=True) if own else ((), ())
+            parts.append(Part(at[order], names, units, mean, covariance))
+        if not parts and refused:
+            first = next(iter(refused.items()))
+            raise InputError(
+                f"none of the {len(devices)} devices can be used; {first[0]}: {first[1]}"
+            )
+        reasons = [refused.get(name) or self.reasons.get(name, "") for name in devices]
+        ok = np.array([not reason for reason in reasons])
+        pooled = None
+        if named:
+            parts, pooled = _pooled(parts, ok, named, self.seed)
+        about = {
+            "instrument": self.model.instrument.name,
+            "effects": list(self.model.names),
+            "noise": self.model.noise.law,
+            "method": self.method.name,
+            "seed": self.seed,
+            "reference": {k: v for k, v in self.reference.items() if not isinstance(v, dict)},
+            "notes": list(self.notes),
+        }
+        return BatchResult(devices, ok, tuple(reasons), tuple(parts), pooled, about)
+
+
+def _grouped(layout: Layout) -> bool:
+    return any(b.coefficient.per not in (None, "reading") for b in layout.blocks)
+
+
+def _pooled(parts: list[Part], ok: np.ndarray, named, seed: int) -> tuple[list[Part], Population]:
+    """Learn the population from all devices that can be trusted, and put it to each of them.
+
+    Raises:
+        ModelError: fewer than three of them.
+    """
+    good = [ok[part.devices] for part in parts]
+    if (count := int(sum(g.sum() for g in good))) < FEWEST:
+        raise ModelError(
+            f"a population is learned from at least {FEWEST} devices that converge; here {count} did"
+        )
+    # Of unknowns that differ from part to part, the named ones alone take part; the others of a part follow there.
+    own = [_named_in(part, named) for part in parts]
+    mean = np.concatenate([p.mean[g][:, i] for p, g, i in zip(parts, good, own, strict=True)])
+    covariance = np.concatenate(
+        [p.covariance[g][:, i[:, None], i] for p, g, i in zip(parts, good, own, strict=True)]
+    )
+    learned = pool(mean, covariance, named, seed)
+    changed, begin = [], 0
+    for part, g, i in zip(parts, good, own, strict=True):
+        some = slice(begin, begin + int(g.sum()))
+        begin = some.stop
+        new_mean, new_covariance = part.mean.copy(), part.covariance.copy()
+        moved = _follow(part, g, i, learned.mean[some], learned.covariance[some])
+        new_mean[g], new_covariance[g] = moved
+        changed.append(Part(part.devices, part.names, part.units, new_mean, new_covariance))
+    return changed, learned.population
+
+
+def _named_in(part: Part, named) -> np.ndarray:
+    return np.array([part.names.index(name) for name in named])
+
+
+def _follow(
+    part: Part, good: np.ndarray, of: np.ndarray, mean: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """All unknowns of some devices, where the named ones have a new mean and covariance: by regression on them."""
+    old_mean, old = part.mean[good], part.covariance[good]
+    moving = np.isfinite(np.diagonal(old, axis1=1, axis2=2)).all(axis=0)
+    rest = np.flatnonzero(moving)
+    inner = old[:, of[:, None], of]
+    gain = old[:, rest[:, None], of] @ np.linalg.inv(inner)
+    new_mean, new = old_mean.copy(), old.copy()
+    new_mean[:, rest] += np.einsum("bqk,bk->bq", gain, mean - old_mean[:, of])
+    change = gain @ (covariance - inner) @ np.swapaxes(gain, 1, 2)
+    new[:, rest[:, None], rest] += change
+    return new_mean, new

@@ -1,0 +1,209 @@
+"""Frames of many devices stacked, so that one compiled program sees them all.
+
+A table without time and without groups becomes a stack of frames by a few array operations; else frames are built
+one by one. Devices with other numbers of readings are padded to a common one; a padded reading repeats the last
+and counts nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bayescal._calibration.fit import GROUPS, bind
+from bayescal._core.errors import BayescalError
+from bayescal._fleet.devices import DEVICE, Block
+from bayescal._model.frame import Frame, Reference, build_frame, reference_name, reference_of
+from bayescal._model.model import Model
+from bayescal._model.noise import UNCERTAINTY
+
+EXACT = 3  # so many different numbers of readings have a program each; more are padded to a common ladder
+STEP = 1.25  # from one rung of the ladder to the next
+NUMBERS = 2_000_000  # readings in one stack at most
+NOTHING = 1e140  # standard uncertainty of a padded reading, in the output's unit: it weighs nothing
+POINT = "temperature_point"
+
+
+class Stack(NamedTuple):
+    """Devices of one shape.
+
+    Attributes:
+        devices: their indices in the block.
+        frame: stacked frames; leaves (b, …).
+        y: outputs, (b, n).
+        real: 1 where a reading is one, 0 where it is padding, (b, n).
+        counts: sizes of the groups, common to all.
+        levels: members of the groups of each device.
+    """
+
+    devices: np.ndarray
+    frame: Frame
+    y: np.ndarray
+    real: np.ndarray
+    counts: tuple[tuple[str, int], ...]
+    levels: list[dict[str, tuple[str, ...]]]
+
+
+class Refusal(NamedTuple):
+    """A device of the block that cannot be fitted, and why."""
+
+    device: int
+    reason: str
+
+
+def plain(block: Block) -> bool:
+    """Whether the frames need nothing but the numbers: no time, no groups, no labels."""
+    labels = {name for name, unit in block.units.items() if unit is None}
+    return labels <= {DEVICE} and not {"time", POINT} & set(block.values)
+
+
+def stacks(
+    model: Model, block: Block, reference: Reference, padded: bool, most: int
+) -> Iterator[Stack | Refusal]:
+    """The devices of a block by shape, at most so many at once; or a device that is refused.
+
+    Args:
+        model: what is to be fitted.
+        block: the devices.
+        reference: constants of the bases in place of the devices' own.
+        padded: whether zero weight costs nothing, so that all shapes go to the ladder.
+        most: devices in one stack.
+    """
+    sizes = np.unique(block.counts)
+    ladder = padded or len(sizes) > EXACT
+    rungs = {int(n): _rung(int(n)) if ladder and plain(block) else int(n) for n in sizes}
+    if plain(block):
+        for rung in sorted(set(rungs.values())):
+            members = np.flatnonzero(np.isin(block.counts, [n for n in rungs if rungs[n] == rung]))
+            at_once = max(1, min(most, NUMBERS // rung))
+            yield from _plain_stacks(model, block, members, rung, reference, at_once)
+        return
+    waiting: dict[tuple, list] = {}
+    for i in range(len(block.names)):
+        try:
+            made = _single(model, block, i, reference)
+        except BayescalError as error:
+            yield Refusal(i, str(error))
+            continue
+        kind = (str(jax.tree.map(jnp.shape, made[1])), made[3])
+        waiting.setdefault(kind, []).append(made)
+        if len(waiting[kind]) >= min(most, NUMBERS // max(1, len(made[2]))):
+            yield _joined(waiting.pop(kind))
+    for rest in waiting.values():
+        yield _joined(rest)
+
+
+def _rung(count: int) -> int:
+    """The least rung of the ladder that holds so many readings."""
+    rung = 8
+    while rung < count:
+        rung = int(np.ceil(rung * STEP))
+    return rung
+
+
+def _single(model: Model, block: Block, index: int, reference: Reference) -> tuple:
+    readings = block.measurements(index)
+    layout, levels = bind(model, readings)
+    frame = build_frame(readings, {**reference_of(readings), **reference})
+    frame = jax.tree.map(np.asarray, frame)
+    return index, frame, readings["output"], layout.counts, levels
+
+
+def _joined(made: list[tuple]) -> Stack:
+    y = np.stack([m[2] for m in made])
+    return Stack(
+        np.array([m[0] for m in made]),
+        jax.tree.map(lambda *a: np.stack(a), *(m[1] for m in made)),
+        y,
+        np.ones_like(y),
+        made[0][3],
+        [m[4] for m in made],
+    )
+
+
+def _plain_stacks(
+    model: Model, block: Block, members: np.ndarray, rung: int, reference: Reference, most: int
+) -> Iterator[Stack | Refusal]:
+    few = members[block.counts[members] == block.counts[members].min()]
+    try:
+        bind(model, block.measurements(int(few[0])))
+    except BayescalError:  # too few readings for the model: say of each how many
+        good = []
+        for i in members:
+            try:
+                bind(model, block.measurements(int(i)))
+                good.append(i)
+            except BayescalError as error:
+                yield Refusal(int(i), str(error))
+        members = np.array(good, dtype=int)
+    counts = (*((group, 0 if group == "cell" else 1) for group in GROUPS), ("reading", rung))
+    for begin in range(0, len(members), most):
+        some = members[begin : begin + most]
+        columns, real, scalars = _matrices(block, some, rung)
+        scalars |= {
+            name: np.full(len(some), float(v))
+            for name, v in reference.items()
+            if not isinstance(v, dict)
+        }
+        shape = real.shape
+        codes = {g: np.full(shape, -1 if g == "cell" else 0) for g in ("cell", *GROUPS)}
+        frame = Frame(
+            columns,  # pyright: ignore[reportArgumentType]  # NumPy arrays, until they are fitted
+            {},
+            {},
+            codes,  # pyright: ignore[reportArgumentType]
+            scalars,  # pyright: ignore[reportArgumentType]
+            np.broadcast_to(np.arange(rung), shape),  # pyright: ignore[reportArgumentType]
+            -np.ones(shape),  # pyright: ignore[reportArgumentType]
+            dict(columns),  # pyright: ignore[reportArgumentType]
+        )
+        levels = {g: () if g == "cell" else ("1",) for g in GROUPS}
+        own = [
+            {**levels, DEVICE: (block.names[i],)} if DEVICE in block.values else levels
+            for i in some
+        ]
+        yield Stack(some, frame, columns["output"], real, counts, own)
+
+
+def _matrices(
+    block: Block, some: np.ndarray, rung: int
+) -> tuple[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray]]:
+    """Columns (b, rung), which readings are real, and the reference constants of each device."""
+    counts = block.counts[some]
+    within = np.arange(rung)
+    rows = block.starts[some][:, None] + np.minimum(within, counts[:, None] - 1)
+    real = (within < counts[:, None]).astype(float)
+    numbers = [name for name, unit in block.units.items() if unit is not None]
+    columns = {name: block.values[name][rows] for name in numbers}
+    scalars = {}
+    for name in numbers:
+        if block.units[name] == "degC":
+            mean = np.sum(columns[name] * real, axis=1) / counts
+            scalars[reference_name(name)] = np.round(mean)
+        if name not in ("output", UNCERTAINTY):
+            scalars[f"{name}_low"] = columns[name].min(axis=1)
+            scalars[f"{name}_high"] = columns[name].max(axis=1)
+    return columns, real, scalars
+
+
+def weighed(stack: Stack) -> Frame:
+    """The frame, padded readings of no weight: their known uncertainty is beyond all measure."""
+    if np.all(stack.real == 1):
+        return stack.frame
+    columns = dict(stack.frame.columns)
+    known = np.asarray(columns.get(UNCERTAINTY, np.zeros_like(stack.y)))
+    columns[UNCERTAINTY] = np.where(stack.real == 1, known, NOTHING)  # pyright: ignore
+    return Frame(
+        columns,
+        stack.frame.labels,
+        stack.frame.rates,
+        stack.frame.codes,
+        stack.frame.reference,
+        stack.frame.order,
+        stack.frame.step,
+        stack.frame.record,
+    )

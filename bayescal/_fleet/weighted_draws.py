@@ -1,0 +1,112 @@
+"""Weighted joint draws of many data sets of one shape, by importance sampling in one compiled program.
+
+For simulation studies and for decisions that need whole draws; `fit_batch` keeps means and covariances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bayescal._calibration.fit import bind
+from bayescal._calibration.posterior_tree import named
+from bayescal._core.errors import InputError, ModelError
+from bayescal._inference import importance_sampling, sampled_products
+from bayescal._inference.laplace import Mode
+from bayescal._inference.marginal import Marginal, smoothed
+from bayescal._model.frame import Frame, build_frame, reference_of
+from bayescal._model.model import Model
+from bayescal._model.parameters import Layout
+from bayescal._readings.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Weighted joint draws of many data sets, fitted in one compiled program.
+
+    Attributes:
+        layout: of the model, common to all.
+        log_weight: (b, s), not normalised.
+        x, v: (b, s, p) and (b, s, d).
+        mode: φ̂ and x̂ of each.
+        log_evidence: (b,).
+        pareto_k: (b,).
+    """
+
+    layout: Layout
+    levels: dict[str, tuple[str, ...]]
+    log_weight: np.ndarray
+    x: np.ndarray
+    rows: np.ndarray
+    v: np.ndarray
+    mode: Mode
+    log_evidence: np.ndarray
+    pareto_k: np.ndarray
+
+    def weights(self) -> np.ndarray:
+        """Pareto-smoothed weights, summing to one for each data set, (b, s)."""
+        return np.stack([smoothed(w)[0] for w in self.log_weight])
+
+    def samples(self, index: int) -> dict[str, np.ndarray]:
+        """Draws of every unknown of one data set, (s,) or (s, members), to be weighted."""
+        made = named(
+            self.layout, self.levels, *(a[index][None] for a in (self.x, self.rows, self.v))
+        )
+        return {str(name): made[name].values[0] for name in made}
+
+
+def weighted_draws(
+    model: Model, readings: Sequence[Measurements], method: Marginal | None = None, *, seed: int = 0
+) -> Batch:
+    """Fit one model to many data sets of one shape, each on its own, without compiling anew.
+
+    Args:
+        model: must have Gaussian noise.
+        readings: data sets with equal columns, numbers of rows and group sizes.
+        method: `Marginal`, whose `proposals`, `rounds` and `promote` count.
+        seed: of every random number.
+
+    Raises:
+        InputError: the data sets differ in shape.
+        ModelError: the noise law is not Gaussian, or a name to promote is no coefficient of the model.
+    """
+    method = Marginal() if method is None else method
+    if not model.noise.gaussian:
+        raise ModelError(
+            f"weighted_draws needs Gaussian noise, not {model.noise.law}: fit one by one"
+        )
+    bound = [bind(model, one) for one in readings]
+    for one in readings:
+        model.require(one)
+    frames = [build_frame(one, reference_of(one)) for one in readings]
+    shapes = {
+        (str(jax.tree.map(jnp.shape, f)), b[0].counts) for f, b in zip(frames, bound, strict=True)
+    }
+    if len(shapes) != 1:
+        raise InputError(
+            f"weighted_draws needs data sets of one shape; these {len(readings)} have {len(shapes)} different "
+            "ones (rows, columns or group sizes differ)"
+        )
+    stacked: Frame = jax.tree.map(lambda *a: jnp.stack(a), *frames)
+    ys = jnp.stack([jnp.asarray(one["output"]) for one in readings])
+    layout, _ = sampled_products.choose(bound[0][0], frames[0], ys[0], method.promote or ())
+    keys = jax.random.split(jax.random.key(seed), len(readings))
+    found = importance_sampling.sample_batch(
+        layout, stacked, ys, keys, method.proposals or 8192, method.rounds
+    )
+    k_hat = np.array([smoothed(np.asarray(w))[1] for w in found.log_weight])
+    return Batch(
+        layout,
+        bound[0][1],
+        np.asarray(found.log_weight),
+        np.asarray(found.x),
+        np.asarray(found.rows),
+        np.asarray(found.v),
+        jax.tree.map(np.asarray, found.mode),
+        np.asarray(found.log_evidence),
+        k_hat,
+    )

@@ -1,0 +1,300 @@
+"""Checkpoints: a fit that was stopped goes on where it was, and ends with the same draws, bit for bit.
+
+While a fit runs under `keeping`, its method hands each finished piece to `once`, `noted` or `current()`, and the
+whole state is written beside the file, forced to the disk, and renamed over it: whatever moment the process is
+killed at, the file is whole. Pieces: what is promoted, the mode, the weighted draws; for NUTS blocks of iterations
+with the sampler's state. The pieces are the same whether a run is stopped or not.
+
+A checkpoint belongs to one model, one set of readings, one method, one seed and one set of versions. For anything
+else it is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from types import CodeType
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from bayescal._core.errors import InputError
+from bayescal._model.model import Model
+from bayescal._readings.measurements import Measurements
+from bayescal._readings.write import beside
+
+SCHEMA = "bayescal.checkpoint/1"
+PAUSE = 1.0  # s between writes of unfinished chains; every other piece is written at once
+PACKAGES = ("bayescal", "jax", "jaxlib", "numpyro", "optimistix", "equinox", "numpy")
+T = TypeVar("T")
+
+
+@dataclass
+class Checkpoint:
+    """Finished pieces of a run, in memory and in a file.
+
+    Attributes:
+        path: the file, …nc.
+        fingerprint: what the run is of, one entry for each thing that may differ.
+        arrays: name of a piece → its arrays.
+        notes: name of a piece → anything that JSON can hold.
+    """
+
+    path: Path
+    fingerprint: dict[str, str]
+    arrays: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    notes: dict[str, Any] = field(default_factory=dict)
+    written: float = 0.0
+
+    def write(self) -> None:
+        """Replace the file by the present state.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        variables, kinds = {}, {}
+        for name, leaves in self.arrays.items():
+            kinds[name] = [str(leaf.dtype) for leaf in leaves]
+            for i, leaf in enumerate(leaves):
+                dims = tuple(f"{name}.{i}.{axis}" for axis in range(leaf.ndim))
+                variables[f"{name}.{i}"] = (
+                    dims,
+                    leaf.view(np.uint8) if leaf.dtype == bool else leaf,
+                )
+        head = {
+            "schema": SCHEMA,
+            "fingerprint": self.fingerprint,
+            "notes": self.notes,
+            "kinds": kinds,
+        }
+        data = xr.Dataset(variables, attrs={"bayescal": json.dumps(head)})
+        plain = {name: {"_FillValue": None} for name in variables}
+        with beside(self.path) as partial:
+            data.to_netcdf(partial, engine="h5netcdf", encoding=plain)
+            _to_disk(partial)
+        _to_disk(self.path.parent)
+        self.written = time.monotonic()
+
+    def write_now_and_then(self) -> None:
+        """Write, unless that has been done within the last `PAUSE` seconds."""
+        if time.monotonic() - self.written > PAUSE:
+            self.write()
+
+    def drop(self, *names: str) -> None:
+        """Forget pieces that later ones contain."""
+        for name in names:
+            self.arrays.pop(name, None)
+            self.notes.pop(name, None)
+
+
+_CURRENT: ContextVar[Checkpoint | None] = ContextVar("checkpoint", default=None)
+
+
+def current() -> Checkpoint | None:
+    """The checkpoint of the fit that is running, if it has one."""
+    return _CURRENT.get()
+
+
+@contextmanager
+def keeping(path: str | Path | None, fingerprint: Callable[[], dict[str, str]]) -> Iterator[None]:
+    """Keep the pieces of the fit inside in a file; without a path, do nothing.
+
+    Raises:
+        InputError: the file is no checkpoint, or one of another run; says what differs.
+    """
+    store = None if path is None else open_checkpoint(Path(path), fingerprint())
+    token = _CURRENT.set(store)
+    try:
+        yield
+    finally:
+        _CURRENT.reset(token)
+
+
+def once(name: str, like: T, compute: Callable[[], T]) -> T:
+    """A piece made of arrays: from the checkpoint where it is there, else computed and written.
+
+    Args:
+        name: of the piece.
+        like: anything of the same structure.
+        compute: makes it.
+    """
+    store = current()
+    if store is None:
+        return compute()
+    if name not in store.arrays:
+        made = compute()
+        store.arrays[name] = leaves_of(made)
+        store.write()
+        return made
+    return filled(like, store.arrays[name])
+
+
+def noted(name: str, compute: Callable[[], Any]) -> Any:
+    """A piece that JSON can hold, likewise. Tuples come back as lists."""
+    store = current()
+    if store is None:
+        return compute()
+    if name not in store.notes:
+        store.notes[name] = compute()
+        store.write()
+    return store.notes[name]
+
+
+def leaves_of(tree: Any) -> list[np.ndarray]:
+    """The arrays of a structure, random keys as numbers."""
+    return [np.array(jax.random.key_data(a) if _is_key(a) else a) for a in jax.tree.leaves(tree)]
+
+
+def filled(like: T, leaves: list[np.ndarray]) -> T:
+    """A structure like another one, with these arrays."""
+    olds, structure = jax.tree.flatten(like)
+    news = [
+        jax.random.wrap_key_data(jnp.asarray(new)) if _is_key(old) else jnp.asarray(new)
+        for old, new in zip(olds, leaves, strict=True)
+    ]
+    return jax.tree.unflatten(structure, news)
+
+
+def _is_key(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def open_checkpoint(path: Path, fingerprint: dict[str, str]) -> Checkpoint:
+    """The checkpoint in a file, or a new one where there is no file.
+
+    Raises:
+        InputError: the name does not end in .nc, there is no folder, the file is no checkpoint, or one of
+            another run.
+    """
+    if path.suffix != ".nc":
+        raise InputError(f"a checkpoint is a NetCDF file: name it …nc, not {path.name!r}")
+    if not path.parent.is_dir():
+        raise InputError(f"there is no folder {str(path.parent)!r} for a checkpoint: make it first")
+    for left in path.parent.glob(f".{path.name}.*.partial"):  # by a run that was killed
+        left.unlink(missing_ok=True)
+    if not path.exists():
+        return Checkpoint(path, fingerprint)
+    try:
+        with xr.open_dataset(
+            path, engine="h5netcdf", decode_times=False, mask_and_scale=False
+        ) as opened:
+            data = opened.load()
+        head = json.loads(data.attrs["bayescal"])
+        then, notes, kinds = head["fingerprint"], head["notes"], head["kinds"]
+        arrays = {
+            name: [_as(data[f"{name}.{i}"].values, kind) for i, kind in enumerate(own)]
+            for name, own in kinds.items()
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path.name!r} is no checkpoint of a fit, or a damaged one ({type(error).__name__}). Name another "
+            "file, or delete it to start anew"
+        ) from None
+    if differing := _differing(then, fingerprint):
+        raise InputError(
+            f"{path.name!r} is the checkpoint of another run: {differing}. Name another file, or delete it to "
+            "start anew"
+        )
+    return Checkpoint(path, fingerprint, arrays, notes)
+
+
+def _as(values: np.ndarray, kind: str) -> np.ndarray:
+    values = np.ascontiguousarray(values).reshape(values.shape)
+    return values.view(bool) if kind == "bool" else values.astype(kind, copy=False)
+
+
+def _differing(then: dict[str, str], now: dict[str, str]) -> str:
+    """What differs between two fingerprints, in words."""
+    found = []
+    for name in sorted({*then, *now}):
+        one, other = then.get(name), now.get(name)
+        if one != other:
+            short = (
+                one and other and max(len(one), len(other)) < 60 and not name.endswith(" (hash)")
+            )
+            told = f" ({one}, now {other})" if short else ""
+            found.append(f"{name.removesuffix(' (hash)')} differs{told}")
+    return ", ".join(found)
+
+
+def fingerprint(
+    model: Model, readings: Measurements, method: Any, seed: int, reference: dict
+) -> dict[str, str]:
+    """What a run is of: anything that its draws depend on."""
+    values = hashlib.sha256()
+    for name in readings.columns:
+        column = readings[name]
+        plain = column if column.dtype.kind == "f" else column.astype("U")
+        values.update(f"{name} [{readings.unit(name)}] {plain.dtype} {len(plain)}".encode())
+        values.update(np.ascontiguousarray(plain).tobytes())
+    made_by = [f"{name} {version(name)}" for name in PACKAGES]
+    instrument = model.instrument
+    described = [
+        _shown((instrument.name, instrument.settings, instrument.columns, instrument.slots)),
+        _code_of(instrument.response),
+        _shown((type(model.noise).__name__, model.noise, model.fixed)),
+        *(
+            _shown((e.name, e.slot, e.coefficients, e.shapes)) + _code_of(e.basis)
+            for e in model.effects
+        ),
+    ]
+    return {
+        "effects": ", ".join(model.names),
+        "model (hash)": _digest(described),
+        "readings (hash)": values.hexdigest(),
+        "reference (hash)": _digest([json.dumps(reference, sort_keys=True)]),
+        "method": _shown(method),
+        "seed": str(seed),
+        "versions": f"{', '.join(made_by)}, Python {platform.python_version()}, {platform.machine()}",
+    }
+
+
+def _digest(parts: list[str]) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _code_of(function: Any, depth: int = 0) -> str:
+    """What a function does, as text: its code, constants, defaults and what it closes over."""
+    code = getattr(function, "__code__", None)
+    if code is None or depth > 8:
+        return f"{type(function).__name__} {getattr(function, '__qualname__', '')}"
+    closed = [cell.cell_contents for cell in getattr(function, "__closure__", None) or ()]
+    given = [*closed, *(getattr(function, "__defaults__", None) or ())]
+    inner = [_code_of(v, depth + 1) if callable(v) else _shown(v) for v in given]
+    return f"{_bytes_of(code)} {inner}"
+
+
+def _bytes_of(code: CodeType) -> str:
+    constants = [_bytes_of(c) if isinstance(c, CodeType) else _shown(c) for c in code.co_consts]
+    return f"{code.co_code.hex()} {code.co_names} {constants}"
+
+
+def _shown(value: Any) -> str:
+    """A value as text that is the same in every process: no addresses, sets in order."""
+    if isinstance(value, frozenset | set):
+        return repr(sorted(map(repr, value)))
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", " ".join(repr(value).split()))
+
+
+def _to_disk(path: Path) -> None:
+    """Have the operating system put a file, or the names of a folder, on the disk."""
+    if path.is_dir() and os.name != "posix":
+        return  # only there can a folder be opened
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

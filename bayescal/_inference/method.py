@@ -1,0 +1,84 @@
+"""What a method of fitting is: a value with one verb. `LeastSquares`, `Marginal` and `NUTS` are the three."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayescal._calibration.calibration import Draws, Verdict
+from bayescal._inference import checkpoint
+from bayescal._inference.gaussian import Point
+from bayescal._inference.laplace import Mode
+from bayescal._model.frame import Frame
+from bayescal._model.parameters import Layout
+
+MODE = Mode(Point(0, 0), *range(7))  # pyright: ignore[reportArgumentType]  # for its structure alone
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a method hands back, before names and units are put to it."""
+
+    layout: Layout  # with the promotions that the method chose
+    draws: Draws
+    mode: Mode
+    verdict: Verdict
+    log_evidence: tuple[float, float | None] | None
+
+
+class Method(eqx.Module):
+    """A way of fitting. The third extension point, beside effects and noise laws."""
+
+    name: ClassVar[str]
+
+    @abc.abstractmethod
+    def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
+        """Fit. Never raises for lack of convergence: the verdict says it."""
+
+
+def kept_outcome(layout: Layout, run: Callable[[], Outcome]) -> Outcome:
+    """What a method hands back, from the fit's checkpoint where the method had ended."""
+    store = checkpoint.current()
+    if store is None:
+        return run()
+    if "outcome" not in store.notes:
+        _keep(store, run())
+    told = store.notes["outcome"]
+    names = told["stats"]
+    like = (0, 0, 0, dict.fromkeys(names, 0), MODE)
+    x, rows, v, stats, mode = jax.tree.map(
+        np.asarray, checkpoint.filled(like, store.arrays["outcome"])
+    )
+    verdict = told["verdict"]
+    words = {name: tuple(verdict[name]) for name in ("reasons", "notes")}
+    evidence = told["log_evidence"]
+    return Outcome(
+        Layout(layout.model, layout.counts, tuple(told["promoted"])),
+        Draws(x, rows, v, stats),  # pyright: ignore[reportArgumentType]
+        mode,
+        Verdict(**{**verdict, **words}),
+        None if evidence is None else (evidence[0], evidence[1]),
+    )
+
+
+def _keep(store: checkpoint.Checkpoint, made: Outcome) -> None:
+    """Write an outcome in place of the pieces that led to it."""
+    store.drop(*{*store.arrays, *store.notes})
+    draws = made.draws
+    store.arrays["outcome"] = checkpoint.leaves_of(
+        (draws.x, draws.rows, draws.v, draws.stats, made.mode)
+    )
+    store.notes["outcome"] = {
+        "promoted": made.layout.promoted,
+        "stats": sorted(draws.stats),
+        "verdict": asdict(made.verdict),
+        "log_evidence": made.log_evidence,
+    }
+    store.write()

@@ -1,0 +1,130 @@
+"""NumPyro's own NUTS on the plain, non-centred program: the reference, and the way to take a model further."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayescal._calibration.calibration import Draws
+from bayescal._core.progress import stage
+from bayescal._inference import laplace, marginal
+from bayescal._inference import nuts_chains as chains
+from bayescal._inference.method import Method, Outcome
+from bayescal._model import forward
+from bayescal._model.frame import Frame
+from bayescal._model.parameters import Layout
+from bayescal._model.prior import FlatLine, LogNormal, Normal
+
+
+class NUTS(Method):
+    """NumPyro's NUTS on every unknown, learned spreads non-centred.
+
+    Attributes:
+        warmup, draws: per chain.
+        chains: run in parallel.
+        dense: adapt a dense mass matrix.
+    """
+
+    warmup: int = 1000
+    draws: int = 1000
+    chains: int = 4
+    dense: bool = True
+    name: ClassVar[str] = "nuts"
+
+    def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
+        layout = Layout(layout.model, layout.counts)
+        found, sites = sampled(program(layout, frame), (y,), self, seed, self.dense)
+        x, rows, v = (np.asarray(sites[k]) for k in ("x", "rows", "v"))
+        mode = jax.tree.map(np.asarray, laplace.compiled_mode(layout, frame, y))
+        joint = np.concatenate([x, v], axis=2)
+        ran = chains.Chains(jnp.asarray(joint), found.divergences, found.steps)
+        verdict = marginal.chain_verdict(ran, mode, "NUTS", (), None)
+        return Outcome(layout, Draws(x, rows, v), mode, verdict, None)
+
+
+def sampled(
+    model: Callable, arguments: tuple, method: NUTS, seed: int, dense: bool
+) -> tuple[chains.Iterated, dict[str, Array]]:
+    """NumPyro's NUTS on every unknown of a program: what it ran, and every site by name, (chains, draws, …)."""
+    import numpyro.infer as infer  # half a second that only these chains need
+
+    kernel = infer.NUTS(
+        model,
+        dense_mass=dense,
+        target_accept_prob=0.9,
+        init_strategy=infer.init_to_median(num_samples=50),
+    )
+    with stage("NUTS on every unknown"):
+        found = chains.iterate(
+            kernel,
+            jax.random.key(seed),
+            arguments,
+            None,
+            warmup=method.warmup,
+            draws=method.draws,
+            chains=method.chains,
+            name="NUTS",
+        )
+        place = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn(arguments, {}))))
+        return found, place(found.draws)
+
+
+def _coordinate(prior, value: Array) -> Array:
+    """The coordinate v of a hyper-parameter's value: the inverse of its `value`."""
+    if isinstance(prior, Normal):
+        return (value - prior.mean) / prior.sd
+    if isinstance(prior, FlatLine):
+        return value / prior.scale
+    if isinstance(prior, LogNormal):
+        return jnp.log(value / prior.median) / prior.sd
+    return jnp.log(value / prior.scale)
+
+
+def program(layout: Layout, frame: Frame) -> Callable:
+    """The model as a NumPyro program of the output, non-centred where a spread is learned.
+
+    Its sites are every unknown by name in its reported unit (group coefficients as `name.standard`, in units
+    of their spread), the deterministic vectors `x`, `rows` and `v`, and the likelihood as a factor.
+    """
+    import numpyro
+    import numpyro.distributions as dist
+
+    def model(y: Array) -> None:
+        values, v = {}, []
+        for h in layout.hypers:
+            values[h.name] = numpyro.sample(h.name, h.prior.distribution())
+            v.append(_coordinate(h.prior, values[h.name]))
+        v = jnp.stack(v) if v else jnp.zeros(0)
+        values.update({name: jnp.asarray(value) for name, value in layout.model.fixed})
+        x = []
+        for b in layout.x_blocks:
+            c = b.coefficient
+            if c.flat:
+                line = dist.ImproperUniform(dist.constraints.real_vector, (), (b.size,))
+                site = numpyro.sample(b.name, line)
+            else:
+                z = numpyro.sample(
+                    f"{b.name}.standard", dist.Normal(0.0, 1.0).expand([b.size]).to_event(1)
+                )
+                spread = values[b.spread_name] if c.spread is not None else c.size
+                site = c.mean + spread * z
+            x.append(site)
+        x = jnp.concatenate(x) if x else jnp.zeros(0)
+        rows = jnp.zeros((frame.size, len(layout.row_blocks)))
+        if layout.row_blocks:
+            e = numpyro.sample(
+                "rows.standard", dist.Normal(0.0, 1.0).expand(rows.shape).to_event(2)
+            )
+            rows = e * forward.row_sd(layout)
+        numpyro.deterministic("x", x)
+        numpyro.deterministic("rows", rows)
+        numpyro.deterministic("v", v)
+        terms = forward.log_likelihood(layout, frame, y, x, rows, values)
+        numpyro.factor("readings", jnp.sum(terms))
+
+    return model

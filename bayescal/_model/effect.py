@@ -1,0 +1,99 @@
+"""One named physical term: a basis, linear in its coefficients, that adds to a slot."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayescal._core.errors import ModelError
+from bayescal._model.coefficient import Coefficient, Shape
+from bayescal._model.frame import Frame
+from bayescal._readings.measurements import Measurements
+
+
+class Effect(eqx.Module):
+    """One named physical term of a measurement equation.
+
+    The author of an effect writes one small function of the readings:
+
+        humidity = bc.Effect(
+            "bias.humidity", slot="bias", columns=("humidity",),
+            basis=lambda r: r["humidity"] - 50.0,
+            coefficients=(bc.Coefficient("deg/s/%", bc.Normal(0, 0.01)),),
+            equation="c·(H − 50 %)",
+        )
+
+    Attributes:
+        name: canonical name, `slot.cause`.
+        slot: the slot of the instrument that it adds to. A slot named after a column corrects that column
+            before any other effect sees it (errors in variables).
+        basis: function of a `Frame` and, as keywords, of the shapes; one column (n,) or several (n, p),
+            one for each coefficient, in the instrument's fixed units.
+        coefficients: the unknowns, in the order of the basis columns.
+        shapes: unknowns that the basis is not linear in.
+        columns: what the readings must have.
+        equation, source: for people; the source is a document, data sheet, standard or script.
+        varies: a column that must take more than one value for the effect to be testable.
+        measure: the shape that says how large the effect is, as an amplitude of standard normal coefficients;
+            None where its first coefficient does.
+        untestable: why readings that have all this still cannot test the effect, or None where they can.
+    """
+
+    name: str = eqx.field(static=True)
+    slot: str = eqx.field(static=True)
+    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"]] = eqx.field(static=True)
+    coefficients: tuple[Coefficient, ...]
+    shapes: tuple[Shape, ...] = ()
+    columns: tuple[str, ...] = eqx.field(static=True, default=())
+    equation: str = eqx.field(static=True, default="")
+    source: str = eqx.field(static=True, default="the user's own")
+    varies: tuple[str, ...] = eqx.field(static=True, default=())
+    measure: str | None = eqx.field(static=True, default=None)
+    untestable: Callable[[Measurements], str | None] | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        if not self.coefficients:
+            raise ModelError(f"effect {self.name!r} has no coefficient: give at least one")
+        parts = [c.part for c in self.coefficients]
+        if len(set(parts)) != len(parts):
+            raise ModelError(
+                f"effect {self.name!r}: its coefficients need different parts, not {parts}"
+            )
+        taken = inspect.signature(self.basis).parameters
+        shapes = {s.name for s in self.shapes}
+        needed = {
+            name for name, p in taken.items() if p.default is p.empty
+        }  # not `lambda r, k=k: …`
+        if not shapes <= set(taken) or len(needed - shapes) != 1:
+            raise ModelError(
+                f"effect {self.name!r}: its basis must take the readings and then its shapes "
+                f"{[s.name for s in self.shapes]} by name; it takes {list(taken)}"
+            )
+
+    def coefficient_name(self, index: int) -> str:
+        part = self.coefficients[index].part
+        return f"{self.name}[{part}]" if part else self.name
+
+    def shape_name(self, shape: Shape) -> str:
+        return f"{self.name}.{shape.name}"
+
+    def evaluate(self, frame: Frame, shapes: dict[str, Float[Array, ""]]) -> Float[Array, "n p"]:
+        """The basis as a matrix, one column a coefficient; constants are spread over the readings.
+
+        Raises:
+            ModelError: the basis has another number of columns than there are coefficients.
+        """
+        columns = jnp.asarray(self.basis(frame, **shapes), dtype=float)
+        if columns.ndim < 2:
+            columns = jnp.broadcast_to(columns, (frame.size,))[:, None]
+        if columns.shape != (frame.size, len(self.coefficients)):
+            raise ModelError(
+                f"effect {self.name!r}: its basis returned shape {columns.shape}; with "
+                f"{len(self.coefficients)} coefficient(s) and {frame.size} readings it must return "
+                f"{(frame.size, len(self.coefficients))}"
+            )
+        return columns

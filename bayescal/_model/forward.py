@@ -1,0 +1,288 @@
+"""One composition, four readings of it: expected output and Jacobian, log density, simulation.
+
+(The fourth, the NumPyro program, stands in `_nuts.py`, because only there NumPyro is needed.)
+
+Everything here is a pure JAX function of a `Layout` (static), a `Frame`, and values. Each reading's output
+depends on that reading's own slots alone, so one forward derivative per slot gives the whole Jacobian.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Frame
+from bayescal._model.parameters import Block, Layout
+
+Values = dict[str, Float[Array, "..."]]
+
+
+class Linearised(NamedTuple):
+    """The expected output and its derivatives, at one point.
+
+    mean (n,); jacobian by x (n, p); rows: by each coefficient that has one value per reading (n, k).
+    """
+
+    mean: Float[Array, "n"]
+    jacobian: Float[Array, "n p"]
+    rows: Float[Array, "n k"]
+
+
+def hyper_values(layout: Layout, v: Float[Array, "d"]) -> Values:
+    """The entries of φ at coordinate v, by name, in reported units; fixed ones included."""
+    values = {h.name: h.prior.value(v[i]) for i, h in enumerate(layout.hypers)}
+    return {**{name: jnp.asarray(value) for name, value in layout.model.fixed}, **values}
+
+
+def hyper_log_prior(layout: Layout, v: Float[Array, "d"]) -> Float[Array, ""]:
+    """Log prior density of φ in its coordinates."""
+    return sum((h.prior.log_density(v[i]) for i, h in enumerate(layout.hypers)), jnp.zeros(()))
+
+
+def prior_mean(layout: Layout) -> Float[Array, "p"]:
+    return _fill(layout, [jnp.full(b.size, b.coefficient.mean) for b in layout.x_blocks])
+
+
+def prior_sd(
+    layout: Layout, hyper: Values, flat: Float[Array, "p"] | float = 1.0
+) -> Float[Array, "p"]:
+    """Prior standard deviation of x given φ; where the prior is flat, the scale `flat` of its column."""
+    flat = jnp.broadcast_to(jnp.asarray(flat), (layout.size,))
+    parts = []
+    for b in layout.x_blocks:
+        if b.coefficient.spread is not None:
+            parts.append(jnp.full(b.size, hyper[b.spread_name]))
+        elif b.coefficient.flat:
+            parts.append(flat[b.start : b.start + b.size])
+        else:
+            parts.append(jnp.full(b.size, b.coefficient.size))
+    return _fill(layout, parts)
+
+
+def prior_weight(layout: Layout) -> Float[Array, "p"]:
+    """1 where the prior of x is proper, 0 where it is flat."""
+    return _fill(
+        layout, [jnp.full(b.size, 0.0 if b.coefficient.flat else 1.0) for b in layout.x_blocks]
+    )
+
+
+def row_sd(layout: Layout) -> Float[Array, "k"]:
+    """Prior standard deviations of the coefficients that have one value per reading."""
+    return jnp.asarray([b.coefficient.size for b in layout.row_blocks], dtype=float)
+
+
+def _fill(layout: Layout, parts: list[Float[Array, "..."]]) -> Float[Array, "p"]:
+    return jnp.concatenate(parts) if parts else jnp.zeros(0)
+
+
+def coefficients(
+    layout: Layout, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
+) -> Values:
+    """The value of every coefficient by name, (size,) each, in its reported unit."""
+    values, row = {}, 0
+    for b in layout.blocks:
+        if b.place == "fixed":
+            values[b.name] = jnp.full(b.size, b.value)
+        elif b.place == "x":
+            values[b.name] = x[b.start : b.start + b.size]
+        elif b.place == "row":
+            values[b.name] = rows[:, row]
+            row += 1
+        else:
+            value = jnp.stack([hyper[name] for name in b.member_names()])
+            if b.coefficient.spread is not None:
+                value = b.coefficient.mean + hyper[b.spread_name] * value
+            values[b.name] = value
+    return values
+
+
+def _shapes(effect: Effect, hyper: Values) -> Values:
+    return {s.name: hyper[effect.shape_name(s)] for s in effect.shapes}
+
+
+def _members(block: Block, frame: Frame) -> Float[Array, "n m"]:
+    """Which member of its group each reading belongs to, as an indicator matrix."""
+    per = block.coefficient.per
+    assert per is not None
+    return jax.nn.one_hot(frame.codes[per], block.size, dtype=float)
+
+
+def _columns(
+    layout: Layout, frame: Frame, hyper: Values, correcting: bool
+) -> list[tuple[Block, Array]]:
+    """The basis column of each block, in slot units per reported unit; either those that correct columns,
+    which see the record, or the others, which see the corrected columns."""
+    found, matrix = [], None
+    slots = {s.name for s in layout.model.instrument.slots}
+    for b in layout.blocks:
+        if (b.slot not in slots) != correcting:
+            continue
+        if matrix is None or matrix[0] is not b.effect:
+            matrix = (b.effect, b.effect.evaluate(frame, _shapes(b.effect, hyper)))
+        found.append((b, matrix[1][:, b.index] * b.factor))
+    return found
+
+
+def _sums(terms: list[tuple[Block, Array]], values: Values, frame: Frame) -> dict[str, Array]:
+    sums: dict[str, Array] = {}
+    for b, column in terms:
+        value = values[b.name]
+        if b.coefficient.per == "reading":
+            share = column * value
+        elif b.coefficient.per is None:
+            share = column * value[0]
+        else:
+            share = column * (_members(b, frame) @ value)
+        sums[b.slot] = sums.get(b.slot, jnp.zeros(frame.size)) + share
+    return sums
+
+
+def _respond(layout: Layout, frame: Frame, values: Values, hyper: Values, push: dict[str, Array]):
+    """Expected output with `push` added to slots; also the basis columns at that point."""
+    zero = jnp.zeros(frame.size)
+    correcting = _columns(layout, frame, hyper, correcting=True)
+    corrections = _sums(correcting, values, frame)
+    corrected = frame
+    slots = [s.name for s in layout.model.instrument.slots]
+    for name in {*corrections, *(p for p in push if p not in slots)}:
+        shifted = frame[name] + corrections.get(name, zero) + push.get(name, zero)
+        corrected = corrected.with_column(name, shifted)
+    others = _columns(layout, corrected, hyper, correcting=False)
+    sums = _sums(others, values, frame)
+    filled = {name: sums.get(name, zero) + push.get(name, zero) for name in slots}
+    return layout.model.instrument.response(filled, corrected), (correcting, others)
+
+
+def mean(
+    layout: Layout, frame: Frame, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
+) -> Float[Array, "n"]:
+    """Expected output, output unit."""
+    return _respond(layout, frame, coefficients(layout, x, rows, hyper), hyper, {})[0]
+
+
+def slot_derivatives(
+    layout: Layout, frame: Frame, values: Values, hyper: Values, slots: tuple[str, ...]
+) -> dict[str, Float[Array, "n"]]:
+    """Derivative of the expected output by each of these slots, reading by reading."""
+    zero, one = jnp.zeros(frame.size), jnp.ones(frame.size)
+
+    def respond(push):
+        return _respond(layout, frame, values, hyper, push)[0]
+
+    start = dict.fromkeys(slots, zero)
+    return {s: jax.jvp(respond, (start,), ({**start, s: one},))[1] for s in slots}
+
+
+def linearise(
+    layout: Layout, frame: Frame, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
+) -> Linearised:
+    """Expected output and Jacobian at a point, output unit per reported unit."""
+    values = coefficients(layout, x, rows, hyper)
+    output, (correcting, others) = _respond(layout, frame, values, hyper, {})
+    terms = {b.name: column for b, column in (*correcting, *others)}
+    free = [b for b in layout.blocks if b.place in ("x", "row")]
+    slopes = slot_derivatives(layout, frame, values, hyper, tuple(sorted({b.slot for b in free})))
+    in_x, in_rows = [jnp.zeros((frame.size, 0))], [jnp.zeros((frame.size, 0))]
+    for b in free:
+        column = (slopes[b.slot] * terms[b.name])[:, None]
+        if b.place == "row":
+            in_rows.append(column)
+        else:
+            in_x.append(column if b.coefficient.per is None else column * _members(b, frame))
+    return Linearised(output, jnp.concatenate(in_x, 1), jnp.concatenate(in_rows, 1))
+
+
+def effect_columns(
+    layout: Layout, frame: Frame, values: Values, hyper: Values, effect: Effect, shapes: Values
+) -> list[tuple[Float[Array, "n m"], float]]:
+    """∂μ/∂θ of an effect that is not in the model: one matrix per coefficient, with its unit factor inside.
+
+    Returns:
+        For each coefficient its columns (n, members), output unit per reported unit, and its plausible size.
+    """
+    instrument = layout.model.instrument
+    basis = effect.evaluate(frame, shapes)
+    names = [instrument.slot(c.slot or effect.slot) for c in effect.coefficients]
+    slopes = slot_derivatives(layout, frame, values, hyper, tuple(sorted({s.name for s in names})))
+    found = []
+    bound = Layout(layout.model + effect, layout.counts, layout.promoted)
+    for b in bound.blocks:
+        if b.effect is effect:
+            column = (slopes[b.slot] * basis[:, b.index] * b.factor)[:, None]
+            if b.coefficient.per is not None:
+                column = column * _members(b, frame)
+            found.append((column, b.coefficient.size))
+    return found
+
+
+def log_likelihood(
+    layout: Layout,
+    frame: Frame,
+    y: Float[Array, "n"],
+    x: Float[Array, "p"],
+    rows: Float[Array, "n k"],
+    hyper: Values,
+) -> Float[Array, "n"]:
+    """Log density of each reading given every unknown."""
+    return layout.model.noise.log_density(y, mean(layout, frame, x, rows, hyper), hyper, frame)
+
+
+def log_likelihood_over_rows(
+    layout: Layout, frame: Frame, y: Float[Array, "n"], x: Float[Array, "p"], hyper: Values
+) -> Float[Array, "n"]:
+    """The same with the per-reading coefficients averaged over their prior, to first order in them."""
+    line = linearise(layout, frame, x, jnp.zeros((frame.size, len(layout.row_blocks))), hyper)
+    variance = layout.model.noise.variance(hyper, frame)
+    variance = variance + jnp.sum((line.rows * row_sd(layout)) ** 2, axis=1)
+    return -0.5 * ((y - line.mean) ** 2 / variance + jnp.log(2 * jnp.pi * variance))
+
+
+def log_prior_x(
+    layout: Layout, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
+) -> Float[Array, ""]:
+    """Log prior density of x and of the per-reading coefficients given φ; flat ones count nothing."""
+    sd, weight = prior_sd(layout, hyper), prior_weight(layout)
+    z = (x - prior_mean(layout)) / sd
+    own = -0.5 * jnp.sum(weight * (z**2 + 2 * jnp.log(sd) + jnp.log(2 * jnp.pi)))
+    spread = row_sd(layout)
+    zr = rows / spread
+    return own - 0.5 * jnp.sum(zr**2 + 2 * jnp.log(spread) + jnp.log(2 * jnp.pi))
+
+
+def draw_prior(layout: Layout, frame: Frame, key: Array) -> tuple[Array, Array, Array]:
+    """One draw (x, rows, v) from the prior.
+
+    Raises:
+        ValueError: a prior is flat.
+    """
+    keys = jax.random.split(key, len(layout.hypers) + 2)
+    v = jnp.stack([h.prior.sample(keys[i]) for i, h in enumerate(layout.hypers)] or [jnp.zeros(())])
+    v = v[: len(layout.hypers)]
+    if any(b.coefficient.flat for b in layout.x_blocks):
+        raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
+    hyper = hyper_values(layout, v)
+    x = prior_mean(layout) + prior_sd(layout, hyper) * jax.random.normal(keys[-1], (layout.size,))
+    k = len(layout.row_blocks)
+    rows = row_sd(layout) * jax.random.normal(keys[-2], (frame.size, k))
+    return x, rows, v
+
+
+def draw_readings(
+    layout: Layout, frame: Frame, x: Array, rows: Array, v: Array, key: Array
+) -> Array:
+    """Readings simulated by the model's own equation and noise."""
+    hyper = hyper_values(layout, v)
+    return layout.model.noise.sample(key, mean(layout, frame, x, rows, hyper), hyper, frame)
+
+
+def effect_slope(
+    layout: Layout, frame: Frame, values: Values, hyper: Values, block: Block
+) -> Float[Array, "n"]:
+    """∂μ by one member's coefficient of a block, as if every reading belonged to that member."""
+    slope = slot_derivatives(layout, frame, values, hyper, (block.slot,))[block.slot]
+    basis = block.effect.evaluate(frame, _shapes(block.effect, hyper))
+    return slope * basis[:, block.index] * block.factor

@@ -1,0 +1,277 @@
+"""Readings as JAX sees them: columns, group codes, and what is derived from time.
+
+A frame is built once from measurements and a reference. The reference holds the constants of the bases (T0,
+the mean time, the span, the start of every run): stored at the fit and never recomputed on new readings.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bayescal._core.jax_setup import configure_jax
+from bayescal._readings.measurements import Measurements
+
+configure_jax()
+
+GROUPS = ("run", "axis", "device")  # columns of text that coefficients may be given per member of
+RATE_WINDOW = 60.0  # s, of the causal least-squares slope
+GAP = 10.0  # windows without a reading, after which nothing is known of the rate
+Reference = dict[str, float | dict[str, float]]
+
+
+class Frame(eqx.Module):
+    """The readings that a basis is a function of. All columns in the instrument's fixed units.
+
+    Attributes:
+        columns: measured columns, (n,) each.
+        labels: for each label of a column of text that is no group of its own ("group=outer"), 1 where a reading
+            has it and 0 elsewhere, (n,) each.
+        rates: causal slope of each column that has one, unit per second, (n,) each.
+        codes: index of each reading's group member, −1 where it belongs to none.
+        reference: scalars such as T0.
+        order: permutation that sorts the readings by run and time.
+        step: time since the previous reading of the same run, in sorted order, −1 at a run's first, s.
+        record: the columns as they were measured, whatever has been corrected since.
+    """
+
+    columns: dict[str, Float[Array, "n"]]
+    labels: dict[str, Float[Array, "n"]]
+    rates: dict[str, Float[Array, "n"]]
+    codes: dict[str, Int[Array, "n"]]
+    reference: dict[str, Float[Array, ""]]
+    order: Int[Array, "n"]
+    step: Float[Array, "n"]
+    record: dict[str, Float[Array, "n"]]
+
+    @property
+    def size(self) -> int:
+        return self.order.shape[-1]
+
+    def __getitem__(self, name: str) -> Float[Array, "n"]:
+        return self.columns[name]
+
+    def centred(self, name: str = "temperature") -> Float[Array, "n"]:
+        """A column minus its reference value, such as T − T0, °C."""
+        return self.columns[name] - self.reference[reference_name(name)]
+
+    def has_label(self, name: str, label: str) -> Float[Array, "n"]:
+        """1 where the column of text `name` reads `label`, 0 elsewhere."""
+        return self.labels.get(f"{name}={label}", jnp.zeros(self.size))
+
+    def position(self, name: str) -> Float[Array, "n"]:
+        """Where a covariate stands in its range at the fit, 0 to 1; a rate is called "temperature rate"."""
+        column = name.removesuffix(" rate")
+        values = self.columns[name] if name in self.columns else self.rates[column]
+        low, high = self.reference[f"{name}_low"], self.reference[f"{name}_high"]
+        return (values - low) / jnp.where(high > low, high - low, 1.0)
+
+    def rate(self, name: str = "temperature") -> Float[Array, "n"]:
+        """dT/dt, causal least-squares slope within the run, °C/s."""
+        return self.rates[name]
+
+    @property
+    def elapsed(self) -> Float[Array, "n"]:
+        """Time since the start of the run, s."""
+        return self.columns["elapsed"]
+
+    @property
+    def progress(self) -> Float[Array, "n"]:
+        """(t − t̄)/(tmax − tmin) over the data set of the fit."""
+        return (self.columns["time"] - self.reference["time_mean"]) / self.reference["time_span"]
+
+    def lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
+        """T̃ − T, where τ·dT̃/dt = T − T̃ and T̃ starts each run at the run's first reading, °C.
+
+        T is taken as linear between readings, for which the recursion below is exact. T̃ follows the record: a
+        correction of the column (an error of the thermometer) moves T at its own reading, not the body's past.
+        """
+        values = self.record[name][self.order]
+        first, still = self.step < 0, self.step == 0
+        h = jnp.where(first | still, 1.0, self.step / tau)
+        decay = jnp.where(first, 0.0, jnp.where(still, 1.0, jnp.exp(-h)))
+        change = jnp.diff(values, prepend=values[:1])
+        drive = jnp.where(first, 0.0, change * jnp.where(still, -1.0, jnp.expm1(-h) / h))
+
+        def advance(behind, row):
+            share, push = row
+            behind = share * behind + push
+            return behind, behind
+
+        # One small loop rather than an associative scan, which takes ten times as long to compile.
+        _, lagged = jax.lax.scan(advance, jnp.zeros(()), (decay, drive))
+        lagged = jnp.zeros_like(lagged).at[self.order].set(lagged)
+        return lagged + (self.record[name] - self.columns[name])
+
+    def with_column(self, name: str, values: Float[Array, "n"]) -> Frame:
+        """The same readings with one measured column corrected (its rate stays that of the record)."""
+        return eqx.tree_at(lambda f: f.columns[name], self, values)
+
+
+def derived(readings: Measurements) -> dict[str, np.ndarray]:
+    """What a dependence can be on: numeric columns but the output, time within the run, rates of temperatures, °C/s.
+
+    A rate is called "temperature rate".
+    """
+    own = ("output", "output_uncertainty", "temperature_point")
+    found = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in own}
+    if readings.has("time"):
+        time, (names, codes) = readings["time"], run_codes(readings)
+        starts = np.array([np.min(time[codes == i]) for i in range(len(names))])
+        order, step = _sequence(time, codes)
+        found |= {
+            f"{n} rate": causal_slope(time, readings[n], order, step)
+            for n in readings.columns
+            if readings.unit(n) == "degC" and n not in own
+        }
+        if len(names) > 1:
+            found["elapsed"] = time - starts[codes]
+    return found
+
+
+def _sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The order of time within runs, and the time since the previous reading of the run, −1 at its first."""
+    order = np.lexsort((time, codes))
+    step = np.diff(time[order], prepend=time[order][:1])
+    step[np.diff(codes[order], prepend=-1) != 0] = -1.0
+    return order, step
+
+
+def reference_name(column: str) -> str:
+    return {"temperature": "T0", "lab_temperature": "L0"}.get(column, f"{column}_0")
+
+
+def reference_of(readings: Measurements) -> Reference:
+    """The constants of the bases for these readings: T0, L0, mean time and span, run starts, ranges."""
+    found: Reference = {}
+    for name in readings.columns:
+        if readings.unit(name) == "degC" and name != "temperature_point":
+            found[reference_name(name)] = float(np.round(np.mean(readings[name])))
+    for name, values in derived(readings).items():
+        found[f"{name}_low"], found[f"{name}_high"] = float(values.min()), float(values.max())
+    if readings.has("time"):
+        time = readings["time"]
+        found["time_mean"] = float(np.mean(time))
+        found["time_span"] = float(np.ptp(time)) or 1.0
+        levels, codes = run_codes(readings)
+        found["run_starts"] = {
+            level: float(np.min(time[codes == i])) for i, level in enumerate(levels)
+        }
+    return found
+
+
+def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
+    """Runs as records in time: one for each run of each device and axis."""
+    levels, codes = readings.groups("run")
+    for group in ("device", "axis"):
+        if readings.has(group):
+            members, own = readings.groups(group)
+            pairs, codes = np.unique(own * len(levels) + codes, return_inverse=True)
+            levels = tuple(f"{members[p // len(levels)]}|{levels[p % len(levels)]}" for p in pairs)
+    return levels, codes
+
+
+def build_frame(
+    readings: Measurements,
+    reference: Reference,
+    levels: Mapping[str, tuple[str, ...]] | None = None,
+) -> Frame:
+    """A frame of readings under a stored reference.
+
+    Args:
+        readings: the measurements.
+        reference: constants stored at the fit.
+        levels: group members known to the fit; members that are not among them get the code −1. None (at
+            the fit itself) takes the readings' own.
+    """
+    columns = {
+        name: jnp.asarray(readings[name])
+        for name in readings.columns
+        if readings.unit(name) is not None and name != "temperature_point"
+    }
+    labels = {
+        f"{name}={label}": jnp.asarray(readings[name] == label, dtype=float)
+        for name in readings.columns
+        if readings.unit(name) is None and name not in GROUPS
+        for label in readings.groups(name)[0]
+    }
+    rates: dict[str, Array] = {}
+    order, step = np.arange(len(readings)), -np.ones(len(readings))
+    if readings.has("time"):
+        time = readings["time"]
+        names, codes = run_codes(readings)
+        starts = reference["run_starts"]
+        assert isinstance(starts, dict)
+        own = {name: float(np.min(time[codes == i])) for i, name in enumerate(names)}
+        start = np.array(
+            [starts.get(n, own[n]) if starts.get(n, own[n]) <= own[n] else own[n] for n in names]
+        )
+        columns["elapsed"] = jnp.asarray(time - start[codes])
+        order, step = _sequence(time, codes)
+        for name in readings.columns:
+            if readings.unit(name) == "degC" and name != "temperature_point":
+                rates[name] = jnp.asarray(causal_slope(time, readings[name], order, step))
+    group_codes = {}
+    for group in ("cell", *GROUPS):
+        own_levels, own_codes = readings.groups(group)
+        if levels is not None:
+            known = {level: i for i, level in enumerate(levels.get(group, ()))}
+            table = np.array([known.get(level, -1) for level in own_levels] + [-1])
+            own_codes = table[own_codes]
+        members = own_levels if levels is None else levels.get(group, ())
+        fitting = np.min_scalar_type(-len(members) - 1)  # of four for each reading, most are zeros
+        group_codes[group] = jnp.asarray(own_codes, dtype=fitting)
+    scalars = {k: jnp.asarray(v) for k, v in reference.items() if not isinstance(v, dict)}
+    return Frame(
+        columns,
+        labels,
+        rates,
+        group_codes,
+        scalars,
+        jnp.asarray(order, dtype=jnp.int32),
+        jnp.asarray(step),
+        dict(columns),
+    )
+
+
+def causal_slope(
+    time: np.ndarray, values: np.ndarray, order: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """Least-squares slope over the last minute (or the last step, if longer) within each run, unit/s.
+
+    The first reading of a run has no past and gets 0; so does the first after a gap of ten windows, such as the
+    soak before a tumble, for the change over hours says nothing of the rate now.
+    """
+    t, y, here = time[order], values[order], np.arange(time.size)
+    steps = step[step > 0]
+    window = max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0) * (1 + 1e-9)
+    begins = np.flatnonzero(step < 0)
+    first = np.empty(t.size, dtype=int)  # reading of each window, one of an earlier time at least
+    for low, high in itertools.pairwise([*begins, t.size]):
+        own = t[low:high]
+        earlier = np.searchsorted(own, own) - 1
+        first[low:high] = low + np.clip(np.searchsorted(own, own - window), 0, earlier.clip(0))
+    count, *sums = (
+        np.ones(t.size),
+        *np.zeros((4, t.size)),
+    )  # of dt, dy, dt², dt·dy before each reading
+    for back in range(1, int(np.max(here - first, initial=0)) + 1):
+        at = here[here - back >= first]
+        dt, dy = t[at - back] - t[at], y[at - back] - y[at]
+        count[at] += 1
+        for total, part in zip(sums, (dt, dy, dt * dt, dt * dy), strict=True):
+            total[at] += part
+    of_t, of_y, of_tt, of_ty = sums
+    scatter = of_tt - of_t**2 / count
+    known = (first < here) & (scatter > 0) & (t - t[first] <= GAP * window)
+    slopes = np.zeros_like(y)
+    slopes[known] = (of_ty - of_t * of_y / count)[known] / scatter[known]
+    result = np.zeros_like(slopes)
+    result[order] = slopes
+    return result

@@ -1,0 +1,227 @@
+"""An instrument: a value that says what is measured and by which equation.
+
+Instruments are not subclasses. A new one is a set of columns, slots and one function of slots and readings.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from bayescal._core.errors import ModelError
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Frame
+from bayescal._model.noise import Noise, White
+from bayescal._readings.measurements import Column, Measurements, NominalScale
+from bayescal._readings.units import ANY, coefficient_factor, same_dimension
+from bayescal.effects.unknown import unknown
+from bayescal.effects.unknown_in_time import cycle, jump
+
+if TYPE_CHECKING:
+    from bayescal._model.model import Model
+
+Slots = Mapping[str, Float[Array, "n"]]
+UNKNOWN = re.compile(r"unknown\((.+)\)")
+FORMS = {"time, jump": jump, "time, cycle": cycle}  # of unknown functions, beside the smooth one
+
+
+def free_curve(name: str) -> bool:
+    """Whether an effect follows any smooth curve, and so can stand in for others; a law or a form in time cannot."""
+    found = UNKNOWN.fullmatch(name)
+    return found is not None and found[1] not in FORMS
+
+
+class Slot(eqx.Module):
+    """A quantity in a measurement equation that effects add to; zero where none does."""
+
+    name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    meaning: str = eqx.field(static=True, default="")
+
+
+class Use(eqx.Module):
+    """How a calibrated instrument is used: which quantity a reading is turned back into.
+
+        use=bc.Use("rate_input", "deg/s")                  # a column that the response is a function of
+        use=bc.Use("acceleration", "ug", equation=lambda a, slots, r: slots["bias"] + (1 + slots["scale"]) * a)
+
+    Attributes:
+        stimulus: name of the quantity; a column, if there is no equation.
+        unit: its fixed unit.
+        equation: the expected output in use, a function of (stimulus, slots, frame), output unit. None takes the
+            instrument's response with the stimulus in place of its column.
+        slots: those that act in use; empty for all. A test rig's own (fixture tilt, base tilt) do not.
+    """
+
+    stimulus: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    equation: Callable[[Float[Array, "n"], Slots, Frame], Float[Array, "n"]] | None = eqx.field(
+        static=True, default=None
+    )
+    slots: tuple[str, ...] = eqx.field(static=True, default=())
+
+
+class Instrument(eqx.Module):
+    """What is measured, by which equation, and which effects may play a part.
+
+    Attributes:
+        name: folder and command-line name, such as "mems_gyro".
+        title: one line for people.
+        columns: what a file of readings holds; "output" among them.
+        slots: what effects add to.
+        response: expected output from slots and readings, each reading from its own slots alone.
+        effects: of the baseline model.
+        candidates: further effects that `discover` considers.
+        noise: law of the baseline.
+        nominal_scale: how raw outputs (V, Hz) become input units.
+        known_noise: name and standard deviation (output unit) of contributions known before any fit, or a
+            function of a temperature slope (output unit per °C) that gives them.
+        structures: further models to compare, by name.
+        simulate: `simulate(effects, seed=…, **options)` gives measurements of a simulated campaign.
+        experiments: feasible changes of the campaign, in words, and what each would record: `next_experiment` ranks
+            them.
+        demo: writes a demonstration to a folder, under a seed.
+        pairs: of an instrument whose devices are chosen in pairs: `pairs(calibration, criterion=…)` gives a table
+            that prints itself and has `data()`, plain JSON.
+        use: which quantity the calibrated instrument measures; None where no single reading tells it.
+        source: document that the equations come from.
+        tailor: of an instrument whose output may be anything: `tailor(readings, **settings)` gives the
+            instrument in the unit of these readings, with plausible sizes to match; settings that are given
+            are not taken from the readings.
+        settings: what a tailored instrument was made with, by name; saved with its calibrations.
+    """
+
+    name: str = eqx.field(static=True)
+    title: str = eqx.field(static=True)
+    columns: tuple[Column, ...] = eqx.field(static=True)
+    slots: tuple[Slot, ...] = eqx.field(static=True)
+    response: Callable[[Slots, Frame], Float[Array, "n"]] = eqx.field(static=True)
+    effects: tuple[Effect, ...]
+    candidates: tuple[Effect, ...] = ()
+    noise: Noise = eqx.field(default_factory=White)
+    nominal_scale: NominalScale | None = eqx.field(static=True, default=None)
+    known_noise: Callable[[float], dict[str, float]] | None = eqx.field(static=True, default=None)
+    structures: tuple[tuple[str, Callable[[], Model]], ...] = eqx.field(static=True, default=())
+    simulate: Callable[..., Any] | None = eqx.field(static=True, default=None)
+    experiments: tuple[tuple[str, Callable[[], Measurements]], ...] = eqx.field(
+        static=True, default=()
+    )
+    demo: Callable[[Path, int], None] | None = eqx.field(static=True, default=None)
+    pairs: Callable[..., Any] | None = eqx.field(static=True, default=None)
+    use: Use | None = None
+    source: str = eqx.field(static=True, default="")
+    tailor: Callable[..., Instrument] | None = eqx.field(static=True, default=None)
+    settings: tuple[tuple[str, str | float], ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self) -> None:
+        if self.use is None:
+            return
+        names = [s.name for s in self.slots]
+        for slot in self.use.slots:
+            if slot not in names:
+                raise ModelError(
+                    f"instrument {self.name!r}: use counts on slot {slot!r}, which it does not have "
+                    f"(it has {', '.join(names)})"
+                )
+        if self.use.equation is None:
+            self.column(self.use.stimulus)
+
+    def for_readings(self, readings: Measurements) -> Instrument:
+        """The instrument tailored to readings, where it has to be; else the same."""
+        return self if self.tailor is None else self.tailor(readings)
+
+    def baseline(self) -> Model:
+        """The instrument with its baseline effects and noise law."""
+        from bayescal._model.model import Model  # here, because a model is made of an instrument
+
+        return Model(self, self.effects, self.noise)
+
+    @property
+    def unit(self) -> str:
+        """The fixed unit of the output; "any" before it is tailored to readings."""
+        unit = self.column("output").unit
+        assert unit is not None
+        return unit
+
+    def column(self, name: str) -> Column:
+        for column in self.columns:
+            if column.name == name:
+                return column
+        raise ModelError(
+            f"instrument {self.name!r} has no column {name!r}; it has "
+            f"{', '.join(c.name for c in self.columns)}"
+        )
+
+    def slot(self, name: str) -> Slot:
+        """A slot by name; a numeric column is one too, in its own unit.
+
+        Raises:
+            ModelError: there is no such slot.
+        """
+        for slot in self.slots:
+            if slot.name == name:
+                return slot
+        for column in self.columns:
+            if column.name == name and column.unit is not None and name != "output":
+                return Slot(
+                    name, "delta_degC" if column.unit == "degC" else column.unit, column.meaning
+                )
+        raise ModelError(
+            f"instrument {self.name!r} has no slot {name!r}; an effect can add to "
+            f"{', '.join(s.name for s in self.slots)}, or correct a numeric column"
+        )
+
+    def effect(self, name: str) -> Effect:
+        """One of the instrument's own effects by canonical name, or "unknown(covariate)".
+
+        Raises:
+            ModelError: it has none of that name.
+        """
+        for effect in (*self.effects, *self.candidates):
+            if effect.name == name:
+                return effect
+        if found := UNKNOWN.fullmatch(name):
+            return self.unknown(found[1])
+        raise ModelError(
+            f"instrument {self.name!r} knows no effect {name!r}; it knows "
+            f"{', '.join(e.name for e in (*self.effects, *self.candidates))}. "
+            "Give a bayescal.Effect of your own, or load one with --effects"
+        )
+
+    def unknown(self, covariate: str) -> Effect:
+        """An unknown dependence of the output on a covariate: a smooth one, or a jump or a cycle in time.
+
+        Its plausible amplitudes are those of the instrument's own effects that are stated in the output's unit.
+
+        Args:
+            covariate: a numeric column, "elapsed" (time within the run), or a temperature's rate such as
+                "temperature rate"; "time, jump" and "time, cycle" for these forms.
+
+        Raises:
+            ModelError: no slot has the output's unit.
+        """
+        slot = next((s for s in self.slots if s.unit == self.unit != ANY), None)
+        if slot is None:
+            raise ModelError(
+                f"instrument {self.name!r} has no slot in the unit of its output, [{self.unit}]: an unknown "
+                "dependence has nothing to add to"
+            )
+        sizes = [
+            c.size * coefficient_factor(c.unit, slot.unit)
+            for e in (*self.effects, *self.candidates)
+            for c in e.coefficients
+            if not e.name.endswith(".constant")
+            and (c.slot or e.slot) == slot.name
+            and same_dimension(c.unit, slot.unit)
+        ]
+        noise = getattr(getattr(self.noise, "scale", None), "scale", 1.0)
+        low, high = min(sizes, default=noise) / 3, max(sizes, default=noise) * 3
+        form = ", ".join(part.strip() for part in covariate.split(","))
+        if form in FORMS:
+            return FORMS[form](slot.name, low, high, slot.unit)
+        return unknown(covariate, slot.name, low, high, slot.unit)

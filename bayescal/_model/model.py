@@ -1,0 +1,191 @@
+"""A model: an instrument, a set of effects and a noise law. Adding an effect gives a new model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+
+from bayescal._core.errors import ModelError
+from bayescal._model.effect import Effect
+from bayescal._model.instrument import Instrument
+from bayescal._model.noise import Noise
+from bayescal._readings import units
+from bayescal._readings.measurements import Measurements
+
+
+class Model(eqx.Module):
+    """An instrument, the effects believed present, and a noise law. Frozen; `+` and `-` give new models.
+
+        model = instrument.baseline() + "bias.thermal_lag" - "bias.temperature"
+
+    Attributes:
+        instrument: what is measured, by which equation.
+        effects: present effects, in the order in which they were added.
+        noise: how readings scatter.
+        fixed: unknowns held at a value, (name, value in its reported unit).
+    """
+
+    instrument: Instrument
+    effects: tuple[Effect, ...]
+    noise: Noise
+    fixed: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self) -> None:
+        for effect in self.effects:
+            for coefficient in effect.coefficients:
+                self.instrument.slot(coefficient.slot or effect.slot)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(effect.name for effect in self.effects)
+
+    def __add__(self, other: Effect | str | Iterable[Effect | str]) -> Model:
+        """The model with an effect (or several) more, given as such or by canonical name.
+
+        Raises:
+            ModelError: the effect is there already, or its slot or name is unknown.
+        """
+        if not isinstance(other, (Effect, str)):
+            model = self
+            for one in other:
+                model = model + one
+            return model
+        effect = self.instrument.effect(other) if isinstance(other, str) else other
+        if effect.name in self.names:
+            raise ModelError(
+                f"effect {effect.name!r} is in the model already (it has: {', '.join(self.names)}); "
+                f"to replace it, take it away first: model - {effect.name!r}"
+            )
+        return Model(self.instrument, (*self.effects, effect), self.noise, self.fixed)
+
+    def __sub__(self, other: Effect | str) -> Model:
+        """The model without an effect.
+
+        Raises:
+            ModelError: it is not in the model.
+        """
+        name = other if isinstance(other, str) else other.name
+        if name not in self.names:
+            raise ModelError(
+                f"effect {name!r} is not in the model; it has: {', '.join(self.names)}"
+            )
+        gone = next(e for e in self.effects if e.name == name)
+        lost = set(_unknowns(gone))
+        return Model(
+            self.instrument,
+            tuple(e for e in self.effects if e.name != name),
+            self.noise,
+            tuple((n, v) for n, v in self.fixed if n not in lost),
+        )
+
+    def effect(self, name: str) -> Effect:
+        for effect in self.effects:
+            if effect.name == name:
+                return effect
+        raise ModelError(f"effect {name!r} is not in the model; it has: {', '.join(self.names)}")
+
+    def with_noise(self, noise: Noise) -> Model:
+        return Model(self.instrument, self.effects, noise, self.fixed)
+
+    def fix(self, values: Mapping[str, float]) -> Model:
+        """The model with some unknowns held at a value, in the unit in which each is reported.
+
+        So a published calibration is checked: fix all its coefficients and look at what remains.
+
+        Raises:
+            ModelError: no unknown has that name, or the value is not finite, or not positive where it must be.
+        """
+        self._refuse_unknown(values)
+        scales = {*self.noise.parameters(), *(n for e in self.effects for n in _positive(e))}
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise ModelError(f"{name!r} cannot be fixed to {value}: give a finite number")
+            if name in scales and value <= 0:
+                raise ModelError(f"{name!r} cannot be fixed to {value}: give a positive number")
+        return Model(
+            self.instrument, self.effects, self.noise, tuple({**dict(self.fixed), **values}.items())
+        )
+
+    def free(self, *names: str) -> Model:
+        """The model with these unknowns (all, if none is named) estimated again.
+
+        Raises:
+            ModelError: no unknown has that name.
+        """
+        self._refuse_unknown(names)
+        kept = tuple((n, v) for n, v in self.fixed if names and n not in names)
+        return Model(self.instrument, self.effects, self.noise, kept)
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Names of all coefficients, shapes and noise parameters."""
+        return (*(n for e in self.effects for n in _unknowns(e)), *self.noise.parameters())
+
+    def _refuse_unknown(self, names: Iterable[str]) -> None:
+        for name in names:
+            if name not in self.unknowns:
+                raise ModelError(
+                    f"nothing in the model is called {name!r}; it has: {', '.join(self.unknowns)}"
+                )
+
+    def require(self, readings: Measurements) -> None:
+        """Refuse readings in another unit than the model's, or without what one of its effects needs.
+
+        Raises:
+            ModelError: the output has another unit, or a column is missing.
+        """
+        own, unit = self.instrument.unit, readings.unit(readings.output)
+        if own == units.ANY:
+            raise ModelError(
+                f"Instrument {self.instrument.name!r} takes its unit and plausible sizes from readings: compose "
+                "the model of instrument.for_readings(readings)"
+            )
+        if unit != own:
+            raise ModelError(
+                f"The output of {readings.file} is in [{unit}], the model's in [{own}]: read the file with the "
+                "model's own instrument, or tailor the instrument to these readings"
+            )
+        for effect in self.effects:
+            for column in effect.columns:
+                if not readings.has(column):
+                    raise ModelError(
+                        f"Effect {effect.name!r} needs the column {column!r}, which {readings.file} lacks "
+                        f"(it has: {', '.join(readings.columns)}). Record it, or take the effect out: "
+                        f"model - {effect.name!r}"
+                    )
+
+
+def _unknowns(effect: Effect) -> list[str]:
+    names = [effect.coefficient_name(i) for i in range(len(effect.coefficients))]
+    return [*names, *_spreads(effect), *(effect.shape_name(shape) for shape in effect.shapes)]
+
+
+def _spreads(effect: Effect) -> list[str]:
+    return [
+        f"{effect.coefficient_name(i)}.spread"
+        for i, c in enumerate(effect.coefficients)
+        if c.spread is not None
+    ]
+
+
+def _positive(effect: Effect) -> list[str]:
+    return [*_spreads(effect), *(effect.shape_name(s) for s in effect.shapes if s.scale == "log")]
+
+
+def testable(effect: Effect, readings: Measurements) -> str | None:
+    """None if these readings can test the effect, else why not, for a person to read."""
+    missing = [c for c in effect.columns if not readings.has(c)]
+    if missing:
+        return f"needs the column {', '.join(missing)}"
+    for column in effect.varies:
+        values = readings[column]
+        if (values == values[0]).all():
+            return f"needs {column} to vary; it is {values[0]:g} throughout"
+    for coefficient in effect.coefficients:
+        if coefficient.spread is not None and coefficient.per is not None:
+            _, codes = readings.groups(coefficient.per)
+            if len(set(codes[codes >= 0].tolist())) < 2:
+                return f"needs more than one {coefficient.per}"
+    return None if effect.untestable is None else effect.untestable(readings)

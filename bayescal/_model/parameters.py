@@ -1,0 +1,176 @@
+"""Where each unknown of a model stands: in the Gaussian vector x, beside a reading, or in φ.
+
+x holds the coefficients, in their reported units. A coefficient with one value per reading stands apart
+("row"): it widens that reading's variance and is never a column of a matrix. φ holds what the model is not
+Gaussian in: noise, learned spreads, shapes, and coefficients *promoted* because their product with another
+unknown matters. Each entry of φ has a coordinate v on the whole line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import equinox as eqx
+
+from bayescal._model.coefficient import Coefficient
+from bayescal._model.effect import Effect
+from bayescal._model.model import Model
+from bayescal._model.prior import Flat, FlatLine, Normal, Positive
+from bayescal._readings import units
+
+_NOISE_UNITS = {
+    "noise.freedom": "1",
+    "noise.correlated.time": "s",
+}  # the others: that of the output
+
+
+@dataclass(frozen=True)
+class Block:
+    """One coefficient of the model, with all its group members."""
+
+    effect: Effect
+    index: int
+    name: str
+    slot: str
+    size: int
+    factor: float
+    place: Literal["x", "row", "phi", "fixed"]
+    start: int = 0
+    value: float = 0.0
+
+    @property
+    def coefficient(self) -> Coefficient:
+        return self.effect.coefficients[self.index]
+
+    @property
+    def spread_name(self) -> str:
+        return f"{self.name}.spread"
+
+    def member_names(self) -> list[str]:
+        """Names of its entries in φ, when it is promoted."""
+        if self.coefficient.per is None:
+            return [self.name]
+        return [f"{self.name}({i})" for i in range(self.size)]
+
+
+@dataclass(frozen=True)
+class Hyper:
+    """One entry of φ. A "process" entry is the amplitude or length of an unknown function."""
+
+    name: str
+    unit: str
+    prior: Positive | Normal | FlatLine
+    kind: Literal["noise", "spread", "shape", "process", "promoted"]
+
+    @property
+    def moves(self) -> bool:
+        """Whether the expected output's Jacobian depends on it."""
+        return self.kind in ("shape", "process", "promoted")
+
+
+class Layout(eqx.Module):
+    """A model bound to group sizes. It has no arrays: equal layouts share one compiled program.
+
+    Attributes:
+        model: the model.
+        counts: (group, number of members).
+        promoted: names of coefficients that stand in φ.
+    """
+
+    model: Model
+    counts: tuple[tuple[str, int], ...] = eqx.field(static=True)
+    promoted: tuple[str, ...] = eqx.field(static=True, default=())
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        counts, fixed = dict(self.counts), dict(self.model.fixed)
+        blocks, start = [], 0
+        for effect in self.model.effects:
+            for index, coefficient in enumerate(effect.coefficients):
+                name = effect.coefficient_name(index)
+                slot = self.model.instrument.slot(coefficient.slot or effect.slot)
+                size = counts[coefficient.per] if coefficient.per else 1
+                place: Literal["x", "row", "phi", "fixed"] = "x"
+                if name in fixed:
+                    place = "fixed"
+                elif coefficient.per == "reading":
+                    place = "row"
+                elif name in self.promoted:
+                    place = "phi"
+                factor = units.coefficient_factor(coefficient.unit, slot.unit)
+                blocks.append(
+                    Block(
+                        effect,
+                        index,
+                        name,
+                        slot.name,
+                        size,
+                        factor,
+                        place,
+                        start,
+                        fixed.get(name, 0.0),
+                    )
+                )
+                start += size if place == "x" else 0
+        return tuple(blocks)
+
+    @property
+    def x_blocks(self) -> tuple[Block, ...]:
+        return tuple(b for b in self.blocks if b.place == "x")
+
+    @property
+    def row_blocks(self) -> tuple[Block, ...]:
+        return tuple(b for b in self.blocks if b.place == "row")
+
+    @property
+    def size(self) -> int:
+        """Length of x."""
+        return sum(b.size for b in self.x_blocks)
+
+    @property
+    def hypers(self) -> tuple[Hyper, ...]:
+        """The entries of φ in order: noise, spreads, shapes, promoted coefficients."""
+        unit, fixed = self.model.instrument.unit, dict(self.model.fixed)
+        found: list[Hyper] = []
+        for name, prior in self.model.noise.parameters().items():
+            found.append(Hyper(name, _NOISE_UNITS.get(name, unit), prior, "noise"))
+        for block in self.blocks:
+            if block.coefficient.spread is not None and block.place != "fixed":
+                found.append(
+                    Hyper(
+                        block.spread_name,
+                        block.coefficient.unit,
+                        block.coefficient.spread,
+                        "spread",
+                    )
+                )
+        for effect in self.model.effects:
+            kind = "shape" if effect.measure is None else "process"
+            for shape in effect.shapes:
+                found.append(Hyper(effect.shape_name(shape), shape.unit, shape.prior, kind))
+        for block in self.blocks:
+            if block.place == "phi":
+                found += [
+                    Hyper(
+                        name, block.coefficient.unit, _promoted_prior(block.coefficient), "promoted"
+                    )
+                    for name in block.member_names()
+                ]
+        return tuple(h for h in found if h.name not in fixed)
+
+    def promote(self, *names: str) -> Layout:
+        return Layout(self.model, self.counts, (*self.promoted, *names))
+
+    @property
+    def improper(self) -> bool:
+        """Whether some prior is flat, so that the evidence is not defined."""
+        return any(b.coefficient.flat for b in self.blocks if b.place in ("x", "phi")) or any(
+            isinstance(h.prior, (Flat, FlatLine)) for h in self.hypers
+        )
+
+
+def _promoted_prior(coefficient: Coefficient) -> Normal | FlatLine:
+    if coefficient.spread is not None:
+        return Normal(0.0, 1.0)  # in units of its learned spread
+    return FlatLine(coefficient.size) if coefficient.flat else coefficient.prior  # pyright: ignore

@@ -1,0 +1,4 @@
+"""Pictures of calibrations and searches, offered as `bayescal.plot`.
+
+Imports the rooms of results below.
+"""

@@ -1,0 +1,148 @@
+"""Pictures of the search: what is missing, and how the error falls.
+
+Both are drawn from results, or from what `result.json` says of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from bayescal._diagnostics.text import number
+from bayescal._discovery.discover import Discovery
+from bayescal._discovery.search_path import Trail
+from bayescal._plots.residuals import residual_panel
+from bayescal._plots.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PALE,
+    RED,
+    axis_label,
+    new_figure,
+    open_sides,
+    plain,
+)
+from bayescal._report.result_json import step_data
+
+MOST = 12  # candidates
+KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
+
+
+def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
+    """The error of each step, with the fall from the step before, and the noise floor.
+
+    Args:
+        found: a trail, or what its result.json holds.
+        ax: where to draw; a figure of its own if not given.
+    """
+    steps = [step_data(s) for s in found.steps] if isinstance(found, Trail) else found["steps"]
+    figure = new_figure(5.6, 0.75 + 1.0 * len(steps)) if ax is None else ax.figure
+    ax = figure.subplots() if ax is None else ax
+    series = [
+        ("fitted readings", [s["rmse"] for s in steps], BLUE),
+        ("left-out groups", [(s["leave_one_group_out"] or {}).get("rmse") for s in steps], ORANGE),
+        ("kept-apart readings", [s["holdout_rmse"] for s in steps], GREEN),
+    ]
+    series = [s for s in series if any(v is not None for v in s[1])]
+    largest = max(v for _, values, _ in series for v in values if v is not None)
+    height = 0.66 / len(series)
+    for i, (label, values, colour) in enumerate(series):
+        at = np.arange(len(steps)) + (i + 0.5) * height
+        shown = np.array([np.nan if v is None else v for v in values], float)
+        ax.barh(at, shown, height * 0.9, label=label, color=colour)
+        for y, value in zip(at, shown, strict=True):
+            if np.isfinite(value):
+                ax.text(value + 0.01 * largest, y, number(value), va="center", fontsize=7.5)
+    for i, step in enumerate(steps):
+        ax.text(0, i - 0.03, f" {i}  {plain(step['title'])}{_fall(steps, i)}", va="bottom")
+    floor = steps[-1]["noise_floor"]
+    ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"noise floor {number(floor)}")
+    ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
+    ax.set_xlabel(axis_label("rms error", steps[-1]["unit"]))
+    where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.26 / (0.3 + 0.4 * len(steps)))}
+    ax.legend(frameon=False, fontsize=8, ncols=2, **where)
+    open_sides(ax)
+    return figure
+
+
+def _fall(steps: list[dict[str, Any]], i: int) -> str:
+    """How much smaller the error of the fitted readings is than one step before."""
+    if i == 0 or not steps[i - 1]["rmse"]:
+        return ""
+    return f"   ({100 * (steps[i]['rmse'] / steps[i - 1]['rmse'] - 1):+.0f} %)".replace("-", "−")
+
+
+def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
+    """Log Bayes factor of each candidate for being missing.
+
+    Args:
+        found: a discovery, or one entry of `missing` in result.json.
+        ax: where to draw; a figure of its own if not given.
+    """
+    everyone = (
+        [vars(c) for c in found.candidates] if isinstance(found, Discovery) else found["candidates"]
+    )
+    tested = [c for c in everyone if c["log_bayes_factor"] is not None]
+    ranked = sorted(
+        (c for c in tested if not _quiet(c)),
+        key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]),
+    )
+    shown = ranked[-MOST:]
+    figure = new_figure(5.6, 0.3 * len(shown) + 1.3) if ax is None else ax.figure
+    ax = figure.subplots() if ax is None else ax
+    values = [c["log_bayes_factor"] for c in shown]
+    colours = [KINDS.get(c["kind"] or "", BLUE) for c in shown]
+    ax.barh([plain(c["effect"]) for c in shown], values, color=colours)
+    ax.set_xscale("symlog", linthresh=5)
+    ax.set_xticks(_ticks(min([0.0, *values]), max([0.0, *values])))
+    ax.minorticks_off()
+    ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
+    ax.axvline(0, color=GREY, lw=0.8)
+    ax.set_xlabel("log Bayes factor for being missing [1]")
+    kinds = list(dict.fromkeys(c["kind"] for c in shown[::-1]))
+    rest = "explained by the finding, or none" if "finding" in kinds else "no evidence"
+    names = [Patch(color=KINDS.get(k or "", BLUE), label=k or rest) for k in kinds]
+    if names:
+        below = {"loc": "upper center", "bbox_to_anchor": (0.4, -0.45 / (0.3 * max(1, len(shown))))}
+        ax.legend(handles=names, frameon=False, fontsize=8, ncols=len(names), **below)
+    open_sides(ax)
+    return figure
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Zero and powers of ten on either side."""
+    powers = [10.0**k for k in range(1, 7)]
+    up = [p for p in powers if p <= high * 1.2] or [5.0]
+    return [-p for p in powers[::-1] if -p >= low * 1.2] + [0.0, *up]
+
+
+def _quiet(c: Mapping[str, Any]) -> bool:
+    """An unknown dependence without evidence is not worth a bar."""
+    return c["effect"].startswith("unknown(") and c["kind"] in (None, "not visible")
+
+
+def loop(found: Trail) -> Figure:
+    """The loop in one picture: residuals before and after, what is missing, the error falling."""
+    figure = new_figure(11.0, 7.4)
+    axes = figure.subplots(2, 2)
+    first, final = found.steps[0], found.final
+    entry = next((e for e in first.check.entries if not e.by_group), None)
+    if entry is not None:
+        title = "1  where the first model fails"
+        residual_panel(axes[0, 0], first.calibration, first.check, entry, title)
+        after = next(e for e in final.check.entries if e.against == entry.against)
+        title = "3  the same, with what was found"
+        residual_panel(axes[1, 0], final.calibration, final.check, after, title)
+        axes[1, 0].set_ylim(axes[0, 0].get_ylim())
+    if first.discovery is not None:
+        missing(first.discovery, axes[0, 1])
+    axes[0, 1].set_title("2  what is missing from it", fontsize=10, loc="left")
+    trail(found, axes[1, 1])
+    axes[1, 1].set_title("4  the error falls", fontsize=10, loc="left")
+    return figure

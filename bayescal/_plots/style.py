@@ -1,0 +1,54 @@
+"""What every picture shares: colours that the colour-blind can tell apart, figures, labels with units, saving.
+
+Colours: Okabe and Ito, "Color universal design" (2008).
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from bayescal._diagnostics.text import pretty
+
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+SKY, PURPLE, PALE, GREY = "#56B4E9", "#CC79A7", "#B0B0B0", "#7A7A7A"
+LONGEST = 32  # letters of a label; what is longer leaves no room for the picture
+CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure that no window knows of; inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def plain(text: str) -> str:
+    """A text from a file as a label: cut short, and its dollar signs begin no formula."""
+    short = text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+    return short.replace("$", r"\$")
+
+
+def axis_label(name: str, unit: str) -> str:
+    """A name with its unit, "temperature [°C]"; a pure number is in units of one, "[1]"."""
+    return f"{plain(name)} [{pretty(unit) or '1'}]"
+
+
+def open_sides(ax) -> None:
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a PNG, beside and then renamed."""
+    path = Path(path)
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        figure.savefig(beside, dpi=150, format="png")
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
+    return path

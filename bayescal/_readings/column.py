@@ -1,0 +1,138 @@
+"""What an instrument says of its columns, and where readings came from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayescal._core.errors import InputError
+from bayescal._readings.units import ANY
+
+MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
+TAKEN = ("reading", "cell")  # the row index, and run × temperature point
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column that an instrument's files hold.
+
+    Attributes:
+        name: ours; files may call it otherwise (`columns=`).
+        unit: fixed unit inside the library; None for a text label (run, device, axis, group,
+            direction); "any" for a channel that may be anything, kept in the fixed unit of what the
+            file has (µg, °/s, rad, °C; else base units).
+        meaning: one line for people.
+        required: whether a file without it is refused.
+        default: value of every reading where the file lacks the column, in `unit`; None leaves it
+            out.
+        low: least plausible value, in `unit`; what lies below is refused.
+        high: greatest plausible value, in `unit`.
+        allowed: the labels that are known; empty allows any.
+        also: further names under which files hold it.
+    """
+
+    name: str
+    unit: str | None
+    meaning: str = ""
+    required: bool = True
+    default: float | str | None = None
+    low: float | None = None
+    high: float | None = None
+    allowed: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse a column that contradicts itself.
+
+        Raises:
+            InputError: the name is taken or empty, labels are allowed of a number, limits are set
+                on a label or the wrong way round, any unit has a default.
+        """
+        if not self.name.strip() or self.name in TAKEN:
+            raise InputError(f"a column cannot be called {self.name!r}: choose a name of its own")
+        if self.unit is not None and self.allowed:
+            raise InputError(
+                f"column {self.name!r} is a number in {self.unit}: it has no allowed labels"
+            )
+        if self.unit is None and not (self.low is None and self.high is None):
+            raise InputError(f"column {self.name!r} is a label: it has no low and high")
+        if self.unit == ANY and self.default is not None:
+            raise InputError(
+                f"column {self.name!r} may be in any unit: its default {self.default!r} has none"
+            )
+        if self.low is not None and self.high is not None and not self.low < self.high:
+            raise InputError(
+                f"column {self.name!r}: low {self.low:g} is not below high {self.high:g}"
+            )
+
+    @property
+    def example(self) -> str | None:
+        """A unit that a file's header may give it."""
+        return "m/s^2" if self.unit == ANY else self.unit
+
+
+@dataclass(frozen=True)
+class NominalScale:
+    """How a raw output (V, Hz) becomes the instrument's output: (raw − offset)/gain.
+
+    Attributes:
+        unit: of the raw output and of `offset`.
+        gain: raw units per output unit, such as V per °/s.
+        offset: raw output at zero.
+    """
+
+    unit: str
+    gain: float
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a scale that nothing can be divided by.
+
+        Raises:
+            InputError: gain zero or not finite, offset not finite.
+        """
+        if not (math.isfinite(self.gain) and self.gain != 0 and math.isfinite(self.offset)):
+            raise InputError(
+                f"nominal scale {self.gain:g} {self.unit} with offset {self.offset:g}: the gain "
+                "must be finite and not zero, the offset finite"
+            )
+
+    def apply(self, raw: ArrayLike, *, difference: bool = False) -> np.ndarray:
+        """Raw outputs in `unit` as outputs; a difference, an uncertainty, has no offset or sign."""
+        raw = np.asarray(raw, dtype=np.float64)
+        return raw / abs(self.gain) if difference else (raw - self.offset) / self.gain
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that readings came from.
+
+    Attributes:
+        file: its name.
+        sha256: of its bytes, hexadecimal.
+        rows: readings in it.
+    """
+
+    file: str
+    sha256: str
+    rows: int
+
+
+@dataclass
+class Admitted:
+    """One file's columns as ours.
+
+    Attributes:
+        values: name → one entry per reading.
+        units: name → unit; None for labels.
+        flags: what was odd.
+        filled: names of columns that hold a default.
+    """
+
+    values: dict[str, np.ndarray] = field(default_factory=dict)
+    units: dict[str, str | None] = field(default_factory=dict)
+    flags: list[str] = field(default_factory=list)
+    filled: set[str] = field(default_factory=set)

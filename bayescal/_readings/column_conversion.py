@@ -1,0 +1,239 @@
+"""From a file's columns to an instrument's numbers: conversion, and what cannot be let in.
+
+A refusal names the file, the row, the column, what was read, what was expected, and what to do.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from bayescal._core.errors import InputError
+from bayescal._readings import units
+from bayescal._readings.column import MAY_BE_EMPTY, Admitted, Column
+from bayescal._readings.column_matching import (
+    Expects,
+    Wishes,
+    expected_columns,
+    match,
+    output_name,
+    refuse_missing,
+    settled,
+    unit_of,
+)
+from bayescal._readings.extra_columns import extra_columns, keep, shown
+from bayescal._readings.raw_table import Cells, Header, Table, load_whole
+
+_LIKELY_UNITS = (
+    *("deg", "arcsec", "rad", "deg/s", "rad/s", "g", "mg", "ug", "degC", "degF", "K"),
+    *("s", "min", "h", "V", "mV", "Hz", "kHz", "1", "%", "ppm"),
+)
+
+
+def admit(table: Table, instrument: Expects, wishes: Wishes) -> Admitted:
+    """Let a file's columns in.
+
+    Args:
+        table: the file.
+        instrument: whose columns are expected.
+        wishes: renamings, units, gravity and scale.
+
+    Returns:
+        Columns in the instrument's units, in its order, then what else was kept.
+
+    Raises:
+        InputError: a column, a unit or a cell cannot be used; the message names file, row and
+            column.
+    """
+    expected = expected_columns(instrument)
+    places = match(table, expected, wishes)
+    refuse_missing(table, expected, places, instrument.name)
+    expected = settled(expected, table, places, wishes)
+    result = Admitted()
+    kept = extra_columns(table, expected, places, wishes, result)
+    wanted = {places[name]: expected[name].unit is not None for name in expected if name in places}
+    cells = load_whole(table, {**wanted, **{places[name]: True for name in kept}})
+    for name, column in expected.items():
+        if name in places:
+            header = table.headers[places[name]]
+            _Door(table, header, column, wishes, instrument, result).take(cells[places[name]])
+        if name not in result.values and column.default is not None:
+            kind = object if column.unit is None else np.float64
+            result.values[name] = np.full(table.rows, column.default, dtype=kind)
+            result.units[name] = column.unit
+            result.filled.add(name)
+    for name, unit in kept.items():
+        place = places[name]
+        keep(table, table.headers[place], name, unit, wishes.local_gravity, cells[place], result)
+    return result
+
+
+@dataclass(frozen=True)
+class _Door:
+    """One column of the instrument on its way in."""
+
+    table: Table
+    header: Header
+    column: Column
+    wishes: Wishes
+    instrument: Expects
+    result: Admitted
+
+    def take(self, cells: Cells) -> None:
+        """Check and convert the cells, and put them into the result.
+
+        Raises:
+            InputError: a cell or the unit cannot be used.
+        """
+        name = self.column.name
+        if self.column.unit is None:
+            if not self.column.required and (cells.values == "").all():
+                self._absent()
+                return
+            self.result.values[name] = self._labels(cells.values)
+            self.result.units[name] = None
+            return
+        unit = self._unit()
+        if not self.column.required and cells.bad is None and np.isnan(cells.values).all():
+            self._absent()
+            return
+        if cells.bad:
+            self._refuse_text(*cells.bad, unit)
+        with np.errstate(over="ignore"):
+            values = self._convert(cells.values, unit)
+        self._refuse_not_finite(cells.values, values, unit)
+        self._refuse_implausible(cells.values, values, unit)
+        self.result.values[name], self.result.units[name] = values, self.column.unit
+
+    def _absent(self) -> None:
+        self.result.flags.append(
+            f"{self.table.file}: column {self.header.raw!r} is empty and was left out"
+        )
+
+    def _at(self, index: int) -> str:
+        return f"{self.table.place(index)} of {self.table.file!r}, column {self.header.raw!r}:"
+
+    def _unit(self) -> str:
+        unit = unit_of(self.header, self.column.name, self.wishes)
+        where = f"{self.table.file!r}, column {self.header.raw!r}:"
+        if unit is None:
+            raise InputError(
+                f"{where} the header has no unit. Write '{self.header.name} [{self.column.example}]' "
+                f"(or the unit that the numbers are in), or give units={{{self.header.name!r}: …}} "
+                f"(--unit {self.header.name}=…)"
+            )
+        try:
+            units.check_unit(unit)
+        except InputError as error:
+            raise InputError(f"{where} {error}. Correct the header, or give units=") from error
+        if self.header.unit and unit != self.header.unit:
+            self.result.flags.append(
+                f"{self.table.file}: column {self.header.raw!r} taken as [{unit}], as units= says"
+            )
+        return unit
+
+    def _labels(self, values: np.ndarray) -> np.ndarray:
+        codes, levels = pd.factorize(values)
+        for code, label in enumerate(levels):
+            index = int(np.argmax(codes == code))
+            if not label:
+                raise InputError(
+                    f"{self._at(index)} is empty, a label was expected. Fill it in, or remove the "
+                    "row"
+                )
+            if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
+                raise InputError(
+                    f"{self._at(index)} reads {label!r}, which holds a control character. Remove it"
+                )
+            if self.column.allowed and label not in self.column.allowed:
+                raise InputError(
+                    f"{self._at(index)} reads {label!r}, an unknown label; expected is one of "
+                    f"{', '.join(self.column.allowed)}. Correct it"
+                )
+        return values
+
+    def _refuse_text(self, index: int, text: str, unit: str) -> None:
+        hint = "Correct the cell, or remove the row"
+        if re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text):
+            hint = "If that is a decimal comma, export the file with decimal points"
+        raise InputError(
+            f"{self._at(index)} reads {text[:60]!r}, a number in {units.pretty(unit)} was "
+            f"expected. {hint}"
+        )
+
+    def _convert(self, values: np.ndarray, unit: str) -> np.ndarray:
+        """Numbers in `unit` in the column's, by the nominal scale if it is a raw output."""
+        target, gravity = self.column.unit or "1", self.wishes.local_gravity
+        output = output_name(self.instrument)
+        difference = self.column.name == "output_uncertainty"
+        scale = self.wishes.nominal_scale or self.instrument.nominal_scale
+        flag = f"{self.table.file}: column {self.header.raw!r}"
+        if units.same_dimension(unit, target):
+            if units.needs_gravity(unit, target):
+                self.result.flags.append(f"{flag} turned into local g by {gravity:g} m/s²")
+            return units.convert(values, unit, target, local_gravity=gravity, difference=difference)
+        raw_output = self.column.name == output or difference
+        if raw_output and scale is not None and units.same_dimension(unit, scale.unit):
+            shifted = scale.offset and not difference
+            reading = f"(reading − {scale.offset:g})" if shifted else "reading"
+            self.result.flags.append(
+                f"{flag} turned into {units.pretty(target)} by the nominal scale: "
+                f"{reading}/{scale.gain:g}, reading in {units.pretty(scale.unit)}"
+            )
+            raw = units.convert(
+                values, unit, scale.unit, local_gravity=gravity, difference=difference
+            )
+            return scale.apply(raw, difference=difference)
+        also = (
+            f", or {scale.unit}, which the nominal scale converts" if raw_output and scale else ""
+        )
+        hint = " Or give a nominal_scale." if raw_output and scale is None else ""
+        raise InputError(
+            f"{self.table.file!r}, column {self.header.raw!r}: its unit is [{unit}], expected is "
+            f"one that converts to {target}{also}. Correct the header, or give "
+            f"units={{{self.header.name!r}: …}}.{hint}"
+        )
+
+    def _refuse_not_finite(self, raw: np.ndarray, values: np.ndarray, unit: str) -> None:
+        wrong = np.isinf(values) if self.column.name == MAY_BE_EMPTY else ~np.isfinite(values)
+        if wrong.any():
+            index = int(np.argmax(wrong))
+            seen = shown(float(raw[index])) + (", too large" if np.isfinite(raw[index]) else "")
+            raise InputError(
+                f"{self._at(index)} {seen}, a number in {units.pretty(unit)} was expected. "
+                "Fill it in, or remove the row"
+            )
+
+    def _refuse_implausible(self, raw: np.ndarray, values: np.ndarray, unit: str) -> None:
+        low = -np.inf if self.column.low is None else self.column.low
+        high = np.inf if self.column.high is None else self.column.high
+        wrong = (values < low) | (values > high)
+        if not wrong.any():
+            return
+        index, shown = int(np.argmax(wrong)), units.pretty(self.column.unit or "1")
+        limits = f"at least {low:g}" if high == np.inf else f"at most {high:g}"
+        limits = f"{low:g} … {high:g}" if low > -np.inf and high < np.inf else limits
+        same = units.pretty(unit) == shown
+        internal = "" if same else f", that is {values[index]:.6g} {shown}"
+        likely = _LIKELY_UNITS if wrong.mean() >= 0.5 else ()  # a single slip says nothing of units
+        better = [u for u in likely if u != unit and self._plausible_in(u, raw, low, high)]
+        hint = (
+            f"Are the numbers in {better[0]}? Then write '{self.header.name} [{better[0]}]'"
+            if better
+            else "Check the unit and the number"
+        )
+        raise InputError(
+            f"{self._at(index)} reads {raw[index]:.6g} {units.pretty(unit)}{internal}; "
+            f"plausible is {limits} {shown}. {hint}"
+        )
+
+    def _plausible_in(self, unit: str, raw: np.ndarray, low: float, high: float) -> bool:
+        target = self.column.unit or "1"
+        if not units.same_dimension(unit, target):
+            return False
+        values = units.convert(raw, unit, target, local_gravity=self.wishes.local_gravity)
+        return bool(np.all(np.isnan(values) | ((values >= low) & (values <= high))))

@@ -1,0 +1,137 @@
+"""Checks of a whole data set: what makes it unusable, and what its owner should know of.
+
+Refused: one temperature only, time running backwards. Flagged: repeated rows, a saturated output, a
+constant column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+
+import numpy as np
+import pandas as pd
+
+from bayescal._core.errors import InputError
+
+LEAST_TEMPERATURE_SPAN = (
+    0.1  # °C: what a good chamber holds, so no temperature model can be seen in less
+)
+_LEAST_SATURATED = 5  # readings at the very extreme before one speaks of saturation
+_SHARE_SATURATED = 0.01
+_GAP = 0.1  # of the range: further off, the end is a set-up of its own, such as one position
+_AGAINST_NEXT = 3  # times as many as at the next level, which a rounded output does not show
+
+Columns = Mapping[str, np.ndarray]
+Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
+
+
+def refuse_one_temperature(columns: Columns, names: str) -> None:
+    """Refuse readings that hold one temperature only.
+
+    Args:
+        columns: readings; `temperature` in °C.
+        names: the files, for the message.
+
+    Raises:
+        InputError: the temperatures span less than 0.1 °C.
+    """
+    temperature = columns["temperature"]
+    low, high = float(temperature.min()), float(temperature.max())
+    if high - low < LEAST_TEMPERATURE_SPAN:
+        seen = f"{low:g}" if low == high else f"{low:g} … {high:g}"
+        raise InputError(
+            f"{names}, column 'temperature': reads {seen} °C, one temperature only; at least two "
+            "were expected, or nothing that depends on temperature can be calibrated. Add readings "
+            "at another temperature (files given together are read together)"
+        )
+
+
+def refuse_backward_time(columns: Columns, where: Where) -> None:
+    """Refuse time that runs backwards within a run of a device and axis.
+
+    Args:
+        columns: readings; `time` in s.
+        where: names a reading's file and row.
+
+    Raises:
+        InputError: it does, and where.
+    """
+    if "time" not in columns:
+        return
+    time = columns["time"]
+    record = np.zeros(len(time), dtype=np.int64)
+    for name in ("run", "device", "axis"):
+        if name in columns:
+            codes, levels = pd.factorize(columns[name])
+            record = record * len(levels) + codes
+    order = np.argsort(record, kind="stable")
+    back = (np.diff(time[order]) < 0) & (np.diff(record[order]) == 0)
+    if back.any():
+        later = order[1:][back]
+        index = int(later.min())
+        before = int(order[np.flatnonzero(order == index)[0] - 1])
+        labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
+        inside = f" within {', '.join(labels)}" if labels else ""
+        raise InputError(
+            f"{where(index)}, column 'time': reads {time[index]:.12g} s after {time[before]:.12g} "
+            f"s in {where(before)}: time runs backwards{inside}. Put the rows in the order in "
+            "which they were taken, or give each record its own label in a column 'run'"
+        )
+
+
+def flags_of(
+    columns: Columns, output: str, where: Where, names: str, unchecked: Collection[str] = ()
+) -> list[str]:
+    """What is odd in the readings but no reason to refuse them.
+
+    Args:
+        columns: readings, numbers and labels.
+        output: name of the output column.
+        where: names a reading's file and row.
+        names: the files, for the flags.
+        unchecked: columns that hold a default, hence are constant.
+    """
+    flags = []
+    repeated = _repeated(columns)
+    if count := len(repeated):
+        first = int(repeated[0])
+        flags.append(
+            f"{count} row{'s repeat' if count > 1 else ' repeats'} an earlier one in every column, "
+            f"first at {where(first)}"
+        )
+    if output in columns and (saturated := _saturated(columns[output])):
+        flags.append(
+            f"{names}: column {output!r} may be saturated: {saturated[0]} readings stand exactly "
+            f"at its {saturated[1]} {saturated[2]:g}"
+        )
+    for name, values in columns.items():
+        number = values.dtype.kind == "f" and name not in unchecked
+        if number and len(values) > 1 and (values == values[0]).all():
+            flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
+    return flags
+
+
+def _repeated(columns: Columns) -> np.ndarray:
+    """Rows that repeat an earlier one in every column: looked for among those whose hashes agree, to save memory."""
+    table = pd.DataFrame(dict(columns), copy=False)
+    hashes = pd.util.hash_pandas_object(table, index=False).to_numpy()
+    ordered = np.sort(hashes)
+    shared = ordered[1:][ordered[1:] == ordered[:-1]]
+    if not shared.size:
+        return shared.astype(np.int64)
+    alike = np.flatnonzero(np.isin(hashes, shared))
+    return alike[table.iloc[alike].duplicated().to_numpy()]
+
+
+def _saturated(values: np.ndarray) -> tuple[int, str, float] | None:
+    """Count of readings at an end of the range, which end, and where; None if it looks natural."""
+    levels, counts = np.unique(values, return_counts=True)
+    if len(levels) < 3:
+        return None
+    for end, beside, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
+        enough = max(_LEAST_SATURATED, _SHARE_SATURATED * len(values))
+        with np.errstate(over="ignore"):
+            near = abs(levels[end] - levels[beside]) < _GAP * (levels[-1] - levels[0])
+        if near and counts[end] >= enough and counts[end] > _AGAINST_NEXT * counts[beside]:
+            return int(counts[end]), name, float(levels[end])
+    return None

@@ -1,0 +1,292 @@
+"""Readings: checked columns in fixed units, with the groups that they fall into."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from bayescal._core.errors import InputError
+from bayescal._readings.column import MAY_BE_EMPTY, Admitted
+from bayescal._readings.column import Column as Column
+from bayescal._readings.column import NominalScale as NominalScale
+from bayescal._readings.column import Source as Source
+from bayescal._readings.column_conversion import admit
+from bayescal._readings.column_matching import Expects, Wishes, output_name, refuse_unused_units
+from bayescal._readings.dataset_checks import flags_of, refuse_backward_time, refuse_one_temperature
+from bayescal._readings.raw_table import Header, Table, cells_of
+from bayescal._readings.units import ANY, STANDARD_GRAVITY, check_unit
+from bayescal._readings.write import write
+
+ROW = "reading"
+_ARRAYS = "the given arrays"
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Readings of an instrument, in its fixed units and in the order in which they came.
+
+    Made by `read` or `from_arrays`, which check them. The arrays are read-only.
+
+    Attributes:
+        data: one dimension, `reading`; numbers are float64 with the attribute `units`, labels are
+            text.
+        sources: the files they came from.
+        flags: what was odd but no reason to refuse them, a sentence each.
+        output: name of the output column.
+    """
+
+    data: xr.Dataset
+    sources: tuple[Source, ...] = ()
+    flags: tuple[str, ...] = ()
+    output: str = "output"
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only.
+
+        Raises:
+            InputError: the data set has another dimension than `reading`.
+        """
+        if set(self.data.sizes) != {ROW}:
+            raise InputError(
+                f"measurements have the one dimension {ROW!r}, these have "
+                f"{', '.join(map(str, self.data.sizes))}"
+            )
+        for variable in self.data.data_vars.values():
+            variable.values.flags.writeable = False
+
+    @classmethod
+    def from_arrays(
+        cls,
+        instrument: Expects,
+        /,
+        *,
+        units: Mapping[str, str] | None = None,
+        local_gravity: float = STANDARD_GRAVITY,
+        nominal_scale: NominalScale | None = None,
+        allow_one_temperature: bool = False,
+        **columns: ArrayLike,
+    ) -> Measurements:
+        """Readings from arrays, checked as `read` checks a file.
+
+        Args:
+            instrument: whose columns these are.
+            units: unit of a column that is not in the instrument's own (or has none: "any"), and of
+                further columns to keep.
+            local_gravity: m/s², for columns in m/s².
+            nominal_scale: in place of the instrument's.
+            allow_one_temperature: accept one temperature, as for a prediction.
+            **columns: one entry per reading, or one for all; in the instrument's units unless
+                `units` says otherwise.
+
+        Raises:
+            InputError: what `read` refuses, and columns of unequal length.
+        """
+        own = {
+            name: None if c.unit == ANY else c.unit
+            for c in instrument.columns
+            for name in (c.name, *c.also)
+        }
+        own.setdefault("output_uncertainty", own.get(output_name(instrument)))
+        headers = tuple(Header(name, name, own.get(name)) for name in columns)
+        arrays = _equally_long(columns)
+        table = Table(
+            _ARRAYS,
+            headers,
+            len(arrays[0]) if arrays else 0,
+            "",
+            lambda wanted: {
+                place: cells_of(arrays[place], number) for place, number in wanted.items()
+            },
+            lambda index: f"row {index + 1}",
+        )
+        wishes = Wishes({}, units or {}, local_gravity, nominal_scale)
+        refuse_unused_units([table], wishes)
+        admitted = admit(table, instrument, wishes)
+        return assemble([table], admitted, instrument, (), allow_one_temperature)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A column, in its fixed unit; labels as text.
+
+        Raises:
+            InputError: there is none of that name.
+        """
+        if name not in self.data.data_vars:
+            raise InputError(
+                f"{self.file} has no column {name!r}; it has: {', '.join(self.columns)}"
+            )
+        return self.data[name].values
+
+    def __len__(self) -> int:
+        return self.data.sizes[ROW]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.data.data_vars
+
+    def __repr__(self) -> str:
+        named = (f"{n} [{self.unit(n)}]" if self.unit(n) else n for n in self.columns)
+        return f"<{len(self)} readings of {self.file}: {', '.join(named)}>"
+
+    def has(self, name: str) -> bool:
+        """Whether there is a column of that name."""
+        return name in self
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(map(str, self.data.data_vars))
+
+    @property
+    def file(self) -> str:
+        """Where the readings came from, short, for messages."""
+        return file_names([source.file for source in self.sources])
+
+    def unit(self, name: str) -> str | None:
+        """A column's fixed unit; None for labels.
+
+        Raises:
+            InputError: there is no column of that name.
+        """
+        self[name]
+        return self.data[name].attrs.get("units")
+
+    def groups(self, name: str) -> tuple[tuple[str, ...], np.ndarray]:
+        """The members of a grouping, in order of appearance, and each reading's index among them.
+
+        Args:
+            name: "run", "device", "axis" (a single "1" where there is no such column), another
+                column of labels, "reading" (each its own member), or "cell": run × temperature
+                point, −1 for readings without one.
+
+        Raises:
+            InputError: there is no such grouping.
+        """
+        if name == "reading":
+            return tuple(str(i + 1) for i in range(len(self))), np.arange(len(self))
+        if name == "cell":
+            return self._cells()
+        if not self.has(name) and name in ("run", "device", "axis"):
+            return ("1",), np.zeros(len(self), dtype=np.int64)
+        if self.unit(name) is not None:
+            raise InputError(
+                f"{self.file}: column {name!r} holds numbers and makes no groups; use labels"
+            )
+        codes, levels = pd.factorize(self[name].astype(object))
+        return tuple(map(str, levels)), codes
+
+    def _cells(self) -> tuple[tuple[str, ...], np.ndarray]:
+        codes = np.full(len(self), -1, dtype=np.int64)
+        if not self.has(MAY_BE_EMPTY):
+            return (), codes
+        runs, run = self.groups("run")
+        point = self[MAY_BE_EMPTY]
+        soaked = np.flatnonzero(~np.isnan(point))
+        points, index = np.unique(point[soaked], return_inverse=True)
+        found, first = pd.factorize(run[soaked] * max(1, len(points)) + index)
+        codes[soaked] = found
+        names = (f"run {runs[k // len(points)]}, {points[k % len(points)]:.10g} °C" for k in first)
+        return tuple(names), codes
+
+    def select(self, chosen: ArrayLike) -> Measurements:
+        """Some of the readings, by a mask or by indices.
+
+        Raises:
+            InputError: a mask of another length, or nothing chosen.
+        """
+        index = np.asarray(chosen)
+        if index.dtype == bool and index.shape != (len(self),):
+            raise InputError(
+                f"a mask of shape {index.shape} cannot choose among the {len(self)} readings of "
+                f"{self.file}: give one entry per reading"
+            )
+        index = np.flatnonzero(index) if index.dtype == bool else index
+        if not index.size:
+            raise InputError(f"no reading of {self.file} was chosen: choose at least one")
+        return replace(self, data=self.data.isel({ROW: index}))
+
+    def with_column(self, name: str, values: ArrayLike, unit: str | None = None) -> Measurements:
+        """The same readings with one column replaced or added; unchecked.
+
+        Args:
+            name: the column.
+            values: one per reading.
+            unit: of a new column of numbers; a column that is there keeps its own.
+
+        Raises:
+            InputError: an unknown unit.
+        """
+        unit = self.unit(name) if self.has(name) else unit
+        return replace(self, data=self.data.assign({name: _variable(np.array(values), unit)}))
+
+    def write(self, path: str | Path) -> Path:
+        """Write the readings to .csv, .parquet or .nc, as `read` reads them.
+
+        Raises:
+            InputError: another suffix, or a place that cannot be written to.
+        """
+        return write(self.data, path)
+
+
+def assemble(
+    tables: Sequence[Table],
+    admitted: Admitted,
+    instrument: Expects,
+    sources: tuple[Source, ...],
+    allow_one_temperature: bool,
+) -> Measurements:
+    """Check the columns of one or several joined files together and make measurements of them.
+
+    Raises:
+        InputError: one temperature only, or time running backwards.
+    """
+    names, output = file_names([source.file for source in sources]), output_name(instrument)
+    ends = np.cumsum([table.rows for table in tables])
+
+    def where(index: int) -> str:
+        which = int(np.searchsorted(ends, index, side="right"))
+        table = tables[which]
+        return f"{table.place(index - int(ends[which]) + table.rows)} of {table.file!r}"
+
+    needs_temperature = any(c.name == "temperature" and c.required for c in instrument.columns)
+    if needs_temperature and not allow_one_temperature:
+        refuse_one_temperature(admitted.values, names)
+    refuse_backward_time(admitted.values, where)
+    flags = [*admitted.flags, *flags_of(admitted.values, output, where, names, admitted.filled)]
+    variables = {
+        name: _variable(values, admitted.units[name]) for name, values in admitted.values.items()
+    }
+    return Measurements(xr.Dataset(variables), sources, tuple(flags), output)
+
+
+def file_names(files: Sequence[str]) -> str:
+    """Files, short, for messages."""
+    if not files:
+        return _ARRAYS
+    return files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+
+
+def _variable(values: np.ndarray, unit: str | None) -> xr.Variable:
+    if unit is None:
+        return xr.Variable(ROW, values.astype(str))
+    check_unit(unit)
+    return xr.Variable(ROW, values.astype(np.float64, copy=False), {"units": unit})
+
+
+def _equally_long(columns: Mapping[str, ArrayLike]) -> list[np.ndarray]:
+    """The columns as vectors; a single value counts for every reading.
+
+    Raises:
+        InputError: lengths differ, or a column is no vector.
+    """
+    arrays = {name: np.asarray(values) for name, values in columns.items()}
+    lengths = {len(array) for array in arrays.values() if array.ndim == 1}
+    if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+        raise InputError(f"columns must be vectors of one length, these are: {shapes}")
+    rows = lengths.pop() if lengths else 1
+    return [np.broadcast_to(array, (rows,)) for array in arrays.values()]

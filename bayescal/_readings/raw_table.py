@@ -1,0 +1,152 @@
+"""A file as it stands: columns by the names and units of its header, nothing understood yet.
+
+Every format ends here, so that what follows (which column is which, what is refused) is one code.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from bayescal._core.errors import InputError
+
+_WITH_UNIT = re.compile(r"(.*?)\s*\[([^\[\]]*)\]", re.DOTALL)
+
+
+def bytes_text(size: float) -> str:
+    """A number of bytes for people: 180 bytes, 2.1 GB."""
+    return f"{size / 1e9:.3g} GB" if size >= 1e8 else f"{size:,.0f} bytes"
+
+
+@dataclass(frozen=True)
+class Header:
+    """A column as the file names it: `raw` is all of it, name and unit its parts."""
+
+    raw: str
+    name: str
+    unit: str | None
+
+    @classmethod
+    def parse(cls, raw: str, unit: str | None = None) -> Header:
+        """Split `name [unit]`; a unit given beside the name counts where the name carries none."""
+        raw = raw.strip()
+        match = _WITH_UNIT.fullmatch(raw)
+        return cls(raw, match[1], match[2].strip()) if match else cls(raw, raw, unit)
+
+
+@dataclass(frozen=True)
+class Cells:
+    """One column's content.
+
+    Attributes:
+        values: float64, NaN where empty; or text, stripped, "" where empty.
+        bad: index and text of the first cell that should be a number and is not.
+    """
+
+    values: np.ndarray
+    bad: tuple[int, str] | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """An opened file.
+
+    Attributes:
+        file: name for messages.
+        headers: its columns, in order.
+        rows: number of readings.
+        sha256: of the bytes; "" for arrays.
+        load: position of a wanted column → whether it is a number, to its cells.
+        place: index of a reading → where it stands, "row 12".
+    """
+
+    file: str
+    headers: tuple[Header, ...]
+    rows: int
+    sha256: str
+    load: Callable[[Mapping[int, bool]], dict[int, Cells]]
+    place: Callable[[int], str]
+
+    def __post_init__(self) -> None:
+        """Refuse what no format may hold.
+
+        Raises:
+            InputError: no readings, or one name for two columns.
+        """
+        if self.rows < 1:
+            raise InputError(
+                f"{self.file!r} holds no readings: give a file with at least one row of numbers"
+            )
+        names = [header.name for header in self.headers if header.name]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(
+                    f"{self.file!r} has {names.count(name)} columns called {name!r}: which one is "
+                    "meant cannot be told. Rename or remove all but one"
+                )
+
+
+def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:
+    """The wanted columns, each as long as the file says it is.
+
+    Raises:
+        InputError: the file contradicts itself, or changed since it was opened.
+    """
+    found = table.load(wanted)
+    for position, cells in found.items():
+        if len(cells.values) != table.rows:
+            raise InputError(
+                f"{table.file!r} says that it holds {table.rows} rows, column "
+                f"{table.headers[position].raw!r} has {len(cells.values)}: it is damaged, or "
+                "changed while it was read. Export it again"
+            )
+    return found
+
+
+def numbers_of(texts: pd.Series) -> Cells:
+    """Text as numbers: empty and "nan" are NaN, the first that is no number is named."""
+    values = np.asarray(pd.to_numeric(texts, errors="coerce"), dtype=np.float64)
+    empty = np.flatnonzero(np.isnan(values))
+    if empty.size:
+        seen = texts.iloc[empty].str.strip()
+        wrong = np.flatnonzero(~seen.str.lower().isin(["", "nan"]).to_numpy(bool))
+        if wrong.size:
+            return Cells(values, (int(empty[wrong[0]]), str(seen.iloc[wrong[0]])))
+    return Cells(values)
+
+
+def cells_of(values: object, number: bool) -> Cells:
+    """An array or a list as the cells of one column.
+
+    Args:
+        values: one entry per reading: numbers, text, or both.
+        number: whether the column is one of numbers.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType):
+        if not number and pd.api.types.infer_dtype(array, skipna=True) == "string":
+            codes, levels = pd.factorize(array.astype(object))  # labels repeat: each is read once
+            texts = np.array([*map(_text, levels), ""], dtype=object)  # the last for −1, missing
+            return Cells(texts[codes])
+        texts = pd.Series([_text(value) for value in array.tolist()], dtype=object)
+        return numbers_of(texts) if number else Cells(texts.str.strip().to_numpy(object))
+    if not number:
+        return Cells(np.array([_text(value) for value in array.tolist()], dtype=object))
+    if array.dtype.kind in "iuf":
+        return Cells(array.astype(np.float64))
+    return Cells(np.full(len(array), np.nan), (0, str(array[0])) if len(array) else None)
+
+
+def _text(value: object) -> str:
+    """A cell as a label: whole numbers without a point, nothing for what is missing."""
+    if value is None or value is pd.NA or (isinstance(value, float) and np.isnan(value)):
+        return ""
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace").strip()
+    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
+        return str(int(value))
+    return str(value).strip()

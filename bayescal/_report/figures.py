@@ -1,0 +1,181 @@
+"""Figures as SVG within a page: one colour with its text, names of their own, nothing from elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from markupsafe import Markup, escape
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from bayescal import plot
+from bayescal._calibration.calibration import Calibration
+from bayescal._core.errors import InputError
+from bayescal._diagnostics.check import Check
+from bayescal._diagnostics.text import number, pretty
+from bayescal._report.section import Chapter
+
+SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
+PANELS = 4  # of residuals
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the page.
+
+    Attributes:
+        body: the figure as HTML.
+        caption: below it.
+    """
+
+    body: Markup
+    caption: str
+
+
+class Pictures:
+    """Draws the pictures of one page, so that no two share an id."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def draw(self, make: Callable[[], Figure], caption: str, alt: str) -> Picture:
+        with rc_context(SVG):
+            text = as_svg(make())
+        self.count += 1
+        return Picture(inline(text, f"f{self.count}-", alt), caption)
+
+    def residuals(self, calibration: Calibration, found: Check, which: str) -> list[Picture]:
+        """Residuals against the covariates, the worst first, a picture each."""
+        entries = [e for e in found.entries if not e.by_group][:PANELS]
+        unit = pretty(found.unit)
+        pictures = []
+        for e in entries:
+            size = f"{e.worst.size:+.2g} {unit}".replace("-", "−")
+            where = f"{number(e.worst.low, 4)} to {number(e.worst.high, 4)} {pretty(e.worst.covariate_unit)}"
+            structure = (
+                f"the worst region, {where.strip()}, has a mean of {size}"
+                if e.log_bayes_factor > 0
+                else "no structure"
+            )
+            pictures.append(
+                self.draw(
+                    lambda e=e: _panel(calibration, found, e.against),
+                    f"Residuals of {which} against {e.against}",
+                    f"Residuals of {which} in {unit} against {e.against}: {structure}; log Bayes factor "
+                    f"{e.log_bayes_factor:.1f}; noise {number(found.noise)} {unit}.",
+                )
+            )
+        return pictures
+
+    def error(self, chapter: Chapter) -> Picture:
+        steps = chapter.data["steps"]
+        unit = pretty(steps[-1]["unit"])
+        told = "; ".join(f"{s['title']} {number(s['rmse'])} {unit}" for s in steps)
+        floor = number(steps[-1]["noise_floor"])
+        return self.draw(
+            lambda: plot.trail(chapter.data),
+            "The error, step by step",
+            f"Bars of the rms error of each step: {told}; noise floor {floor} {unit}.",
+        )
+
+    def missing(self, found: dict, title: str) -> Picture | None:
+        tested = [c for c in found["candidates"] if c["log_bayes_factor"] is not None]
+        if not tested:
+            return None
+        told = "; ".join(f"{c['effect']} {c['log_bayes_factor']:.1f}" for c in tested[:5])
+        return self.draw(
+            lambda: plot.missing(found),
+            f"What is missing from {title}",
+            f"Bars of the log Bayes factor of each candidate; the first of them: {told}.",
+        )
+
+    def coefficients(self, calibration: Calibration) -> Picture | None:
+        return self._of(
+            lambda: plot.coefficients(calibration, columns=2),
+            "Posterior of each unknown, its mean and its 95 % credible interval",
+            "Posterior densities; the numbers are in the table of coefficients.",
+        )
+
+    def pairs(self, calibration: Calibration) -> Picture | None:
+        return self._of(
+            lambda: plot.pairs(calibration),
+            "The most correlated unknowns, two by two",
+            "Joint posterior draws of pairs of unknowns.",
+        )
+
+    def identifiability(self, calibration: Calibration) -> Picture | None:
+        return self._of(
+            lambda: plot.identifiability(calibration),
+            "Posterior over prior standard deviation: 1 where the readings said nothing",
+            "Bars of posterior over prior standard deviation; the table of coefficients has the same as contraction.",
+        )
+
+    def predictive(self, calibration: Calibration) -> Picture | None:
+        return self._of(
+            lambda: plot.predictive(calibration),
+            "Readings against their predictive probabilities: within the band if the model is right",
+            "Share of readings below each predictive probability minus that probability, with its 99 % band.",
+        )
+
+    def _of(self, make: Callable[[], Figure], caption: str, alt: str) -> Picture | None:
+        """A picture, or none where there is nothing to draw."""
+        try:
+            return self.draw(make, caption, alt)
+        except InputError:
+            return None
+
+
+def _panel(calibration: Calibration, found: Check, against: str) -> Figure:
+    figure = plot.residuals(calibration, found, against)
+    figure.set_size_inches(4.6, 2.9)
+    return figure
+
+
+def as_svg(figure: Figure) -> str:
+    """A figure as an SVG without a background."""
+    figure.patch.set_visible(False)
+    for ax in figure.axes:
+        ax.patch.set_visible(False)
+    out = io.StringIO()
+    nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
+    figure.savefig(out, format="svg", metadata=nothing)
+    return out.getvalue()
+
+
+def inline(svg: str, prefix: str, alt: str) -> Markup:
+    """An SVG as part of a page.
+
+    Black becomes the colour of the page's text, fonts the page's, ids are prefixed, and all that names another place
+    (document type, metadata) goes.
+
+    Args:
+        svg: as Matplotlib writes it: labels are escaped.
+        prefix: of every id.
+        alt: what it shows, in words.
+    """
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r"\bid=\"([^\"]+)\"", rf'id="{prefix}\1"', body)
+    body = re.sub(r"url\(#", f"url(#{prefix}", body)
+    body = re.sub(r"href=\"#", f'href="#{prefix}', body)
+    body = body.replace("#000000", "currentColor")
+    body = re.sub(r"font: ([\d.]+)px [^;\"]+", r"font-size: \1px", body)
+    body = re.sub(r"font: (\w+ )?([\d.]+)px [^;\"]+", r"font-size: \2px", body)
+    size = re.search(r'viewBox="0 0 ([\d.]+)', body)
+    width = float(size[1]) * 4 / 3 if size else 600.0  # points to CSS pixels
+    opening, rest = body.split(">", 1)
+    view = re.search(r'viewBox="[^"]*"', opening)
+    head = f'<svg role="img" aria-label="{escape(alt)}" style="max-width:{width:.0f}px"'
+    return Markup(f"{head} {view[0] if view else ''}>{rest}")
+
+
+def embedded(png: bytes, caption: str, alt: str) -> Picture:
+    """A PNG as data within the page."""
+    data = base64.b64encode(png).decode("ascii")
+    return Picture(
+        Markup('<img alt="{}" src="data:image/png;base64,{}">').format(alt, data), caption
+    )

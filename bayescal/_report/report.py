@@ -1,0 +1,248 @@
+"""The report to sign: one HTML file that needs nothing else.
+
+Everything that comes from files (names of files, devices, effects) is escaped; nothing in the page is run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._compensation.budget import Budget, budget
+from bayescal._core.errors import BayescalError, InputError
+from bayescal._diagnostics.text import number, pretty, probability, with_error
+from bayescal._discovery.search_path import Trail
+from bayescal._model.effect import Effect
+from bayescal._readings.write import write_text
+from bayescal._report import figures, sentences, tables
+from bayescal._report.section import Chapter, chapters, taken
+
+MANY = 60  # rows of a table of candidates or coefficients that are shown
+
+
+def report(
+    given: Calibration | Trail | Chapter | list[Any],
+    path: str | Path,
+    *,
+    title: str = "",
+    effects: Iterable[Effect] = (),
+) -> Path:
+    """Write the report to sign.
+
+    Args:
+        given: a calibration or a trail, or several. Calibrations of the same readings become one chapter, in which the
+            error falls from the first to the last, and the last is what is signed for; what each of them lacks is
+            looked for, which takes a few seconds each. A trail brings all that with it.
+        path: of the file, ending in .html.
+        title: of the report.
+        effects: of your own, candidates where what a calibration lacks is looked for; those that one of the
+            calibrations has are so anyway.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: nothing to report of, another suffix, or a place that cannot be written to.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"a report is HTML: name the file …html, not {path.name!r}")
+    if not path.parent.is_dir():
+        raise InputError(
+            f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}"
+        )
+    return write_text(page(chapters(taken(given), effects), title), path)
+
+
+def page(found: list[Chapter], title: str = "") -> str:
+    """The report as HTML."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # only a report needs it
+
+    environment = Environment(
+        loader=PackageLoader("bayescal._report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "number": number,
+        "pretty": pretty,
+        "probability": probability,
+        "minus": lambda text: text.replace("-", "−"),
+        "measured": tables.measured,
+    }
+    pictures = figures.Pictures()
+    return environment.get_template("report.html.j2").render(
+        title=title or "Calibration report",
+        written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        chapters=[_chapter(c, pictures) for c in found],
+        k=tables.K,
+    )
+
+
+def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
+    """All that the template lays out for one set of readings."""
+    c, data = chapter.calibration, chapter.data
+    may, not_for = sentences.use_and_limits(chapter)
+    rows = tables.coefficients(chapter)
+    signed = [r for r in rows if not r["member"]]
+    last = len(data["steps"]) - 1
+    found, no_budget = _budget(chapter)
+    return {
+        "instrument": c.model.instrument,
+        "devices": tables.devices(c.readings),
+        "ok": sentences.ok(chapter),
+        "data": data,
+        "final": data["steps"][-1],
+        "files": tables.identity(c.readings),
+        "groups": _groups(data),
+        "signed": signed[: tables.SUMMARY],
+        "further": len(rows) - len(signed[: tables.SUMMARY]),
+        "may": may,
+        "not_for": not_for,
+        "unexplained": sentences.unexplained(chapter),
+        "story": sentences.story(chapter),
+        "ranges": tables.ranges(c),
+        "effects": tables.effects(chapter),
+        "noise": c.model.noise.law.replace("_", "–"),
+        "fixed": [(n, number(v, 6)) for n, v in c.model.fixed],
+        "reference": [
+            (n, tables.measured(v, "degC"))
+            for n, v in c.reference.items()
+            if isinstance(v, float) and n.endswith("0")
+        ],
+        "coefficients": rows[: 4 * MANY],
+        "skewed": tables.skewed(chapter),
+        "check": chapter.check,
+        "checks": _checks(data, last),
+        "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
+        "budget": found,
+        "budget_rows": _budget_rows(found),
+        "no_budget": no_budget,
+        "pictures": _pictures(chapter, pictures),
+    }
+
+
+def _groups(data: dict[str, Any]) -> str:
+    """How many runs, cells, axes and devices, where there are several."""
+    counted = [(k, data["readings"]["groups"].get(k, 0)) for k in ("run", "cell", "axis", "device")]
+    plural = {"axis": "axes"}
+    return ", ".join(f"{n} {plural.get(k, k + 's')}" for k, n in counted if n > 1)
+
+
+def _checks(data: dict[str, Any], last: int) -> list[dict[str, Any]]:
+    """The check tables of the first and the last step."""
+    shown = [0, last] if last else [0]
+    return [
+        {
+            "step": i,
+            "title": data["steps"][i]["title"],
+            "rows": [e for e in data["check"] if e["step"] == i],
+        }
+        for i in shown
+    ]
+
+
+def _discovery(
+    found: dict[str, Any], data: dict[str, Any], pictures: figures.Pictures
+) -> dict[str, Any]:
+    """What was missing from one step."""
+    title = data["steps"][found["step"]]["title"]
+    tested = [c for c in found["candidates"] if c["kind"] != "not testable"]
+    quiet = [
+        c
+        for c in tested
+        if c["effect"].startswith("unknown(") and c["kind"] in (None, "not visible")
+    ]
+    reasons: dict[str, list[str]] = {}
+    for c in found["candidates"]:
+        if c["kind"] == "not testable":
+            reasons.setdefault(c["reason"], []).append(c["effect"])
+    alike = {
+        frozenset((c["effect"], *c["indistinguishable_from"]))
+        for c in tested
+        if c["indistinguishable_from"]
+    }
+    groups = [g for g in alike if not any(g < other for other in alike)]
+    return {
+        "step": found["step"],
+        "title": title,
+        "nothing": found["nothing_missing_probability"],
+        "sets": found["sets"],
+        "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
+        "rows": [_candidate(c) for c in tested if c not in quiet][:MANY],
+        "alike": sorted(", ".join(sorted(g)) for g in groups),
+        "not_testable": reasons,
+        "picture": pictures.missing(found, title),
+    }
+
+
+def _candidate(c: dict[str, Any]) -> dict[str, Any]:
+    unit = pretty(c["unit"])
+    return {
+        "effect": c["effect"],
+        "probability": probability(c["probability"]),
+        "factor": "–" if c["log_bayes_factor"] is None else f"{c['log_bayes_factor']:z.1f}",
+        "refit": c["source"] == "refit",
+        "size": f"{with_error(c['size'] or 0.0, c['size_sd'] or 0.0)} {unit}".strip(),
+        "detectable": "–" if c["minimum_detectable"] is None else _detectable(c),
+        "kind": c["kind"] or "",
+    }
+
+
+def _detectable(c: dict[str, Any]) -> str:
+    return tables.measured(c["minimum_detectable"], c["unit"], 2)
+
+
+def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
+    """The budget at the middle of what was covered; or why there is none."""
+    if not sentences.ok(chapter):
+        return None, "There is no budget of a fit that is not to be trusted."
+    try:
+        return budget(chapter.calibration, k=tables.K).shown(), ""
+    except BayescalError as error:
+        return None, f"There is no budget: {error}"
+
+
+def _budget_rows(found: Budget | None) -> list[dict[str, str]]:
+    if found is None:
+        return []
+    return [
+        {
+            "name": c.name,
+            "estimate": f"{with_error(c.value, c.uncertainty)} {pretty(c.unit)}".strip(),
+            "sensitivity": number(c.sensitivity),
+            "contribution": number(c.contribution),
+            "share": f"{100 * c.share:z.1f} %",
+        }
+        for c in found.coefficients[:MANY]
+    ]
+
+
+def _pictures(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
+    c, last = chapter.calibration, len(chapter.data["steps"]) - 1
+    first: list[figures.Picture] = []
+    if last and chapter.first is not None and chapter.first_check is not None:
+        first = pictures.residuals(chapter.first, chapter.first_check, "the first model")
+    elif last and chapter.picture is not None:
+        first = [
+            figures.embedded(
+                chapter.picture,
+                "The loop as it was drawn when the calibration was made",
+                "Four panels: residuals of the first model, candidates for what is missing, residuals of the last "
+                "model, and the error of each step. The tables of this report hold the same.",
+            )
+        ]
+    return {
+        "first": first,
+        "last": pictures.residuals(c, chapter.check, "the last model"),
+        "error": pictures.error(chapter),
+        "coefficients": pictures.coefficients(c),
+        "identifiability": pictures.identifiability(c),
+        "pairs": pictures.pairs(c),
+        "predictive": pictures.predictive(c),
+    }

@@ -1,0 +1,252 @@
+"""A trail as data: `result.json`, schema bayescal.result/1. Numbers that are not finite become null."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from bayescal._diagnostics.check import Check
+from bayescal._diagnostics.leave_group_out import groups_of
+from bayescal._diagnostics.summary import null_directions, summary
+from bayescal._discovery.discover import Discovery
+from bayescal._discovery.next_experiment import NextExperiment
+from bayescal._discovery.search_path import Step, Trail
+from bayescal._readings.measurements import Measurements
+
+SCHEMA = "bayescal.result/1"
+PACKAGES = (
+    "bayescal",
+    "jax",
+    "numpyro",
+    "optimistix",
+    "arviz-base",
+    "arviz-stats",
+    "numpy",
+    "scipy",
+)
+
+
+def result(trail: Trail) -> dict[str, Any]:
+    """Everything that a calibration found, as plain data."""
+    final = trail.final.calibration
+    coefficients, spreads = summary(final)
+    verdict = final.verdict
+    reasons = [*verdict.reasons, *([] if trail.gate.ok else [trail.gate.reason])]
+    return clean(
+        {
+            "schema": SCHEMA,
+            "instrument": final.model.instrument.name,
+            "method": final.method,
+            "seed": final.seed,
+            "versions": versions(),
+            "reference": final.reference,
+            "fixed": dict(final.model.fixed),
+            "readings": {**_source(final.readings), "groups": _groups(final.readings)},
+            "holdout": None if trail.holdout is None else _source(trail.holdout),
+            "flags": list(final.readings.flags),
+            "gate": {"ok": trail.gate.ok, "reason": trail.gate.reason},
+            "other_path": None
+            if trail.other_path is None
+            else {**vars(trail.other_path), "in_words": str(trail.other_path)},
+            "steps": [step_data(s) for s in trail.steps],
+            "check": [e for i, s in enumerate(trail.steps) for e in check_data(s.check, i)],
+            "pairs": [p for i, s in enumerate(trail.steps) for p in pairs_data(s.check, i)],
+            "missing": [
+                missing_data(s.discovery, i, s.check)
+                for i, s in enumerate(trail.steps)
+                if s.discovery is not None
+            ],
+            "coefficients": coefficients,
+            "spreads": spreads,
+            "identifiability": {"null_directions": null_directions(final)},
+            "verdict": {
+                "ok": trail.ok,
+                "reasons": list(dict.fromkeys(reasons)),
+                "notes": list(verdict.notes),
+            },
+        }
+    )
+
+
+def versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def _source(readings: Measurements) -> dict[str, Any]:
+    sources = readings.sources
+    if len(sources) == 1:
+        return {"file": sources[0].file, "sha256": sources[0].sha256, "rows": len(readings)}
+    return {
+        "file": [s.file for s in sources],
+        "sha256": [s.sha256 for s in sources],
+        "rows": len(readings),
+    }
+
+
+def _groups(readings: Measurements) -> dict[str, Any]:
+    kind, members, _ = groups_of(readings)
+    counted = {g: len(readings.groups(g)[0]) for g in ("run", "cell", "axis", "device")}
+    return {
+        **{k: n for k, n in counted.items() if n},
+        "left_out": kind,
+        "left_out_count": len(members),
+    }
+
+
+def step_data(step: Step) -> dict[str, Any]:
+    calibration = step.calibration
+    evidence = calibration.log_evidence
+    noise = {
+        n: float(calibration.samples(n).mean())
+        for n in calibration.posterior
+        if str(n).startswith("noise.")
+    }
+    held = {k: v for k, v in calibration.model.fixed if k.startswith("noise.")}
+    noise = {**noise, **held}
+    return {
+        "effects": list(calibration.model.names),
+        "added": step.added,
+        "dropped": list(step.dropped),
+        "title": step.title,
+        "rmse": step.rmse,
+        "rmse_fitted": step.rmse_fitted,
+        "unit": calibration.unit,
+        "holdout_rmse": step.holdout_rmse,
+        "leave_one_group_out": None
+        if step.left_out is None
+        else {"group": step.left_out.group, "n": step.left_out.count, "rmse": step.left_out.rmse},
+        "log_evidence": None if evidence is None else {"value": evidence[0], "se": evidence[1]},
+        "noise": {
+            "law": calibration.model.noise.law,
+            "white": noise.get("noise.white"),
+            "correlated": noise.get("noise.correlated"),
+            "tau": noise.get("noise.correlated.time"),
+        },
+        "noise_floor": step.noise_floor,
+        "verdict": {
+            "ok": calibration.verdict.ok,
+            "reasons": list(calibration.verdict.reasons),
+            "notes": list(calibration.verdict.notes),
+            "sampler": calibration.verdict.sampler,
+            "pareto_k": calibration.verdict.pareto_k,
+            "ess": calibration.verdict.ess,
+            "r_hat": calibration.verdict.r_hat,
+            "divergences": calibration.verdict.divergences,
+        },
+    }
+
+
+def check_data(check: Check, step: int) -> list[dict[str, Any]]:
+    return [
+        {
+            "step": step,
+            "against": e.against,
+            "log_bayes_factor": e.log_bayes_factor,
+            "worst": {
+                "from": e.worst.low,
+                "to": e.worst.high,
+                "group": e.worst.group,
+                "size": e.worst.size,
+                "unit": check.unit,
+                "z": e.worst.z,
+                "covariate_unit": e.worst.covariate_unit,
+            },
+        }
+        for e in check.entries
+    ]
+
+
+def pairs_data(check: Check, step: int) -> list[dict[str, Any]]:
+    return [
+        {"step": step, "against": list(p.against), "log_bayes_factor": p.log_bayes_factor}
+        for p in check.pairs
+    ]
+
+
+def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
+    return {
+        "step": step,
+        "nothing_missing_probability": found.nothing_missing,
+        "sets": [{"effects": list(s.effects), "probability": s.probability} for s in found.sets],
+        "candidates": [
+            {
+                "effect": c.effect,
+                "probability": c.probability,
+                "log_bayes_factor": c.log_bayes_factor,
+                "source": c.source,
+                "z": c.z,
+                "size": c.size,
+                "size_sd": c.size_sd,
+                "unit": c.unit,
+                "shape": c.shape,
+                "visibility": c.visibility,
+                "minimum_detectable": c.minimum_detectable,
+                "kind": c.kind,
+                "indistinguishable_from": list(c.indistinguishable_from),
+                "reason": c.reason,
+            }
+            for c in found.candidates
+        ],
+        "unknown": [
+            {
+                "column": e.against,
+                "size": abs(e.worst.size),
+                "unit": check.unit,
+                "log_bayes_factor": e.log_bayes_factor,
+                "probability": 1 / (1 + math.exp(-min(max(e.log_bayes_factor, -700), 700))),
+            }
+            for e in check.entries
+            if e.log_bayes_factor > 0
+        ],
+    }
+
+
+def experiment_data(found: NextExperiment) -> dict[str, Any]:
+    return {
+        "members": list(found.members),
+        "experiments": [
+            {
+                "name": e.name,
+                "least_expected_log_bayes_factor": e.worst,
+                "expected_log_bayes_factors": [
+                    {"truth": truth, "rival": rival, "value": value}
+                    for (truth, rival), value in e.expected.items()
+                ],
+            }
+            for e in found.experiments
+        ],
+    }
+
+
+def clean(value: Any) -> Any:
+    """Plain JSON data: NumPy scalars unwrapped, what is not finite turned into None."""
+    if isinstance(value, dict):
+        return {str(k): clean(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [clean(v) for v in value]
+    if hasattr(value, "item") and not isinstance(value, (str, bytes)):
+        return clean(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_json(data: Any, path: Path) -> None:
+    """Written beside and renamed, so that an interruption leaves the old file whole."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        beside.write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)

@@ -1,0 +1,227 @@
+"""What a report is of: calibrations, one after the other, with the trail that led to the last.
+
+A chapter is one set of readings. Calibrations of the same readings make one chapter, in the order in which they are
+given: the first is where it began, the last is what is signed for.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.predict import predict
+from bayescal._calibration.storage import load_calibration
+from bayescal._core.errors import InputError, NotConverged
+from bayescal._diagnostics.check import Check, check
+from bayescal._diagnostics.leave_group_out import leave_one_group_out
+from bayescal._discovery.discover import discover
+from bayescal._discovery.search_path import Step, Trail, gate, noise_floor
+from bayescal._model.effect import Effect
+from bayescal._model.instrument import Instrument
+from bayescal._report.result_json import SCHEMA, result
+
+RESULT, CALIBRATION, PICTURE = "result.json", "calibration.nc", "loop.png"
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """One set of readings.
+
+    Attributes:
+        calibration: the last, which is signed for.
+        check: where it fails.
+        data: everything that was found, as in result.json.
+        first, first_check: where it began; None where only result.json tells of it.
+        picture: the loop as it was drawn at the time (PNG); None where the pictures can be drawn again.
+    """
+
+    calibration: Calibration
+    check: Check
+    data: dict[str, Any]
+    first: Calibration | None = None
+    first_check: Check | None = None
+    picture: bytes | None = None
+
+
+def chapters(
+    given: Iterable[Calibration | Trail | Chapter], effects: Iterable[Effect] = ()
+) -> list[Chapter]:
+    """Chapters of what is given, in its order; calibrations of the same readings that stand together are one."""
+    own = tuple(effects)
+    found: list[Chapter] = []
+    waiting: list[Calibration] = []
+    for one in [*given, None]:
+        if waiting and not (isinstance(one, Calibration) and _same_readings(waiting[-1], one)):
+            found.append(of_trail(trail_of(waiting, own), _titles(waiting)))
+            waiting = []
+        if isinstance(one, Calibration):
+            waiting.append(one)
+        elif isinstance(one, Trail):
+            found.append(of_trail(one))
+        elif one is not None:
+            found.append(one)
+    return found
+
+
+def of_trail(trail: Trail, titles: list[str] | None = None) -> Chapter:
+    """The chapter of a trail in memory."""
+    data = result(trail)
+    for i, title in enumerate(titles or []):
+        step, before = data["steps"][i], data["steps"][max(i - 1, 0)]["effects"]
+        more = [n for n in step["effects"] if n not in before]
+        step |= {"title": title, "added": more[0] if len(more) == 1 else None}
+    first, final = trail.steps[0], trail.final
+    return Chapter(final.calibration, final.check, data, first.calibration, first.check)
+
+
+def of_folder(
+    folder: Path, effects: Iterable[Effect] = (), instruments: Iterable[Instrument] = ()
+) -> Chapter:
+    """The chapter of a folder that `bayescal calibrate --out` wrote.
+
+    Raises:
+        InputError: it does not hold both files, they cannot be read, or they do not belong together.
+    """
+    missing = [n for n in (RESULT, CALIBRATION) if not (folder / n).is_file()]
+    if missing:
+        raise InputError(
+            f"The folder {folder} has no {' and no '.join(missing)}: give a folder that `bayescal calibrate --out` "
+            "wrote, or a saved calibration (…nc)"
+        )
+    data = _read_result(folder / RESULT)
+    calibration = load_calibration(folder / CALIBRATION, tuple(effects), tuple(instruments))
+    _refuse_strangers(folder, data, calibration)
+    picture = folder / PICTURE
+    drawn = picture.read_bytes() if picture.is_file() else b""
+    return Chapter(
+        calibration, check(calibration), data, picture=drawn if drawn.startswith(PNG) else None
+    )
+
+
+def _read_result(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read as JSON ({error}): calibrate again") from None
+    schema = data.get("schema") if isinstance(data, dict) else None
+    if schema != SCHEMA:
+        raise InputError(
+            f"{path} is no result of this version: its schema is {schema!r}, not {SCHEMA!r}"
+        )
+    return data
+
+
+def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibration) -> None:
+    """A result and a calibration of two different runs make no report.
+
+    Raises:
+        InputError: instrument, effects, readings or seed differ.
+    """
+    try:
+        told = (
+            data["instrument"],
+            data["steps"][-1]["effects"],
+            data["seed"],
+            [data["readings"]["rows"], data["readings"]["sha256"]],
+        )
+    except (KeyError, IndexError, TypeError) as error:
+        raise InputError(f"{folder / RESULT} is incomplete ({error!r}): calibrate again") from None
+    c, sources = calibration, calibration.readings.sources
+    hashes = [s.sha256 for s in sources]
+    own = (
+        c.model.instrument.name,
+        list(c.model.names),
+        c.seed,
+        [len(c.readings), hashes[0] if len(hashes) == 1 else hashes],
+    )
+    for what, theirs, ours in zip(
+        ("instrument", "effects", "seed", "readings"), told, own, strict=True
+    ):
+        if theirs != ours:
+            raise InputError(
+                f"{RESULT} and {CALIBRATION} in {folder} are of different fits: {what} {theirs} and {ours}. Calibrate "
+                f"again, or give {CALIBRATION} alone"
+            )
+
+
+def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) -> Trail:
+    """The trail of calibrations of the same readings, each checked and asked what it lacks.
+
+    An effect of the user's own that one of them has is a candidate for the others.
+    """
+    used = {e.name: e for c in calibrations for e in c.model.effects}
+    instrument = calibrations[0].model.instrument
+    catalogue = {e.name for e in (*instrument.effects, *instrument.candidates)}
+    own = [e for n, e in used.items() if n not in catalogue]
+    steps = []
+    for c in calibrations:
+        checked = check(c)
+        steps.append(
+            Step(
+                c,
+                None,
+                (),
+                predict(c).rmse,
+                float(np.sqrt(np.mean(checked.residuals**2))),
+                None,
+                leave_one_group_out(c),
+                noise_floor(c),
+                checked,
+                discover(c, effects=(*own, *effects)) if c.verdict.ok else None,
+            )
+        )
+    return Trail(tuple(steps), gate(steps[-1]), None)
+
+
+def _titles(calibrations: list[Calibration]) -> list[str]:
+    """Each model by what it has more and less than the one before."""
+    titles = []
+    for i, c in enumerate(calibrations):
+        own, before = c.model.names, calibrations[i - 1].model.names if i else None
+        if before is None:
+            baseline = set(own) == {e.name for e in c.model.instrument.effects}
+            titles.append("baseline" if baseline else ", ".join(own))
+            continue
+        more = [f"+ {n}" for n in own if n not in before]
+        less = [f"− {n}" for n in before if n not in own]
+        law = c.model.noise.law
+        noise = (
+            [] if law == calibrations[i - 1].model.noise.law else [f"noise {law.replace('_', '-')}"]
+        )
+        titles.append(" ".join([*more, *less, *noise]) or "the same effects")
+    return titles
+
+
+def _same_readings(one: Calibration, other: Calibration) -> bool:
+    a, b = one.readings, other.readings
+    same = one.model.instrument.name == other.model.instrument.name and a.columns == b.columns
+    return same and all(
+        np.array_equal(a[n], b[n], equal_nan=a.unit(n) is not None) for n in a.columns
+    )
+
+
+def taken(given: Any) -> list[Calibration | Trail | Chapter]:
+    """What a user gives, as a list; of an error that ended a fit, the calibration that it carries.
+
+    Raises:
+        InputError: nothing is given, or something else than calibrations and trails.
+    """
+    several = given if isinstance(given, (list, tuple)) else [given]
+    found: list[Any] = [
+        g.calibration if isinstance(g, NotConverged) and g.calibration is not None else g
+        for g in several
+    ]
+    wrong = [type(g).__name__ for g in found if not isinstance(g, (Calibration, Trail, Chapter))]
+    if wrong or not found:
+        raise InputError(
+            f"a report is of calibrations or trails, not of {', '.join(wrong) or 'nothing'}: give what bc.fit, "
+            "bc.calibrate or bc.load returned"
+        )
+    return found

@@ -1,0 +1,151 @@
+"""The sentences of a report: how the model came about, what it may be used for and where not, what is left open."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+from bayescal._diagnostics.text import pretty, probability
+from bayescal._report.section import Chapter
+from bayescal._report.tables import READ, UNUSED, measured, ranges
+
+STRUCTURE = 3.0  # log Bayes factor from which what is left in the residuals is worth a sentence
+ABOVE_NOISE = 1.1  # rms error over the noise floor from which something is left to explain
+
+
+def use_and_limits(chapter: Chapter) -> tuple[list[str], list[str]]:
+    """What the calibration may be used for, and where not, a sentence each."""
+    c = chapter.calibration
+    instrument = c.model.instrument
+    rows = ranges(c)
+    if not ok(chapter):
+        return [], ["For nothing until what stands against it is settled: see the verdict."]
+    covered = [
+        f"{r['name']} {r['low']} to {r['high']} {r['unit']}".strip()
+        for r in rows
+        if not r["constant"] and r["part"] not in (READ, UNUSED) and r["name"] not in ("time",)
+    ]
+    what = (
+        f"turning a reading of the output into {instrument.use.stimulus} [{pretty(instrument.use.unit) or '1'}]"
+        if instrument.use is not None
+        else "predicting the output"
+    )
+    may = [f"{what[0].upper()}{what[1:]}, by the model of this report."]
+    if covered:
+        may.append("Within what was covered: " + "; ".join(covered) + ".")
+    return may, _limits(chapter, rows)
+
+
+def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
+    use = chapter.calibration.model.instrument.use
+    not_for = [
+        "Outside these ranges: nothing was measured there, and nothing warns but the compensator."
+    ]
+    for r in rows:
+        if r["constant"] and r["name"] != "output" and (use is None or r["name"] != use.stimulus):
+            at = f"{r['low']} {r['unit']}".strip()
+            not_for.append(
+                f"Under another {r['name']} than {at}, at which all readings were taken."
+            )
+    if (
+        use is not None
+        and use.equation is None
+        and use.stimulus not in {r["name"] for r in rows if not r["constant"]}
+    ):
+        not_for.append(
+            f"To tell how the output follows {use.stimulus}: it was not varied, so the model's own equation stands "
+            "untested."
+        )
+    last = last_discovery(chapter)
+    by_reason: dict[str, list[str]] = {}
+    blind = []
+    for candidate in last["candidates"] if last else []:
+        if candidate["kind"] == "not testable":
+            by_reason.setdefault(candidate["reason"], []).append(candidate["effect"])
+        elif candidate["kind"] == "not visible" and not candidate["effect"].startswith("unknown("):
+            blind.append(candidate["effect"])
+    not_for += [
+        f"Where {_or(names)} matters: it was not tested ({reason})."
+        for reason, names in by_reason.items()
+    ]
+    if blind:
+        not_for.append(f"Where {_or(blind)} matters: this experiment cannot see it.")
+    new = [r["name"] for r in chapter.data["spreads"] if r["name"].endswith(".spread")]
+    if new:
+        not_for.append(
+            f"As it stands for one new member of a group: each brings its own deviation ({', '.join(new)})."
+        )
+    return not_for
+
+
+def _or(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def last_discovery(chapter: Chapter) -> dict[str, Any] | None:
+    """What was missing from the last model; None where that was not asked."""
+    last = len(chapter.data["steps"]) - 1
+    return next((m for m in chapter.data["missing"] if m["step"] == last), None)
+
+
+def ok(chapter: Chapter) -> bool:
+    return bool(chapter.data["verdict"]["ok"])
+
+
+def unexplained(chapter: Chapter) -> list[str]:
+    """What the last model leaves open, a sentence each."""
+    step, unit = chapter.data["steps"][-1], chapter.calibration.unit
+    rms, noise = step["rmse"], step["noise_floor"]
+    said = [
+        f"rms error {measured(rms, unit, 3)} (runs taken as new ones) against a noise floor of "
+        f"{measured(noise, unit, 3)}: "
+        + (
+            f"about {measured((rms**2 - noise**2) ** 0.5, unit, 2)} rms is more than noise."
+            if rms > ABOVE_NOISE * noise
+            else "nothing beyond the noise."
+        )
+    ]
+    for e in chapter.check.entries:
+        if e.log_bayes_factor > STRUCTURE:
+            size = f"{e.worst.size:+.2g} {pretty(unit)}".replace("-", "−")
+            said.append(
+                f"The residuals still depend on {e.against} (up to {size}; log Bayes factor {e.log_bayes_factor:.1f})."
+            )
+    last = last_discovery(chapter)
+    if last is None:
+        said.append("What is missing was not asked: the last fit did not converge.")
+    else:
+        said.append(
+            f"Probability that none of the candidates is missing: {probability(last['nothing_missing_probability'])}."
+        )
+        for kind in ("finding", "lead"):
+            names = [c["effect"] for c in last["candidates"] if c["kind"] == kind]
+            if names:
+                said.append(f"{kind.capitalize()}, not in the model: {_or(names)}.")
+    if chapter.check.outliers:
+        said.append(
+            f"{len(chapter.check.outliers)} outlying readings (more than 4 standard deviations)."
+        )
+    if chapter.data["other_path"] is not None:
+        said.append(chapter.data["other_path"]["in_words"])
+    if not chapter.data["gate"]["ok"]:
+        said.append(chapter.data["gate"]["reason"])
+    return said
+
+
+def story(chapter: Chapter) -> list[str]:
+    """How the last model came about, a sentence each step."""
+    steps, unit = chapter.data["steps"], chapter.calibration.unit
+    findings = {
+        m["step"]: {n for s in m["sets"] for n in s["effects"]} for m in chapter.data["missing"]
+    }
+    said = [f"It began with {steps[0]['title']}: rms error {measured(steps[0]['rmse'], unit, 3)}."]
+    for i, (before, step) in enumerate(pairwise(steps)):
+        name = step["added"]
+        if name and name in findings.get(i, ()):
+            what = f"{name} was found missing. Added, it"
+        else:
+            what = f"Adding {name}" if name else f"The step «{step['title']}»"
+        fell = f"from {measured(before['rmse'], unit, 3)} to {measured(step['rmse'], unit, 3)}"
+        said.append(f"{what} brought the rms error {fell}.")
+    return said

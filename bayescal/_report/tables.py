@@ -1,0 +1,197 @@
+"""The tables of a report as plain data, which a template lays out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from math import floor, log10
+from typing import Any
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._diagnostics.text import number, pretty, with_error
+from bayescal._model.effect import Effect
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
+from bayescal._readings.column import Source
+from bayescal._readings.measurements import Measurements
+from bayescal._report.section import Chapter
+
+K = 2.0  # coverage factor of every expanded uncertainty in a report
+GAUSSIAN = 0.9545  # what k = 2 covers of a Gaussian
+SUMMARY = 14  # coefficients on the page that is signed
+UNUSED = "recorded; the model does not use it"
+READ = "what was read"
+
+
+def measured(value: float, unit: str, digits: int = 4) -> str:
+    return f"{number(value, digits)} {pretty(unit)}".strip()
+
+
+def identity(readings: Measurements) -> list[dict[str, Any]]:
+    """Each file with its hash; of arrays the hash of their values."""
+    sources = readings.sources
+    if not sources:
+        digest = hashlib.sha256()
+        for name in readings.columns:
+            values = readings[name]
+            digest.update(name.encode())
+            digest.update(
+                values.astype("<f8" if readings.unit(name) else "S").tobytes()
+                if readings.unit(name)
+                else "\n".join(map(str, values)).encode()
+            )
+        sources = (Source("arrays (hash of their values)", digest.hexdigest(), len(readings)),)
+    return [{"file": s.file, "sha256": s.sha256, "rows": s.rows} for s in sources]
+
+
+def devices(readings: Measurements) -> list[str]:
+    return list(readings.groups("device")[0]) if readings.has("device") else []
+
+
+def ranges(calibration: Calibration) -> list[dict[str, Any]]:
+    """What was covered: each numeric covariate and each rate of a temperature, with its range and part."""
+    readings, model = calibration.readings, calibration.model
+    used = {c for e in model.effects for c in e.columns}
+    use = model.instrument.use
+    about = {c.name: c.meaning for c in model.instrument.columns}
+    found = []
+    for name in readings.columns:
+        unit = readings.unit(name)
+        if unit is None or name in ("output_uncertainty", "temperature_point"):
+            continue
+        values = readings[name]
+        part = "the model depends on it" if name in used else UNUSED
+        if name == "output":
+            part = READ
+        elif use is not None and name == use.stimulus:
+            part = "the input, what the instrument is to measure"
+        found.append(_range(name, about.get(name, ""), values, unit, part))
+    for name, values in calibration.frame.rates.items():
+        rate = np.asarray(values) * 60
+        if np.ptp(rate) > 0:
+            found.append(
+                _range(
+                    f"{name} rate",
+                    "speed of the change",
+                    rate,
+                    "degC/min",
+                    "follows from the above",
+                )
+            )
+    if readings.has("time"):
+        span = np.asarray(calibration.frame.columns["elapsed"])
+        found.append(
+            _range("elapsed", "time since the start of a run", span, "s", "follows from the above")
+        )
+    return found
+
+
+def _range(name: str, meaning: str, values: np.ndarray, unit: str, part: str) -> dict[str, Any]:
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return {
+        "name": name,
+        "meaning": meaning,
+        "low": number(low, 4).replace("-", "−"),
+        "high": number(high, 4).replace("-", "−"),
+        "unit": pretty(unit),
+        "part": part,
+        "constant": low == high,
+    }
+
+
+def coefficients(chapter: Chapter) -> list[dict[str, Any]]:
+    """Coefficients, then spreads, shapes and noise: k = 2 interval and 95 % credible interval, apart."""
+    rows = []
+    for r in (*chapter.data["coefficients"], *chapter.data["spreads"]):
+        mean, sd = r["mean"], r["sd"]
+        held = not sd > 1e-9 * abs(mean)
+        low, high = r["interval95"]
+        rows.append(
+            {
+                "name": r["name"],
+                "effect": r["effect"],
+                "unit": pretty(r["unit"]),
+                "value": with_error(mean, K * sd),
+                "u": "held" if held else number(sd, 2),
+                "k2": "–" if held else _between(mean - K * sd, mean + K * sd, sd),
+                "interval": "–" if held else _between(low, high, sd),
+                "said": "–" if r["contraction"] is None else _percent(r["contraction"]),
+                "member": "(" in r["name"],
+            }
+        )
+    return rows
+
+
+def _percent(share: float) -> str:
+    return "> 99.9 %" if share > 0.999 else f"{100 * share:z.1f} %".replace("-", "−")
+
+
+def _between(low: float, high: float, error: float) -> str:
+    """Two ends, to the place of the error's second digit."""
+    places = 1 - floor(log10(error))
+    if 0 <= places <= 8:
+        text = f"{low:z.{places}f} to {high:z.{places}f}"
+    else:
+        digits = max(3, 1 - floor(log10(error)) + floor(log10(max(abs(low), abs(high)))) + 1)
+        text = f"{low:.{min(digits, 9)}g} to {high:.{min(digits, 9)}g}"
+    return text.replace("-", "−")
+
+
+def skewed(chapter: Chapter) -> list[str]:
+    """Unknowns whose mean ± 2 u holds clearly more or less than a Gaussian's share of the draws."""
+    found, c = [], chapter.calibration
+    posterior = c.posterior
+    for name in map(str, posterior):
+        if "reading" in posterior[name].dims:
+            continue
+        draws = c.samples(name)
+        sd = draws.std(axis=0)
+        if np.all(sd > 1e-9 * np.abs(draws.mean(axis=0))):
+            inside = float(np.mean(np.abs(draws - draws.mean(axis=0)) <= K * sd))
+            if abs(inside - GAUSSIAN) > 0.01:
+                found.append(f"{name} {100 * inside:.1f} %")
+    return found
+
+
+def effects(chapter: Chapter) -> list[dict[str, Any]]:
+    """Each effect of the model: equation, unknowns with their priors, source, the step that brought it."""
+    since = {}
+    for i, step in enumerate(chapter.data["steps"]):
+        for name in step["effects"]:
+            since.setdefault(name, i)
+    return [
+        {
+            "name": e.name,
+            "slot": e.slot,
+            "equation": e.equation or "–",
+            "unknowns": _unknowns(e),
+            "source": e.source,
+            "since": "the start" if since.get(e.name, 0) == 0 else f"step {since[e.name]}",
+        }
+        for e in chapter.calibration.model.effects
+    ]
+
+
+def _unknowns(effect: Effect) -> list[str]:
+    found = []
+    for i, c in enumerate(effect.coefficients):
+        prior = f"spread learned, {_prior(c.spread)}" if c.spread is not None else _prior(c.prior)
+        per = f", one for each {c.per}" if c.per else ""
+        found.append(f"{effect.coefficient_name(i)} [{pretty(c.unit) or '1'}]: {prior}{per}")
+    for s in effect.shapes:
+        found.append(
+            f"{effect.shape_name(s)} [{pretty(s.unit) or '1'}]: 95 % between {number(s.low)} and {number(s.high)}"
+        )
+    return found
+
+
+def _prior(prior: Any) -> str:
+    words: dict[type, Callable[[Any], str]] = {
+        Normal: lambda p: f"prior {number(p.mean)} ± {number(p.sd)} (one standard deviation)",
+        HalfNormal: lambda p: f"half-normal prior of scale {number(p.scale)}",
+        HalfCauchy: lambda p: f"half-Cauchy prior of scale {number(p.scale)}",
+        LogNormal: lambda p: f"log-normal prior about {number(p.median)}",
+        Flat: lambda p: "flat prior",
+    }
+    return words.get(type(prior), repr)(prior)

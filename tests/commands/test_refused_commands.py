@@ -1,0 +1,131 @@
+"""Commands that cannot be followed: status 2, one sentence on stderr, nothing written."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+import bayescal as bc
+from bayescal_models import mems_gyro
+from tests.support.command_line import GYRO, OWN_INSTRUMENT, QUICK, TABLE, needs_installation, run
+
+pytestmark = needs_installation
+FIT = "fit {table} --instrument mems_gyro --out {new}"
+CALIBRATE = "calibrate {table} --instrument mems_gyro --out {new}"
+COMPARE = "compare {table} --instrument mems_gyro --structure line"
+SIMULATE = "simulate --instrument mems_gyro --out {folder}/a.csv"
+
+REFUSED = (
+    ("instruments --all", "No such option: --all"),
+    ("instruments everything", "unexpected extra argument"),
+    ("effects", "Missing option '--instrument'"),
+    ("effects --instrument gyro", "no instrument is called 'gyro'; installed:"),
+    ("effects --instrument {level}:LEVEL", "defines no instrument called 'LEVEL'"),
+    ("effects --instrument mems_gyro --effects no.py", "there is no file no.py"),
+    ("effects --instrument mems_gyro --effects {broken}", "could not be run: ZeroDivisionError"),
+    ("effects --instrument mems_gyro --effects {empty}", "defines no effect"),
+    (f"{SIMULATE} --effect bias.moon=1", "no effect 'bias.moon' can be hidden"),
+    (f"{SIMULATE} --effect bias.drift", "--effect 'bias.drift' is not of the form name=value"),
+    (f"{SIMULATE} --effect bias.drift=big", "'big' is not a number"),
+    (f"{SIMULATE} --effect bias.drift=nan", "give a finite number"),
+    (f"{SIMULATE} --noise-law pink", "known are white, student_t, ornstein_uhlenbeck"),
+    (f"{SIMULATE} --seed -1", "'--seed'"),
+    ("simulate --instrument mems_gyro", "Missing option '--out'"),
+    ("simulate --instrument mems_gyro --out {folder}/a.txt", "choose .csv, .parquet, .nc"),
+    ("simulate --instrument mems_gyro --out {new}/a.csv", "there is no folder"),
+    ("simulate --instrument {level}:INSTRUMENT --out {folder}/a.csv", "has no simulator"),
+    ("fit no.csv --instrument mems_gyro --out {new}", "'no.csv' cannot be read"),
+    ("fit {text} --instrument mems_gyro --out {new}", "'hot'"),
+    ("fit {no_unit} --instrument mems_gyro --out {new}", "unit"),
+    ("fit {no_unit} --instrument mems_gyro --unit temperature=furlong --out {new}", "furlong"),
+    (f"{FIT} --columns output=gyro_x", "gyro_x"),
+    (f"{FIT} --columns output", "--columns 'output' is not of the form name=value"),
+    (f"{FIT} --method magic", "--method 'magic' is not one of marginal, least-squares, nuts"),
+    (f"{FIT} --fix bias.constant", "--fix 'bias.constant' is not of the form name=value"),
+    (f"{FIT} --fix bias.moon=1", "bias.moon"),
+    (f"{FIT} --fix bias.constant=nan", "give a finite number"),
+    (f"{FIT} --reference U0=1", "no constant 'U0'; they have: T0"),
+    (f"{FIT} --reference T0=warm", "'warm' is not a number"),
+    (f"{FIT} --add bias.moon", "bias.moon"),
+    (f"{FIT} --add bias.drift", "needs the column 'time'"),
+    (f"{FIT} --structure cube", "has no structure 'cube'"),
+    (f"{FIT} --local-gravity 0", "'--local-gravity'"),
+    ("fit {table} --instrument mems_gyro --out {saved}", "cannot write to the folder"),
+    ("check no.nc", "There is no file no.nc"),
+    ("check {table}", "is it a saved calibration?"),
+    ("check {readings}", "is no calibration of this version"),
+    ("discover no.nc", "There is no file no.nc"),
+    ("discover {saved} --effects no.py", "there is no file no.py"),
+    ("discover {saved} --max-effects 0", "'--max-effects'"),
+    (COMPARE, "two structures or more"),
+    (f"{COMPARE} --structure cube", "has no structure 'cube'"),
+    (f"{COMPARE} --structure line+bias.moon", "bias.moon"),
+    (f"{COMPARE} --structure line+bias.drift", "needs the column 'time'"),
+    ("predict {saved} no.csv --out {folder}/p.csv", "'no.csv' cannot be read"),
+    ("predict {saved} {no_unit} --out {folder}/p.csv", "unit"),
+    ("predict {saved} {table} --out {folder}/p.txt", "'.txt'"),
+    ("predict {table} {saved}", "is it a saved calibration?"),
+    ("calibrate --instrument mems_gyro", "Missing argument"),
+    (f"{CALIBRATE} --holdout no.csv", "'no.csv' cannot be read"),
+    (f"{CALIBRATE} --holdout {{level_table}}", "level.csv"),
+    (f"{CALIBRATE} --max-effects 0", "'--max-effects'"),
+    (f"{CALIBRATE} --seed x", "'--seed'"),
+    ("demo --instrument gyro --out {new}", "no instrument is called 'gyro'"),
+    ("demo --instrument {level}:INSTRUMENT --out {new}", "has no demonstration"),
+    ("demo --out {saved}", "cannot write to the folder"),
+)
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Files that commands are pointed at, and `new`, a folder that is not there."""
+    folder = tmp_path_factory.mktemp("refused")
+    texts = {
+        "level.py": OWN_INSTRUMENT,
+        "broken.py": "1/0\n",
+        "empty.py": "answer = 42\n",
+        "text.csv": "temperature [degC],output [deg/s]\n20,1\n21,hot\n",
+        "no_unit.csv": "temperature,output\n20,1\n21,2\n",
+        "level.csv": "temperature [degC],output [arcsec]\n20,1\n21,2\n22,3\n23,5\n24,5\n",
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    bc.read(TABLE, mems_gyro.INSTRUMENT).write(folder / "readings.nc")
+    done = run("fit", TABLE, *GYRO, *QUICK, "--out", folder / "table")
+    assert done.status == 0, done.err
+    return {
+        "folder": folder,
+        "new": folder / "new",
+        "table": TABLE,
+        "level": folder / "level.py",
+        "level_table": folder / "level.csv",
+        "broken": folder / "broken.py",
+        "empty": folder / "empty.py",
+        "text": folder / "text.csv",
+        "no_unit": folder / "no_unit.csv",
+        "readings": folder / "readings.nc",
+        "saved": folder / "table" / "calibration.nc",
+    }
+
+
+@pytest.mark.parametrize(("command", "words"), REFUSED, ids=[c for c, _ in REFUSED])
+def test_a_refusal_is_one_sentence(command: str, words: str, places: dict[str, Path]) -> None:
+    before = sorted(places["folder"].rglob("*"))
+    done = run(*(word.format(**places) for word in shlex.split(command)))
+    assert done.status == 2
+    assert done.out == ""
+    assert len(done.said) == 1, done.err
+    assert done.said[0].startswith("bayescal: ")
+    assert words in done.said[0]
+    assert sorted(places["folder"].rglob("*")) == before
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    out = tmp_path / "full"
+    (out / "calibration.nc").mkdir(parents=True)  # in the way
+    done = run("fit", TABLE, *GYRO, *QUICK, "--out", out)
+    assert done.status == 2
+    assert "calibration.nc" in done.said[-1]
+    assert "Traceback" not in done.err

@@ -1,0 +1,100 @@
+"""The budget splits the variance of a compensated value without remainder: by coefficient, and by its sources."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._compensation.budget import READINGS, prior_sensitivity
+from tests.support import bent_sensor
+
+
+@pytest.fixture(scope="module")
+def gyro() -> bc.Budget:
+    return bc.budget(bent_sensor.gyro(), {"temperature": 70.0, "rate_input": 80.0})
+
+
+def test_shares_add_up_and_the_sum_is_what_the_compensator_states(gyro) -> None:
+    compensate = bc.compensator(bent_sensor.gyro())
+    value = compensate(output=gyro.reading, temperature=70.0, method="first order", noise=False)
+    np.testing.assert_allclose(value.value, 80.0, rtol=1e-9)
+    np.testing.assert_allclose(gyro.uncertainty, value.uncertainty[0], rtol=1e-9)
+    np.testing.assert_allclose(sum(c.share for c in gyro.coefficients), 1.0, rtol=1e-9)
+    np.testing.assert_allclose(sum(s.share for s in gyro.sources), 1.0, rtol=1e-9)
+
+
+def test_shares_count_correlations_by_hand() -> None:
+    """u² of c₀ + c₁(T − T0) − reading, from the posterior's covariance alone."""
+    fit = bent_sensor.gyro()
+    found = bc.budget(fit, {"temperature": 70.0, "rate_input": 0.0})
+    names = ["bias.constant", "bias.temperature"]
+    covariance = np.cov(np.array([fit.samples(n) for n in names]))
+    lever = np.array([1.0, 70.0 - float(fit.frame.reference["T0"])]) / (
+        1 + 1e-6 * fit.samples("scale.constant").mean()
+    )
+    new_run = np.mean(fit.samples("bias.run.spread") ** 2) * lever[0] ** 2
+    total = lever @ covariance @ lever + new_run
+    np.testing.assert_allclose(found.uncertainty**2, total, rtol=1e-9)
+    shares = {c.name: c.share for c in found.coefficients}
+    for i, name in enumerate(names):
+        by_hand = lever[i] * (covariance @ lever)[i] / found.uncertainty**2
+        np.testing.assert_allclose(shares[name], by_hand, rtol=1e-9)
+
+
+def test_a_nuisance_that_does_not_act_in_use_is_named_as_the_source() -> None:
+    """The rig's constant, of prior sd 20 µg, is an alias of the bias: nearly all the width is its prior's."""
+    found = bc.budget(
+        bent_sensor.calibration(),
+        {"acceleration": 0.0, "temperature": 30.0, "humidity": 30.0, "elapsed": 1e4},
+    )
+    assert not any(c.name.startswith("rig") for c in found.coefficients)
+    largest = found.sources[0]
+    assert (largest.name, largest.kind) == ("prior of rig.constant", "B")
+    assert largest.share > 0.8 and 15 < largest.contribution < 21
+    readings = next(s for s in found.sources if s.name == READINGS)
+    assert readings.kind == "A" and readings.share < 0.1
+
+
+def test_k_and_noise_are_said_and_multiply(gyro) -> None:
+    assert gyro.k == 2.0 and gyro.expanded == 2.0 * gyro.uncertainty
+    np.testing.assert_allclose(gyro.expanded_reading, 2 * np.hypot(gyro.uncertainty, gyro.noise))
+    text = str(gyro)
+    assert "Expanded uncertainty (k = 2)" in text and "scale.constant" in text and "ppm" in text
+    np.testing.assert_allclose(np.diag(gyro.correlation), 1.0)
+
+
+def test_it_is_shown_in_the_unit_in_which_the_instrument_reports(gyro) -> None:
+    """A tilt is kept in rad; of an inclinometer that reads arcsec the budget says arcsec, and its tilt in degrees."""
+    made = replace(
+        gyro, unit="rad", output_unit="arcsec", at={"tilt": 0.1}, at_units={"tilt": "rad"}
+    )
+    shown = made.shown()
+    second = np.pi / 648000
+    np.testing.assert_allclose(shown.uncertainty * second, made.uncertainty)
+    np.testing.assert_allclose(shown.expanded_reading * second, made.expanded_reading)
+    for before, after in zip(made.coefficients, shown.coefficients, strict=True):
+        np.testing.assert_allclose(after.contribution, abs(after.sensitivity) * after.uncertainty)
+        assert (after.share, after.value) == (before.share, before.value)
+    text = str(made)
+    assert "at tilt = 5.73 °" in text and "contribution arcsec" in text and "rad" not in text
+    assert "at rate_input = 80 °/s, temperature = 70 °C" in str(gyro)  # of another kind: as it was
+    other = replace(made, output_unit="Hz").shown()
+    assert (other.unit, other.uncertainty) == ("rad", made.uncertainty)
+
+
+def test_a_name_that_plays_no_part_is_refused() -> None:
+    with pytest.raises(bc.InputError, match=r"'pressure' plays no part.*rate_input, temperature"):
+        bc.budget(bent_sensor.gyro(), {"pressure": 1.0})
+    with pytest.raises(bc.InputError, match="a coverage factor is a positive number"):
+        bc.budget(bent_sensor.gyro(), k=0.0)
+
+
+def test_a_prior_that_matters_shows_in_its_sensitivity() -> None:
+    """Of the rig's constant and the bias the readings know the sum: priors decide. A well measured slope is its own."""
+    table = prior_sensitivity(bent_sensor.calibration())
+    assert table.loc["rig.constant", "prior"] > 0.05
+    assert table.loc["bias.temperature", "prior"] < 0.05
+    assert "noise.white" not in table.index  # held at its estimate

@@ -1,0 +1,142 @@
+"""Readings are turned back into what was measured, with an uncertainty that holds."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._compensation.compensator import OutsideCalibration
+from bayescal_models import mems_gyro, still_sensor
+from benchmarks import compensation as campaigns
+from benchmarks.coverage import collect
+from tests.support import bent_sensor
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::bayescal._compensation.compensator.OutsideCalibration"
+)
+
+
+@pytest.fixture(scope="module")
+def bent() -> bc.Compensator:
+    return bc.compensator(bent_sensor.calibration())
+
+
+@pytest.fixture(scope="module")
+def gyro() -> bc.Compensator:
+    return bc.compensator(bent_sensor.gyro())
+
+
+def test_the_stimulus_of_new_readings_is_found_within_its_uncertainty(bent) -> None:
+    """A bent equation with memory, inverted by root finding for every draw."""
+    new = bent_sensor.readings(2)
+    found = bent(new)
+    error = found.value - new["acceleration"]
+    assert found.unit == "ug"
+    assert np.sqrt(np.mean(error**2)) < 1.5 * bent_sensor.NOISE + 1.0
+    assert np.mean(np.abs(error) <= 2 * found.uncertainty) > 0.9
+    # And what was not compensated is far off:
+    assert np.sqrt(np.mean((new["output"] - new["acceleration"]) ** 2)) > 100
+
+
+def test_draws_and_first_order_agree_where_the_posterior_is_narrow(bent, gyro) -> None:
+    for compensate, new in ((bent, bent_sensor.readings(2)), (gyro, bent_sensor.gyro().readings)):
+        draws, first = compensate(new), compensate(new, method="first order")
+        assert np.max(np.abs(draws.value - first.value) / first.uncertainty) < 0.2
+        np.testing.assert_allclose(draws.uncertainty, first.uncertainty, rtol=0.15)
+
+
+def test_noise_is_counted_on_request(gyro) -> None:
+    given = {"output": 30.0, "temperature": 40.0}
+    without = gyro(**given, noise=False, method="first order").uncertainty
+    with_noise = gyro(**given, method="first order").uncertainty
+    known = gyro(**given, output_uncertainty=0.5, method="first order").uncertainty
+    slope = 1 + 1e-6 * bent_sensor.gyro().samples("scale.constant").mean()
+    np.testing.assert_allclose(with_noise, np.hypot(without, gyro.noise / slope), rtol=1e-9)
+    np.testing.assert_allclose(known, np.hypot(with_noise, 0.5 / slope), rtol=1e-9)
+
+
+def test_what_belongs_to_the_test_rig_does_not_act_in_use(bent) -> None:
+    assert not any(name.startswith("rig") for name in (u.name for u in bent.program.unknowns))
+    at_rest = bent(
+        output=bent_sensor.BIAS, temperature=30.0, humidity=30.0, temperature_lag=0.0, elapsed=1e4
+    )
+    # Bias and rig are known as a sum only: the stimulus carries the full width of the rig's prior.
+    assert 15 < at_rest.uncertainty[0] < 25
+
+
+def test_a_new_run_brings_its_spread(gyro) -> None:
+    new = {u.name: i for i, u in enumerate(gyro.program.unknowns)}["bias.run(new run)"]
+    spread = bent_sensor.gyro().samples("bias.run.spread")
+    covariance = gyro.program.covariance
+    assert gyro.program.unknowns[new].mean == 0.0
+    np.testing.assert_allclose(covariance[new, new], np.mean(spread**2), rtol=1e-12)
+    np.testing.assert_array_equal(np.delete(covariance[new], new), 0.0)
+    assert any("bias.run(new run)" in note for note in gyro.program.about.notes)
+    (known,) = [r for r in bent_sensor.gyro().levels["run"] if r == "1"]
+    same = bc.compensator(bent_sensor.gyro(), members={"run": known})
+    assert same.equation is not None
+    names = [e.name for e in same.equation.entries()]
+    assert "bias.run(1)" in names and "bias.run(new run)" not in names
+
+
+def test_outside_its_calibrated_range_it_warns_and_flags(gyro) -> None:
+    with pytest.warns(
+        OutsideCalibration, match=r"temperature in 1 of 2 readings \(calibrated: 30 to 80 degC\)"
+    ):
+        found = gyro(output=[30.0, 30.0], temperature=[50.0, 95.0])
+    np.testing.assert_array_equal(found.outside["temperature"], [False, True])
+    with pytest.warns(OutsideCalibration, match="rate_input in 1 of 1"):
+        gyro(output=400.0, temperature=50.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not gyro(output=30.0, temperature=50.0).outside
+
+
+@pytest.mark.slow
+def test_a_still_sensor_gives_its_output_less_its_bias() -> None:
+    sensor = still_sensor.simulate(seed=3, runs=2, interval=60)
+    chosen = still_sensor.INSTRUMENT.for_readings(sensor)
+    fit = bc.fit(chosen.baseline(), sensor, bc.LeastSquares(draws=800))
+    found = bc.compensator(fit)(sensor, method="first order")
+    predicted = bc.predict(fit, sensor)
+    np.testing.assert_allclose(
+        found.value, predicted.residual, atol=1e-6 * float(np.std(sensor["output"]))
+    )
+
+
+def test_what_is_missing_is_refused_by_name(bent, gyro) -> None:
+    with pytest.raises(bc.InputError, match=r"the column 'temperature' \[degC\] is missing"):
+        gyro(output=1.0)
+    with pytest.raises(bc.InputError, match="'time' is missing: 'elapsed' follows from the past"):
+        bent(output=1.0, temperature=30.0, humidity=40.0)
+    with pytest.raises(bc.InputError, match="the column 'output' is missing"):
+        gyro(temperature=30.0)
+    with pytest.raises(bc.InputError, match="device 'A' was not in the calibration"):
+        bc.compensator(bent_sensor.gyro(), members={"device": "A"})
+
+
+def test_an_instrument_that_does_not_say_what_it_measures_is_refused() -> None:
+    from dataclasses import replace
+
+    silent = replace(mems_gyro.INSTRUMENT, use=None)
+    fit = replace(bent_sensor.gyro(), model=replace(bent_sensor.gyro().model, instrument=silent))
+    with pytest.raises(bc.ModelError, match="does not say which quantity it measures"):
+        bc.compensator(fit)
+    with pytest.raises(bc.ModelError, match="counts on slot 'tilt', which it does not have"):
+        replace(mems_gyro.INSTRUMENT, use=bc.Use("rate_input", "deg/s", slots=("tilt",)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mems_gyro", "inclinometer"])
+def test_campaigns_drawn_from_the_priors_are_compensated_as_well_as_by_the_truth(name: str) -> None:
+    """100 campaigns: the error is within 1.05 of the least there is, and k = 2 covers 95.45 % (99.9 % band)."""
+    trial = campaigns.trial(name)
+    found = campaigns.summary(trial, collect(trial, 100))
+    assert found["fails"] == []
+    assert (
+        0.98 < found["ratio"]["median"] < campaigns.CLOSE
+    )  # of the error, noise of the reading included
+    assert found["not_trusted"] <= 3

@@ -1,0 +1,172 @@
+"""A file is compensated by two columns more; all else stays as it was, or nothing is written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+import xarray as xr
+
+import bayescal as bc
+from bayescal._compensation import compensate_file
+from bayescal_models import mems_gyro
+from tests.support import bent_sensor
+from tests.support.command_line import run
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::bayescal._compensation.compensator.OutsideCalibration"
+)
+TEXT = (
+    b"\xef\xbb\xbf# logged by hand\r\nnote;when;board [degC];gyro x [deg/s]\r\n"
+    b'"a;b";1;40.5;25.25\r\n\r\nsecond;2;1.0e2;-7.5\r\nthird;3;55;0'
+)
+RENAMED = {"output": "gyro x", "temperature": "board"}
+
+
+@pytest.fixture(scope="module")
+def gyro() -> bc.Compensator:
+    return bc.compensator(bent_sensor.gyro())
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory) -> Path:
+    return bent_sensor.gyro().save(tmp_path_factory.mktemp("saved") / "calibration.nc")
+
+
+def test_every_line_of_a_csv_stays_as_it_was(gyro, tmp_path) -> None:
+    (tmp_path / "in.csv").write_bytes(TEXT)
+    done = compensate_file.compensate_file(
+        gyro, tmp_path / "in.csv", tmp_path / "out.csv", columns=RENAMED
+    )
+    before, after = TEXT.split(b"\n"), (tmp_path / "out.csv").read_bytes().split(b"\n")
+    assert done.rows == 3 and done.columns == ("gyro x_compensated", "gyro x_uncertainty")
+    assert (
+        after[1] == before[1].rstrip() + b";gyro x_compensated [deg/s];gyro x_uncertainty [deg/s]\r"
+    )
+    assert after[0] == before[0] and after[3] == before[3]
+    want = gyro(output=[25.25, -7.5, 0.0], temperature=[40.5, 100.0, 55.0])
+    rows = [line for line in after[2:] if line.strip()]
+    for i, (row, old) in enumerate(zip(rows, [b for b in before[2:] if b.strip()], strict=True)):
+        assert row.startswith(old.rstrip() + b";")
+        value, uncertainty = (float(cell) for cell in row.decode().strip().split(";")[-2:])
+        assert (value, uncertainty) == (want.value[i], want.uncertainty[i])
+    assert done.outside == {"temperature": 1}
+
+
+def test_a_long_file_goes_through_in_stretches_with_the_same_result(
+    gyro, tmp_path, monkeypatch
+) -> None:
+    record = bent_sensor.gyro().readings
+    for suffix in (".csv", ".parquet"):
+        record.write(tmp_path / f"in{suffix}")
+        compensate_file.compensate_file(gyro, tmp_path / f"in{suffix}", tmp_path / f"whole{suffix}")
+        with monkeypatch.context() as patch:
+            patch.setattr(compensate_file, "ROWS", 7)
+            compensate_file.compensate_file(
+                gyro, tmp_path / f"in{suffix}", tmp_path / f"parts{suffix}"
+            )
+        load = pd.read_csv if suffix == ".csv" else pd.read_parquet
+        pd.testing.assert_frame_equal(
+            load(tmp_path / f"whole{suffix}"), load(tmp_path / f"parts{suffix}")
+        )
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".nc"])
+def test_all_formats_keep_their_columns_and_gain_two(suffix, tmp_path) -> None:
+    """Of a model with memory: the record is read whole, time and all."""
+    bent, record = bc.compensator(bent_sensor.calibration()), bent_sensor.readings(2)
+    path, out = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+    record.write(path)
+    done = compensate_file.compensate_file(bent, path, out)
+    assert done.rows == len(record) and done.unsolved == 0
+    want = bent(record)
+    back = bc.read(out, bent_sensor.SENSOR)
+    for name in record.columns:
+        np.testing.assert_array_equal(back[name], record[name])
+    np.testing.assert_allclose(back["output_compensated"], want.value, rtol=1e-12)
+    np.testing.assert_allclose(back["output_uncertainty"], want.uncertainty, rtol=1e-12)
+    if suffix == ".parquet":
+        fields = pq.read_schema(out)
+        assert fields.field(len(fields) - 1).metadata == {b"units": b"ug"}
+    if suffix == ".nc":
+        assert xr.open_dataset(out, engine="h5netcdf").load()["output_compensated"].units == "ug"
+
+
+def test_raw_volts_pass_the_nominal_scale(gyro, tmp_path) -> None:
+    table = pd.DataFrame({"temperature [degC]": [40.0], "output [V]": [1.2 + 0.83e-3 * 25.0]})
+    table.to_csv(tmp_path / "in.csv", index=False)
+    compensate_file.compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.csv")
+    found = pd.read_csv(tmp_path / "out.csv")["output_compensated [deg/s]"][0]
+    np.testing.assert_allclose(found, gyro(output=25.0, temperature=40.0).value[0], rtol=1e-9)
+
+
+def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) -> None:
+    out = tmp_path / "out.csv"
+    out.write_text("precious")
+    monkeypatch.setattr(compensate_file, "ROWS", 2)
+    good = "temperature [degC],output [deg/s]\n" + "40,1\n" * 5
+    cases = {
+        good + "40,warm\n": r"row 7 of 'in.csv', column 'output \[deg/s\]': reads 'warm'",
+        good.replace("temperature", "pressure"): "temperature",
+        good.replace("[degC]", "[rad]"): "its unit is",
+        "temperature [degC],output [deg/s],output_compensated\n40,1,2\n": "already",
+        good + "40\n": "row 7 of 'in.csv' has 1 field",
+    }
+    for text, said in cases.items():
+        (tmp_path / "in.csv").write_text(text)
+        with pytest.raises(bc.InputError, match=said):
+            compensate_file.compensate_file(gyro, tmp_path / "in.csv", out)
+        assert out.read_text() == "precious"
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["in.csv", "out.csv"]
+    with pytest.raises(bc.InputError, match=r"must be .csv like 'in.csv'"):
+        compensate_file.compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.parquet")
+
+
+# The commands.
+
+
+def test_the_commands_compensate_export_and_budget(saved, tmp_path) -> None:
+    bent_sensor.gyro().readings.write(tmp_path / "in.csv")
+    own = ("--instrument", f"{Path(mems_gyro.__file__).parent / 'model.py'}:INSTRUMENT")
+    ran = run("compensate", saved, tmp_path / "in.csv", "-o", tmp_path / "out.csv", *own, "--json")
+    assert ran.status == 0, ran.err
+    assert ran.data["rows"] == len(bent_sensor.gyro().readings)
+    ran = run("export", saved, "--format", "json", "--out", tmp_path / "gyro.json", *own)
+    assert ran.status == 0, ran.err
+    ran = run("compensate", tmp_path / "gyro.json", tmp_path / "in.csv", "-o", tmp_path / "two.csv")
+    assert ran.status == 0, ran.err
+    one, two = (
+        pd.read_csv(tmp_path / n)["output_compensated [deg/s]"] for n in ("out.csv", "two.csv")
+    )
+    np.testing.assert_allclose(one, two, atol=0.01)
+    assert run("export", saved, "--format", "c", *own).out.startswith(
+        "/*\n * Compensation of mems_gyro"
+    )
+    ran = run(
+        "budget", saved, "--at", "temperature=60", "--at", "rate_input=50", "-k", 3, "--json", *own
+    )
+    assert ran.status == 0, ran.err
+    assert ran.data["k"] == 3 and ran.data["at"] == {"rate_input": 50.0, "temperature": 60.0}
+    json.dumps(ran.data)
+
+
+def test_the_commands_refuse_in_one_sentence(saved, tmp_path) -> None:
+    own = ("--instrument", f"{Path(mems_gyro.__file__).parent / 'model.py'}:INSTRUMENT")
+    for arguments, said in (
+        (("export", saved, *own), "say which format"),
+        (("export", saved, "--format", "pascal", *own), "is not one of json, c, python"),
+        (("export", saved, "--out", tmp_path / "x.txt", *own), "choose json, c or python"),
+        (("budget", saved, "--at", "pressure=1", *own), "'pressure' plays no part"),
+        (("budget", saved, "-k", "-1", *own), "a coverage factor is a positive number"),
+        (
+            ("compensate", saved, tmp_path / "no.csv", "-o", tmp_path / "o.csv", *own),
+            "there is no file",
+        ),
+    ):
+        ran = run(*arguments)
+        assert ran.status == 2 and said in ran.err, (arguments, ran.err)
+        assert len(ran.said) == 1 and not list(tmp_path.iterdir())

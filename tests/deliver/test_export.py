@@ -1,0 +1,210 @@
+"""What is exported computes what Python computes: C99 in double and single precision, Python, JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._compensation.expression_graph import Graph
+from bayescal._compensation.firmware import program_of
+from bayescal._compensation.inversion import Inverse
+from bayescal._compensation.operating_equation import known
+from bayescal_models import inclinometer
+from tests.support import bent_sensor
+from tests.support.export_check import needs_compiler, run_header
+
+ROWS = 10_000
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::bayescal._compensation.compensator.OutsideCalibration"
+)
+
+
+def tilted() -> bc.Compensator:
+    """Of an axis of an inclinometer that reads arcsec and is turned back into rad, by the whole geometry."""
+    campaign = replace(inclinometer.VERIFICATION, grid=(-40.0, -20.0, 0.0, 20.0, 40.0), exact=True)
+    readings = inclinometer.simulate(seed=0, campaign=campaign)
+    model = dict(inclinometer.INSTRUMENT.structures)["projection, exact geometry"]()
+    fit = bc.fit(model, readings, bc.LeastSquares(draws=400))
+    return bc.compensator(fit, members={"axis": "x"})
+
+
+MADE = {
+    "bent": lambda: bc.compensator(bent_sensor.calibration()),
+    "gyro": lambda: bc.compensator(bent_sensor.gyro()),
+    "inclinometer": tilted,
+}
+
+
+@pytest.fixture(scope="module", params=list(MADE))
+def compensator(request) -> bc.Compensator:
+    """One with memory, shapes, a user's own effect and no closed inverse; a straight line; angles."""
+    return MADE[request.param]()
+
+
+@pytest.fixture(scope="module")
+def rows(compensator) -> np.ndarray:
+    """10⁴ random readings with inputs all over their calibrated ranges."""
+    random = np.random.default_rng(7)
+    largest = float(np.abs(compensator.calibration.readings["output"]).max())
+    columns = [random.uniform(-largest, largest, ROWS)]
+    columns += [random.uniform(i.low, i.high, ROWS) for i in compensator.inputs]
+    return np.column_stack(columns)
+
+
+def inputs(compensator: bc.Compensator, rows: np.ndarray) -> dict[str, Any]:
+    return {i.name: rows[:, 1 + k] for k, i in enumerate(compensator.inputs)}
+
+
+def expected(compensator: bc.Compensator, rows: np.ndarray) -> np.ndarray:
+    """By JAX: value, uncertainty without and with noise."""
+    given = inputs(compensator, rows)
+    plain = compensator(output=rows[:, 0], method="first order", noise=False, **given)
+    noisy = compensator(output=rows[:, 0], method="first order", **given)
+    return np.column_stack([plain.value, plain.uncertainty, noisy.uncertainty])
+
+
+@needs_compiler
+def test_the_header_in_double_precision_agrees_to_twelve_digits(
+    compensator, rows, tmp_path
+) -> None:
+    found = run_header(compensator, rows, tmp_path)
+    want = expected(compensator, rows)
+    np.testing.assert_allclose(found[:, 1:3], want[:, 1:], rtol=1e-12)
+    # A value near zero is a difference of large numbers: its digits are those of the reading, in the value's unit.
+    value, wanted = found[:, 0], want[:, 0]
+    np.testing.assert_array_equal(np.isnan(value), np.isnan(wanted))
+    floor = 1e-3 * np.abs(wanted).max()
+    assert np.max(np.abs(value - wanted) / np.maximum(np.abs(wanted), floor)) < 1e-12
+
+
+@needs_compiler
+def test_the_header_in_single_precision_agrees_to_its_own_rounding(
+    compensator, rows, tmp_path
+) -> None:
+    found = run_header(compensator, rows, tmp_path, "float")
+    value, uncertainty, inclination = compensator.program.run(
+        rows[:, 0], inputs(compensator, rows), np.float32
+    )
+    noisy = np.hypot(uncertainty, compensator.noise * inclination)
+    eps = float(np.finfo(np.float32).eps)
+    # The same operations rounded the same way; libraries may differ in the last bits of tanh and exp.
+    reading = np.abs(rows[:, 0])
+    size = inclination * (reading + 1000 * eps * reading.max())  # in the value's unit
+    assert np.max(np.abs(found[:, 0] - value) / size) < 8 * eps
+    np.testing.assert_allclose(found[:, 1], uncertainty, rtol=64 * eps)
+    np.testing.assert_allclose(found[:, 2], noisy, rtol=64 * eps)
+    want = expected(compensator, rows)
+    assert np.max(np.abs(found[:, 0] - want[:, 0]) / (inclination * reading.max())) < 16 * eps
+
+
+@needs_compiler
+def test_the_header_flags_each_input_outside_its_range(compensator, rows, tmp_path) -> None:
+    row = np.array([np.median(rows, axis=0)] * (1 + len(compensator.inputs)))
+    for k, i in enumerate(compensator.inputs):
+        row[1 + k, 1 + k] = i.high + 0.5 * (i.high - i.low)
+    flags = run_header(compensator, row, tmp_path)[:, 3].astype(int)
+    own = (1 << len(compensator.inputs)) - 1
+    assert [f & own for f in flags] == [0, *(1 << k for k in range(len(compensator.inputs)))]
+
+
+def test_the_header_says_units_ranges_and_what_to_know(compensator) -> None:
+    text = compensator.program.text("c")
+    text.encode("ascii")
+    for i in compensator.inputs:
+        assert f"{i.name}: {i.low:.9g} to {i.high:.9g} {i.unit}" in text
+    for u in compensator.program.unknowns:
+        assert f"{u.name} = {u.mean:.9g}" in text
+    head = text[: text.index("#ifndef")]
+    assert head.count("*/") == 1  # no title ends the comment early
+    assert "malloc" not in text and text.count("#include") == 1
+
+
+def test_the_python_function_agrees_and_needs_nothing(compensator, rows) -> None:
+    text = compensator.program.text("python")
+    assert [line for line in text.splitlines() if "import" in line.split()] == ["import math"]
+    space: dict = {}
+    exec(compile(text, "exported.py", "exec"), space)
+    some = rows[::50]
+    found = np.array([space["compensate"](*row.tolist())[:3] for row in some])
+    np.testing.assert_allclose(found, expected(compensator, some), rtol=1e-11, atol=1e-9)
+
+
+def test_json_comes_back_and_compensates_the_same(compensator, rows, tmp_path) -> None:
+    path = compensator.export(tmp_path / "compensator.json")
+    data = json.loads(path.read_text("utf-8"))
+    assert (data["schema"], data["version"]) == ("bayescal.compensator", 1)
+    loaded = bc.load_compensator(path)
+    found = loaded(output=rows[:, 0], **inputs(loaded, rows))
+    want = expected(compensator, rows)
+    np.testing.assert_allclose(found.value, want[:, 0], rtol=1e-11, atol=1e-9)
+    np.testing.assert_allclose(found.uncertainty, want[:, 2], rtol=1e-11)
+    covariance = np.array(data["covariance"])
+    factor = loaded.program.factor
+    np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-12 * covariance.max())
+    np.testing.assert_array_equal(np.triu(factor, 1), 0.0)
+    record = (
+        compensator.calibration.readings
+    )  # with time: what follows from the past is made from it
+    first = compensator(record, method="first order")
+    np.testing.assert_allclose(loaded(record).value, first.value, rtol=1e-10, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d.update(schema="other"), "is no compensator"),
+        (lambda d: d.update(version=2), "of version 2, this bayescal reads 1"),
+        (lambda d: d.pop("noise"), "is damaged"),
+        (
+            lambda d: d["equation"]["operations"].append(["system", 0]),
+            "operation .* is not known here",
+        ),
+        (lambda d: d["equation"].update(slope=10**6), "is no operation of it"),
+        (lambda d: d["covariance"].pop(), "is damaged"),
+    ],
+)
+def test_a_damaged_or_foreign_json_is_refused(change, said, tmp_path) -> None:
+    path = tmp_path / "c.json"
+    data = bc.compensator(bent_sensor.gyro()).program.data()
+    change(data)
+    path.write_text(json.dumps(data), "utf-8")
+    with pytest.raises(bc.InputError, match=said):
+        bc.load_compensator(path)
+
+
+def test_an_effect_that_firmware_cannot_compute_is_named() -> None:
+    compensator = bc.compensator(bent_sensor.gyro())
+    assert compensator.equation is not None and compensator.calibration is not None
+    sorting = bc.Effect(
+        "bias.sorted",
+        "bias",
+        basis=lambda r: jnp.sort(jnp.stack([r["temperature"], r["temperature"] ** 2]), axis=0)[0],
+        coefficients=(bc.Coefficient("deg/s"),),
+        columns=("temperature",),
+    )
+    layout = replace(compensator.equation.layout, model=bent_sensor.gyro().model + sorting)
+    equation = replace(compensator.equation, layout=layout)
+    mean = np.zeros(len(equation.entries()))
+    made = known(compensator.equation, compensator.calibration, 10)._replace(mean=mean)
+    frame = compensator.calibration.frame
+    inverse = Inverse(equation, frame.reference, tuple(equation.known))
+    with pytest.raises(
+        bc.ModelError, match=r"effect 'bias.sorted' cannot be exported: the operation 'sort'"
+    ):
+        program_of(inverse, made, compensator.inputs, None, 0.1, compensator.program.about)
+
+
+def test_a_graph_writes_nothing_that_comes_to_nothing() -> None:
+    graph = Graph()
+    x, zero, one = graph.input("x"), graph.constant(0.0), graph.constant(1.0)
+    assert graph.apply("add", x, zero) == graph.apply("mul", one, x) == x
+    assert graph.apply("mul", x, zero) == zero
+    assert graph.apply("neg", graph.apply("neg", x)) == x
+    assert graph.apply("select", graph.apply("gt", one, zero), x, zero) == x
+    assert graph.apply("sin", x) == graph.apply("sin", x)

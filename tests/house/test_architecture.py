@@ -1,0 +1,201 @@
+"""The house: its rooms, what stands in each, which way imports point, what is public."""
+
+from __future__ import annotations
+
+import ast
+import tomllib
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import bayescal
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "bayescal"
+MODELS = ROOT / "models" / "bayescal_models"
+LONGEST = 450  # lines; about 300 is the aim
+MOST_IN_A_ROOM = 12  # modules
+MOST_ROOMS = 14
+
+# From the ground up. A module imports only what stands before it, wherever in the file the import stands.
+ROOMS = {
+    "_core": "version errors jax_setup progress batched_map jit tall_qr levenberg_marquardt null_space",
+    "_readings": "units column raw_table dataset_checks write column_matching extra_columns column_conversion "
+    "measurements csv_reader parquet_netcdf_reader read",
+    "_model": "prior coefficient frame effect noise instrument model parameters forward",
+    "effects": "constant temperature thermal thermometer time unknown unknown_in_time",
+    "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
+    "nuts_chains least_squares marginal nuts",
+    "_numpyro": "trace gaussian_sites marginal_density fit_program",
+    "_calibration": "calibration posterior_tree storage predict fit",
+    "_diagnostics": "efficient_score summary text smooth_terms worst_region check leave_group_out compare "
+    "group_bayes_factor",
+    "_discovery": "susie candidate_columns candidate refit discover next_experiment false_reports draft_effect "
+    "outliers search_path calibrate",
+    "_compensation": "operating_equation inversion expression_graph jaxpr_to_graph code_writer firmware provenance "
+    "compensator compensate_file budget",
+    "_fleet": "weighted_draws devices split_devices stacks closed_form fit_stack population batch_result fit_batch",
+    "_plots": "style residuals search posterior",
+    "_report": "result_json section figures tables sentences report",
+    "_cli": "arguments output options deliverables batch main",
+}
+FACES = {"plot": "_plots", "bayescal": "_report"}  # public modules, each above this room
+
+
+class Import(NamedTuple):
+    """One import of a module of this package, seen in another."""
+
+    importer: str
+    imported: str
+    line: int
+
+
+def order() -> list[str]:
+    """Every module, from the ground up; a room's own docstring stands before its modules."""
+    found = []
+    for room, modules in ROOMS.items():
+        found += [room, *(f"{room}.{module}" for module in modules.split())]
+        found += [face for face, below in FACES.items() if below == room]
+    return found
+
+
+ORDER = order()
+
+
+def name_of(file: Path, package: Path = PACKAGE) -> str:
+    """`_calibration.fit` for _calibration/fit.py, `effects` for effects/__init__.py, `bayescal` for the face of all."""
+    parts = file.relative_to(package).with_suffix("").parts
+    return ".".join(part for part in parts if part != "__init__") or package.name
+
+
+MODULES = {name_of(file): file for file in sorted(PACKAGE.rglob("*.py"))}
+INSTRUMENT_MODULES = {name_of(file, MODELS): file for file in sorted(MODELS.rglob("*.py"))}
+
+
+def imported_names(node: ast.AST, package: str) -> Iterator[str]:
+    """Full dotted names of `package` that a statement imports, if any."""
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names if alias.name.split(".")[0] == package)
+    elif isinstance(node, ast.ImportFrom):
+        assert node.level == 0, f"line {node.lineno}: write relative imports in full"
+        if (node.module or "").split(".")[0] == package:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def imports_of(name: str, modules: dict[str, Path], package: str) -> Iterator[Import]:
+    """Every import of the package's own modules: at the top, in a function, for types."""
+    for node in ast.walk(ast.parse(modules[name].read_text("utf-8"))):
+        for asked in imported_names(node, package):
+            inner = asked.removeprefix(package).removeprefix(".")
+            while inner and inner not in modules:  # an attribute of a module: the module counts
+                inner = inner.rpartition(".")[0]
+            yield Import(name, inner or package, getattr(node, "lineno", 0))
+
+
+IMPORTS = [found for name in MODULES for found in imports_of(name, MODULES, "bayescal")]
+
+
+def test_every_module_stands_in_a_room() -> None:
+    assert len(ORDER) == len(set(ORDER)), "a module stands in two places"
+    new, gone = set(MODULES) - set(ORDER), set(ORDER) - set(MODULES)
+    assert not new, f"give these modules a place in ROOMS: {sorted(new)}"
+    assert not gone, f"these modules are gone, take them out of ROOMS: {sorted(gone)}"
+
+
+def test_rooms_are_few_and_small() -> None:
+    assert len(ROOMS) <= MOST_ROOMS
+    crowded = {room: n for room, m in ROOMS.items() if (n := len(m.split())) > MOST_IN_A_ROOM}
+    assert not crowded, f"more than {MOST_IN_A_ROOM} modules: {crowded}"
+
+
+@pytest.mark.xfail(reason="knots that are being untied")
+def test_imports_point_down() -> None:
+    upward = {
+        f"bayescal/{found.importer} line {found.line} imports {found.imported} above it"
+        for found in IMPORTS
+        if ORDER.index(found.imported) >= ORDER.index(found.importer)
+    }
+    assert not upward, "\n".join(sorted(upward))
+
+
+def test_rooms_say_what_lives_there_and_hand_nothing_on() -> None:
+    for room in ROOMS:
+        tree = ast.parse(MODULES[room].read_text("utf-8"))
+        assert ast.get_docstring(tree), f"bayescal/{room}/__init__.py: say what lives here"
+        assert room == "effects" or len(tree.body) == 1, (
+            f"bayescal/{room}/__init__.py: no re-exports"
+        )
+
+
+@pytest.mark.xfail(reason="knots that are being untied")
+def test_instruments_import_in_one_direction() -> None:
+    graph = {
+        name: {
+            found.imported
+            for found in imports_of(name, INSTRUMENT_MODULES, "bayescal_models")
+            if found.imported != name
+        }
+        for name in INSTRUMENT_MODULES
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(f"a circle of imports: {' → '.join(error.args[1])}")
+
+
+@pytest.mark.parametrize("name", sorted(bayescal.__all__))
+def test_a_public_name_loads(name: str) -> None:
+    assert getattr(bayescal, name) is not None
+
+
+def test_an_unknown_public_name_is_refused() -> None:
+    with pytest.raises(AttributeError, match="bayescal attribute colour"):
+        bayescal.colour  # noqa: B018  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_instruments_use_only_the_public_face() -> None:
+    private = [
+        f"{file.relative_to(ROOT)} line {getattr(node, 'lineno', 0)} imports {asked}"
+        for file in sorted(MODELS.rglob("*.py"))
+        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        for asked in imported_names(node, "bayescal")
+        if any(part.startswith("_") for part in asked.split("."))
+    ]
+    assert not private, "\n".join(private)
+
+
+def test_the_framework_knows_no_instrument() -> None:
+    knowing = [
+        f"bayescal/{name} line {getattr(node, 'lineno', 0)} imports {asked}"
+        for name, file in MODULES.items()
+        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        for asked in imported_names(node, "bayescal_models")
+    ]
+    assert not knowing, "\n".join(knowing)
+
+
+def test_files_can_be_read_in_one_sitting() -> None:
+    folders = [PACKAGE, MODELS, ROOT / "tests", ROOT / "benchmarks"]
+    lengths = {
+        str(file.relative_to(ROOT)): len(file.read_text("utf-8").splitlines())
+        for folder in folders
+        for file in folder.rglob("*.py")
+    }
+    long = {name: length for name, length in lengths.items() if length > LONGEST}
+    assert not long, f"split along the concept: {long}"
+
+
+def test_one_version() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert project["version"] == bayescal.__version__
+
+
+def test_every_instrument_is_offered_to_the_command_line() -> None:
+    from bayescal_models import INSTRUMENTS
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    offered = project["entry-points"]["bayescal.instruments"]
+    assert offered == {name: f"bayescal_models.{name}:INSTRUMENT" for name in INSTRUMENTS}

@@ -1,0 +1,229 @@
+"""The site: its pages are all reachable, its links lead somewhere, its code and commands do what is shown.
+
+On a page, in order and in one folder: a `python` block is run, or written to a file where it has a `title`; each line
+of a `sh` block is a bayescal command, which exits with 0 or with the status that a comment names; a `text` block is
+what the block before it printed, "…" standing for lines left out. Indented and `console` blocks are only shown.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import bayescal as bc
+from bayescal_models import INSTRUMENTS
+from tests.support.command_line import needs_installation, run
+from tests.support.shown_output import NUMBER, assert_as_shown
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAGES = {str(p.relative_to(DOCS)): p.read_text("utf-8") for p in sorted(DOCS.rglob("*.md"))}
+NAV = (ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:")[2]
+BLOCK = re.compile(
+    r'^```(python|sh|text)(?: title="([^"]+)")?\n(.*?)^```', re.DOTALL | re.MULTILINE
+)
+QUICK = ("how_to/readings.md",)  # the others fit and search: minutes
+TESTED_ELSEWHERE = ("own_effect.md",)  # by test_own_effects.py
+RUN = [name for name, page in PAGES.items() if re.search("^```(python|sh)", page, re.MULTILINE)]
+
+
+def _hooks() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("site_hooks", DOCS / "site_hooks.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+HOOKS = _hooks()
+
+
+# Pages and links.
+
+
+def test_every_page_is_in_the_navigation_once() -> None:
+    listed = re.findall(r"[\w/]+\.md", NAV)
+    assert sorted(listed) == sorted(set(PAGES) - set(HOOKS.OPTIONAL))
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_links_lead_somewhere(name: str) -> None:
+    prose = re.sub(r"^```.*?^```|`[^`\n]*`", "", PAGES[name], flags=re.DOTALL | re.MULTILINE)
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose):
+        if link.startswith("https://"):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (DOCS / name).parent / path if path else DOCS / name
+        assert target.is_file(), f"{name}: {link}"
+        if anchor:
+            assert anchor in _anchors(target), f"{name}: {link}"
+
+
+def _anchors(page: Path) -> set[str]:
+    """Of its headings, as MkDocs names them."""
+    text = HOOKS.on_page_markdown(page.read_text("utf-8"))
+    heads = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    plain = (re.sub(r"[^\w\s-]", "", h.encode("ascii", "ignore").decode()) for h in heads)
+    return {re.sub(r"[-\s]+", "-", p.strip().lower()) for p in plain}
+
+
+def test_nothing_is_fetched_from_elsewhere() -> None:
+    """The theme's own fonts, and the services that it offers, stay off."""
+    settings = (ROOT / "mkdocs.yml").read_text("utf-8")
+    assert "\n  font: false\n" in settings
+    assert not re.search(r"https?://|analytics|social|repo_url", settings)
+
+
+# What the code writes.
+
+
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_a_data_sheet_is_rendered_whole(name: str) -> None:
+    assert f"<!-- data sheet: {name} -->" in PAGES[f"instruments/{name}.md"]
+    sheet, page = HOOKS.docstring(name), HOOKS.data_sheet(name)
+    assert _words(page) == _words(sheet)
+
+
+def _words(text: str) -> list[str]:
+    """Without what makes links, a table or bold letters of them."""
+    plain = re.sub(r"\[([^]]*)\]\(\.\./sources\.md\)", r"\1", text)
+    return [word for word in re.sub(r"[|*\\]", " ", plain).split() if word.strip("-")]
+
+
+def test_columns_aligned_by_spaces_become_a_table() -> None:
+    page = HOOKS.data_sheet("ng_accelerometer")
+    row = next(line for line in page.splitlines() if "fixture_tilt.run_temperature" in line)
+    assert [c.strip() for c in row.strip("|").split("|")] == [
+        "`fixture_tilt.run_temperature`",
+        "fixture_tilt",
+        "d[run]·(T−T0), spread learned",
+        "2 µrad/°C",
+    ]
+
+
+def test_every_command_and_option_is_listed() -> None:
+    page = HOOKS.commands()
+    for command in re.findall(r"^│ ([a-z]+) ", run("--help").out, re.MULTILINE):
+        part = page.split(f"## {command}\n")[1].split("\n## ")[0]
+        options = set(re.findall(r"(?<!\S)--[a-z][a-z-]+", run(command, "--help").out)) - {"--help"}
+        assert options
+        for option in options:
+            assert f"`{option}`" in part, f"{command} {option}"
+
+
+def test_every_public_name_is_documented_once() -> None:
+    listed = re.findall(r"<!-- names: (.*?) -->", PAGES["python.md"])
+    names = [n for part in listed for n in part.split()]
+    public = [n for n in names if not n.startswith(("effects.", "plot."))]
+    assert sorted(public) == sorted(set(bc.__all__) - {"plot"})
+    for module, path in (("effects", "effects"), ("plot", "_plot")):
+        file = ROOT / "bayescal" / (path if path == "_plot" else "effects/__init__")
+        offered = re.findall(
+            r"^from .* as (\w+)$", file.with_suffix(".py").read_text("utf-8"), re.MULTILINE
+        )
+        assert sorted(n for n in names if n.startswith(f"{module}.")) == sorted(
+            f"{module}.{name}" for name in offered
+        )
+
+
+# Code and commands.
+
+
+def _follow(page: str, folder: Path) -> None:
+    """Run a page from top to bottom in a folder, and compare what it prints with what it shows."""
+    names: dict[str, object] = {}
+    printed = ""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for language, title, code in BLOCK.findall(page):
+            if language == "text":
+                _assert_shown(printed, code)
+            elif title:
+                Path(title).write_text(code, encoding="utf-8")
+            elif language == "sh":
+                printed = "".join(_command(line) for line in code.replace("\\\n", " ").splitlines())
+            else:
+                caught = io.StringIO()
+                with contextlib.redirect_stdout(caught), contextlib.redirect_stderr(io.StringIO()):
+                    exec(compile(code, "page", "exec"), names)
+                printed = caught.getvalue()
+
+
+def _command(line: str) -> str:
+    command, _, comment = line.partition("  # exit status ")
+    name, *arguments = shlex.split(command)
+    assert name == "bayescal", line
+    done = run(*arguments)
+    assert done.status == int(comment or 0), f"{line}\n{done.err}"
+    return done.out + "".join(f"{said}\n" for said in done.said)
+
+
+def _assert_shown(printed: str, shown: str) -> None:
+    """Each part between lines of "…" stands in what was printed, in order."""
+    lines = printed.splitlines()
+    for part in re.split(r"^…\n", shown, flags=re.MULTILINE):
+        wanted = part.strip("\n").splitlines()
+        if not wanted:
+            continue
+        start = next((i for i, line in enumerate(lines) if _shape(line) == _shape(wanted[0])), None)
+        assert start is not None, f"{wanted[0]!r} is not printed:\n{printed}"
+        assert_as_shown("\n".join(lines[start : start + len(wanted)]), "\n".join(wanted))
+        lines = lines[start + len(wanted) :]
+
+
+def _shape(line: str) -> str:
+    return NUMBER.sub("#", re.sub(r"[<>] (?=\d)", "", " ".join(line.split())))
+
+
+@needs_installation
+@pytest.mark.parametrize("name", QUICK)
+def test_quick_pages_do_what_they_show(name: str, tmp_path: Path) -> None:
+    _follow(PAGES[name], tmp_path)
+
+
+@pytest.mark.slow
+@needs_installation
+@pytest.mark.parametrize("name", [n for n in RUN if n not in (*QUICK, *TESTED_ELSEWHERE)])
+def test_pages_do_what_they_show(name: str, tmp_path: Path) -> None:
+    _follow(PAGES[name], tmp_path)
+
+
+# The site as built.
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if importlib.util.find_spec("mkdocs") is None or importlib.util.find_spec("material") is None:
+        pytest.skip("MkDocs is not installed: make docs installs it")
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert built.returncode == 0, built.stderr
+    return folder
+
+
+@pytest.mark.slow
+def test_the_site_asks_for_nothing_outside(site: Path) -> None:
+    fetched = re.compile(
+        r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"?([^\"\s>]+)|<link\b[^>]*\bhref=\"?([^\"\s>]+)"
+    )
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > len(PAGES)
+    for page in pages:
+        for src, href in fetched.findall(page.read_text("utf-8")):
+            assert not (src or href).startswith(("http:", "https:", "//")), (
+                f"{page.name}: {src or href}"
+            )
+    for style in site.rglob("*.css"):
+        assert not re.search(r"url\([\"']?(https?:)?//|@import", style.read_text("utf-8")), (
+            style.name
+        )

@@ -1,0 +1,154 @@
+"""Start-up: the import is cheap, JAX is set up in time, batched factorisations do not hang."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = ("jax", "numpy", "scipy", "pandas", "xarray", "matplotlib", "arviz_base", "numpyro", "pint")
+OWN = ("NPROC", "BAYESCAL_CACHE", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
+
+# As a calibration does it: a loop, in its body factorisations that do not depend on each other.
+INDEPENDENT_FACTORISATIONS = """
+import bayescal
+from bayescal._core.jax_setup import configure_jax
+configure_jax()
+import jax
+import jax.numpy as jnp
+
+n, batch, steps, independent = 24, 100, 50, 6
+root = jax.random.normal(jax.random.key(1), (steps, batch, n, n))
+matrices = root @ jnp.swapaxes(root, -1, -2) + n * jnp.eye(n)
+right = jnp.ones((batch, n, 1))
+
+@jax.jit
+def total(matrices):
+    def body(m):
+        parts = []
+        for k in range(independent):
+            factor = jnp.linalg.cholesky(m + k * jnp.eye(n))
+            parts.append(jax.scipy.linalg.solve_triangular(factor, right, lower=True).sum())
+        return sum(parts)
+    return jax.lax.map(body, matrices).sum()
+
+for _ in range(20):
+    total(matrices).block_until_ready()
+print("finished")
+"""
+
+SETTINGS = """
+import json
+import os
+import bayescal
+from bayescal._core.jax_setup import configure_jax
+configure_jax()
+import jax
+jax.jit(lambda x: x + 1)(1.0).block_until_ready()
+print(json.dumps({
+    "nproc": os.environ.get("NPROC"),
+    "dtype": str(jax.numpy.zeros(1).dtype),
+    "cache": jax.config.jax_compilation_cache_dir,
+    "least_time": jax.config.jax_persistent_cache_min_compile_time_secs,
+}))
+"""
+
+
+def run_python(code: str, variables: Mapping[str, str] | None = None, seconds: float = 120) -> str:
+    """Standard output of `code`, run afresh; of what start-up reads, only `variables` are set."""
+    environment = {name: value for name, value in os.environ.items() if name not in OWN}
+    environment |= {"PYTHONPATH": str(ROOT), **(variables or {})}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def settings(variables: Mapping[str, str]) -> dict[str, str | float | None]:
+    return json.loads(run_python(SETTINGS, variables))
+
+
+def test_importing_bayescal_imports_nothing_heavy() -> None:
+    loaded = run_python(
+        f"import sys, bayescal; print([name for name in {HEAVY!r} if name in sys.modules])"
+    )
+    assert loaded.strip() == "[]"
+
+
+def test_independent_batched_factorisations_in_a_loop_finish(tmp_path: Path) -> None:
+    variables = {"BAYESCAL_CACHE": str(tmp_path)}
+    try:
+        printed = run_python(INDEPENDENT_FACTORISATIONS, variables, seconds=120)
+    except subprocess.TimeoutExpired:
+        pytest.fail("JAX hung: its workers wait for each other (see bayescal/_core/jax_setup.py)")
+    assert printed.strip() == "finished"
+
+
+def test_the_users_number_of_workers_is_respected() -> None:
+    assert settings({"NPROC": "3", "BAYESCAL_CACHE": ""})["nproc"] == "3"
+
+
+def test_double_precision_and_a_cache_in_the_users_folder(tmp_path: Path) -> None:
+    got = settings({"XDG_CACHE_HOME": str(tmp_path)})
+    folder = tmp_path / "bayescal" / "jax"
+    assert got["dtype"] == "float64"
+    assert got["cache"] == str(folder)
+    assert got["least_time"] == 0
+    assert any(folder.iterdir()), "a small program was not kept"
+
+
+def test_an_own_cache_folder(tmp_path: Path) -> None:
+    assert settings({"BAYESCAL_CACHE": str(tmp_path)})["cache"] == str(tmp_path / "jax")
+
+
+def test_an_empty_cache_variable_turns_the_cache_off() -> None:
+    assert settings({"BAYESCAL_CACHE": ""})["cache"] is None
+
+
+def test_a_folder_that_cannot_be_made_means_no_cache(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    got = settings({"BAYESCAL_CACHE": str(tmp_path / "file" / "cache")})
+    assert got["cache"] is None
+    assert got["dtype"] == "float64"
+
+
+def test_a_cache_that_the_user_configured_is_left_alone(tmp_path: Path) -> None:
+    own = str(tmp_path / "own")
+    got = settings({"JAX_COMPILATION_CACHE_DIR": own, "BAYESCAL_CACHE": str(tmp_path / "other")})
+    assert got["cache"] == own
+    assert got["least_time"] != 0
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/maps").is_file(), reason="counts memory maps as Linux does"
+)
+def test_compiled_programs_are_dropped_before_the_memory_maps_run_out(monkeypatch) -> None:
+    import jax
+    import jax.numpy as jnp
+
+    from bayescal._core import jax_setup
+
+    def maps() -> int:
+        return len(Path("/proc/self/maps").read_text("ascii").splitlines())
+
+    for i in range(40):
+        jax.jit(lambda x, i=i: jnp.sin(x + i) @ x)(jnp.ones(3 + i))
+    held = maps()
+    jax_setup.spare_memory_maps()
+    assert maps() >= held - 50  # far from the limit, nothing is dropped
+    monkeypatch.setattr(jax_setup, "MOST_MAPS", 100)
+    jax_setup.spare_memory_maps()
+    assert maps() < held - 50

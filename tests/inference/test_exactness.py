@@ -1,0 +1,200 @@
+"""Products of unknowns and bent models: the posterior is right, by promotion or by falling back, and says how."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal import effects
+from bayescal._calibration.fit import bind
+from bayescal._inference.sampled_products import bends
+from bayescal._model.frame import build_frame, reference_of
+
+COLUMNS = (
+    bc.Column("run", None, "label", required=False),
+    bc.Column("stimulus", "V", "input"),
+    bc.Column("output", "V", "output"),
+)
+# A lever: a scale factor and a zero offset *before* it, so that their product counts.
+LEVER = bc.Instrument(
+    name="lever",
+    title="scale factor times stimulus with offset",
+    columns=COLUMNS,
+    slots=(bc.Slot("scale", "1"), bc.Slot("offset", "V")),
+    response=lambda slots, r: (1 + slots["scale"]) * (r["stimulus"] + slots["offset"]),
+    effects=(
+        effects.constant("scale", 0.5, "1", source="none"),
+        effects.constant("offset", 5.0, "V", source="none"),
+    ),
+    noise=bc.White(bc.HalfNormal(0.3)),
+)
+# A valve: the output is exponential in a deviation of each run; too many of them to be promoted.
+RUNS = 24
+VALVE = bc.Instrument(
+    name="valve",
+    title="exponential in the deviation of a run",
+    columns=COLUMNS,
+    slots=(bc.Slot("opening", "1"),),
+    response=lambda slots, r: r["stimulus"] * jnp.exp(slots["opening"]),
+    effects=(
+        bc.Effect(
+            "opening.run",
+            "opening",
+            basis=lambda r: 1.0,
+            coefficients=(bc.Coefficient("1", bc.Normal(0.0, 1.0), per="run"),),
+            columns=("run",),
+            equation="d[run]",
+            source="none",
+        ),
+    ),
+    noise=bc.White(bc.HalfNormal(1.0)),
+)
+
+
+def lever_readings(noise: float, seed: int = 4) -> bc.Measurements:
+    rng = np.random.default_rng(seed)
+    stimulus = np.linspace(-1.0, 1.0, 10)
+    output = 1.2 * (stimulus + 4.0) + noise * rng.standard_normal(10)
+    return bc.Measurements.from_arrays(LEVER, stimulus=stimulus, output=output)
+
+
+@pytest.fixture(scope="module")
+def lever() -> bc.Measurements:
+    return lever_readings(0.3)
+
+
+@pytest.fixture(scope="module")
+def valve() -> bc.Measurements:
+    rng = np.random.default_rng(5)
+    opening = np.repeat(rng.normal(0.0, 1.0, RUNS), 2)
+    run = np.repeat([f"r{k}" for k in range(RUNS)], 2)
+    stimulus = np.ones(2 * RUNS)
+    output = np.exp(opening) + rng.standard_normal(2 * RUNS)
+    return bc.Measurements.from_arrays(VALVE, run=run, stimulus=stimulus, output=output)
+
+
+def scattered(mean: float, sd: float, other_mean: float, other_sd: float, draws: float) -> float:
+    """Difference of two means in Monte-Carlo errors."""
+    return abs(mean - other_mean) / np.sqrt((sd**2 + other_sd**2) / draws)
+
+
+def exact_moments(data: bc.Measurements) -> dict[str, tuple[float, float]]:
+    """Posterior means and sds of the lever on a grid of the scale and the noise; the offset in closed form."""
+    scale = np.linspace(-0.9, 3.0, 1200)[:, None]
+    noise = np.linspace(0.02, 1.5, 600)[None, :]
+    y, s = data["output"], data["stimulus"]
+    gain = 1 + scale
+    # y − gain·s = gain·b + noise, b ~ N(0, 5²): a normal in b given both.
+    r = y[None, None, :] - gain[..., None] * s
+    total, square, n = r.sum(-1), (r**2).sum(-1), len(y)
+    precision = n * gain**2 / noise**2 + 1 / 25
+    centre = gain * total / noise**2 / precision
+    log = -n * np.log(noise) - 0.5 * square / noise**2 + 0.5 * precision * centre**2
+    log = log - 0.5 * np.log(precision) - 0.5 * (scale / 0.5) ** 2 - 0.5 * (noise / 0.3) ** 2
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+
+    def moments(mean, variance=0.0):
+        first = np.sum(weight * mean)
+        return float(first), float(np.sqrt(np.sum(weight * (variance + mean**2)) - first**2))
+
+    return {
+        "scale.constant": moments(scale + 0 * noise),
+        "offset.constant": moments(centre, 1 / precision),
+        "noise.white": moments(noise + 0 * scale),
+    }
+
+
+def assert_exact(
+    found: bc.Calibration, exact: dict[str, tuple[float, float]], effective: float
+) -> None:
+    for name, (mean, sd) in exact.items():
+        draws = found.samples(name)
+        assert abs(draws.mean() - mean) < 4 * sd / np.sqrt(effective), name
+        assert draws.std() == pytest.approx(sd, rel=0.03 + 4 / np.sqrt(effective)), name
+
+
+def test_a_strong_product_is_promoted_and_the_posterior_is_exact(lever) -> None:
+    found = bc.fit(LEVER.baseline(), lever)
+    assert len(found.layout.promoted) == 1
+    (name,) = found.layout.promoted
+    assert name in ("scale.constant", "offset.constant")
+    assert f"{name} is sampled with the hyper-parameters: its product" in found.verdict.notes[0]
+    assert found.verdict.sampler == "importance sampling"
+    assert found.verdict.pareto_k < 0.5
+    assert_exact(found, exact_moments(lever), found.verdict.ess / 2)
+    # What the posterior looks like: a bent ridge, which no Gaussian in (scale, offset) follows.
+    product = (1 + found.samples("scale.constant")) * found.samples("offset.constant")
+    assert product.std() < 0.2 * found.samples("offset.constant").std()
+
+
+@pytest.mark.parametrize("name", ["scale.constant", "offset.constant"])
+def test_either_factor_can_be_promoted(lever, name) -> None:
+    found = bc.fit(LEVER.baseline(), lever, bc.Marginal(promote=(name,)))
+    assert found.layout.promoted == (name,)
+    assert_exact(found, exact_moments(lever), found.verdict.ess / 2)
+
+
+def test_the_prior_of_a_promoted_coefficient_is_its_own(lever) -> None:
+    found = bc.fit(LEVER.baseline(), lever)
+    prior = found.tree["prior"].to_dataset()
+    for name, sd in (("scale.constant", 0.5), ("offset.constant", 5.0)):
+        assert prior[name].std() == pytest.approx(sd, rel=0.12)
+        density = found.tree["log_prior"][name].values.ravel()
+        expected = -0.5 * (found.samples(name) / sd) ** 2 - np.log(sd) - 0.5 * np.log(2 * np.pi)
+        np.testing.assert_allclose(density, expected, rtol=1e-9)
+
+
+def test_a_slight_bend_is_put_right_by_the_weights() -> None:
+    data = lever_readings(0.05, seed=1)
+    found = bc.fit(LEVER.baseline(), data, bc.Marginal(promote=()))
+    assert found.layout.promoted == ()
+    assert found.verdict.sampler == "importance sampling"
+    assert 0 < found.verdict.pareto_k < 0.7
+    assert_exact(found, exact_moments(data), found.verdict.ess / 2)
+
+
+@pytest.mark.slow
+def test_without_promotion_the_weights_say_no_and_the_fallback_is_right(lever) -> None:
+    found = bc.fit(LEVER.baseline(), lever, bc.Marginal(promote=()))
+    assert found.layout.promoted == ()
+    assert found.verdict.sampler == "NUTS on whitened unknowns"
+    (note,) = found.verdict.notes
+    assert "bends too much for its linear form" in note
+    assert float(note.partition("k̂ = ")[2].partition(",")[0]) > 0.5
+    assert_exact(found, exact_moments(lever), 0.5 * found.verdict.ess)
+
+
+@pytest.mark.slow
+def test_long_nuts_agrees_with_the_grid(lever) -> None:
+    found = bc.fit(LEVER.baseline(), lever, bc.NUTS(draws=2500), strict=False)
+    assert_exact(found, exact_moments(lever), 0.5 * found.verdict.ess)
+
+
+@pytest.mark.slow
+def test_a_bent_model_falls_back_to_nuts_and_is_right(valve) -> None:
+    found = bc.fit(VALVE.baseline(), valve)
+    assert found.verdict.sampler == "NUTS on whitened unknowns"
+    assert any("bends too much" in note for note in found.verdict.notes)
+    assert found.verdict.ok
+    reference = bc.fit(VALVE.baseline(), valve, bc.NUTS(draws=2500), seed=3)
+    ours, theirs = found.samples("opening.run"), reference.samples("opening.run")
+    draws = min(found.verdict.ess, reference.verdict.ess)
+    for a, b in zip(ours.T, theirs.T, strict=True):
+        assert scattered(a.mean(), a.std(), b.mean(), b.std(), draws) < 4.5
+        assert a.std() == pytest.approx(b.std(), rel=0.05 + 6 / np.sqrt(draws))
+    assert found.samples("noise.white").mean() == pytest.approx(
+        reference.samples("noise.white").mean(), rel=0.03
+    )
+
+
+def test_what_bends_is_known_before_the_fit(lever, valve) -> None:
+    for model, data, expected in (
+        (LEVER.baseline(), lever, True),
+        (VALVE.baseline(), valve, True),
+        (LEVER.baseline().fix({"scale.constant": 0.2}), lever, False),
+    ):
+        layout, _ = bind(model, data)
+        assert bends(layout, build_frame(data, reference_of(data))) is expected

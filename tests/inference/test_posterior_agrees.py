@@ -1,0 +1,266 @@
+"""Methods that share no code beyond the model agree on the posterior, and the evidence is the integral it says."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arviz_stats.base import array_stats
+from scipy import stats
+from scipy.integrate import quad
+
+import bayescal as bc
+from bayescal._calibration.fit import bind
+from bayescal._inference import importance_sampling
+from bayescal._inference.laplace import compiled_mode
+from bayescal._model.frame import build_frame
+from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
+from bayescal_models.mems_gyro.model import THERMOMETER
+
+BASELINE = INSTRUMENT.baseline()
+
+
+@pytest.fixture(scope="module")
+def table() -> bc.Measurements:
+    return bc.read(TABLE, INSTRUMENT)
+
+
+@pytest.fixture(scope="module")
+def marginal(table) -> bc.Calibration:
+    return bc.fit(BASELINE, table)
+
+
+@pytest.fixture(scope="module")
+def least_squares(table) -> bc.Calibration:
+    return bc.fit(BASELINE, table, bc.LeastSquares())
+
+
+def effective(c: bc.Calibration, name: str) -> float:
+    """Effective number of draws of one unknown."""
+    if c.verdict.r_hat is None:
+        assert c.verdict.ess is not None
+        return 1 / (1 / c.verdict.ess + 1 / len(c.samples(name)))  # weighted, then resampled
+    draws = c.tree["posterior"][name].values
+    return float(array_stats.ess(draws, chain_axis=0, draw_axis=1, method="mean"))
+
+
+def assert_agree(one: bc.Calibration, other: bc.Calibration, *names: str) -> None:
+    """Means within 4 combined Monte-Carlo errors; standard deviations within 5 % and 4 errors."""
+    for name in names or tuple(map(str, one.tree["posterior"].data_vars)):
+        a, b = one.samples(name), other.samples(name)
+        if a.ndim > 1:  # group members: take each as it comes, with the errors of the worst
+            na = nb = 400.0
+        else:
+            na, nb = effective(one, name), effective(other, name)
+        error = np.sqrt(a.var(axis=0) / na + b.var(axis=0) / nb)
+        assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) < 4 * error).all(), name
+        # Var(s)/s² = (kurtosis − 1)/(4 n).
+        kurtosis = np.maximum(stats.kurtosis(a, axis=0, fisher=False), 3.0)
+        relative = np.sqrt((kurtosis - 1) / 4 * (1 / na + 1 / nb))
+        ratio = a.std(axis=0) / b.std(axis=0)
+        assert (np.abs(np.log(ratio)) < 0.05 + 4 * relative).all(), (name, ratio)
+
+
+# The document's table.
+
+
+def test_least_squares_gives_the_line_of_the_table(least_squares, table) -> None:
+    slope, constant = (least_squares.samples(n) for n in ("bias.temperature", "bias.constant"))
+    assert slope.mean() == pytest.approx(0.0535, abs=0.00005)
+    assert slope.std(ddof=1) == pytest.approx(0.0017, abs=0.00005)
+    assert constant.mean() - 57 * slope.mean() == pytest.approx(19.60, abs=0.005)
+    assert least_squares.samples("noise.white").mean() == pytest.approx(0.107, abs=0.0005)
+    assert bc.predict(least_squares).rmse == pytest.approx(0.101, abs=0.0005)
+    # And it is ordinary least squares: the priors are wide beside these readings.
+    line, covariance = np.polyfit(table["temperature"] - 57, table["output"], 1, cov=True)
+    assert slope.mean() == pytest.approx(line[0], rel=2e-3)
+    assert slope.std(ddof=1) == pytest.approx(covariance[0, 0] ** 0.5, rel=5e-3)
+
+
+def test_a_parabola_brings_the_rms_to_that_of_the_document(table) -> None:
+    found = bc.fit(BASELINE + "bias.temperature_quadratic", table, bc.LeastSquares())
+    assert bc.predict(found).rmse == pytest.approx(0.079, abs=0.001)
+
+
+def test_the_printed_line_is_far_off_the_table(table) -> None:
+    # 0.041·T + 19.80, written at T0 = 57 °C.
+    printed = BASELINE.fix({"bias.temperature": 0.041, "bias.constant": 19.80 + 0.041 * 57})
+    found = bc.fit(printed, table)
+    residual = bc.predict(found).residual
+    assert residual.min() == pytest.approx(0.19, abs=0.006)
+    assert residual.max() == pytest.approx(0.93, abs=0.006)
+    assert residual.mean() == pytest.approx(0.51, abs=0.006)
+
+
+def test_marginal_carries_the_uncertainty_of_the_noise(least_squares, marginal) -> None:
+    for name in ("bias.temperature", "bias.constant"):
+        ls, full = least_squares.samples(name), marginal.samples(name)
+        assert full.mean() == pytest.approx(ls.mean(), rel=0.02)
+        assert 1.05 < full.std() / ls.std() < 1.12
+    assert marginal.verdict.pareto_k is not None
+    assert marginal.verdict.pareto_k < 0.5
+
+
+def test_gauss_newton_and_full_hessian_agree_on_a_line(least_squares, table) -> None:
+    hessian = bc.fit(BASELINE, table, bc.LeastSquares(curvature="hessian"))
+    for name in ("bias.temperature", "bias.constant"):
+        one, other = least_squares.samples(name), hessian.samples(name)
+        assert one.std() == pytest.approx(other.std(), rel=1e-6)
+    assert "full-Hessian" in hessian.verdict.notes[0]
+
+
+# Marginal against NumPyro's NUTS on every unknown.
+
+
+def test_line_agrees_with_nuts(marginal, table) -> None:
+    nuts = bc.fit(BASELINE, table, bc.NUTS())
+    assert nuts.verdict.divergences == 0
+    assert_agree(marginal, nuts)
+
+
+@pytest.mark.slow
+def test_line_agrees_with_nuts_on_phi(marginal, table) -> None:
+    on_phi = bc.fit(BASELINE, table, bc.Marginal(sampler="nuts"))
+    assert on_phi.verdict.sampler == "NUTS on φ"
+    assert_agree(marginal, on_phi)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sampler", ["importance", "nuts"])
+def test_line_with_thermometer_error_agrees_with_nuts(sampler, table) -> None:
+    model = BASELINE + THERMOMETER
+    asked = bc.Marginal(promote=("bias.temperature",), sampler=sampler)
+    found = bc.fit(model, table, asked)
+    assert found.layout.promoted == ("bias.temperature",)
+    assert_agree(found, reference_fit(model, table))
+
+
+@pytest.mark.slow
+def test_parabola_with_thermometer_error_agrees_with_nuts(table) -> None:
+    model = BASELINE + "bias.temperature_quadratic" + THERMOMETER
+    assert_agree(bc.fit(model, table), reference_fit(model, table))
+
+
+@pytest.mark.slow
+def test_runs_agree_with_nuts() -> None:
+    data = simulate({"bias.run": 0.05}, seed=3, campaign=Campaign(average=150, runs=4))
+    model = BASELINE + "bias.run"
+    assert_agree(bc.fit(model, data), reference_fit(model, data))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sampler", ["importance", "nuts"])
+def test_thermal_lag_agrees_with_nuts(sampler) -> None:
+    data = simulate({"bias.thermal_lag": 0.05}, seed=3, campaign=Campaign(average=150))
+    model = BASELINE + "bias.thermal_lag"
+    found = bc.fit(model, data, bc.Marginal(sampler=sampler))
+    assert_agree(found, reference_fit(model, data))
+
+
+@pytest.mark.slow
+def test_lag_with_thermometer_error_agrees_with_nuts() -> None:
+    data = simulate({"bias.thermal_lag": 0.05}, seed=3, campaign=Campaign(average=300, runs=2))
+    model = BASELINE + "bias.thermal_lag" + THERMOMETER
+    found = bc.fit(model, data)
+    assert_agree(found, reference_fit(model, data))
+
+
+_REFERENCES: dict = {}
+
+
+def reference_fit(model: bc.Model, data: bc.Measurements) -> bc.Calibration:
+    """A long run of NUTS, made once for a model and readings."""
+    key = (model, data.data["output"].values.tobytes())
+    if key not in _REFERENCES:
+        _REFERENCES[key] = bc.fit(model, data, bc.NUTS(draws=2000), seed=17)
+    return _REFERENCES[key]
+
+
+# Evidence.
+
+
+def direct_log_evidence(data: bc.Measurements) -> float:
+    """log p(y) of the baseline: a multivariate normal given the noise, integrated over it by quadrature."""
+    t = data["temperature"] - np.round(data["temperature"].mean())
+    X = np.stack([np.ones_like(t), t], axis=1)
+    D = np.diag([e.coefficients[0].prior.sd ** 2 for e in INSTRUMENT.effects])
+    prior = stats.halfcauchy(scale=INSTRUMENT.noise.scale.scale)
+
+    def density(s: float) -> float:
+        normal = stats.multivariate_normal(np.zeros(len(t)), s**2 * np.eye(len(t)) + X @ D @ X.T)
+        return normal.logpdf(data["output"]) + prior.logpdf(s)
+
+    top = density(0.107)
+    near = quad(lambda s: np.exp(density(s) - top), 0.03, 0.5, limit=200, epsabs=1e-10)[0]
+    return top + float(np.log(near + quad(lambda s: np.exp(density(s) - top), 0.5, 50)[0]))
+
+
+def test_evidence_is_the_integral_of_the_likelihood(marginal, table) -> None:
+    value, error = marginal.log_evidence
+    assert error < 0.02
+    assert abs(value - direct_log_evidence(table)) < 4 * error
+
+
+def test_laplace_evidence_is_near(least_squares, table) -> None:
+    value, error = least_squares.log_evidence
+    assert error is None
+    assert value == pytest.approx(direct_log_evidence(table), abs=0.1)
+
+
+def test_evidence_says_its_own_error(marginal, table) -> None:
+    layout, _ = bind(BASELINE, table)
+    frame = build_frame(table, marginal.reference)
+    y = jnp.asarray(table["output"])
+    mode = compiled_mode(layout, frame, y)
+    found = [
+        importance_sampling.sample_jit(layout, frame, y, mode, key, 256, 2)
+        for key in jax.random.split(jax.random.key(2), 100)
+    ]
+    values = np.array([float(f.log_evidence) for f in found])
+    stated = np.sqrt(np.mean([float(f.log_evidence_error) ** 2 for f in found]))
+    # The scatter over seeds is known to 1/√200 of itself, so this is 3 standard errors and 10 %.
+    assert values.std() == pytest.approx(stated, rel=0.32)
+    assert abs(values.mean() - direct_log_evidence(table)) < 4 * stated / 10
+
+
+def test_a_flat_prior_has_no_evidence(table) -> None:
+    from bayescal import effects
+
+    flat = bc.Model(
+        INSTRUMENT,
+        (
+            effects.constant("bias", None, "deg/s", source="none"),
+            INSTRUMENT.effect("bias.temperature"),
+        ),
+        INSTRUMENT.noise,
+    )
+    found = bc.fit(flat, table)
+    assert found.log_evidence is None
+    assert "prior" not in found.tree.children
+    # The constant's prior was wide enough to count for nothing.
+    assert found.samples("bias.constant").mean() == pytest.approx(22.6477, abs=0.002)
+
+
+# Seeds and thinned likelihoods.
+
+
+def test_the_same_seed_gives_the_same_draws_and_another_gives_others(marginal, table) -> None:
+    again, other = bc.fit(BASELINE, table), bc.fit(BASELINE, table, seed=1)
+    for name in ("bias.constant", "bias.temperature", "noise.white"):
+        np.testing.assert_array_equal(marginal.samples(name), again.samples(name))
+        assert not np.array_equal(marginal.samples(name), other.samples(name))
+    assert_agree(marginal, other)
+
+
+def test_pointwise_likelihood_is_that_of_scipy(marginal, table) -> None:
+    found = marginal.log_likelihood(limit=18 * 4 * 300)
+    assert found["output"].dims == ("chain", "draw", "reading")
+    assert found["output"].shape == (4, 250, 18)
+    draws = marginal.tree["posterior"].to_dataset().isel(draw=slice(None, None, 4))
+    t = table["temperature"] - 57
+    mean = (
+        draws["bias.constant"].values[..., None] + draws["bias.temperature"].values[..., None] * t
+    )
+    exact = stats.norm(mean, draws["noise.white"].values[..., None]).logpdf(table["output"])
+    np.testing.assert_allclose(found["output"], exact, rtol=1e-9, atol=1e-9)

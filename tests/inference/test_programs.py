@@ -1,0 +1,349 @@
+"""NumPyro programs handed in as they are: what is integrated out, and that the answers are right."""
+
+# What numpyro.sample returns is an array to its users, and a union of types to pyright.
+# pyright: reportOperatorIssue=false, reportIndexIssue=false, reportArgumentType=false
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+import pytest
+from numpyro import handlers
+from numpyro.infer.reparam import LocScaleReparam
+from scipy.special import logsumexp
+from scipy.stats import norm
+
+import bayescal as bc
+from bayescal._numpyro.fit_program import ProgramFit
+from bayescal._numpyro.gaussian_sites import Split, split
+from bayescal._numpyro.trace import survey
+
+SCHOOLS = {
+    "y": np.array([28.0, 8.0, -3.0, 7.0, -1.0, 1.0, 18.0, 12.0]),
+    "sigma": np.array([15.0, 10.0, 16.0, 11.0, 9.0, 11.0, 10.0, 18.0]),
+}  # Rubin, J. Educ. Stat. 6 (1981) 377
+RANDOM = np.random.default_rng(20261121)
+AT = np.linspace(-1.0, 1.0, 30)
+LINE = {"at": AT, "y": 1.5 - 0.7 * AT + 0.3 * RANDOM.standard_normal(AT.size)}
+
+calls = 0
+
+
+def eight_schools(y, sigma):
+    global calls
+    calls += 1
+    mu = numpyro.sample("mu", dist.Normal(0, 5))
+    tau = numpyro.sample("tau", dist.HalfCauchy(5))
+    with numpyro.plate("school", len(y)):
+        theta = numpyro.sample("theta", dist.Normal(mu, tau))
+        numpyro.sample("y", dist.Normal(theta, sigma), obs=y)
+
+
+def line(at, y, noise=None):
+    """A straight line; its noise known, or not."""
+    b = numpyro.sample("b", dist.Normal(0.0, 2.0).expand([2]).to_event(1))
+    sigma = numpyro.sample("sigma", dist.HalfNormal(1.0)) if noise is None else noise
+    numpyro.deterministic("at_one", b[0] + b[1])
+    numpyro.sample("y", dist.Normal(b[0] + b[1] * at, sigma), obs=y)
+
+
+def varying(x, group, y):
+    """Intercepts and slopes that vary, correlated, from group to group."""
+    mean = numpyro.sample("mean", dist.MultivariateNormal(jnp.zeros(2), 4.0 * jnp.eye(2)))
+    spread = numpyro.sample("spread", dist.HalfNormal(1.0).expand([2]).to_event(1))
+    turn = numpyro.sample("turn", dist.LKJCholesky(2, 2.0))
+    sigma = numpyro.sample("sigma", dist.HalfNormal(1.0))
+    with numpyro.plate("group", int(group.max()) + 1):
+        own = numpyro.sample(
+            "own", dist.MultivariateNormal(mean, scale_tril=spread[:, None] * turn)
+        )
+    with numpyro.plate("reading", len(y)):
+        expected = own[group, 0] + own[group, 1] * x
+        numpyro.sample("y", dist.Normal(expected, sigma), obs=y)
+
+
+def decay(t, y):
+    """Linear in size and floor, not in the rate."""
+    size = numpyro.sample("size", dist.Normal(0.0, 5.0))
+    floor = numpyro.sample("floor", dist.Normal(0.0, 5.0))
+    rate = numpyro.sample("rate", dist.Normal(1.0, 0.5))
+    sigma = numpyro.sample("sigma", dist.HalfNormal(1.0))
+    numpyro.sample("y", dist.Normal(floor + size * jnp.exp(-rate * t), sigma), obs=y)
+
+
+def counts(x, n):
+    a = numpyro.sample("a", dist.Normal(0.0, 2.0))
+    b = numpyro.sample("b", dist.Normal(0.0, 2.0))
+    numpyro.sample("n", dist.Poisson(jnp.exp(a + b * x)), obs=n)
+
+
+def divided(model, readings, keep=()) -> Split:
+    return split(survey(model, readings), keep)
+
+
+def names(sites) -> list[str]:
+    return [site.name for site in sites]
+
+
+def assert_moments(fit: ProgramFit, name: str, mean, sd) -> None:
+    """Within five standard errors of independent draws."""
+    draws = fit.samples(name)
+    error = sd / np.sqrt(len(draws))
+    assert np.all(np.abs(draws.mean(axis=0) - mean) < 5 * error), name
+    assert np.all(np.abs(draws.std(axis=0) / sd - 1) < 5 / np.sqrt(len(draws))), name
+
+
+def log_gaussian(y, cov) -> float:
+    """Log density at y of a Gaussian about zero."""
+    _, logdet = np.linalg.slogdet(2 * np.pi * cov)
+    return -0.5 * (logdet + y @ np.linalg.solve(cov, y))
+
+
+# What is integrated out.
+
+
+def test_what_is_not_affine_is_sampled() -> None:
+    def zoo(y):
+        def normal(name, **more):
+            return numpyro.sample(name, dist.Normal(0.0, 1.0), **more)
+
+        straight, top = normal("straight"), normal("top")
+        below = numpyro.sample("below", dist.Normal(2.0 * top - straight, 0.5))
+        through = jnp.exp(normal("exp"))
+        kink, stair = jnp.maximum(normal("kink"), 0.2), jnp.round(3 * normal("stair"))
+        slight = normal("slight")
+        product = normal("one") * numpyro.sample("other", dist.Normal(0, 1).expand([3]).to_event())
+        width, seen = normal("width"), normal("seen")
+        positive = numpyro.sample("positive", dist.LogNormal(0.0, 1.0))
+        mean = straight + 1e6 + positive * below + through + kink + stair + jnp.sum(product)
+        numpyro.sample("y", dist.Normal(mean + slight + 1e-3 * slight**2, 1.0), obs=y)
+        numpyro.sample("z", dist.Normal(0.0, jnp.exp(width)), obs=y)
+        numpyro.sample("n", dist.Poisson(jnp.exp(seen)), obs=jnp.array(3))
+        wide = numpyro.sample("wide", dist.Normal(0.0, 1e3))  # exp of its draws overflows
+        numpyro.factor("penalty", -jnp.exp(wide))
+
+    found = divided(zoo, {"y": np.ones(4)})
+    assert names(found.inside) == ["straight", "top", "below", "other"]
+    # Summed up once: one scale, and a location that nothing sampled moves. That of 'y' moves with 'positive'.
+    assert found.fixed == ("z",)
+    said = " ".join(found.reasons)
+    for words in (
+        "'exp' is sampled: the location of 'y' is not affine in it",
+        "'slight' is sampled: the location of 'y' is not affine",
+        "'one' is sampled: a location holds its product with 'other'",
+        "'width' is sampled: the scale of 'z' depends on it",
+        "'seen' is sampled: 'n' (Poisson) depends on it",
+        "'wide' is sampled: 'penalty' (a factor) depends on it",
+    ):
+        assert words in said
+
+
+@pytest.mark.slow
+def test_a_reparametrised_program_is_seen_through() -> None:
+    other = handlers.reparam(eight_schools, config={"theta": LocScaleReparam(0.0)})
+    assert names(divided(other, SCHOOLS).inside) == ["mu", "theta_decentered"]
+
+
+# The answers.
+
+
+def test_a_gaussian_program_is_solved_in_closed_form() -> None:
+    fit = bc.fit(line, {**LINE, "noise": 0.3}, seed=1)
+    design = np.column_stack([np.ones(AT.size), AT])
+    precision = design.T @ design / 0.09 + np.eye(2) / 4.0
+    mean = np.linalg.solve(precision, design.T @ LINE["y"] / 0.09)
+    cov = np.linalg.inv(precision)
+    assert_moments(fit, "b", mean, np.sqrt(np.diag(cov)))
+    assert_moments(fit, "at_one", mean.sum(), np.sqrt(cov.sum()))
+    whole = 0.09 * np.eye(AT.size) + 4.0 * design @ design.T
+    evidence = log_gaussian(LINE["y"], whole)
+    assert fit.log_evidence is not None
+    assert fit.log_evidence[0] == pytest.approx(evidence, abs=1e-9)
+    assert fit.verdict.sampler == "independent draws"
+    assert fit.marginalised == ("b",)
+
+
+@pytest.fixture(scope="module")
+def schools() -> ProgramFit:
+    global calls
+    calls = 0
+    return bc.fit(eight_schools, SCHOOLS, seed=1)
+
+
+def test_eight_schools_against_quadrature(schools: ProgramFit) -> None:
+    y, sigma = SCHOOLS["y"], SCHOOLS["sigma"]
+    log_tau = np.linspace(-15.0, 8.0, 4001)
+    tau = np.exp(log_tau)
+    value, of_mu = np.empty(tau.size), np.empty((tau.size, 2))
+    for i, t in enumerate(tau):
+        cov = np.diag(sigma**2 + t**2)
+        value[i] = log_gaussian(y, cov + 25.0)
+        precision = 1 / 25.0 + np.sum(1 / np.diag(cov))
+        of_mu[i] = np.sum(y / np.diag(cov)) / precision, 1 / precision
+    value += np.log(2 / (5 * np.pi * (1 + (tau / 5) ** 2))) + log_tau
+    evidence = logsumexp(value) + np.log(log_tau[1] - log_tau[0])
+    weight = np.exp(value - logsumexp(value))
+    mu = weight @ of_mu[:, 0]
+    sd = np.sqrt(weight @ (of_mu[:, 1] + of_mu[:, 0] ** 2) - mu**2)
+    assert_moments(schools, "mu", mu, sd)
+    for low in (0.5, 2.0, 5.0, 10.0):  # the distribution function of tau
+        p, draws = weight[tau < low].sum(), schools.samples("tau")
+        assert abs(np.mean(draws < low) - p) < 5 * np.sqrt(p * (1 - p) / len(draws))
+    assert schools.log_evidence is not None
+    value, error = schools.log_evidence
+    assert error is not None
+    assert abs(value - evidence) < 5 * error < 0.1
+
+
+def test_what_a_fit_says_and_holds(schools: ProgramFit) -> None:
+    assert schools.verdict.ok and schools.verdict.sampler == "importance sampling"
+    assert "Integrated out in closed form: mu, theta." in str(schools)
+    assert schools.marginalised == ("mu", "theta")
+    assert schools.sampled == ("tau",)
+    assert schools.samples("theta").shape[1:] == (8,)
+    assert schools.tree["posterior"]["theta"].dims == ("chain", "draw", "school")
+    assert np.array_equal(schools.tree["observed_data"]["y"], SCHOOLS["y"])
+    with pytest.raises(bc.InputError, match=r"'eight_schools' is called 'eta'; there are: mu, tau"):
+        schools.samples("eta")
+
+
+def test_a_program_is_traced_a_bounded_number_of_times(schools: ProgramFit) -> None:
+    assert 0 < calls < 50
+
+
+@pytest.mark.slow
+def test_a_line_with_unknown_noise_against_quadrature() -> None:
+    fit = bc.fit(line, LINE, seed=1)
+    design = np.column_stack([np.ones(AT.size), AT])
+    log_sigma = np.linspace(-4.0, 2.0, 1201)
+    value = np.empty(log_sigma.size)
+    means, variances = np.empty((log_sigma.size, 2)), np.empty((log_sigma.size, 2))
+    for i, s in enumerate(np.exp(log_sigma)):
+        whole = s**2 * np.eye(AT.size) + 4.0 * design @ design.T
+        value[i] = log_gaussian(LINE["y"], whole)
+        cov = np.linalg.inv(design.T @ design / s**2 + np.eye(2) / 4.0)
+        means[i], variances[i] = cov @ design.T @ LINE["y"] / s**2, np.diag(cov)
+    value += np.log(2) + norm.logpdf(np.exp(log_sigma)) + log_sigma
+    weight = np.exp(value - logsumexp(value))
+    mean = weight @ means
+    assert_moments(fit, "b", mean, np.sqrt(weight @ (variances + means**2) - mean**2))
+    assert fit.log_evidence is not None
+    evidence = logsumexp(value) + np.log(log_sigma[1] - log_sigma[0])
+    assert fit.log_evidence[0] == pytest.approx(evidence, abs=0.05)
+
+
+def test_a_likelihood_that_is_not_gaussian_goes_to_nuts() -> None:
+    x = np.linspace(-1.0, 1.0, 12)
+    n = np.random.default_rng(3).poisson(np.exp(1.0 + 0.5 * x))
+    fit = bc.fit(counts, (x, n), bc.Marginal(draws=1200), seed=1)
+    assert fit.verdict.sampler == "NUTS"
+    assert fit.marginalised == () and fit.sampled == ("a", "b")
+    assert fit.log_evidence is None
+    assert "'a' is sampled: 'n' (Poisson) depends on it and is not Gaussian." in fit.verdict.notes
+    assert "NumPyro's NUTS on every unknown." in str(fit.verdict)
+    a, b = np.meshgrid(np.linspace(-1, 3, 400), np.linspace(-2, 3, 400), indexing="ij")
+    rate = np.exp(a[..., None] + b[..., None] * x)
+    value = np.sum(n * np.log(rate) - rate, axis=2) - (a**2 + b**2) / 8
+    weight = np.exp(value - value.max()) / np.exp(value - value.max()).sum()
+    mean = np.sum(weight * a)
+    sd = np.sqrt(np.sum(weight * a**2) - mean**2)
+    assert fit.verdict.ess is not None
+    assert abs(fit.samples("a").mean() - mean) < 5 * sd / np.sqrt(fit.verdict.ess)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", [varying, decay])
+def test_agrees_with_numpyro(model) -> None:
+    random = np.random.default_rng(5)
+    if model is varying:
+        group = np.repeat(np.arange(12), 8)
+        x = random.standard_normal(group.size)
+        own = np.array([1.0, -0.5]) + random.standard_normal((12, 2)) * [0.8, 0.3]
+        y = own[group, 0] + own[group, 1] * x + 0.4 * random.standard_normal(group.size)
+        readings = {"x": x, "group": group, "y": y}
+    else:
+        t = np.linspace(0.0, 4.0, 25)
+        y = 0.3 + 2.0 * np.exp(-1.2 * t) + 0.1 * random.standard_normal(t.size)
+        readings = {"t": t, "y": y}
+    ours = bc.fit(model, readings, seed=1)
+    assert ours.marginalised == (("mean", "own") if model is varying else ("size", "floor"))
+    theirs = bc.fit(model, readings, bc.NUTS(draws=2000), seed=1)
+    assert theirs.marginalised == ()
+    ess = [f.verdict.ess for f in (ours, theirs)]
+    assert ess[0] is not None and ess[1] is not None
+    error = np.sqrt(1 / len(ours.samples("sigma")) + 1 / ess[1])
+    for name in (*ours.marginalised, *ours.sampled):
+        a, b = ours.samples(name), theirs.samples(name)
+        sd = b.std(axis=0)
+        assert np.all(np.abs(a.mean(axis=0) - b.mean(axis=0)) <= 5 * error * sd + 1e-12), name
+        assert np.all(np.abs(a.std(axis=0) - sd) <= 6 * error * sd + 1e-12), name
+
+
+@pytest.mark.slow
+def test_a_kink_that_no_point_met_is_found_by_the_draws() -> None:
+    """The location bends at 40 prior standard deviations, which is where the reading lies."""
+
+    def far(y):
+        a = numpyro.sample("a", dist.Normal(0.0, 1.0))
+        numpyro.sample("y", dist.Normal(jnp.where(a > 40.0, 40.0 + 3 * (a - 40.0), a), 0.1), obs=y)
+
+    fit = bc.fit(far, (np.array(40.4),), seed=1, strict=False)
+    assert fit.verdict.sampler == "NUTS"
+    assert "not where the readings point to" in str(fit.verdict)
+
+
+# What is refused.
+
+
+def blind(y=None):
+    numpyro.sample("y", dist.Normal(numpyro.sample("a", dist.Normal(0, 1)), 1.0), obs=y)
+
+
+def discrete(y):
+    side = numpyro.sample("side", dist.Bernoulli(0.5))
+    numpyro.sample("y", dist.Normal(1.0 * side, 1.0), obs=y)
+
+
+def learned(y):
+    numpyro.sample("y", dist.Normal(numpyro.param("weight", 0.0), 1.0), obs=y)
+
+
+def partial(y):
+    a = numpyro.sample("a", dist.Normal(0, 1))
+    with numpyro.plate("batch", 10, subsample_size=2):
+        numpyro.sample("y", dist.Normal(a, 1.0), obs=y)
+
+
+def branches(y):
+    a = numpyro.sample("a", dist.Normal(0, 1))
+    numpyro.sample("y", dist.Normal(a if a > 0 else 0.0, 1.0), obs=y)
+
+
+@pytest.mark.parametrize(
+    ("model", "readings", "words"),
+    [
+        (blind, {}, r"'blind' observes nothing: .* \('a', 'y'\) is unknown. Give one of them obs="),
+        (discrete, (0.5,), r"'side' of 'discrete' is discrete \(BernoulliProbs\): sum over"),
+        (learned, (0.5,), "'weight' of 'learned' is a numpyro.param, which has no prior"),
+        (partial, (np.zeros(2),), "'batch' of 'partial' takes 2 of 10 at random"),
+        (branches, (0.5,), "'branches' branches in Python on a value"),
+        (line, {"x": AT}, r"line\(at, y, noise=None\) does not take these readings \(x\)"),
+        (line, {**LINE, "y": np.full(30, np.nan)}, r"'y' of 'line' holds nan at \[0\]"),
+    ],
+)
+def test_a_program_that_cannot_be_used_is_refused(model, readings, words: str) -> None:
+    with pytest.raises(bc.ModelError, match=words):
+        bc.fit(model, readings)
+
+
+def test_what_does_not_go_with_a_program_is_refused() -> None:
+    with pytest.raises(bc.ModelError, match=r"by Marginal\(\) or NUTS\(\), not by LeastSquares"):
+        bc.fit(line, LINE, bc.LeastSquares())
+    with pytest.raises(bc.ModelError, match="'line' has no unknown site 'c'; it has: b, sigma"):
+        bc.fit(line, LINE, bc.Marginal(promote=("c",)))
+    with pytest.raises(bc.ModelError, match="checkpoint is for bayescal's own models"):
+        bc.fit(line, LINE, checkpoint="run.nc")  # pyright: ignore[reportCallIssue]
+    with pytest.raises(bc.ModelError, match="or a NumPyro program; this is a float"):
+        bc.fit(1.0, LINE)  # pyright: ignore[reportCallIssue]

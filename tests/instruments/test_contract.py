@@ -1,0 +1,298 @@
+"""The contract: every instrument × every check. A new instrument is a folder and one line in `INSTRUMENTS`.
+
+What an instrument says of itself, that its algebra is what it declares, and that three methods and a certified
+reference agree on its proving ground (`bayescal_models/NAME/proving.py`).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from functools import cache
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arviz_stats.base import array_stats
+
+import bayescal as bc
+from bayescal._model import forward
+from bayescal._readings import units
+from bayescal_models import INSTRUMENTS
+from benchmarks import make_certified
+from benchmarks.ranks import drawn
+from tests.support.compilations import compiled
+from tests.support.contract_cases import Case, columns_of
+from tests.support.contract_data_sheet import listed
+
+ROOT = Path(__file__).resolve().parents[2]
+CANONICAL = re.compile(r"[a-z][a-z0-9_]*\.[a-z][a-z0-9_]*")
+TRUTH = 4  # seed of the data set from which least squares has to recover its truth
+FAR = 5.0  # posterior sds, which no estimate may be off by
+# Least squares and the marginal method at the same scales: means apart in sds, log sds apart. The Gaussian about the
+# mode of λd·u is not its posterior: NUTS at those scales gives the marginal method's sds within 4 %.
+NEAR, NEAR_BENT = (0.2, 0.15), {"differential_pair": (0.5, 0.4)}
+
+
+# Products of unknowns and many spreads: their default fit takes long to compile, or is left to chains.
+HEAVY = ("ng_accelerometer", "differential_pair")
+SLOW_WHERE_HEAVY = [
+    pytest.param(name, marks=[pytest.mark.slow] if name in HEAVY else []) for name in INSTRUMENTS
+]
+
+
+@cache
+def case_of(name: str) -> Case:
+    return Case(name)
+
+
+@pytest.fixture(scope="session", params=INSTRUMENTS)
+def case(request) -> Case:
+    return case_of(request.param)
+
+
+# What an instrument says of itself.
+
+
+def test_the_instrument_is_where_it_is_looked_for(case: Case) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    offered = project["entry-points"]["bayescal.instruments"]
+    assert offered[case.name] == f"bayescal_models.{case.name}:INSTRUMENT"
+    assert case.offered.name == case.name
+    assert case.offered.simulate is case.module.simulate
+    assert case.model.instrument.name == case.name
+
+
+def test_effects_have_canonical_names_equations_and_sources(case: Case) -> None:
+    names = [e.name for e in case.own_effects]
+    assert len(set(names)) == len(names)
+    for effect in (*case.own_effects, *case.structural):
+        slots = {case.instrument.slot(c.slot or effect.slot).name for c in effect.coefficients}
+        # `slot.cause`, or the bare name of the slot for the one constant that it has.
+        assert CANONICAL.fullmatch(effect.name) or effect.name in slots, effect.name
+        assert effect.equation, f"{effect.name} has no equation"
+        assert effect.source not in ("", "the user's own"), f"{effect.name} has no source"
+
+
+def test_the_data_sheet_lists_the_effects_and_no_others(case: Case) -> None:
+    sheet = sys.modules[f"bayescal_models.{case.name}.model"].__doc__
+    assert sheet is not None
+    dotted, plain = listed(sheet)
+    own = {e.name for e in case.own_effects}
+    assert own <= dotted | plain, f"not on the data sheet: {sorted(own - dotted - plain)}"
+    effects = (*case.own_effects, *case.structural, *case.model.effects)
+    known = {e.name for e in effects} | {e.shape_name(s) for e in effects for s in e.shapes}
+    known |= {e.coefficient_name(i) for e in effects for i in range(len(e.coefficients))}
+    known |= {f"{c.name}.reading" for c in case.instrument.columns}  # errors of a thermometer
+    assert dotted <= known, f"on the data sheet, not in the model: {sorted(dotted - known)}"
+
+
+def test_data_name_their_source(case: Case) -> None:
+    folder = case.folder / "data"
+    files = {f.name for f in folder.iterdir()} - {"PROVENANCE.md"} if folder.is_dir() else set()
+    if files:
+        said = (folder / "PROVENANCE.md").read_text("utf-8")
+        assert not {f for f in files if f not in said}
+
+
+def test_every_candidate_can_be_hidden(case: Case) -> None:
+    plain = {}
+    for effect in case.instrument.candidates:
+        size = effect.coefficients[0].size
+        shown = case.hide({effect.name: size}, seed=3)
+        for column in effect.columns:
+            assert shown.has(column), f"{effect.name} needs {column}, which its campaign lacks"
+        nothing = case.hide({effect.name: 0.0}, seed=3)
+        change = shown["output"] - nothing["output"]
+        assert np.isfinite(change).all() and np.abs(change).max() > 0, effect.name
+        # The same seed, the same noise: without the effect the readings are the same.
+        key = (nothing.columns, len(nothing))
+        np.testing.assert_array_equal(plain.setdefault(key, nothing["output"]), nothing["output"])
+
+
+# Its proving ground, and its algebra.
+
+
+def test_the_proving_ground_is_small_fixed_and_proper(case: Case) -> None:
+    other = case.proving.readings(seed=1)
+    assert len(case.readings) == len(other) <= 200
+    assert case.readings.columns == other.columns
+    assert (case.readings["output"] != other["output"]).mean() > 0.9
+    assert not case.bound.layout.improper
+
+
+def test_the_linearisation_has_its_shapes(case: Case) -> None:
+    line, _, _, _ = case.differences
+    n, layout = len(case.readings), case.bound.layout
+    assert line.mean.shape == (n,)
+    assert line.jacobian.shape == (n, layout.size)
+    assert line.rows.shape == (n, len(layout.row_blocks))
+    assert all(np.isfinite(part).all() for part in line)
+
+
+def test_the_jacobian_is_that_of_finite_differences(case: Case) -> None:
+    line, sd, columns, rows = case.differences
+    rounding = 1e-9 * np.abs(line.mean).max()
+    for own, found in ((line.jacobian * sd, columns), (line.rows, rows)):
+        scale = np.abs(own).max(axis=0)
+        apart = np.abs(own - found)
+        worst = np.argmax((apart - 1e-5 * scale).max(axis=0)) if own.size else 0
+        assert (apart <= 1e-5 * scale + rounding).all(), f"column {worst}"
+
+
+def test_every_slot_is_linear_in_its_coefficients(case: Case) -> None:
+    # The slots' sums, computed here with one basis after the other, double and add with the coefficients.
+    b = case.bound
+    responded: dict[str, np.ndarray] = {}
+
+    def eavesdrop(slots, frame):
+        responded.update({name: np.asarray(value) for name, value in slots.items()})
+        return case.instrument.response(slots, frame)
+
+    fields = {n: getattr(case.instrument, n) for n in case.instrument.__dataclass_fields__}
+    heard = bc.Instrument(**{**fields, "response": eavesdrop})
+    effects = [e for e in case.wide.effects if _feeds_slots(case, e)]
+    layout = type(b.layout)(bc.Model(heard, tuple(effects), case.wide.noise), b.layout.counts)
+    hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
+    x = forward.prior_sd(layout, hyper) * jnp.linspace(-1.0, 1.0, layout.size)
+    rows = jnp.zeros((b.frame.size, len(layout.row_blocks)))
+    sums = []
+    for share in (1.0, 2.0):
+        forward.mean(layout, b.frame, share * x, rows, hyper)
+        sums.append(dict(responded))
+    expected = {slot.name: np.zeros(b.frame.size) for slot in case.instrument.slots}
+    for block in (k for k in layout.blocks if k.place == "x"):
+        shapes = {s.name: hyper[block.effect.shape_name(s)] for s in block.effect.shapes}
+        basis = np.asarray(block.effect.evaluate(b.frame, shapes))[:, block.index]
+        values = np.asarray(x[block.start : block.start + block.size])
+        per = block.coefficient.per
+        codes = np.zeros(b.frame.size, int) if per is None else np.asarray(b.frame.codes[per])
+        share = np.where(codes >= 0, values[codes], 0.0)
+        unit = case.instrument.slot(block.slot).unit
+        factor = units.coefficient_factor(block.coefficient.unit, unit)
+        expected[block.slot] += basis * share * factor
+    for slot, value in expected.items():
+        scale = np.abs(value).max() + 1e-300
+        np.testing.assert_allclose(sums[0][slot] / scale, value / scale, atol=1e-9)
+        np.testing.assert_allclose(sums[1][slot] / scale, 2 * value / scale, atol=1e-9)
+
+
+def _feeds_slots(case: Case, effect: bc.Effect) -> bool:
+    slots = {s.name for s in case.instrument.slots}
+    return all((c.slot or effect.slot) in slots for c in effect.coefficients)
+
+
+# Its posterior: a certified reference, and three methods.
+
+
+def _effective(calibration: bc.Calibration, values: np.ndarray) -> float:
+    """Effective number of draws: chains are correlated, weighted draws are worth less than they are many."""
+    if calibration.verdict.r_hat is None:
+        worth = calibration.verdict.ess
+        return values.size if worth is None else 1 / (1 / worth + 1 / values.size)
+    return _independent(values)
+
+
+def _independent(chains: np.ndarray) -> float:
+    """How many independent draws chains (chains, draws) are worth for a mean."""
+    return float(array_stats.ess(chains, chain_axis=0, draw_axis=1, method="mean"))
+
+
+def _spread_error(values: np.ndarray, effective: float) -> float:
+    """Relative Monte-Carlo error of a standard deviation: Var(s)/s² = (kurtosis − 1)/(4 n)."""
+    z = (values - values.mean()) / values.std()
+    return float(np.sqrt((max(float(np.mean(z**4)), 3.0) - 1) / (4 * effective)))
+
+
+@pytest.mark.parametrize("case", SLOW_WHERE_HEAVY, indirect=True)
+def test_marginal_agrees_with_the_certified_posterior(case: Case) -> None:
+    certified = case.certified
+    assert certified["max_r_hat"] < certified["tolerances"]["r_hat"] <= 1.01
+    own = columns_of(case.marginal)
+    assert set(certified["coefficients"]) == set(own), "make certified.json anew: make_certified"
+    allowed = certified["tolerances"]["agreement"]
+    for name, reference in certified["coefficients"].items():
+        assert reference["mcse"] < 0.02 * reference["sd"], name
+        draws = own[name]
+        effective = _effective(case.marginal, draws)
+        error = np.hypot(reference["mcse"], draws.std() / np.sqrt(effective))
+        apart = abs(draws.mean() - reference["mean"])
+        assert apart < allowed["mean"] * reference["sd"] + 4 * error, (name, apart, reference)
+        ratio = np.log(draws.std() / reference["sd"])
+        error = np.hypot(reference["mcse_sd"] / reference["sd"], _spread_error(draws, effective))
+        assert abs(ratio) < allowed["sd"] + 4 * error, (name, ratio, reference)
+
+
+@pytest.mark.parametrize("case", SLOW_WHERE_HEAVY, indirect=True)
+def test_the_programs_of_a_fit_serve_other_readings(case: Case) -> None:
+    # A model made anew: equality and not identity counts. (What a fit does with its draws depends on their number.)
+    case.sample(case.model, case.readings)
+    made_anew, other = case.proving.model(), case.proving.readings(seed=1)
+    assert compiled(lambda: case.sample(made_anew, other)) == []
+
+
+@pytest.mark.slow
+def test_least_squares_recovers_what_the_program_simulates(case: Case) -> None:
+    data, truth = drawn(case.model, 1, case.readings, TRUTH)
+    found = bc.fit(case.model, data[0], bc.LeastSquares())
+    hypers = {h.name for h in found.layout.hypers}
+    for name, draws in columns_of(found).items():
+        if name in hypers:
+            continue  # held at their estimate
+        base, _, member = name.partition("(")
+        actual = truth[base][0][int(member[:-1]) if member else 0]
+        off = abs(draws.mean() - actual) / draws.std()
+        assert off < FAR, f"{name}: {draws.mean():g} ± {draws.std():g}, true {actual:g}"
+
+
+@pytest.mark.slow
+def test_marginal_agrees_with_least_squares(case: Case) -> None:
+    # Least squares holds noise and spreads at their estimate: held there too, the two agree whatever the model;
+    # integrated over, as long as no spread is learned from a few members.
+    held = columns_of(case.least_squares)
+    scales = {h.name: float(held[h.name].mean()) for h in case.least_squares.layout.hypers}
+    others = [bc.fit(case.model.fix(scales), case.readings)]
+    if not any(name.endswith(".spread") for name in scales):
+        others.append(case.marginal)
+    means, sds = NEAR_BENT.get(case.name, NEAR)
+    for full in map(columns_of, others):
+        for name in set(held) - set(scales):
+            one, other = full[name], held[name]
+            assert abs(one.mean() - other.mean()) < means * one.std(), name
+            assert abs(np.log(one.std() / other.std())) < sds, (name, one.std(), other.std())
+
+
+@pytest.mark.slow
+def test_marginal_agrees_with_nuts(case: Case) -> None:
+    # The plain program, or whitened coordinates where it does not mix: as the certificate was made, 1000 draws a chain.
+    kind = case.certified["sampler"]["kind"]
+    posterior, _ = make_certified.SAMPLERS[kind](case.model, case.readings, 1000)
+    for name, (draws, _) in make_certified.columns_of(posterior).items():
+        own = columns_of(case.marginal)[name]
+        many = _independent(draws), _effective(case.marginal, own)
+        error = np.hypot(draws.std() / many[0] ** 0.5, own.std() / many[1] ** 0.5)
+        assert abs(draws.mean() - own.mean()) < 4 * error, name
+        relative = np.hypot(_spread_error(draws, many[0]), _spread_error(own, many[1]))
+        assert abs(np.log(draws.std() / own.std())) < 0.05 + 4 * relative, name
+
+
+@pytest.mark.slow
+def test_the_example_runs_on_its_own(case: Case, tmp_path: Path) -> None:
+    shutil.copy(case.folder / "example.py", tmp_path)
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "models")])
+    ran = subprocess.run(
+        [sys.executable, "-W", "error::DeprecationWarning", "example.py"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    assert len(ran.stdout.splitlines()) > 5

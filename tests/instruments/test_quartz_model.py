@@ -1,0 +1,234 @@
+"""The quartz beam accelerometer's model: 15 columns of rank 12, what is not measured, and what is left on new ramps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._core import null_space
+from bayescal._diagnostics.summary import null_directions
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._readings import units
+from bayescal_models import quartz_beam_accelerometer as quartz
+from bayescal_models.quartz_beam_accelerometer import terms
+
+# 5 temperatures twice, three ramps a reading every 2.5 min: 159 rows, one shape for every fit here.
+SMALL = {"temperatures": (-40.0, -10.0, 20.0, 45.0, 70.0), "interval": 150.0}
+NULLS = (
+    "{0}.constant_circuit − {0}.constant_head",
+    "{0}.temperature_circuit − {0}.temperature_head − {0}.gradient",
+    "{0}.temperature_circuit_quadratic − {0}.temperature_head_quadratic − {0}.gradient_quadratic − "
+    "2·{0}.temperature_x_gradient",
+)
+OF_CIRCUIT = (
+    "{0}.temperature_circuit_quadratic − {0}.temperature_head_quadratic + {0}.gradient_quadratic − "
+    "2·{0}.temperature_x_gradient_circuit"
+)
+
+
+def design(readings: bc.Measurements, effects, slot: str) -> np.ndarray:
+    """Columns of linear effects, output unit per reported unit, (n, p)."""
+    frame = build_frame(readings, reference_of(readings))
+    columns = [np.asarray(e.evaluate(frame, {}))[:, 0] for e in effects]
+    unit = quartz.INSTRUMENT.slot(slot).unit
+    factors = [units.coefficient_factor(e.coefficients[0].unit, unit) for e in effects]
+    weight = readings["acceleration"] if slot == "scale" else 1.0
+    return (np.stack(columns) * np.array(factors)[:, None] * weight).T
+
+
+def rank(columns: np.ndarray) -> int:
+    return int(np.linalg.matrix_rank(columns / np.linalg.norm(columns, axis=0), tol=1e-10))
+
+
+@pytest.fixture(scope="module")
+def readings() -> bc.Measurements:
+    return quartz.simulate(seed=1, campaign=quartz.Campaign(device="beams", **SMALL))
+
+
+@pytest.fixture(scope="module")
+def two(readings: bc.Measurements) -> bc.Calibration:
+    return bc.fit(quartz.two_thermometers(), readings, bc.LeastSquares())
+
+
+@pytest.mark.parametrize("slot", ["bias", "scale"])
+def test_the_fifteen_columns_have_rank_twelve(slot: str) -> None:
+    ramps = quartz.simulate(seed=5)
+    for by in ("head", "circuit"):
+        effects = terms.two_thermometers(slot, by)
+        columns = design(ramps, effects, slot)
+        assert columns.shape[1] == 15
+        assert rank(columns) == 12
+        found = null_space.exact(columns)
+        assert len(found) == 3
+        last = dict(zip([e.name for e in effects], null_space.simple(found[2]), strict=True))
+        sign = -1 if by == "head" else 1
+        assert last[f"{slot}.gradient_quadratic"] == sign
+
+
+def test_soaked_points_have_rank_four_for_all_that_is_not_a_rate() -> None:
+    """δt is one value at soak, so powers of t1, t2, δt and t2·δt give 1, t, t², t³ and no more."""
+    world = quartz.Campaign(attitudes=(), soak=6 * 3600.0, thermometer_noise=0.0)
+    everything = quartz.simulate(seed=5, campaign=world)
+    soaked = everything.select(~np.isnan(everything["temperature_point"]))
+    effects = [e for e in terms.two_thermometers("bias") if "rate" not in e.name]
+    assert rank(design(soaked, effects, "bias")) == 4
+
+
+def test_soaked_points_leave_rates_unidentified() -> None:
+    everything = quartz.simulate(seed=5, campaign=quartz.Campaign(attitudes=()))
+    soaked = everything.select(~np.isnan(everything["temperature_point"]))
+    for readings, known in ((soaked, False), (quartz.simulate(seed=5), True)):
+        effects = terms.two_thermometers("bias")
+        sd = np.array([e.coefficients[0].size for e in effects])
+        white = design(readings, effects, "bias") * sd / 5.0  # µg of noise
+        alone = null_space.weak(white, null_space.exact(white), 0.1)
+        named = {effects[int(np.argmax(np.abs(v)))].name for v in alone if (v != 0).sum() == 1}
+        rates = {"bias.rate_circuit", "bias.rate_head", "bias.temperature_x_rate"}
+        assert (rates <= named) != known
+        assert not known or not rates & named
+
+
+def test_the_three_null_combinations_are_named(two: bc.Calibration) -> None:
+    found = [d["combination"] for d in null_directions(two) if "(exactly)" in d["in_words"]]
+    assert found == [words.format(slot) for slot in ("bias", "scale") for words in NULLS]
+    text = " ".join(str(two).split())
+    assert "not measured: bias.constant_circuit − bias.constant_head" in text
+
+
+def test_with_the_circuit_in_the_products_the_third_is_another() -> None:
+    effects = terms.two_thermometers("bias", "circuit")
+    found = null_space.exact(design(quartz.simulate(seed=5), effects, "bias"))
+    third = dict(zip([e.name for e in effects], null_space.simple(found[2]), strict=True))
+    signs = {"− ": -1, "+ ": 1}
+    for term in ("gradient_quadratic", "temperature_head_quadratic"):
+        sign = signs[OF_CIRCUIT.partition(f"{{0}}.{term}")[0][-2:]]
+        assert third[f"bias.{term}"] == sign
+    assert third["bias.temperature_x_gradient_circuit"] == -2
+
+
+def test_truth_of_the_model_class_is_recovered(readings: bc.Measurements) -> None:
+    """Coefficients drawn from their priors, simulated temperatures, the model's own columns."""
+    random = np.random.default_rng(8)
+    truth, output = {}, readings["acceleration"].copy()
+    for slot in ("bias", "scale"):
+        effects = terms.two_thermometers(slot)
+        values = [e.coefficients[0].size * random.standard_normal() for e in effects]
+        truth |= dict(zip([e.name for e in effects], values, strict=True))
+        output = output + design(readings, effects, slot) @ np.array(values)
+    made = readings.with_column("output", output + 5.0 * random.standard_normal(len(readings)))
+    found = bc.fit(quartz.two_thermometers(), made, bc.LeastSquares())
+    inside = 0
+    for name, value in truth.items():
+        draws = found.samples(name)
+        assert abs(draws.mean() - value) < 4.5 * draws.std()
+        low, high = np.quantile(draws, [0.025, 0.975])
+        inside += low <= value <= high
+    assert inside >= 24  # of 30
+    for a, b in (("constant_circuit", "constant_head"),):  # the sum is measured, the parts are not
+        total = found.samples(f"bias.{a}") + found.samples(f"bias.{b}")
+        assert total.mean() == pytest.approx(truth[f"bias.{a}"] + truth[f"bias.{b}"], abs=30)
+        assert total.std() < 0.01 * found.samples(f"bias.{a}").std()
+    assert np.std(bc.predict(found).mean - output) < 5.0
+
+
+def left(calibration: bc.Calibration, campaign: quartz.Campaign) -> float:
+    """True bias minus the model's, µg rms, on another campaign at 0 g."""
+    held = quartz.simulate(seed=9, campaign=campaign)
+    return float(np.std(quartz.true_values(campaign).bias - bc.predict(calibration, held).mean))
+
+
+def test_two_thermometers_hold_on_ramps_of_other_speeds(
+    two: bc.Calibration, readings: bc.Measurements
+) -> None:
+    one = bc.fit(quartz.of_circuit(3), readings, bc.LeastSquares())
+    for speed in (1.0, 3.0):
+        held = quartz.Campaign(
+            device="beams", repeats=0, attitudes=(0.0,), ramp_speeds=(speed,), interval=150.0
+        )
+        assert left(two, held) < 25 < 200 < left(one, held)
+
+
+@pytest.mark.slow
+def test_order_of_the_structures_on_held_out_ramps() -> None:
+    plan = {"device": "beams", "frequency_sum": True}
+    readings = quartz.simulate(seed=1, campaign=quartz.Campaign(ramp_speeds=(1.0, 3.0), **plan))
+    held = quartz.Campaign(repeats=0, attitudes=(0.0,), ramp_speeds=(2.0,), **plan)
+    models = {
+        "two thermometers": quartz.two_thermometers(),
+        "frequency sum": quartz.of_frequency_sum(),
+        "rate": quartz.with_rate(),
+        "t1, 3": quartz.of_circuit(3),
+        "t1, 1": quartz.of_circuit(1),
+    }
+    error = {n: left(bc.fit(m, readings, bc.LeastSquares()), held) for n, m in models.items()}
+    assert sorted(error, key=error.__getitem__) == list(models)
+    assert 2 * error["two thermometers"] < error["frequency sum"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["bias.gradient", "scale.rate_head", "bias.hysteresis", "second_order"]
+)
+def test_a_hidden_effect_is_found(name: str) -> None:
+    effect = quartz.INSTRUMENT.effect(name)
+    hidden = quartz.simulate({name: effect.coefficients[0].size}, seed=4)
+    found = bc.discover(bc.fit(quartz.INSTRUMENT.baseline(), hidden))
+    assert found.nothing_missing < 0.05
+    assert any(name in s.effects for s in found.sets)
+
+
+def test_the_constants_of_the_bases_are_stored(two: bc.Calibration) -> None:
+    t2 = two.readings["temperature_head"]
+    assert two.reference["temperature_head_0"] == np.round(t2.mean())
+    warm = quartz.Campaign(device="beams", repeats=0, temperatures=(40.0, 70.0), room=50.0)
+    frame = two.frame_of(quartz.simulate(seed=2, campaign=warm))
+    assert float(frame.reference["temperature_head_0"]) == two.reference["temperature_head_0"]
+
+
+def test_hertz_become_micro_g_and_g_is_taken_at_the_door() -> None:
+    made = bc.Measurements.from_arrays(
+        quartz.INSTRUMENT,
+        units={"output": "Hz", "acceleration": "g"},
+        temperature_circuit=[20.0, 30.0],
+        temperature_head=[20.0, 30.0],
+        acceleration=[1.0, -1.0],
+        output=[100.2, -99.8],
+    )
+    np.testing.assert_allclose(made["output"], [1_002_000, -998_000])
+    np.testing.assert_allclose(made["acceleration"], [1e6, -1e6])
+
+
+def test_tables_say_no_more_and_no_less_than_they_say() -> None:
+    t = np.array([-40.0, 0.0, 30.0, 70.0])
+    bias, factor = 3000 + 60 * t, 100 * (1 + 6e-6 * t)
+    made = quartz.from_tables(
+        bias=bias, scale_factor=factor, bias_uncertainty=20.0, scale_uncertainty=0.001,
+        temperature_circuit=t + 4, temperature_head=t,
+    )  # fmt: skip
+    plus, minus = made.select(made["acceleration"] > 0), made.select(made["acceleration"] < 0)
+    reach, sd = plus["acceleration"], plus["output_uncertainty"]
+    np.testing.assert_allclose((plus["output"] + minus["output"]) / 2, bias)
+    kappa = (plus["output"] - minus["output"]) / (2 * reach) - 1
+    np.testing.assert_allclose(kappa, 6e-6 * t, atol=1e-12)
+    np.testing.assert_allclose(sd / np.sqrt(2), 20.0)  # of the half sum, µg
+    np.testing.assert_allclose(sd / np.sqrt(2) / reach, 0.001 / 100)  # of κ
+    with pytest.raises(bc.InputError, match="go together"):
+        quartz.from_tables(
+            bias=bias, scale_factor=factor, bias_uncertainty=20.0,
+            temperature_circuit=t, temperature_head=t,
+        )  # fmt: skip
+    with pytest.raises(bc.InputError, match="one entry per point"):
+        quartz.from_tables(
+            bias=bias[:2], scale_factor=factor, temperature_circuit=t, temperature_head=t
+        )
+
+
+def test_structures_and_baseline_are_what_the_source_compares() -> None:
+    assert quartz.INSTRUMENT.baseline().names[:2] == ("bias.constant_head", "bias.temperature_head")
+    made = {name: make() for name, make in quartz.INSTRUMENT.structures}
+    assert len(made["two thermometers"].names) == 30
+    assert "bias.temperature_circuit_quintic" in made["t1, order 5"].names
+    assert "scale.temperature_x_rate_circuit" in made["t1, rate and product"].names
+    constants = [n for n in made["two thermometers"].names if n.startswith("bias.constant")]
+    assert constants == ["bias.constant_circuit", "bias.constant_head"]

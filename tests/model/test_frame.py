@@ -1,0 +1,117 @@
+"""What a frame derives from time: elapsed time, rate and lag of the temperature; and the constants of its bases."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._model.frame import build_frame, reference_of
+from bayescal_models.mems_gyro import INSTRUMENT
+
+
+def thermal(time, temperature, run=None) -> bc.Measurements:
+    run = np.full(len(time), "1") if run is None else run
+    return bc.Measurements.from_arrays(
+        INSTRUMENT, run=run, time=time, temperature=temperature, output=np.arange(len(time)) * 0.1
+    )
+
+
+def framed(data: bc.Measurements):
+    return build_frame(data, reference_of(data))
+
+
+def test_lag_of_a_ramp_and_a_hold_is_the_analytic_one() -> None:
+    # 0.1 °C/s for 300 s, then held; read at irregular times, the corner among them.
+    rng = np.random.default_rng(0)
+    time = np.unique(np.concatenate([[0.0, 300.0], rng.uniform(0.0, 900.0, 30)]))
+    temperature = 20 + 0.1 * np.minimum(time, 300.0)
+    tau = 120.0
+    on_ramp = -0.1 * tau * (1 - np.exp(-time / tau))
+    corner = -0.1 * tau * (1 - np.exp(-300.0 / tau))
+    exact = np.where(time <= 300, on_ramp, corner * np.exp(-(time - 300) / tau))
+    lag = framed(thermal(time, temperature)).lag(jnp.asarray(tau))
+    np.testing.assert_allclose(lag, exact, atol=1e-10)
+
+
+def test_lag_of_a_sine_follows_its_phase_and_gain() -> None:
+    time = np.arange(0.0, 20000.0, 2.0)
+    omega, tau = 2 * np.pi / 2000.0, 300.0
+    lag = framed(thermal(time, 40 + 10 * np.sin(omega * time))).lag(jnp.asarray(tau))
+    gain, phase = 1 / np.hypot(1, omega * tau), np.arctan(omega * tau)
+    steady = 10 * gain * np.sin(omega * time - phase) - 10 * np.sin(omega * time)
+    late = time > 5000
+    np.testing.assert_allclose(np.asarray(lag)[late], steady[late], atol=1e-3)
+
+
+def test_each_run_starts_without_lag_and_in_any_order_of_rows() -> None:
+    time = np.concatenate([np.arange(0.0, 600.0, 60.0), np.arange(0.0, 600.0, 60.0) + 9000.0])
+    temperature = np.concatenate([np.linspace(20, 40, 10), np.linspace(70, 30, 10)])
+    run = np.repeat(["a", "b"], 10)
+    whole = framed(thermal(time, temperature, run))
+    tau = jnp.asarray(150.0)
+    for half in (slice(0, 10), slice(10, 20)):
+        alone = framed(thermal(time[half], temperature[half], run[half]))
+        np.testing.assert_allclose(whole.lag(tau)[half], alone.lag(tau), atol=1e-12)
+        np.testing.assert_allclose(whole.rate()[half], alone.rate(), atol=1e-15)
+        np.testing.assert_allclose(whole.elapsed[half], time[half] - time[half][0])
+        assert whole.lag(tau)[half][0] == whole.rate()[half][0] == 0
+    mixed = np.argsort(np.tile(np.arange(10), 2), kind="stable")  # a, b, a, b …
+    shuffled = framed(thermal(time[mixed], temperature[mixed], run[mixed]))
+    np.testing.assert_allclose(shuffled.lag(tau), whole.lag(tau)[mixed], atol=1e-12)
+    np.testing.assert_allclose(shuffled.rate(), whole.rate()[mixed], atol=1e-15)
+
+
+def test_two_readings_at_one_time_do_not_start_a_run() -> None:
+    time = np.arange(0.0, 900.0, 60.0)
+    temperature = 20 + 20 * (1 - np.exp(-time / 300.0))
+    once = framed(thermal(time, temperature))
+    twice = framed(thermal(np.repeat(time, 2), np.repeat(temperature, 2)))
+    tau = jnp.asarray(200.0)
+    np.testing.assert_allclose(twice.lag(tau)[::2], once.lag(tau), atol=1e-12)
+    np.testing.assert_allclose(twice.lag(tau)[1::2], once.lag(tau), atol=1e-12)
+    # Both readings of a time see the same past; of the first time, none.
+    np.testing.assert_allclose(twice.rate()[3::2], once.rate()[1:], rtol=1e-9)
+    assert twice.rate()[0] == twice.rate()[1] == 0
+
+
+def test_rate_is_the_slope_of_the_last_minute_and_never_looks_ahead() -> None:
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.uniform(3.0, 9.0, 60))
+    temperature = 30 + np.cumsum(rng.normal(0.0, 0.1, 60))
+    rate = np.asarray(framed(thermal(time, temperature)).rate())
+    for i in range(1, 60):
+        past = (time <= time[i]) & (time >= time[i] - 60)
+        assert rate[i] == pytest.approx(np.polyfit(time[past] - time[i], temperature[past], 1)[0])
+    changed = temperature.copy()
+    changed[40:] += 5
+    np.testing.assert_allclose(framed(thermal(time, changed)).rate()[:40], rate[:40], atol=1e-12)
+
+
+def test_rate_over_slow_sampling_is_that_of_the_last_step() -> None:
+    time = np.arange(0.0, 3000.0, 300.0)
+    temperature = 30 + (time / 1000) ** 2
+    rate = framed(thermal(time, temperature)).rate()
+    np.testing.assert_allclose(rate[1:], np.diff(temperature) / 300.0, rtol=1e-9)
+
+
+def test_constants_of_the_bases_are_those_of_the_fit() -> None:
+    time = np.arange(20) * 120.0
+    data = thermal(time, 50 + 20 * np.sin(time / 900.0), np.repeat(["up", "down"], 10))
+    found = bc.fit(INSTRUMENT.baseline(), data, bc.LeastSquares(), strict=False)
+    later = data.select(data["run"] == "down").with_column(
+        "temperature", data["temperature"][10:] + 30
+    )
+    old, new = found.frame, found.frame_of(later)
+    for name, value in old.reference.items():
+        assert new.reference[name] == value
+    assert reference_of(later)["T0"] != found.reference["T0"]
+    np.testing.assert_array_equal(new.progress, old.progress[10:])
+    np.testing.assert_allclose(new.centred(), old.centred()[10:] + 30, rtol=1e-14)
+    # Later in a run, a run is still as old as it was; and its coefficients are found by name.
+    tail = found.frame_of(data.select(np.arange(14, 20)))
+    np.testing.assert_array_equal(tail.elapsed, old.elapsed[14:])
+    np.testing.assert_array_equal(tail.codes["run"], old.codes["run"][14:])
+    stranger = found.frame_of(data.with_column("run", np.full(20, "third")))
+    assert (np.asarray(stranger.codes["run"]) == -1).all()

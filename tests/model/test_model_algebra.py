@@ -1,0 +1,322 @@
+"""Models are added to, subtracted from, fixed and freed; what cannot be composed is refused with advice."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal import effects
+from bayescal._calibration.fit import bind
+from bayescal._model.parameters import Layout
+from bayescal_models.mems_gyro import INSTRUMENT
+
+BASELINE = INSTRUMENT.baseline()
+HUMIDITY = bc.Effect(
+    "bias.humidity",
+    slot="bias",
+    columns=("humidity",),
+    basis=lambda r: r["humidity"] - 50.0,
+    coefficients=(bc.Coefficient("deg/s/%", bc.Normal(0.0, 0.01)),),
+    equation="c·(H − 50 %)",
+)
+
+
+def readings(rows: int = 12, **more) -> bc.Measurements:
+    """Some readings of the gyro over temperature."""
+    temperature = np.linspace(30.0, 80.0, rows)
+    noise = 0.01 * np.cos(2.4 * np.arange(rows))
+    columns = {"temperature": temperature, "output": 20 + 0.05 * temperature + noise, **more}
+    return bc.Measurements.from_arrays(INSTRUMENT, **columns)
+
+
+# Adding and taking away.
+
+
+def test_adding_gives_a_new_model_and_leaves_the_old_one() -> None:
+    larger = BASELINE + "bias.temperature_quadratic"
+    assert larger.names == ("bias.constant", "bias.temperature", "bias.temperature_quadratic")
+    assert BASELINE.names == ("bias.constant", "bias.temperature")
+    assert larger.instrument is BASELINE.instrument
+    assert larger.noise is BASELINE.noise
+
+
+def test_an_effect_can_be_named_or_given_or_come_with_others() -> None:
+    by_name = BASELINE + "bias.drift"
+    by_value = BASELINE + INSTRUMENT.effect("bias.drift")
+    assert by_name == by_value
+    several = BASELINE + ["bias.drift", HUMIDITY]
+    assert several == BASELINE + "bias.drift" + HUMIDITY
+    assert several.effect("bias.humidity") is HUMIDITY
+
+
+def test_taking_away_undoes_adding() -> None:
+    assert BASELINE + HUMIDITY - "bias.humidity" == BASELINE
+    assert BASELINE + HUMIDITY - HUMIDITY == BASELINE
+    assert (BASELINE - "bias.temperature").names == ("bias.constant",)
+
+
+def test_models_of_equal_parts_are_equal_and_share_a_hash() -> None:
+    one, two = BASELINE + "bias.drift", INSTRUMENT.baseline() + "bias.drift"
+    assert one == two
+    assert hash(one) == hash(two)
+    assert one != BASELINE
+    assert one.fix({"bias.drift": 0.1}) != one.fix({"bias.drift": 0.2})
+
+
+def test_adding_twice_is_refused_and_says_how_to_replace() -> None:
+    with pytest.raises(
+        bc.ModelError, match=r"'bias.temperature' is in the model already .*model - 'bias"
+    ):
+        BASELINE + "bias.temperature"
+
+
+def test_taking_away_what_is_not_there_is_refused() -> None:
+    with pytest.raises(
+        bc.ModelError, match=r"'bias.drift' is not in the model; it has: bias.constant, "
+    ):
+        BASELINE - "bias.drift"
+    with pytest.raises(bc.ModelError, match=r"'bias.drift' is not in the model"):
+        BASELINE.effect("bias.drift")
+
+
+def test_an_unknown_effect_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(
+        bc.ModelError, match=r"knows no effect 'bias.moon'; it knows bias.constant, .*--effects"
+    ):
+        BASELINE + "bias.moon"
+
+
+def test_an_unknown_slot_is_refused_with_the_known_ones() -> None:
+    lost = effects.constant("tilt", 1.0, "rad", source="none")
+    with pytest.raises(
+        bc.ModelError, match=r"has no slot 'tilt'; an effect can add to bias, scale"
+    ):
+        BASELINE + lost
+    with pytest.raises(bc.ModelError, match=r"has no slot 'output'"):
+        BASELINE + effects.constant("output", 1.0, "deg/s", source="none")
+
+
+# Effects themselves.
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"coefficients": ()}, "has no coefficient"),
+        ({"coefficients": (bc.Coefficient("deg/s"), bc.Coefficient("deg/s"))}, "different parts"),
+        ({"basis": lambda: 1.0}, "must take the readings"),
+        ({"basis": lambda r, width: 1.0}, "must take the readings"),
+        ({"shapes": (bc.Shape("tau", "s", 1.0, 9.0),)}, "and then its shapes ..tau.. by name"),
+    ],
+    ids=["no coefficient", "equal parts", "takes nothing", "takes too much", "lacks a shape"],
+)
+def test_an_effect_that_cannot_work_is_refused_where_it_is_made(change, message) -> None:
+    given = {
+        "basis": lambda r: r["humidity"],
+        "coefficients": (bc.Coefficient("deg/s/%"),),
+        **change,
+    }
+    with pytest.raises(bc.ModelError, match=rf"effect 'bias.mine'.*{message}"):
+        bc.Effect("bias.mine", "bias", **given)
+
+
+def test_a_basis_of_the_wrong_shape_is_refused_with_both_shapes() -> None:
+    two = bc.Effect(
+        "bias.two",
+        "bias",
+        basis=lambda r: r["temperature"],
+        coefficients=(bc.Coefficient("deg/s", part="a"), bc.Coefficient("deg/s", part="b")),
+    )
+    with pytest.raises(bc.ModelError, match=r"'bias.two'.*shape \(12, 1\).*must return \(12, 2\)"):
+        bc.fit(BASELINE + two, readings())
+
+
+def test_priors_and_shapes_out_of_range_are_refused() -> None:
+    with pytest.raises(ValueError, match="positive sd"):
+        bc.Normal(0.0, 0.0)
+    with pytest.raises(ValueError, match="low < high"):
+        bc.Shape("tau", "s", 9.0, 1.0)
+    with pytest.raises(ValueError, match="positive if logarithmic"):
+        bc.Shape("tau", "s", -1.0, 1.0)
+    with pytest.raises(ValueError, match="needs a group"):
+        bc.Coefficient("deg/s", spread=bc.HalfNormal(1.0))
+    with pytest.raises(ValueError, match="give it to the noise law"):
+        bc.Coefficient("deg/s", per="reading", spread=bc.HalfNormal(1.0))
+
+
+# Fixed and free.
+
+
+def test_fixed_unknowns_stay_where_they_are_put() -> None:
+    fixed = BASELINE.fix({"bias.temperature": 0.041, "noise.white": 0.1})
+    found = bc.fit(fixed, readings(), bc.LeastSquares())
+    posterior = found.tree["posterior"].to_dataset()
+    assert set(posterior) == {"bias.constant"}
+    # 20 + 0.05·T seen as 0.041·T: the constant at T0 = 55 takes up the rest.
+    assert posterior["bias.constant"].mean() == pytest.approx(20 + 0.05 * 55, abs=0.01)
+    slope = np.polyfit(readings()["temperature"], bc.predict(found).mean, 1)[0]
+    assert slope == pytest.approx(0.041)
+
+
+def test_freeing_undoes_fixing_one_or_all() -> None:
+    fixed = BASELINE.fix({"bias.temperature": 0.041, "noise.white": 0.1})
+    assert fixed.free("noise.white") == BASELINE.fix({"bias.temperature": 0.041})
+    assert fixed.free() == BASELINE
+    assert dict(fixed.fix({"noise.white": 0.2}).fixed) == {
+        "bias.temperature": 0.041,
+        "noise.white": 0.2,
+    }
+
+
+def test_taking_an_effect_away_frees_what_was_fixed_of_it() -> None:
+    fixed = (BASELINE + "bias.warm_up").fix({"bias.warm_up": 0.1, "bias.warm_up.tau": 600.0})
+    assert (fixed - "bias.warm_up") == BASELINE
+
+
+def test_fixing_what_is_not_there_or_no_number_is_refused() -> None:
+    with pytest.raises(
+        bc.ModelError, match=r"nothing in the model is called 'bias.drift'; it has: bias"
+    ):
+        BASELINE.fix({"bias.drift": 0.0})
+    with pytest.raises(bc.ModelError, match=r"'bias.temperature' cannot be fixed to nan"):
+        BASELINE.fix({"bias.temperature": np.nan})
+    with pytest.raises(bc.ModelError, match=r"nothing in the model is called 'bias.drift'"):
+        BASELINE.free("bias.drift")
+
+
+def test_a_scale_cannot_be_fixed_to_zero_or_less() -> None:
+    with pytest.raises(bc.ModelError, match=r"'noise.white' cannot be fixed to 0.0: .*positive"):
+        BASELINE.fix({"noise.white": 0.0})
+    lagging = BASELINE + "bias.thermal_lag"
+    with pytest.raises(
+        bc.ModelError, match=r"'bias.thermal_lag.tau' cannot be fixed to -5.0: .*positive"
+    ):
+        lagging.fix({"bias.thermal_lag.tau": -5.0})
+    with pytest.raises(
+        bc.ModelError, match=r"'bias.run.spread' cannot be fixed to -1.0: .*positive"
+    ):
+        (BASELINE + "bias.run").fix({"bias.run.spread": -1.0})
+
+
+@pytest.mark.parametrize("method", [bc.LeastSquares(), bc.Marginal()], ids=lambda m: m.name)
+def test_a_printed_calibration_can_be_looked_at_with_everything_fixed(method) -> None:
+    # Everything but the noise, as when a published line is checked against a table.
+    fixed = BASELINE.fix({"bias.constant": 22.75, "bias.temperature": 0.041})
+    found = bc.fit(fixed, readings(), method)
+    expected = 22.75 + 0.041 * (readings()["temperature"] - 55.0)
+    np.testing.assert_allclose(bc.predict(found).mean, expected, rtol=1e-12)
+    rms = np.sqrt(np.mean((readings()["output"] - expected) ** 2))
+    assert found.samples("noise.white").mean() == pytest.approx(rms, rel=0.15)
+
+
+def test_everything_can_be_fixed_the_noise_too() -> None:
+    fixed = BASELINE.fix({"bias.constant": 22.75, "bias.temperature": 0.05, "noise.white": 0.1})
+    found = bc.fit(fixed, readings())
+    # No unknown is left: the evidence is the likelihood, exactly.
+    assert found.log_evidence is not None
+    residual = readings()["output"] - 22.75 - 0.05 * (readings()["temperature"] - 55.0)
+    exact = np.sum(-0.5 * (residual / 0.1) ** 2 - np.log(0.1) - 0.5 * np.log(2 * np.pi))
+    assert found.log_evidence[0] == pytest.approx(exact, abs=1e-9)
+    np.testing.assert_allclose(bc.predict(found).sd, 0.1)
+
+
+# Models meet readings.
+
+
+def test_missing_columns_are_named_with_what_there_is() -> None:
+    with pytest.raises(
+        bc.ModelError,
+        match=r"Effect 'bias.humidity' needs the column 'humidity', which .* lacks "
+        r"\(it has: temperature, output\)\. Record it, or take the effect out: model - 'bias.humidity'",
+    ):
+        bc.fit(BASELINE + HUMIDITY, readings())
+    with pytest.raises(bc.ModelError, match=r"'bias.thermal_lag' needs the column 'time'"):
+        bc.fit(BASELINE + "bias.thermal_lag", readings())
+
+
+def test_a_group_effect_without_members_is_refused() -> None:
+    cell = bc.Effect(
+        "bias.cell",
+        "bias",
+        basis=lambda r: 1.0,
+        coefficients=(bc.Coefficient("deg/s", per="cell"),),
+    )
+    with pytest.raises(
+        bc.ModelError,
+        match=r"'bias.cell' has one coefficient for each cell, and .* has none: name them",
+    ):
+        bc.fit(BASELINE + cell, readings())
+    with pytest.raises(bc.ModelError, match=r"'bias.run' needs the column 'run'"):
+        bc.fit(BASELINE + "bias.run", readings())
+
+
+def test_a_group_effect_has_one_coefficient_a_member() -> None:
+    data = readings(run=np.repeat(["a", "b", "c"], 4))
+    layout, levels = bind(BASELINE + "bias.run", data)
+    block = layout.x_blocks[-1]
+    assert (block.name, block.size, levels["run"]) == ("bias.run", 3, ("a", "b", "c"))
+    assert [h.name for h in layout.hypers] == ["noise.white", "bias.run.spread"]
+
+
+def test_as_many_flat_coefficients_as_readings_are_refused() -> None:
+    flat = bc.Model(
+        INSTRUMENT,
+        tuple(
+            bc.Effect(
+                f"bias.power{k}",
+                "bias",
+                basis=lambda r, k=k: r.centred() ** k,
+                coefficients=(bc.Coefficient("deg/s", bc.Flat()),),
+            )
+            for k in range(3)
+        ),
+        bc.White(),
+    )
+    with pytest.raises(
+        bc.ModelError, match=r"has 3 readings for 3 coefficients with a flat prior: measure"
+    ):
+        bc.fit(flat, readings(rows=3))
+    layout, _ = bind(flat, readings(rows=4))
+    assert layout.improper
+    # A fixed one is none.
+    assert bind(flat.fix({"bias.power2": 0.0}), readings(rows=3))[0].size == 2
+
+
+def test_promoting_what_is_not_there_is_refused() -> None:
+    with pytest.raises(
+        bc.ModelError,
+        match=r"promote: nothing that could be promoted is called 'bias.temprature'.*bias.temperature",
+    ):
+        bc.fit(BASELINE, readings(), bc.Marginal(promote=("bias.temprature",)))
+
+
+def test_every_unknown_stands_in_exactly_one_place() -> None:
+    data = readings(
+        run=np.repeat(["1", "2"], 6), time=np.tile(np.arange(6.0), 2) + np.repeat([0.0, 100.0], 6)
+    )
+    model = BASELINE + effects.thermometer(0.3, source="none") + ["bias.run", "bias.thermal_lag"]
+    layout, _ = bind(model.fix({"bias.constant": 20.0}), data)
+    layout = layout.promote("bias.temperature")
+    places = {b.name: b.place for b in layout.blocks}
+    assert places == {
+        "bias.constant": "fixed",
+        "bias.temperature": "phi",
+        "temperature.reading": "row",
+        "bias.run": "x",
+        "bias.thermal_lag": "x",
+        "bias.thermal_lag[start]": "x",
+    }
+    assert layout.size == 2 + 1 + 2
+    assert [h.name for h in layout.hypers] == [
+        "noise.white",
+        "bias.run.spread",
+        "bias.thermal_lag.tau",
+        "bias.temperature",
+    ]
+    assert layout == Layout(layout.model, layout.counts, ("bias.temperature",))
+
+
+def test_a_constant_that_no_basis_has_is_refused_with_those_there_are() -> None:
+    with pytest.raises(bc.InputError, match=r"no basis has a constant T_0; .* T0"):
+        bc.fit(BASELINE, readings(), reference={"T_0": 20.0})

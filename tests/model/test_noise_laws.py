@@ -1,0 +1,234 @@
+"""Noise laws are the densities that they claim to be, and fits under them do what they are for."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import quad
+
+import bayescal as bc
+from bayescal import effects
+from bayescal._model.frame import build_frame, reference_of
+from bayescal_models.mems_gyro import INSTRUMENT
+
+CONSTANT = bc.Model(
+    INSTRUMENT, (effects.constant("bias", 10.0, "deg/s", source="none"),), bc.White()
+)
+STEP = 0.5
+LAWS = {
+    "white": (bc.White(), {"noise.white": 0.3}),
+    "student_t": (bc.StudentT(), {"noise.white": 0.3, "noise.freedom": 3.5}),
+    "quantised": (bc.Quantised(STEP), {"noise.white": 0.3}),
+}
+
+
+def readings(output, **more) -> bc.Measurements:
+    temperature = np.linspace(30.0, 80.0, len(output))
+    return bc.Measurements.from_arrays(INSTRUMENT, temperature=temperature, output=output, **more)
+
+
+def frame_of(data: bc.Measurements):
+    return build_frame(data, reference_of(data))
+
+
+def log_density(law, parameters, y, mean, **more) -> np.ndarray:
+    y = np.atleast_1d(y)
+    frame = frame_of(readings(np.resize(y, max(2, len(y))), **more))
+    spread = jnp.full(frame.size, mean)
+    found = law.log_density(jnp.resize(jnp.asarray(y), frame.size), spread, parameters, frame)
+    return np.asarray(found)[: len(y)]
+
+
+# Densities.
+
+
+def test_white_is_the_normal_of_scipy() -> None:
+    y = np.linspace(-3, 3, 9)
+    found = log_density(*LAWS["white"], y, 0.4)
+    np.testing.assert_allclose(found, stats.norm(0.4, 0.3).logpdf(y), rtol=1e-12)
+
+
+def test_student_t_is_that_of_scipy() -> None:
+    y = np.linspace(-3, 3, 9)
+    found = log_density(*LAWS["student_t"], y, 0.4)
+    np.testing.assert_allclose(found, stats.t(3.5, 0.4, 0.3).logpdf(y), rtol=1e-10)
+
+
+def test_quantised_is_the_probability_of_the_rounding_interval() -> None:
+    grid = STEP * np.arange(-6, 7)
+    found = log_density(*LAWS["quantised"], grid, 0.4)
+    normal = stats.norm(0.4, 0.3)
+    upper = grid > 0.4  # there from the far side, where scipy keeps its digits
+    near, far = (
+        np.where(upper, -1, 1) * (grid - STEP / 2),
+        np.where(upper, -1, 1) * (grid + STEP / 2),
+    )
+    other = stats.norm(-0.4, 0.3)
+    interval = np.where(upper, other.cdf(near) - other.cdf(far), normal.cdf(far) - normal.cdf(near))
+    np.testing.assert_allclose(np.exp(found) * STEP, interval, rtol=1e-6, atol=1e-300)
+
+
+@pytest.mark.parametrize("sd", [1e-3, 0.1, 0.5, 20.0])
+@pytest.mark.parametrize("mean", [0.0, 0.24, 0.25])
+def test_quantised_probabilities_sum_to_one_over_the_grid(sd, mean) -> None:
+    grid = STEP * np.arange(-500, 501)
+    found = log_density(bc.Quantised(STEP), {"noise.white": sd}, grid, mean)
+    assert np.sum(np.exp(found)) * STEP == pytest.approx(1, abs=1e-9)
+
+
+def test_quantised_keeps_its_digits_and_slope_far_from_the_mean() -> None:
+    law, frame = bc.Quantised(STEP), frame_of(readings(np.zeros(2)))
+
+    def one(mean):
+        return law.log_density(jnp.zeros(2), jnp.full(2, mean), {"noise.white": 0.1}, frame)[0]
+
+    # At 30 and 80 sd: log ∫ of the near edge of the interval, by the asymptotic series of the normal tail.
+    for mean in (3.0, 8.0):
+        edge = (mean - STEP / 2) / 0.1
+        assert float(one(mean)) == pytest.approx(stats.norm.logsf(edge) - np.log(STEP), rel=1e-8)
+        assert np.isfinite(jax.grad(one)(mean))
+    assert float(jax.grad(one)(0.0)) == pytest.approx(0, abs=1e-12)
+
+
+def test_quantised_without_a_coarse_step_is_white() -> None:
+    y = np.linspace(-1, 1, 7)
+    fine = log_density(bc.Quantised(1e-4), {"noise.white": 0.3}, y, 0.1)
+    np.testing.assert_allclose(fine, stats.norm(0.1, 0.3).logpdf(y), rtol=1e-6)
+
+
+@pytest.mark.parametrize("law", ["white", "student_t"])
+def test_densities_integrate_to_one(law) -> None:
+    noise, parameters = LAWS[law]
+    frame = frame_of(readings(np.zeros(2)))
+    density = jax.jit(lambda y: jnp.exp(noise.log_density(y, jnp.zeros(2), parameters, frame)[0]))
+    total, _ = quad(lambda y: float(density(jnp.full(2, y))), -np.inf, np.inf, limit=200)
+    assert total == pytest.approx(1, abs=1e-7)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_samples_have_the_stated_variance_and_density(law, key) -> None:
+    noise, parameters = LAWS[law]
+    parameters = {**parameters, "noise.freedom": 9.0}
+    frame = frame_of(readings(np.zeros(20000)))
+    made = np.asarray(noise.sample(key, jnp.full(20000, 0.1), parameters, frame))
+    stated = float(noise.variance(parameters, frame)[0])
+    assert made.var() == pytest.approx(stated, rel=0.05)
+    if law == "quantised":
+        values, counts = np.unique(made, return_counts=True)
+        assert np.allclose(values / STEP, np.round(values / STEP))
+        share = np.exp(log_density(noise, parameters, values, 0.1)) * STEP
+        np.testing.assert_allclose(counts / 20000, share, atol=0.015)
+    else:
+        exact = stats.norm(0.1, 0.3) if law == "white" else stats.t(9.0, 0.1, 0.3)
+        assert stats.kstest(made, exact.cdf).pvalue > 0.01
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_known_uncertainty_of_a_reading_adds_in_quadrature(law) -> None:
+    noise, parameters = LAWS[law]
+    known = np.array([0.0, 0.4, 0.4, 2.0])
+    y = np.array([0.1, 0.1, 0.6, -1.0])
+    found = log_density(noise, parameters, y, 0.0, output_uncertainty=known)
+    for i, extra in enumerate(known):
+        alone = {**parameters, "noise.white": np.hypot(0.3, extra)}
+        assert found[i] == pytest.approx(log_density(noise, alone, y[i : i + 1], 0.0)[0], rel=1e-10)
+
+
+def test_steps_must_be_positive() -> None:
+    with pytest.raises(ValueError, match="rounding step must be positive"):
+        bc.Quantised(0.0)
+
+
+# Priors of scales, in their coordinates.
+
+
+@pytest.mark.parametrize(
+    ("prior", "exact"),
+    [
+        (bc.HalfNormal(0.2), stats.halfnorm(scale=0.2)),
+        (bc.HalfCauchy(0.2), stats.halfcauchy(scale=0.2)),
+        (bc.StudentT().freedom, stats.lognorm(0.8, scale=8.0)),
+        (bc.Normal(0.3, 2.0), stats.norm(0.3, 2.0)),
+    ],
+    ids=lambda p: type(p).__name__,
+)
+def test_prior_of_a_scale_is_its_law_whatever_the_coordinate(prior, exact, key) -> None:
+    for v in (-2.0, 0.0, 0.7):
+        value, slope = jax.value_and_grad(prior.value)(v)
+        assert float(prior.log_density(v)) == pytest.approx(
+            exact.logpdf(value) + np.log(slope), rel=1e-9
+        )
+        assert prior.coordinate(float(value)) == pytest.approx(v, abs=1e-12)
+        assert float(prior.distribution().log_prob(value)) == pytest.approx(
+            exact.logpdf(value), rel=1e-6
+        )
+    drawn = jax.vmap(lambda k: prior.value(prior.sample(k)))(jax.random.split(key, 4000))
+    assert stats.kstest(np.asarray(drawn), exact.cdf).pvalue > 0.01
+
+
+def test_flat_scale_has_a_flat_density() -> None:
+    flat = bc.Flat(3.0)
+    for v in (-2.0, 0.0, 0.7):
+        slope = jax.grad(flat.value)(v)
+        assert float(flat.log_density(v) - jnp.log(slope)) == pytest.approx(0, abs=1e-12)
+    with pytest.raises(ValueError, match="flat prior cannot be sampled"):
+        flat.sample(jax.random.key(0))
+
+
+# Fits.
+
+
+def test_known_uncertainties_weigh_the_readings(rng) -> None:
+    # Two instruments' readings of one constant, one ten times as good, and no other noise.
+    known = np.repeat([0.01, 0.1], 30)
+    data = readings(5 + known * rng.standard_normal(60), output_uncertainty=known)
+    found = bc.fit(CONSTANT.fix({"noise.white": 1e-6}), data)
+    weight = 1 / (known**2 + 1e-12)
+    mean = np.sum(weight * data["output"]) / weight.sum()
+    posterior = found.samples("bias.constant")
+    assert posterior.mean() == pytest.approx(mean, abs=1e-4)
+    assert posterior.std() == pytest.approx(weight.sum() ** -0.5, rel=0.05)
+
+
+def test_what_known_uncertainties_leave_is_the_noise(rng) -> None:
+    known = rng.uniform(0.0, 0.2, 300)
+    data = readings(5 + np.hypot(known, 0.1) * rng.standard_normal(300), output_uncertainty=known)
+    noise = bc.fit(CONSTANT, data).samples("noise.white")
+    assert abs(noise.mean() - 0.1) < 3 * noise.std()
+    assert noise.std() < 0.02
+
+
+@pytest.mark.slow
+def test_student_t_resists_outliers(rng) -> None:
+    output = 5 + 0.1 * rng.standard_normal(40)
+    output[[3, 17, 30]] += [6.0, 8.0, 5.0]
+    data = readings(output)
+    white = bc.fit(CONSTANT, data)
+    robust = bc.fit(
+        CONSTANT.with_noise(bc.StudentT(bc.HalfCauchy(0.1))), data, bc.Marginal(draws=2000)
+    )
+    assert white.samples("bias.constant").mean() > 5.2
+    constant = robust.samples("bias.constant")
+    assert constant.mean() == pytest.approx(5, abs=0.06)
+    assert abs(constant.mean() - 5) < 3 * constant.std()
+    assert constant.std() < 0.04
+    assert robust.samples("noise.freedom").mean() < 4
+    assert "student_t noise is not Gaussian" in " ".join(robust.verdict.notes)
+    assert robust.log_evidence is None
+
+
+@pytest.mark.slow
+def test_coarse_rounding_does_not_bias_a_quantised_fit(rng) -> None:
+    # Noise of a fifth of the step, a mean near the edge of a rounding interval.
+    step, sd, truth = 1.0, 0.2, 5.36
+    data = readings(np.round((truth + sd * rng.standard_normal(150)) / step) * step)
+    # With two printed values only (truth − edge)/sd is measured: the scatter before rounding must be known.
+    rounded = CONSTANT.with_noise(bc.Quantised(step, bc.HalfNormal(0.3))).fix({"noise.white": sd})
+    constant = bc.fit(rounded, data, bc.Marginal(draws=2000)).samples("bias.constant")
+    assert abs(constant.mean() - truth) < 3 * constant.std()
+    # The mean and scatter of the printed values themselves are far off.
+    as_printed = bc.fit(CONSTANT, data).samples("bias.constant")
+    assert abs(as_printed.mean() - truth) > 3 * as_printed.std()

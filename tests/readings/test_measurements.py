@@ -1,0 +1,276 @@
+"""Readings once they are in: groups, selections, and files that hold exactly what was written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import xarray as xr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bayescal._core.errors import InputError
+from bayescal._readings.measurements import Column, Measurements, NominalScale
+from bayescal._readings.read import read
+
+
+@dataclass(frozen=True)
+class Scale:
+    name: str = "test_scale"
+    nominal_scale: NominalScale | None = None
+    columns: tuple[Column, ...] = (
+        Column("run", None, required=False),
+        Column("device", None, required=False),
+        Column("temperature_point", "degC", required=False),
+        Column("time", "s", required=False),
+        Column("angle", "rad", required=False),
+        Column("output", "ug"),
+    )
+
+
+SCALE = Scale()
+FORMATS = (".csv", ".parquet", ".nc")
+
+
+def same(a: Measurements, b: Measurements) -> None:
+    assert a.columns == b.columns
+    for name in a.columns:
+        assert a.unit(name) == b.unit(name)
+        np.testing.assert_array_equal(a[name], b[name], strict=a.unit(name) is not None)
+
+
+# --- files hold what was written -----------------------------------------------------------------
+
+labels = st.text(st.characters(exclude_categories=["Cc", "Cs"]), min_size=1, max_size=8)
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@st.composite
+def readings(draw) -> dict:
+    n = draw(st.integers(1, 5))
+    stripped = labels.map(str.strip).filter(bool)
+
+    def column(values):
+        return draw(st.lists(values, min_size=n, max_size=n))
+
+    made = {"output": column(numbers), "angle": column(numbers), "run": column(stripped)}
+    if draw(st.booleans()):
+        made["device"] = column(stripped)
+    if draw(st.booleans()):
+        made["temperature_point"] = column(st.one_of(st.just(float("nan")), numbers))
+        made["temperature_point"][0] = 20.0
+    return made
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(made=readings())
+def test_what_was_written_is_read_again(tmp_path, suffix, made):
+    m = Measurements.from_arrays(SCALE, humidity=0.4, units={"humidity": "1"}, **made)
+    path = m.write(tmp_path / f"t{suffix}")
+    same(read(path, SCALE), m)
+    assert [p.name for p in tmp_path.iterdir()] == [f"t{suffix}"]  # nothing is left beside it
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_units_stand_where_others_find_them(tmp_path, suffix):
+    path = Measurements.from_arrays(SCALE, output=[1.0, 2.0], run=["a", "b"]).write(
+        tmp_path / f"t{suffix}"
+    )
+    if suffix == ".csv":
+        assert path.read_text() == "run,output [ug]\na,1.0\nb,2.0\n"
+    elif suffix == ".parquet":
+        field = pq.read_schema(path).field("output [ug]")
+        assert field.metadata[b"units"] == b"ug"
+    else:
+        with xr.open_dataset(path, engine="h5netcdf") as data:
+            assert data["output"].attrs["units"] == "ug" and data["run"].values.tolist() == [
+                "a",
+                "b",
+            ]
+
+
+def test_parquet_of_others_is_read(tmp_path):
+    path = tmp_path / "t.parquet"
+    run = pa.array([1.0, 2.0, 2.0]).cast(pa.float32())
+    table = pa.table({"run": run, "o.x": pa.array([1, 2, None]), "o": pa.array(["1.5", "2", "x"])})
+    pq.write_table(table, path)
+    with pytest.raises(InputError, match=r"row 3 of 't\.parquet', column 'o\.x': is empty or NaN"):
+        read(path, SCALE, columns={"output": "o.x"}, units={"o.x": "mg"})
+    with pytest.raises(InputError, match=r"row 3 of 't\.parquet', column 'o': reads 'x'"):
+        read(path, SCALE, columns={"output": "o"}, units={"o": "mg"})
+    pq.write_table(table.slice(0, 2), path)
+    m = read(path, SCALE, columns={"output": "o.x"}, units={"o.x": "mg"})
+    assert m["output"].tolist() == [1000, 2000] and m["run"].tolist() == ["1", "2"]
+    assert read(path, SCALE, columns={"output": "o"}, units={"o": "ug"})["output"].tolist() == [
+        1.5,
+        2,
+    ]
+    when = pa.table({"output": pa.array([0, 1], pa.timestamp("s")), "flag": [True, False]})
+    pq.write_table(when, path)
+    with pytest.raises(
+        InputError, match="column 'output': reads '1970-01-01 00:00:00', a number in µg"
+    ):
+        read(path, SCALE, units={"output": "ug"})
+    pq.write_table(when.drop_columns(["output"]), path)
+    with pytest.raises(InputError, match="column 'flag': reads 'True', a number"):
+        read(path, SCALE, columns={"output": "flag"}, units={"flag": "ug"})
+
+
+def test_netcdf_of_others_is_read(tmp_path):
+    path = tmp_path / "t.nc"
+    data = xr.Dataset(
+        {"output": ("time", [1.0, 2.0], {"units": "mg"}), "run": ("time", [1, 1]), "site": 5.0},
+        coords={"time": ("time", [0, 1], {"units": "h"})},
+    )
+    data.to_netcdf(path, engine="h5netcdf")
+    m = read(path, SCALE)
+    assert m["output"].tolist() == [1000, 2000] and m["time"].tolist() == [0, 3600]
+    assert m["run"].tolist() == ["1", "1"]
+    xr.Dataset({"output": ("a", [1.0]), "b": ("b", [1.0, 2.0])}).to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(InputError, match="has variables along a, b: which are the readings cannot"):
+        read(path, SCALE)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="cannot be read as NetCDF-4"):
+        read(path, SCALE)
+
+
+def test_writing_is_refused_in_words(tmp_path):
+    m = Measurements.from_arrays(SCALE, output=[1.0, 2.0])
+    with pytest.raises(
+        InputError, match=r"cannot be written as '\.pkl'; choose \.csv, \.parquet, \.nc"
+    ):
+        m.write(tmp_path / "t.pkl")
+    with pytest.raises(InputError, match=r"cannot be written: there is no folder .* Make it"):
+        m.write(tmp_path / "no" / "t.csv")
+    with pytest.raises(InputError, match="because of its '/'"):
+        m.with_column("a/b", [1.0, 2.0], "1").write(tmp_path / "t.nc")
+    assert not list(tmp_path.iterdir())
+
+
+# --- from arrays ---------------------------------------------------------------------------------
+
+
+def test_arrays_are_checked_as_files_are():
+    m = Measurements.from_arrays(
+        SCALE, output=[1, 2], run="a", angle=[90, 180], units={"angle": "deg"}
+    )
+    np.testing.assert_allclose(m["angle"], [np.pi / 2, np.pi])
+    assert m["run"].tolist() == ["a", "a"] and m.file == "the given arrays" and m.sources == ()
+    assert m.columns == ("run", "angle", "output")  # in the instrument's order
+    for columns, message in [
+        (
+            {"output": [1.0, np.nan]},
+            "row 2 of 'the given arrays', column 'output': is empty or NaN",
+        ),
+        ({"output": ["1", "x"]}, "row 2 .* reads 'x', a number in µg was expected"),
+        (
+            {"output": [1.0], "angle": [1.0, 2.0]},
+            r"vectors of one length, these are: output \(1,\), a",
+        ),
+        ({"output": []}, "holds no readings"),
+        ({"angle": [1.0]}, "lacks the column 'output'"),
+        ({"output": [1.0, 2.0], "time": [1.0, 0.0]}, "time runs backwards"),
+        ({"output": [1.0], "output_uncertainty": [-1.0]}, "plausible is at least 0 µg"),
+        ({"output": [1.0], "run": ["\ud800"]}, "holds a control character"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            Measurements.from_arrays(SCALE, **columns)
+
+
+def test_further_arrays_need_a_unit_to_be_kept():
+    m = Measurements.from_arrays(SCALE, output=[1.0, 2.0], humidity=[1.0, 2.0])
+    assert not m.has("humidity") and "ignored, because they have no unit: humidity" in m.flags[0]
+
+
+def test_readings_cannot_be_changed_by_accident():
+    given = np.array([1.0, 2.0])
+    m = Measurements.from_arrays(SCALE, output=given)
+    with pytest.raises(ValueError, match="read-only"):
+        m["output"][0] = 5
+    given[0] = 7
+    assert m["output"][0] == 1
+    changed = m.with_column("output", [3.0, 4.0])
+    assert changed["output"].tolist() == [3, 4] and changed.unit("output") == "ug"
+    assert m["output"].tolist() == [1, 2]
+
+
+# --- groups and selections -----------------------------------------------------------------------
+
+
+@pytest.fixture
+def grouped() -> Measurements:
+    nan = float("nan")
+    return Measurements.from_arrays(
+        SCALE,
+        run=["b", "b", "b", "a", "a"],
+        temperature_point=[30.0, 20.0, nan, 30.0, 30.0],
+        output=[1.0, 2.0, 3.0, 4.0, 5.0],
+    )
+
+
+def test_groups_come_in_order_of_appearance(grouped):
+    levels, codes = grouped.groups("run")
+    assert levels == ("b", "a") and codes.tolist() == [0, 0, 0, 1, 1]
+    levels, codes = grouped.groups("cell")
+    assert levels == ("run b, 30 °C", "run b, 20 °C", "run a, 30 °C")
+    assert codes.tolist() == [0, 1, -1, 2, 2]
+    levels, codes = grouped.groups("reading")
+    assert levels == ("1", "2", "3", "4", "5") and codes.tolist() == [0, 1, 2, 3, 4]
+    assert grouped.groups("device") == (("1",), pytest.approx(np.zeros(5)))
+    with pytest.raises(InputError, match="column 'output' holds numbers and makes no groups"):
+        grouped.groups("output")
+    with pytest.raises(InputError, match="has no column 'colour'; it has: run, temp"):
+        grouped.groups("colour")
+
+
+def test_without_runs_there_is_one_and_without_points_no_cell():
+    m = Measurements.from_arrays(SCALE, output=[1.0, 2.0])
+    assert m.groups("run")[0] == ("1",)
+    assert m.groups("cell")[0] == () and m.groups("cell")[1].tolist() == [-1, -1]
+    point = Measurements.from_arrays(SCALE, output=[1.0, 2.0], temperature_point=[20.0, 30.0])
+    assert point.groups("cell")[0] == ("run 1, 20 °C", "run 1, 30 °C")
+
+
+def test_some_of_the_readings_can_be_chosen(grouped):
+    assert grouped.select(grouped["run"] == "a")["output"].tolist() == [4, 5]
+    chosen = grouped.select([4, 0])
+    assert chosen["output"].tolist() == [5, 1] and chosen.groups("run")[0] == ("a", "b")
+    assert chosen.unit("output") == "ug" and not chosen["output"].flags.writeable
+    with pytest.raises(
+        InputError, match=r"a mask of shape \(2,\) cannot choose among the 5 readings"
+    ):
+        grouped.select([True, False])
+    with pytest.raises(InputError, match="no reading of the given arrays was chosen"):
+        grouped.select(np.zeros(5, dtype=bool))
+
+
+def test_readings_describe_themselves(grouped):
+    assert repr(grouped) == (
+        "<5 readings of the given arrays: run, temperature_point [degC], output [ug]>"
+    )
+    assert "output" in grouped and "colour" not in grouped
+    with pytest.raises(InputError, match="the given arrays has no column 'x'; it has: run"):
+        grouped["x"]
+    with pytest.raises(InputError, match="have the one dimension 'reading', these have other"):
+        Measurements(xr.Dataset({"output": ("other", [1.0])}))
+
+
+@pytest.mark.parametrize(
+    ("column", "message"),
+    [
+        ({"name": "cell", "unit": None}, "cannot be called 'cell'"),
+        ({"name": "x", "unit": "V", "allowed": ("a",)}, "it has no allowed labels"),
+        ({"name": "x", "unit": None, "low": 1.0}, "is a label: it has no low and high"),
+        ({"name": "x", "unit": "V", "low": 1.0, "high": 0.0}, "low 1 is not below high 0"),
+    ],
+)
+def test_a_column_that_contradicts_itself_is_refused(column, message):
+    with pytest.raises(InputError, match=message):
+        Column(**column)

@@ -1,0 +1,266 @@
+"""What is read: columns, units, several files, and what is said of them without refusing."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayescal._core.errors import InputError
+from bayescal._readings.measurements import Column, Measurements, NominalScale
+from bayescal._readings.read import read
+
+VOLTS = NominalScale("V", gain=0.001, offset=1.2)
+
+
+@dataclass(frozen=True)
+class Gyro:
+    name: str = "test_gyro"
+    nominal_scale: NominalScale = VOLTS
+    columns: tuple[Column, ...] = (
+        Column("run", None, "label of the run", required=False),
+        Column("group", None, required=False, allowed=("outer", "inner")),
+        Column("temperature_point", "degC", required=False),
+        Column("time", "s", required=False),
+        Column("temperature", "degC", "thermometer", low=-273.15, high=400.0),
+        Column("lab_temperature", "degC", required=False),
+        Column("position_angle", "rad", required=False, low=-6.3, high=6.3),
+        Column("rate_input", "deg/s", required=False, default=0.0),
+        Column("output", "deg/s"),
+    )
+
+
+GYRO = Gyro()
+HEAD = "run,time [s],temperature [degC],output [deg/s]\n"
+GOOD = HEAD + "a,0,20,1.5\na,10,25,1.6\nb,0,30,1.8\n"
+
+
+@pytest.fixture
+def put(tmp_path):
+    """Write content under a name; the file's path."""
+
+    def write(content: str | bytes, name: str = "t.csv") -> Path:
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+def refused(path, message: str, **options) -> None:
+    with pytest.raises(InputError, match=message):
+        read(path, GYRO, **options)
+
+
+# --- what is read --------------------------------------------------------------------------------
+
+
+def test_a_good_file_is_read_in_its_order_and_units(put):
+    m = read(put(GOOD), GYRO)
+    assert m.columns == ("run", "time", "temperature", "rate_input", "output")
+    assert len(m) == 3 and m.file == "t.csv" and m.output == "output" and m.flags == ()
+    assert m["run"].tolist() == ["a", "a", "b"] and m.unit("run") is None
+    assert m["output"].tolist() == [1.5, 1.6, 1.8] and m.unit("output") == "deg/s"
+    assert m["rate_input"].tolist() == [0, 0, 0]  # its default
+    assert m.sources[0].sha256 == hashlib.sha256(GOOD.encode()).hexdigest()
+    assert m.sources[0].rows == 3
+
+
+def test_headers_carry_units_of_their_own(put):
+    text = "time [h],temperature [°F],position_angle [deg],output [rad/s]\n1,68,180,1\n2,77,270,2\n"
+    m = read(put(text), GYRO)
+    np.testing.assert_allclose(m["time"], [3600, 7200])
+    np.testing.assert_allclose(m["temperature"], [20, 25])
+    np.testing.assert_allclose(m["position_angle"], [np.pi, 1.5 * np.pi])
+    np.testing.assert_allclose(m["output"], np.degrees([1, 2]))
+
+
+def test_columns_and_units_can_be_named_from_outside(put):
+    path = put("t_s,temp,gyro_x\n0,20,1\n1,30,2\n")
+    columns = {"time": "t_s", "temperature": "temp", "output": "gyro_x"}
+    m = read(path, GYRO, columns=columns, units={"t_s": "s", "temperature": "degC", "gyro_x": "mV"})
+    np.testing.assert_allclose(m["output"], [-1199, -1198])
+    overruled = put("temperature [degC],output [deg/s]\n20,1\n30,2\n")
+    m = read(overruled, GYRO, units={"output": "rad/s"})
+    assert m["output"][0] == pytest.approx(np.degrees(1))
+    assert any("taken as [rad/s], as units= says" in flag for flag in m.flags)
+
+
+def test_raw_outputs_pass_through_the_nominal_scale_and_that_is_said(put):
+    text = "temperature [degC],output [V],output_uncertainty [mV]\n20,1.203,2\n30,1.204,3\n"
+    m = read(put(text), GYRO)
+    np.testing.assert_allclose(m["output"], [3, 4], rtol=1e-12)
+    np.testing.assert_allclose(m["output_uncertainty"], [2, 3])
+    assert "turned into °/s by the nominal scale: (reading − 1.2)/0.001" in m.flags[0]
+    other = read(put(text), GYRO, nominal_scale=NominalScale("mV", gain=2.0))
+    np.testing.assert_allclose(other["output"], [601.5, 602])
+
+
+def test_local_gravity_is_used_and_said(put):
+    path = put("temperature [degC],output [deg/s],pull [m/s^2]\n20,1,9.81\n30,2,-9.81\n")
+    m = read(path, GYRO, local_gravity=9.81)
+    np.testing.assert_allclose(m["pull"], [1e6, -1e6])
+    assert m.unit("pull") == "ug" and "turned into local g by 9.81 m/s²" in m.flags[0]
+
+
+def test_further_columns_are_kept_if_sound_and_otherwise_flagged(put):
+    text = (
+        "temperature [degC],output [deg/s],humidity [%],note,p [hPa],q [foo],cell [1],\n"
+        "20,1,40,x,1000,1,1,\n30,2,41,y,?,1,1,\n"
+    )
+    m = read(put(text), GYRO)
+    np.testing.assert_allclose(m["humidity"], [0.4, 0.41])
+    assert m.unit("humidity") == "1" and not {"p", "q", "note", "cell"} & set(m.columns)
+    said = "\n".join(m.flags)
+    for expected in (
+        "'p [hPa]' ignored: row 3 reads '?'",
+        "[foo] is no unit known here",
+        "no unit: note, column 8, without a name",
+        "the name 'cell' is taken",
+    ):
+        assert expected in said
+
+
+def test_comments_blank_lines_and_quotes_leave_row_numbers_right(put):
+    text = f'# made by "hand\n\n# 2nd\n{HEAD}a,0,20,1\n\n  \n"b, ""c""",0,25,2\n\n'
+    m = read(put(text), GYRO)
+    assert m["run"].tolist() == ["a", 'b, "c"']
+    refused(put(text + "c,0,x,3\n"), r"row 10 of 't\.csv', column 'temperature \[degC\]'")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_byte_order_mark_and_line_ends_do_not_matter(put, end):
+    text = "\ufeff" + "temperature [°C],output [°/s]\n20,1\n30,2\n".replace("\n", end)
+    assert read(put(text), GYRO)["temperature"].tolist() == [20, 30]
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_semicolons_and_tabs_separate_as_well(put, separator):
+    assert read(put(GOOD.replace(",", separator)), GYRO)["output"].tolist() == [1.5, 1.6, 1.8]
+
+
+def test_an_empty_temperature_point_is_a_ramp(put):
+    text = "temperature_point [degC],temperature [degC],output [deg/s]\n20,20,1\n,25,2\nnan,30,3\n"
+    m = read(put(text), GYRO)
+    np.testing.assert_array_equal(m["temperature_point"], [20, np.nan, np.nan])
+    assert m.groups("cell")[1].tolist() == [0, -1, -1]
+
+
+def test_an_optional_column_without_content_is_left_out(put):
+    m = read(
+        put("run,lab_temperature [degC],temperature [degC],output [V]\n,,20,1\n,,30,2\n"), GYRO
+    )
+    assert not m.has("run") and not m.has("lab_temperature")
+    assert sum("is empty and was left out" in flag for flag in m.flags) == 2
+
+
+def test_many_rows_are_checked_in_stretches(put, monkeypatch):
+    monkeypatch.setattr("bayescal._readings.csv_reader._BLOCK", 64)
+    monkeypatch.setattr("bayescal._readings.csv_reader._ROWS", 7)
+    rows = [f"a,{i},{20 + i % 5},{i / 8}" for i in range(100)]
+    m = read(put(HEAD + "\n".join(rows)), GYRO)
+    np.testing.assert_array_equal(m["output"], np.arange(100) / 8)
+    rows[61] = "a,61,20,1.2.3"
+    refused(put(HEAD + "\n".join(rows)), r"row 63 of .* reads '1\.2\.3'")
+    rows[61] = "a,61,20"
+    refused(put(HEAD + "\n".join(rows)), "row 63 of 't.csv' has 3 fields, its header 4")
+    refused(put(HEAD + "a" * 200), "row 2 of 't.csv' is longer than 64 bytes")
+
+
+# --- several files -------------------------------------------------------------------------------
+
+
+BARE = "time [s],temperature [degC],output [deg/s]\n0,{},1\n1,{},2\n"
+
+
+def test_several_files_are_runs_named_after_them(put):
+    one, two = put(BARE.format(20, 21), "cold.csv"), put(BARE.format(30, 31), "warm.csv")
+    m = read([one, two], GYRO)
+    assert m["run"].tolist() == ["cold", "cold", "warm", "warm"] and m.file == "cold.csv and 1 more"
+    assert [s.rows for s in m.sources] == [2, 2] and m["temperature"].tolist() == [20, 21, 30, 31]
+    assert not read(one, GYRO).has("run")
+
+
+def test_equal_stems_are_made_distinct(put):
+    paths = [put(BARE.format(20 + i, 25), f"{d}/t.csv") for i, d in enumerate(("a", "b"))]
+    paths.append(put(BARE.format(28, 29), "b/t.CSV"))
+    m = read(paths, GYRO)
+    assert m.groups("run")[0] == ("a/t", "b/t", "b/t (2)")
+    named = put(
+        "run," + BARE.format("x,20", "x,21").replace("\n0", "\nt,0").replace("\n1", "\nt,1")
+    )
+    named.write_text("run,temperature [degC],output [V]\nc,20,1\n")
+    assert read([named, put(BARE.format(1, 2), "c.csv")], GYRO).groups("run")[0] == ("c", "file c")
+
+
+def test_files_that_do_not_go_together(put):
+    a = put("temperature [degC],output [V],lab_temperature [degC]\n20,1,23\n", "a.csv")
+    b = put("temperature [degC],output [V]\n30,1\n", "b.csv")
+    m = read([a, b], GYRO)
+    assert not m.has("lab_temperature")
+    assert any("'lab_temperature' left out: a.csv has it, b.csv has not" in f for f in m.flags)
+    c = put("device,temperature [degC],output [V]\n1,30,1\n", "c.csv")
+    refused(
+        [a, c], r"'a\.csv' lacks the column 'device' that 'c\.csv' has: label every file, or none"
+    )
+    x = put("temperature [degC],output [V],p [V]\n20,1,23\n", "x.csv")
+    y = put("temperature [degC],output [V],p [Pa]\n20,1,23\n", "y.csv")
+    refused(
+        [x, y], r"column 'p' is in Pa in 'y\.csv' and in V|column 'p' is in V in 'x\.csv' and in Pa"
+    )
+    refused([a, a], r"'a\.csv' was given 2 times")
+
+
+def test_files_that_go_together_in_a_doubtful_way_are_flagged(put):
+    text = "run,temperature [degC],output [V]\nr,{},1\n"
+    a, b = put(text.format(20), "a.csv"), put(text.format(30), "b.csv")
+    assert any(
+        "run 'r' of b.csv is taken as the one of a.csv" in f for f in read([a, b], GYRO).flags
+    )
+    copy = put(text.format(20), "copy.csv")
+    assert any(
+        "copy.csv has the same content as a.csv" in f for f in read([a, b, copy], GYRO).flags
+    )
+    point = put("temperature_point [degC],temperature [degC],output [V]\n40,40,1\n", "point.csv")
+    m = read([point, put("temperature [degC],output [V]\n30,1\n", "ramp.csv")], GYRO)
+    assert m.groups("cell")[1].tolist() == [0, -1]
+    assert any("ramp.csv: no 'temperature_point'" in f for f in m.flags)
+
+
+def test_a_refusal_names_the_file_among_several(put):
+    a, b = put(GOOD, "a.csv"), put(GOOD + "b,-1,20,1\n", "b.csv")
+    with pytest.raises(
+        InputError, match=r"row 2 of 'b\.csv', column 'time': reads 0 s after 10 s in row 3 of 'a"
+    ):
+        read([a, b], GYRO)
+
+
+# --- what is flagged -----------------------------------------------------------------------------
+
+
+def flags(**columns) -> str:
+    return "\n".join(Measurements.from_arrays(GYRO, **columns).flags)
+
+
+def test_repeated_rows_are_flagged(put):
+    m = read(put(GOOD + "b,0,30,1.8\n"), GYRO)
+    assert "1 row repeats an earlier one in every column, first at row 5 of 't.csv'" in m.flags
+
+
+def test_a_saturated_output_is_flagged_and_a_rounded_one_is_not():
+    rng = np.random.default_rng(1)
+    x, t = rng.normal(size=500), np.linspace(20, 40, 500)
+    said = flags(temperature=t, output=np.clip(x, None, 1.0))
+    assert "'output' may be saturated" in said and "exactly at its maximum 1" in said
+    assert "minimum -1" in flags(temperature=t, output=np.clip(x, -1.0, None))
+    for rounded in (np.round(x, 1), np.round(x), np.sin(np.arange(500) * np.pi / 2), x):
+        assert "saturated" not in flags(temperature=t, output=rounded)
+
+
+def test_a_constant_column_is_flagged_unless_it_is_a_default():
+    said = flags(temperature=[20.0, 30.0], output=[1.0, 2.0], lab_temperature=23.0)
+    assert "column 'lab_temperature' is constant (23)" in said and "rate_input" not in said

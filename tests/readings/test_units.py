@@ -1,0 +1,241 @@
+"""Units at the door: what is understood and refused, and that numbers survive there and back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayescal._core.errors import InputError
+from bayescal._readings.units import (
+    base_unit,
+    check_unit,
+    coefficient_factor,
+    convert,
+    needs_gravity,
+    pretty,
+    same_dimension,
+)
+
+FAMILIES = [
+    ("s", "ms", "min", "h", "day"),
+    ("rad", "nrad", "urad", "mrad", "deg", "arcmin", "arcsec", "rev"),
+    ("ug", "ng", "mg", "g", "m/s^2", "mm/s^2"),
+    ("V", "nV", "uV", "mV"),
+    ("Hz", "mHz", "kHz", "MHz"),
+    ("degC", "degF", "K"),
+    ("rad/s", "deg/s", "dps", "deg/h", "rpm"),
+    ("1", "%", "ppm", "ppb"),
+    ("ug/degC", "mg/K", "m/s^2/degF"),
+    ("V/g", "mV/(m/s^2)"),
+]
+PAIRS = [(a, b) for family in FAMILIES for a in family for b in family]
+ARCSEC = math.pi / 648000
+
+
+@pytest.mark.parametrize(
+    ("unit", "slot", "factor"),
+    [
+        ("ppm/degC", "1", 1e-6),
+        ("deg/s/degC", "deg/s", 1),
+        ("deg/s/(degC/min)", "deg/s", 60),
+        ("ug/mg^2", "ug", 1e-6),
+        ("arcsec/deg^2", "rad", ARCSEC / (math.pi / 180) ** 2),
+        ("ug/degC", "ug", 1),
+        ("ug/degF", "ug", 9 / 5),
+        ("urad/degC", "rad", 1e-6),
+        ("1/g", "1", 1e-6),
+        ("Hz/g", "Hz", 1e-6),
+        ("arcsec", "rad", ARCSEC),
+        ("degC", "delta_degC", 1),
+        ("1", "1", 1),
+    ],
+)
+def test_a_coefficient_in_its_reported_unit_becomes_internal(unit, slot, factor):
+    assert coefficient_factor(unit, slot) == pytest.approx(factor, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("value", "old", "new", "expected"),
+    [
+        (25.0, "degC", "K", 298.15),
+        (0.0, "K", "degC", -273.15),
+        (212.0, "degF", "degC", 100.0),
+        (-40.0, "degC", "degF", -40.0),
+        (1.0, "degC/min", "K/s", 1 / 60),
+        (9.0, "degF/h", "degC/h", 5.0),
+        (9.80665, "m/s^2", "g", 1.0),
+        (1.0, "mg", "ug", 1000.0),
+        (180.0, "deg", "rad", math.pi),
+        (3600.0, "arcsec", "deg", 1.0),
+        (1.0, "dps", "deg/h", 3600.0),
+        (50.0, "%", "1", 0.5),
+        (1.0, "h", "s", 3600.0),
+    ],
+)
+def test_values_convert(value, old, new, expected):
+    assert convert(value, old, new) == pytest.approx(expected, rel=1e-14, abs=1e-12)
+
+
+def test_local_gravity_divides_what_comes_in_as_metres_per_second_squared():
+    assert convert([9.81], "m/s^2", "g", local_gravity=9.81) == pytest.approx(1, rel=1e-15)
+    assert convert(2.0, "V/g", "V/(m/s^2)", local_gravity=9.8) == pytest.approx(2 / 9.8, rel=1e-14)
+    assert needs_gravity("m/s^2", "ug") and not needs_gravity("mg", "ug")
+    with pytest.raises(InputError, match=r"local gravity 980\.665 m/s² is not found on Earth"):
+        convert(1.0, "m/s^2", "g", local_gravity=980.665)
+
+
+def test_a_temperature_is_absolute_and_a_difference_is_not():
+    assert convert(1.0, "degF", "degC", difference=True) == pytest.approx(5 / 9)
+    assert convert(3.0, "degC", "delta_degC") == 3
+    assert convert(3.0, "K", "delta_degC") == 3
+    with pytest.raises(InputError, match=r"\[delta_degC\] is a difference of temperatures"):
+        convert(1.0, "delta_degC", "degC")
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(PAIRS), st.lists(st.floats(-1e9, 1e9), min_size=1, max_size=5))
+def test_there_and_back_is_where_one_was(pair, values):
+    old, new = pair
+    there = convert(values, old, new)
+    scale = 1e3 if old in FAMILIES[5] else 0.0  # an offset costs digits of its own size
+    size = np.abs(values) + scale
+    assert np.all(np.abs(convert(there, new, old) - values) <= 1e-13 * size + 1e-290)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.sampled_from(PAIRS), st.sampled_from([u for f in FAMILIES for u in f]))
+def test_a_detour_changes_nothing(pair, third):
+    old, new = pair
+    if not same_dimension(old, third):
+        with pytest.raises(InputError, match="cannot be converted"):
+            convert(1.0, old, third)
+        return
+    direct, detour = convert(12.5, old, new), convert(convert(12.5, old, third), third, new)
+    assert detour == pytest.approx(float(direct), rel=1e-12, abs=1e-9)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.sampled_from([u for f in FAMILIES for u in f if u not in FAMILIES[5]]))
+def test_conversion_and_coefficient_agree(unit):
+    if "m/s" not in unit:
+        assert convert(1.0, unit, base_unit(unit)) == pytest.approx(
+            coefficient_factor(unit, "1"), rel=1e-14
+        )
+
+
+@pytest.mark.parametrize(
+    "spellings",
+    [
+        ("degC", "°C", "℃", "celsius", " degC "),
+        ("deg/s", "°/s", "º/s", "dps", "deg·s⁻¹", "degrees/second", "deg*s^-1", "deg s^-1"),
+        ("ug", "µg", "μg"),
+        ("m/s^2", "m/s²", "m/s**2", "m/s2", "m·s^-2", "m*s^(-2)"),
+        ("ug/Hz^0.5", "µg/√Hz", "ug/sqrt(Hz)"),
+        ("1", "-", "V/V"),
+        ("arcsec", "″"),
+        ("ppm/degC", "ppm/°C", "ppm*degC^-1"),
+    ],
+)
+def test_people_spell_units_in_many_ways(spellings):
+    for spelling in spellings:
+        check_unit(spelling)
+        assert same_dimension(spelling, spellings[0])
+        assert convert(7.0, spelling, spellings[0]) == pytest.approx(7.0, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown"),
+    [
+        ("deg/s/degC", "°/s/°C"),
+        ("ug", "µg"),
+        ("ug/mg^2", "µg/mg²"),
+        ("ppm/degC", "ppm/°C"),
+        ("deg/s/(degC/min)", "°/s/(°C/min)"),
+        ("arcsec/deg^2", "arcsec/°²"),
+        ("ug/Hz^0.5", "µg/√Hz"),
+        ("mV*s^-1", "mV·s⁻¹"),
+        ("dps", "°/s"),
+        ("delta_degC", "°C"),
+        ("%", "%"),
+        ("1", "1"),
+    ],
+)
+def test_units_are_shown_as_people_write_them(unit, shown):
+    assert pretty(unit) == shown
+    assert same_dimension(shown, unit)
+
+
+@pytest.mark.parametrize(
+    ("unit", "base"),
+    [
+        ("min", "s"),
+        ("degF", "degC"),
+        ("delta_degF", "delta_degC"),
+        ("deg/s", "rad/s"),
+        ("mg", "ug"),
+        ("m/s^2", "ug"),
+        ("V/g", "V/ug"),
+        ("K/min", "degC/s"),
+        ("%", "1"),
+        ("1/degC^2", "1/degC^2"),
+    ],
+)
+def test_what_no_instrument_prescribes_is_kept_in_base_units(unit, base):
+    assert base_unit(unit) == base
+    check_unit(base)
+
+
+@pytest.mark.parametrize(
+    ("unit", "message"),
+    [
+        ("", r"\[\] is not a unit: write one such as"),
+        ("degc", r"\[degc\] is not a unit known here: 'degc' is none \(is degC meant\?\)"),
+        ("foo", r"'foo' is none \(known are s, K, rad, ug"),
+        ("kg", "'kg' is none"),
+        ("Vs", "'Vs' is none"),
+        ("1e-6", "'e' is none"),
+        ("2*V", "without numbers in front"),
+        ("11", "without numbers in front"),
+        ("9**9**9**9", "without numbers in front"),
+        ("V^99", "without numbers in front"),
+        ("(V", r"\[\(V\] is not a unit"),
+        ("V//s", "is not a unit"),
+        ("V*", "is not a unit"),
+        ("__import__('os')", "'__import__' is none"),
+        ("u" * 99, "is not a unit"),
+    ],
+)
+def test_what_is_no_unit_is_refused_in_words(unit, message):
+    for use in (check_unit, pretty, base_unit, lambda u: convert(1.0, u, "V")):
+        with pytest.raises(InputError, match=message):
+            use(unit)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "V",
+            "deg/s",
+            r"\[V\] cannot be converted to \[deg/s\]: the one is voltage, the other angle",
+        ),
+        ("Hz", "1/s", r"frequency, the other \(time\)\^-1"),
+        ("m", "ug", "length, the other acceleration in local g"),
+        ("deg", "1", "angle, the other a plain number"),
+    ],
+)
+def test_another_dimension_is_refused(old, new, message):
+    assert not same_dimension(old, new)
+    with pytest.raises(InputError, match=message):
+        convert(1.0, old, new)
+
+
+def test_the_numbers_given_are_not_changed():
+    given = np.array([1.0, 2.0])
+    for unit in ("degC", "K"):
+        assert convert(given, "degC", unit) is not given
+    np.testing.assert_array_equal(given, [1.0, 2.0])

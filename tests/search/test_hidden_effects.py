@@ -1,0 +1,199 @@
+"""What the project is for: an effect is hidden in a simulated campaign, found, added, and the error falls.
+
+Campaigns are simulated by physics that no candidate's basis repeats (`mems_gyro/hidden_effects.py`), at sizes drawn
+at random: half to three times the plausible size, either sign, under seeds that nothing was tuned to.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._discovery.refit import laplace_evidence
+from bayescal_models import mems_gyro
+from bayescal_models.mems_gyro.campaign import SIZES
+
+INSTRUMENT = mems_gyro.INSTRUMENT
+CANDIDATES = tuple(name for name in SIZES if name != "bias.temperature")
+SAMPLE = ("bias.thermal_lag",)  # the fast tests; the slow ones hide every candidate
+# Claims that are not met, and why; docs/hidden_effects.md counts how often.
+LATE = pytest.mark.xfail(
+    reason="a short lag predicts better than a rate known half a minute late", strict=True
+)
+ALIAS = pytest.mark.xfail(
+    reason="the circuit's temperature is an exact alias, and stands first", strict=True
+)
+COVERED = pytest.mark.xfail(
+    reason="deviations of cells cover for it at an oracle of 8.2", strict=False
+)
+DETECTABLE = 8.0  # log Bayes factor of the true model against the baseline: the oracle
+
+
+def campaign_for(name: str) -> mems_gyro.Campaign:
+    rates = (0.0, 100.0, -100.0) if name.startswith("scale") else None
+    return mems_gyro.Campaign(rate_input=rates)
+
+
+def drawn_size(name: str, seed: int) -> float:
+    random = np.random.default_rng([seed, CANDIDATES.index(name)])
+    size = random.uniform(0.5, 3.0) * SIZES[name].value
+    return size if name == "bias.run" else size * random.choice([-1.0, 1.0])
+
+
+def search(effects: dict[str, float], seed: int, campaign: mems_gyro.Campaign) -> bc.Trail:
+    readings = mems_gyro.simulate(effects, seed=seed, campaign=campaign)
+    kept_apart = mems_gyro.simulate(effects, seed=seed + 1, campaign=campaign)
+    return bc.calibrate(INSTRUMENT.baseline(), readings, holdout=kept_apart)
+
+
+def oracle(effects: dict[str, float], trail: bc.Trail) -> tuple[float, float]:
+    """Log Bayes factor of the true model against the baseline, and its held-out rms error."""
+    first = trail.steps[0].calibration
+    model = INSTRUMENT.baseline()
+    for name in effects:
+        model = model + name
+    true = bc.fit(model, first.readings, strict=False)
+    assert true.log_evidence is not None
+    assert first.log_evidence is not None
+    assert trail.holdout is not None
+    return true.log_evidence[0] - first.log_evidence[0], bc.predict(true, trail.holdout).rmse
+
+
+def hidden_and_found(name: str, seed: int) -> None:
+    size = drawn_size(name, seed)
+    trail = search({name: size}, 1000 * seed + CANDIDATES.index(name), campaign_for(name))
+    added = {step.added for step in trail.steps} - {None}
+    factor, true_error = oracle({name: size}, trail)
+    before, after = trail.steps[0].holdout_rmse, trail.final.holdout_rmse
+    assert before is not None
+    assert after is not None
+    assert after <= 1.02 * before, (
+        f"{name} = {size:g}: held-out error rose from {before:g} to {after:g}"
+    )
+    if factor < DETECTABLE:
+        return  # too small to be seen here: only harm is forbidden
+    final = trail.final.calibration.model.names
+    assert name in final, f"{name} = {size:g} (oracle {factor:.1f}): added {added or 'nothing'}"
+    assert after <= 1.05 * true_error
+    found = trail.final.calibration.samples(name)
+    middle, spread = float(np.mean(found)), float(np.std(found))
+    if name != "bias.run":
+        # Physics and basis differ by a few per cent (a package between thermometer and die, an ageing curve).
+        assert abs(middle - size) < 4 * spread + 0.2 * abs(size)
+
+
+@pytest.mark.parametrize("name", SAMPLE)
+def test_a_hidden_effect_is_found_and_the_error_falls(name: str) -> None:
+    hidden_and_found(name, seed=7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=LATE if n == "bias.rate" else ()) for n in CANDIDATES]
+)
+def test_every_candidate_hidden_in_turn(name: str, seed: int) -> None:
+    hidden_and_found(name, seed)
+
+
+def elsewhere(name: str, effect: str, seed: int) -> None:
+    """One effect hidden in a campaign of another instrument, searched by least squares."""
+    module = import_module(f"bayescal_models.{name}")
+    plausible = module.INSTRUMENT.effect(effect).coefficients[0].size
+    random = np.random.default_rng([seed, len(effect)])
+    hidden = {effect: float(random.uniform(0.5, 3.0) * plausible * random.choice([-1.0, 1.0]))}
+    readings, later = (module.INSTRUMENT.simulate(hidden, seed=s) for s in (seed, seed + 1))
+    model = module.INSTRUMENT.for_readings(readings).baseline()
+    quick = bc.LeastSquares(draws=200)
+    trail = bc.calibrate(model, readings, holdout=later, method=quick)
+    first, final = trail.steps[0], trail.final
+    assert first.holdout_rmse is not None
+    assert final.holdout_rmse is not None
+    assert final.holdout_rmse <= 1.02 * first.holdout_rmse
+    factor = laplace_evidence(model + effect, first.calibration)
+    factor -= laplace_evidence(model, first.calibration)
+    if factor >= DETECTABLE:
+        added = [step.added for step in trail.steps if step.added]
+        assert effect in final.calibration.model.names, f"{hidden}, oracle {factor:.1f}: {added}"
+        true = bc.fit(model + effect, readings, quick)
+        assert final.holdout_rmse <= 1.05 * bc.predict(true, later).rmse
+
+
+OTHERS = {
+    "inclinometer": (
+        "zero.placement_quadratic",
+        "zero.projection",
+        "zero.temperature",
+        "zero.hysteresis",
+        "zero.cross_axis",
+    ),
+    "quartz_beam_accelerometer": ("bias.gradient", "bias.temperature_x_rate"),
+    "ng_accelerometer": ("base_tilt.lab_temperature", "second_order"),
+    "still_sensor": ("bias.temperature_quadratic", "bias.thermal_lag"),
+}
+MISSED = {"bias.gradient": ALIAS, "base_tilt.lab_temperature": COVERED}
+
+
+@pytest.mark.parametrize("effect", OTHERS["inclinometer"][:2])
+def test_an_effect_hidden_in_an_inclinometers_campaign(effect: str) -> None:
+    elsewhere("inclinometer", effect, seed=7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "effect"),
+    [pytest.param(n, e, marks=MISSED.get(e, ())) for n, found in OTHERS.items() for e in found],
+)
+def test_effects_hidden_in_campaigns_of_other_instruments(name: str, effect: str) -> None:
+    elsewhere(name, effect, seed=11)
+
+
+def test_nothing_hidden_nothing_added() -> None:
+    trail = search({}, 21, mems_gyro.Campaign())
+    assert [step.added for step in trail.steps] == [None]
+    discovery = trail.final.discovery
+    assert discovery is not None
+    assert discovery.nothing_missing > 0.5
+    assert trail.gate.ok
+
+
+@pytest.mark.slow
+def test_of_sixty_empty_campaigns_hardly_any_gains_an_effect() -> None:
+    reported = 0
+    for seed in range(300, 360):
+        readings = mems_gyro.simulate({}, seed=seed)
+        found = bc.discover(bc.fit(INSTRUMENT.baseline(), readings))
+        reported += bool(found.best)
+    assert reported <= 4  # 5 % of sixty, and one more: above it with probability 0.18 at a true 5 %
+
+
+@pytest.mark.slow
+def test_two_hidden_effects_are_both_found() -> None:
+    hidden = {"bias.thermal_lag": 0.05, "bias.temperature_quadratic": 1e-3}
+    trail = search(hidden, 41, mems_gyro.Campaign())
+    assert set(hidden) <= set(trail.final.calibration.model.names)
+    _, true_error = oracle(hidden, trail)
+    assert trail.final.holdout_rmse is not None
+    assert trail.final.holdout_rmse <= 1.05 * true_error
+
+
+def test_an_effect_outside_the_catalogue_is_not_explained_away_in_silence() -> None:
+    """Humidity acts and is recorded, but no candidate knows it: the check must name it."""
+    readings = mems_gyro.simulate({"unlisted.humidity": 0.04}, seed=51)
+    first = bc.check(bc.fit(INSTRUMENT.baseline(), readings))
+    assert first.entries[0].against == "humidity"
+    assert first.entries[0].log_bayes_factor > 5
+
+
+@pytest.mark.slow
+def test_wandering_noise_is_not_reported_as_an_effect() -> None:
+    """The same records under white noise and under the law that the loop chooses by itself."""
+    readings = mems_gyro.simulate({}, seed=61, noise_law="ornstein_uhlenbeck")
+    white = bc.calibrate(INSTRUMENT.baseline(), readings, widen_noise=False)
+    chosen = bc.calibrate(INSTRUMENT.baseline(), readings)
+    assert any(step.added for step in white.steps)  # what the assumption of white noise costs
+    assert not any(step.added for step in chosen.steps)
+    assert chosen.final.calibration.model.noise.law == "ornstein_uhlenbeck"

@@ -1,0 +1,128 @@
+"""What these readings cannot tell apart, another experiment can: ranked in closed form, and it holds when simulated."""
+
+from __future__ import annotations
+
+import ast
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._discovery import next_experiment
+from bayescal_models import mems_gyro
+
+INSTRUMENT = mems_gyro.INSTRUMENT
+RIVALS = ("bias.thermal_lag", "bias.reference_voltage")
+HIDDEN = {"bias.thermal_lag": 0.006}
+
+
+@pytest.fixture(scope="module")
+def line() -> bc.Calibration:
+    readings = mems_gyro.simulate(HIDDEN, seed=5)
+    return bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares())
+
+
+@pytest.fixture(scope="module")
+def ranked(line) -> bc.NextExperiment:
+    return bc.next_experiment(line, RIVALS)
+
+
+def normal(mean, covariance) -> next_experiment.Outlook:
+    return next_experiment.Outlook(np.asarray(mean, float), np.asarray(covariance, float))
+
+
+def test_the_divergence_is_that_of_two_normals() -> None:
+    rng = np.random.default_rng(1)
+    roots = rng.standard_normal((2, 3, 3))
+    one = normal([0, 1, 2], roots[0] @ roots[0].T + np.eye(3))
+    other = normal([1, 1, 0], roots[1] @ roots[1].T + np.eye(3))
+    draws = rng.multivariate_normal(one.mean, one.covariance, 200_000)
+
+    def log_density(o):
+        r = draws - o.mean
+        inner = np.einsum("ij,jk,ik->i", r, np.linalg.inv(o.covariance), r)
+        return -0.5 * (inner + np.linalg.slogdet(o.covariance)[1])
+
+    ratio = log_density(one) - log_density(other)
+    error = ratio.std() / np.sqrt(ratio.size)
+    assert abs(next_experiment.divergence(one, other) - ratio.mean()) < 5 * error
+    assert next_experiment.divergence(one, one) == pytest.approx(0, abs=1e-9)
+
+
+def test_rows_that_only_fill_up_change_nothing(line: bc.Calibration) -> None:
+    plan = mems_gyro.simulate({}, seed=9).select(np.arange(60))
+    exact, filled = next_experiment.outlook(line, plan), next_experiment.outlook(line, plan, 75)
+    assert np.allclose(exact.mean, filled.mean)
+    assert np.allclose(exact.covariance, filled.covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_every_listed_experiment_is_ranked(ranked: bc.NextExperiment) -> None:
+    assert ranked.members == RIVALS
+    assert {e.name for e in ranked.experiments} == {name for name, _ in INSTRUMENT.experiments}
+    worst = [e.worst for e in ranked.experiments]
+    assert worst == sorted(worst, reverse=True)
+    assert min(worst) >= 0
+    assert "least expected for" in str(ranked)
+
+
+def test_more_runs_tell_more_than_the_same_again(ranked: bc.NextExperiment) -> None:
+    expected = {e.name: e.worst for e in ranked.experiments}
+    assert expected["twice as many runs"] > expected["the same again"]
+
+
+@pytest.mark.slow
+def test_the_first_experiment_separates_what_the_last_does_not(
+    line: bc.Calibration, ranked: bc.NextExperiment
+) -> None:
+    fits = {
+        name: bc.fit(line.model + name, line.readings, bc.LeastSquares(draws=300))
+        for name in RIVALS
+    }
+    truth, rival = RIVALS
+    reached = {}
+    for best in (ranked.experiments[0], ranked.experiments[-1]):
+        a, b = (next_experiment.outlook(fits[name], best.readings) for name in (truth, rival))
+        # Campaigns that the possibility which is the truth expects, as it expects them.
+        draws = np.random.default_rng(2).multivariate_normal(a.mean, a.covariance, 400)
+        gain = []
+        for y in draws:
+            logs = []
+            for o in (a, b):
+                r = y - o.mean
+                logs.append(
+                    -0.5
+                    * (r @ np.linalg.solve(o.covariance, r) + np.linalg.slogdet(o.covariance)[1])
+                )
+            gain.append(logs[0] - logs[1])
+        reached[best.name] = np.mean(gain)
+        expected = best.expected[truth, rival]
+        assert abs(np.mean(gain) - expected) < 5 * np.std(gain) / np.sqrt(len(gain))
+    first, last = ranked.experiments[0].name, ranked.experiments[-1].name
+    assert reached[first] > 2 * reached[last]
+
+
+def test_one_effect_alone_has_nothing_to_be_told_from(line: bc.Calibration) -> None:
+    with pytest.raises(bc.ModelError, match="two effects or more"):
+        bc.next_experiment(line, RIVALS[:1])
+
+
+def test_an_unknown_dependence_becomes_a_draft_that_can_be_run() -> None:
+    readings = mems_gyro.simulate({"unlisted.humidity": 0.02}, seed=31)
+    model = INSTRUMENT.baseline() + "unknown(humidity)"
+    found = bc.fit(model, readings)
+    shape = bc.shape_of(found, "unknown(humidity)")
+    true = 2.0 * readings["humidity"]  # 0.02 per percent
+    assert shape.size == pytest.approx(np.std(true), rel=0.25)
+    slope = np.polyfit(shape.at, shape.mean, 1)[0]
+    assert slope == pytest.approx(2.0, rel=0.25)
+    draft = bc.template(found, "unknown(humidity)")
+    ast.parse(draft)
+    names: dict = {}
+    exec(draft, names)
+    again = bc.fit(INSTRUMENT.baseline() + names["effect"], readings, bc.LeastSquares())
+    assert again.mode.log_evidence > found.mode.log_evidence - 3
+
+
+def test_a_named_effect_has_no_draft(line: bc.Calibration) -> None:
+    with pytest.raises(bc.ModelError, match="named effect"):
+        bc.template(line, "bias.temperature")

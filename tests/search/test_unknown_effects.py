@@ -1,0 +1,137 @@
+"""What no named effect describes is named by its covariate, added, and gives way to the effect that explains it."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._model.frame import build_frame, derived, reference_of
+from bayescal_models import mems_gyro
+
+INSTRUMENT = mems_gyro.INSTRUMENT
+HUMID = {
+    "unlisted.humidity": 0.02
+}  # °/s per percent: no candidate of the catalogue, but a recorded column
+
+
+@pytest.fixture(scope="module")
+def trail() -> bc.Trail:
+    readings = mems_gyro.simulate(HUMID, seed=31)
+    return bc.calibrate(INSTRUMENT.baseline(), readings, holdout=mems_gyro.simulate(HUMID, seed=32))
+
+
+def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(trail: bc.Trail) -> None:
+    assert [s.added for s in trail.steps] == [None, "unknown(humidity)"]
+    before, after = trail.steps[0].holdout_rmse, trail.final.holdout_rmse
+    assert before is not None
+    assert after is not None
+    assert after < 0.9 * before  # the other test has other humidities: there it extrapolates
+
+
+def test_its_amplitude_is_the_size_that_is_reported(trail: bc.Trail) -> None:
+    first = trail.steps[0].discovery
+    assert first is not None
+    found = next(c for c in first.candidates if c.effect == "unknown(humidity)")
+    humidity = trail.final.calibration.readings["humidity"]
+    true = 0.02 * 100 * float(np.std(humidity))  # percent are fractions inside
+    assert found.kind == "finding"
+    assert 0.3 * true < found.size < 6 * true  # the range's standard deviation, known to a factor
+    assert found.unit == "deg/s"
+
+
+def test_least_squares_fits_and_predicts_with_it(trail: bc.Trail) -> None:
+    """Its amplitude must not run away while its coefficients shrink: draws of their product would be worthless."""
+    sampled, readings = trail.final.calibration, trail.final.calibration.readings
+    fitted = bc.fit(sampled.model, readings, bc.LeastSquares(draws=400), strict=False)
+    assert fitted.verdict.ok
+    within = bc.predict(sampled).rmse
+    assert bc.predict(fitted).rmse < 1.05 * within
+    amplitude = "unknown(humidity).amplitude"
+    ratio = fitted.samples(amplitude).mean() / np.median(sampled.samples(amplitude))
+    assert 0.2 < ratio < 5
+
+
+def test_far_beyond_the_range_of_the_fit_it_says_nothing() -> None:
+    readings = mems_gyro.simulate(HUMID, seed=1)
+    far = readings.with_column("humidity", readings["humidity"] + 10.0)
+    frame = build_frame(far, reference_of(readings))
+    columns = INSTRUMENT.unknown("humidity").evaluate(frame, {"length": 0.3, "amplitude": 1.0})
+    assert np.allclose(columns, 0.0, atol=1e-12)
+
+
+def test_a_calibration_with_it_is_saved_and_loaded(trail: bc.Trail, tmp_path) -> None:
+    final = trail.final.calibration
+    final.save(tmp_path / "c.nc")
+    again = bc.load(tmp_path / "c.nc")
+    assert again.model.names == final.model.names
+    fresh = mems_gyro.simulate(HUMID, seed=33)
+    assert np.allclose(bc.predict(again, fresh).mean, bc.predict(final, fresh).mean)
+
+
+def test_its_prior_is_a_smooth_process_of_the_stated_amplitude() -> None:
+    readings = mems_gyro.simulate({}, seed=1)
+    frame = build_frame(readings, reference_of(readings))
+    effect = INSTRUMENT.unknown("temperature")
+    columns = np.asarray(effect.evaluate(frame, {"length": 0.3, "amplitude": 2.0}))
+    position = np.asarray(frame.position("temperature"))
+    kernel = columns @ columns.T
+    inner = (position > 0.1) & (position < 0.9)
+    exact = 4.0 * np.exp(-0.5 * ((position[:, None] - position[None, :]) / 0.3) ** 2)
+    assert np.allclose(kernel[np.ix_(inner, inner)], exact[np.ix_(inner, inner)], atol=0.3)
+
+
+def test_its_gradient_is_finite_at_any_length() -> None:
+    readings = mems_gyro.simulate({}, seed=1).select(np.arange(20))
+    frame = build_frame(readings, reference_of(readings))
+    effect = INSTRUMENT.unknown("time")
+
+    def total(length):
+        return effect.evaluate(frame, {"length": length, "amplitude": 1.0}).sum()
+
+    for length in (1e-3, 0.3, 100.0):
+        assert np.isfinite(jax.grad(total)(length))
+
+
+def test_covariates_are_the_recorded_columns_and_what_is_derived_from_time() -> None:
+    names = set(derived(mems_gyro.simulate(HUMID, seed=1)))
+    assert names >= {"temperature", "board_temperature", "time", "humidity", "elapsed"}
+    assert "temperature rate" in names
+    assert not names & {"output", "run", "temperature_point"}
+
+
+def test_all_unknown_dependences_together_have_a_small_share_of_the_prior(trail: bc.Trail) -> None:
+    found = trail.steps[0].discovery
+    assert found is not None
+    share = sum(c.prior for c in found.candidates if c.effect.startswith("unknown("))
+    assert share == pytest.approx(0.1)
+
+
+def test_two_named_effects_are_not_taken_for_one_unknown_function() -> None:
+    """A drift and a curve in temperature look like one function of time; together they explain more than it does."""
+    hidden = {"bias.temperature_quadratic": 5e-4, "bias.drift": 0.25}
+    readings = mems_gyro.simulate(hidden, seed=35)
+    found = bc.discover(bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares(draws=200)))
+    assert {name for s in found.sets for name in s.effects} >= set(hidden)
+    assert found.best[0].name in hidden
+
+
+@pytest.mark.slow
+def test_a_named_effect_is_preferred_to_an_unknown_dependence_on_its_covariate() -> None:
+    curved = mems_gyro.simulate({"bias.temperature_quadratic": 1e-3}, seed=34)
+    found = bc.discover(bc.fit(INSTRUMENT.baseline(), curved))
+    assert [e.name for e in found.best] == ["bias.temperature_quadratic"]
+
+
+def test_an_instrument_without_a_slot_in_the_output_unit_says_so() -> None:
+    bare = bc.Instrument(
+        "bare",
+        "no bias",
+        INSTRUMENT.columns,
+        (bc.Slot("scale", "1"),),
+        lambda slots, r: slots["scale"] * r["temperature"],
+        INSTRUMENT.effects[:0],
+    )
+    with pytest.raises(bc.ModelError, match="no slot in the unit of its output"):
+        bare.unknown("temperature")

@@ -1,0 +1,121 @@
+"""The quartz beam accelerometer's simulated world: thermometers that hang together, effects as large as stated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._model.frame import build_frame, reference_of
+from bayescal_models import quartz_beam_accelerometer as quartz
+from bayescal_models.quartz_beam_accelerometer.campaign import GRID
+from bayescal_models.quartz_beam_accelerometer.hidden_effects import LAWS, SIZES
+from bayescal_models.quartz_beam_accelerometer.thermal import body, make_world
+
+CANDIDATES = {e.name: e for e in quartz.INSTRUMENT.candidates}
+PLAIN = quartz.simulate(seed=3)
+
+
+def test_every_candidate_can_be_hidden_and_no_other_law_exists() -> None:
+    laws = {f"{slot}.{cause}" for slot in ("bias", "scale") for cause in LAWS}
+    assert set(CANDIDATES) == {*laws, "second_order"}
+
+
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_a_hidden_effect_is_linear_in_its_size_and_near_its_basis(name: str) -> None:
+    effect = CANDIDATES[name]
+    size = effect.coefficients[0].size
+    once, twice = (quartz.simulate({name: k * size}, seed=3)["output"] for k in (1, 2))
+    change = once - PLAIN["output"]
+    np.testing.assert_allclose(twice - PLAIN["output"], 2 * change, atol=1e-8)
+    if effect.coefficients[0].per is not None:  # turn-on and cell: chance, not a basis
+        groups, codes = PLAIN.groups(effect.coefficients[0].per)
+        by = PLAIN["acceleration"] if name.startswith("scale") else np.ones(len(PLAIN))
+        shown = [
+            (change / np.where(by, by, np.nan))[(codes == i) & (by != 0)]
+            for i in range(len(groups))
+        ]
+        assert max(np.ptp(v) for v in shown if v.size) < 1e-6
+        assert np.ptp([v[0] for v in shown if v.size]) > 0
+        return
+    frame = build_frame(PLAIN, reference_of(PLAIN))
+    shape = {"thermal_lag": 600.0, "warm_up": 900.0}.get(name.partition(".")[2])
+    basis = np.asarray(effect.evaluate(frame, {"tau": shape} if shape else {}))[:, 0]
+    a = PLAIN["acceleration"] / 1e6
+    basis = basis * {"bias": 1.0, "scale": a, "second_order": a**2}[effect.slot]
+    ramps = np.isnan(PLAIN["temperature_point"])
+    assert np.corrcoef(basis[ramps], change[ramps])[0, 1] > 0.9
+
+
+def test_uncompensated_change_is_what_the_source_names() -> None:
+    for device in ("cubic", "beams"):
+        true = quartz.true_values(quartz.Campaign(device=device))
+        assert np.ptp(true.bias) > 5000  # µg: source 2, more than 5 mg
+        assert np.ptp(true.scale) > 500  # ppm
+
+
+def test_circuit_and_head_follow_the_chamber_and_each_other() -> None:
+    plan = quartz.Campaign(thermometer_noise=0.0)
+    world = make_world(plan)
+    soaked = world.cell >= 0
+    t1, t2 = world.average(world.circuit), world.average(world.head)
+    # Soaked: circuit warmer by its own heat, head by its share of that; both still.
+    np.testing.assert_allclose(t1[soaked] - world.point[soaked], plan.self_heating, atol=0.02)
+    expected = plan.coupling * plan.self_heating
+    np.testing.assert_allclose(t2[soaked] - world.point[soaked], expected, atol=0.02)
+    assert np.abs(world.average(world.head_rate))[soaked].max() < 0.005
+    # On ramps the head lags more than the circuit: the gradient goes with the rate, both ways.
+    ramp = (world.run == 2) & ~soaked
+    rate, gradient = world.average(world.head_rate)[ramp], (t1 - t2)[ramp]
+    assert rate.max() > 1.8 and rate.min() < -1.8
+    assert np.corrcoef(rate, gradient)[0, 1] > 0.8
+    # Power-on: the circuit warms while the room does not.
+    first = np.flatnonzero(ramp)[:10]
+    assert t1[first[-1]] - t1[first[0]] > 2.0
+
+
+def test_a_body_follows_a_ramp_behind_by_its_time_constant() -> None:
+    ramp = 0.02 * GRID * np.arange(2000)  # 0.02 °C/s
+    assert ramp[-1] - body(ramp, 300.0)[-1] == pytest.approx(0.02 * 300.0, rel=1e-6)
+
+
+def test_the_beams_lag_so_that_up_and_down_ramps_differ() -> None:
+    plan = quartz.Campaign(repeats=0, attitudes=(0.0,), device="beams")
+    true, head = quartz.true_values(plan).bias, make_world(plan)
+    t2, rate = head.average(head.head), head.average(head.head_rate)
+    up, down = (true[(abs(t2) < 5) & (np.sign(rate) == s)].mean() for s in (1, -1))
+    assert abs(up - down) > 100  # µg: hysteresis that temperature alone cannot tell
+
+
+def test_same_seed_same_noise_and_same_rows_whatever_is_hidden() -> None:
+    again = quartz.simulate(seed=3)
+    np.testing.assert_array_equal(again["output"], PLAIN["output"])
+    other = quartz.simulate(seed=4)
+    assert other["output"].shape == PLAIN["output"].shape
+    assert not np.allclose(other["output"], PLAIN["output"])
+    wander = quartz.simulate(seed=3, campaign=quartz.Campaign(noise_law="ornstein_uhlenbeck"))
+    assert np.std(wander["output"] - PLAIN["output"]) == pytest.approx(5.0, rel=0.5)
+
+
+def test_refusals_of_the_simulator() -> None:
+    with pytest.raises(ValueError, match=r"no effect 'bias.humidity' can be hidden"):
+        quartz.simulate({"bias.humidity": 1.0}, seed=0)
+    with pytest.raises(
+        ValueError, match=r"no effect 'bias.temperature_head' can be hidden in a 'beams'"
+    ):
+        quartz.simulate(
+            {"bias.temperature_head": 1.0}, seed=0, campaign=quartz.Campaign(device="beams")
+        )
+    with pytest.raises(ValueError, match=r"the size of 'bias.drift' is nan"):
+        quartz.simulate({"bias.drift": float("nan")}, seed=0)
+    with pytest.raises(ValueError, match="longer than interval"):
+        quartz.Campaign(interval=30.0)
+    with pytest.raises(ValueError, match="neither a tumble run nor a ramp"):
+        quartz.Campaign(repeats=0, attitudes=())
+
+
+def test_sizes_are_those_of_the_data_sheet() -> None:
+    assert CANDIDATES["bias.temperature_circuit"].coefficients[0].size == 50.0
+    assert CANDIDATES["scale.temperature_circuit"].coefficients[0].size == 5.0
+    assert SIZES["gradient_cubic"].value == 0.1
+    assert isinstance(CANDIDATES["second_order"].coefficients[0].prior, bc.Normal)

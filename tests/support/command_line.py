@@ -1,0 +1,88 @@
+"""Run commands in the test's own process: what the tests of the command line share."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+import pytest
+
+from bayescal._cli import main
+from bayescal_models import mems_gyro
+
+TABLE = mems_gyro.TABLE
+GYRO = ("--instrument", "mems_gyro")
+QUICK = ("--method", "least-squares")
+
+# An instrument is found by name where its package is installed, as `make test` does it.
+needs_installation = pytest.mark.skipif(
+    "mems_gyro" not in entry_points(group="bayescal.instruments").names,
+    reason="bayescal is not installed here: pip install -e .",
+)
+
+OWN_INSTRUMENT = """
+import bayescal as bc
+from bayescal import effects
+
+INSTRUMENT = bc.Instrument(
+    name="level",
+    title="an electronic level",
+    columns=(bc.Column("temperature", "degC"), bc.Column("output", "arcsec")),
+    slots=(bc.Slot("zero", "arcsec"),),
+    response=lambda slots, r: slots["zero"],
+    effects=(effects.constant("zero", 100.0, "arcsec", source="data sheet"),),
+    candidates=(effects.linear("zero", 1.0, "arcsec/degC", source="data sheet"),),
+    noise=bc.White(bc.HalfCauchy(1.0)),
+)
+"""
+
+
+def write_bent_table(path: Path) -> Path:
+    """The gyro's table with a strong quadratic term, 1e-3 °/s/°C² about 57 °C, added to it."""
+    table = pd.read_csv(TABLE)
+    temperature, output = table.columns
+    table[output] += 1e-3 * (table[temperature] - 57.0) ** 2
+    table.to_csv(path, index=False)
+    return path
+
+
+class Ran(NamedTuple):
+    """What a command left: exit status, standard output, standard error."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def said(self) -> list[str]:
+        """Lines on standard error, without those that tell how far it is."""
+        return [line for line in self.err.splitlines() if not line.endswith("…")]
+
+    @property
+    def data(self) -> Any:
+        return json.loads(self.out, parse_constant=_refuse)
+
+
+def _refuse(token: str) -> None:
+    raise AssertionError(f"{token} is not JSON")
+
+
+def run(*arguments: object) -> Ran:
+    """Run a command in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    status = None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["bayescal", *map(str, arguments)])
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            try:
+                main.main()
+            except SystemExit as left:
+                status = left.code
+    assert isinstance(status, int)
+    return Ran(status, out.getvalue(), err.getvalue())

@@ -1,0 +1,185 @@
+"""What the contract suite asks of an instrument, compiled and fitted once for all its checks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import bayescal as bc
+import bayescal_models
+from bayescal._calibration.fit import bind
+from bayescal._inference import importance_sampling, laplace, marginal, sampled_products
+from bayescal._model import forward
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.model import testable
+from bayescal._model.parameters import Layout
+from benchmarks import make_certified
+
+STEP = 1e-3  # of the finite differences, prior standard deviations
+SEED = 17
+
+
+@dataclass(eq=False)
+class Bound:
+    """A model bound to readings at a point drawn from its priors, φ at its prior medians."""
+
+    layout: Layout
+    frame: bc.Frame
+    x: jax.Array
+    rows: jax.Array
+    v: jax.Array
+
+    @classmethod
+    def of(cls, model: bc.Model, readings: bc.Measurements) -> Bound:
+        layout, _ = bind(model, readings)
+        frame = build_frame(readings, reference_of(readings))
+        random, v = np.random.default_rng(SEED), jnp.zeros(len(layout.hypers))
+        sd = forward.prior_sd(layout, forward.hyper_values(layout, v))
+        x = forward.prior_mean(layout) + sd * random.standard_normal(layout.size)
+        shape = (frame.size, len(layout.row_blocks))
+        rows = forward.row_sd(layout) * random.standard_normal(shape)
+        return cls(layout, frame, x, rows, v)
+
+    @property
+    def hyper(self) -> forward.Values:
+        return forward.hyper_values(self.layout, self.v)
+
+
+@eqx.filter_jit
+def differences(layout: Layout, frame, x, rows, v) -> tuple[Any, jax.Array, jax.Array, jax.Array]:
+    """Linearised form, prior sd of x, and central differences by x and by the per-reading coefficients."""
+    hyper = forward.hyper_values(layout, v)
+    sd = forward.prior_sd(layout, hyper)
+
+    def by(push):
+        return forward.mean(layout, frame, x + STEP * push * sd, rows, hyper)
+
+    def along(one):
+        return (by(one) - by(-one)) / (2 * STEP)
+
+    columns = jax.lax.map(along, jnp.eye(layout.size)).T
+    widths = forward.row_sd(layout)
+    in_rows = []
+    for k in range(len(layout.row_blocks)):  # a reading's own coefficient moves that reading alone
+        push = STEP * widths[k] * jnp.zeros_like(rows).at[:, k].set(1.0)
+        ends = [forward.mean(layout, frame, x, rows + s * push, hyper) for s in (1, -1)]
+        in_rows.append((ends[0] - ends[1]) / (2 * STEP * widths[k]))
+    stacked = jnp.stack(in_rows, 1) if in_rows else jnp.zeros((frame.size, 0))
+    return forward.linearise(layout, frame, x, rows, hyper), sd, columns, stacked
+
+
+class Case:
+    """One instrument: its folder, its proving ground, and the fits that several checks share."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.module: ModuleType = import_module(f"bayescal_models.{name}")
+        self.offered: bc.Instrument = self.module.INSTRUMENT
+
+    def __repr__(self) -> str:
+        return self.name
+
+    @property
+    def folder(self) -> Path:
+        return Path(bayescal_models.__file__).parent / self.name
+
+    @cached_property
+    def proving(self) -> ModuleType:
+        return import_module(f"bayescal_models.{self.name}.proving")
+
+    @cached_property
+    def model(self) -> bc.Model:
+        return self.proving.model()
+
+    @cached_property
+    def readings(self) -> bc.Measurements:
+        return self.proving.readings(seed=0)
+
+    @property
+    def instrument(self) -> bc.Instrument:
+        """The instrument of the proving ground: where it has to be tailored, it is."""
+        return self.model.instrument
+
+    @cached_property
+    def structural(self) -> tuple[bc.Effect, ...]:
+        """Effects that only the instrument's further model structures hold."""
+        own = {e.name for e in self.own_effects}
+        made = [effect for _, make in self.instrument.structures for effect in make().effects]
+        return tuple({e.name: e for e in made if e.name not in own}.values())
+
+    @property
+    def own_effects(self) -> tuple[bc.Effect, ...]:
+        """Baseline and candidates."""
+        return (*self.instrument.effects, *self.instrument.candidates)
+
+    @cached_property
+    def wide(self) -> bc.Model:
+        """The proving model with every candidate that the proving readings can test."""
+        return self.model + [
+            e
+            for e in self.instrument.candidates
+            if e.name not in self.model.names and testable(e, self.readings) is None
+        ]
+
+    @cached_property
+    def bound(self) -> Bound:
+        return Bound.of(self.wide, self.readings)
+
+    @cached_property
+    def differences(self):
+        b = self.bound
+        return jax.tree.map(np.asarray, differences(b.layout, b.frame, b.x, b.rows, b.v))
+
+    def sample(self, model: bc.Model, readings: bc.Measurements) -> None:
+        """The two programs of the default method, as `fit` calls them: mode, then importance sampling."""
+        layout, _ = bind(model, readings)
+        layout = layout.promote(*self.promoted)
+        frame, y = build_frame(readings, reference_of(readings)), jnp.asarray(readings["output"])
+        mode = laplace.compiled_mode(layout, frame, y)
+        count, rounds = marginal._proposals(layout, frame), bc.Marginal().rounds
+        importance_sampling.sample_jit(layout, frame, y, mode, jax.random.key(0), count, rounds)
+
+    @cached_property
+    def promoted(self) -> tuple[str, ...]:
+        layout, _ = bind(self.model, self.readings)
+        frame = build_frame(self.readings, reference_of(self.readings))
+        return sampled_products.choose(layout, frame, jnp.asarray(self.readings["output"]), None)[
+            0
+        ].promoted
+
+    @cached_property
+    def certified(self) -> dict[str, Any]:
+        """The reference posterior of the proving ground."""
+        return json.loads((self.folder / "certified.json").read_text("utf-8"))
+
+    @cached_property
+    def marginal(self) -> bc.Calibration:
+        return bc.fit(self.model, self.readings)
+
+    @cached_property
+    def least_squares(self) -> bc.Calibration:
+        return bc.fit(self.model, self.readings, bc.LeastSquares())
+
+    @property
+    def hide(self) -> Callable[..., bc.Measurements]:
+        """`hide(effects, seed=…)`: a campaign in which each candidate can show itself."""
+        own = getattr(self.proving, "hidden", None)
+        assert self.instrument.simulate is not None
+        return own or self.instrument.simulate
+
+
+def columns_of(calibration: bc.Calibration) -> dict[str, np.ndarray]:
+    """Draws (chains, draws) of every unknown; members of a group each by number, as in certified.json."""
+    posterior = calibration.tree["posterior"].to_dataset()
+    return {name: draws for name, (draws, _) in make_certified.columns_of(posterior).items()}
