@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import bayescal as bc
-from bayescal._diagnostics.text import number, pretty
+from bayescal._core.formatting import number
+from bayescal._readings.units import unit_label
 
 HERE = Path(__file__).parent
 KEPT = HERE.parent / "benchmarks" / "results" / "faults.json"
@@ -99,7 +100,7 @@ def page(all_: dict[str, list[dict[str, Any]]]) -> str:
 
 
 def _line(entry: dict[str, Any]) -> str:
-    unit = pretty(entry["unit"])
+    unit = unit_label(entry["unit"])
     cells = [f"`{entry['effect']}`", f"{number(entry['plausible'], 2)} {unit}"]
     cells.append("–" if entry["needed"] is None else f"{number(entry['needed'], 2)} {unit}")
     if "leans_on" in entry:

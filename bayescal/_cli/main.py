@@ -295,7 +295,8 @@ def predict(
 ) -> None:
     """Predict readings with a calibration, and compare."""
     from bayescal._cli import arguments
-    from bayescal._diagnostics.text import number, pretty
+    from bayescal._core.formatting import number
+    from bayescal._readings.units import unit_label
 
     loaded = arguments.saved(calibration, effects_file, instrument)
     readings = arguments.read_files(loaded.model.instrument, files, columns, unit, local_gravity)
@@ -304,7 +305,7 @@ def predict(
     if out is not None:
         arguments.write_prediction(found, readings, out)
     expected = float((found.sd**2).mean()) ** 0.5
-    shown = pretty(loaded.unit)
+    shown = unit_label(loaded.unit)
     text = (
         f"{len(readings)} readings: rms error {number(found.rmse)} {shown}, "
         f"expected {number(expected)} {shown}" + (f"\nwritten: {out}" if out else "")

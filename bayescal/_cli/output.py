@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._core.formatting import WIDTH, number, table
 from bayescal._diagnostics.check import Check
 from bayescal._diagnostics.compare import Comparison
 from bayescal._diagnostics.summary import null_directions, summary
-from bayescal._diagnostics.text import WIDTH, number, pretty, table
 from bayescal._discovery.calibrate import Trail
 from bayescal._discovery.draft_effect import template
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
+from bayescal._readings.units import unit_label
 from bayescal._report.result_json import clean
 
 UNEXPLAINED = 3.0  # log Bayes factor from which structure in the residuals is worth a sentence
@@ -23,7 +24,7 @@ Kinds = Mapping[str, Sequence[Effect]]
 
 
 def instruments_text(known: Mapping[str, Instrument]) -> str:
-    rows = [[name, pretty(i.unit), i.title] for name, i in known.items()]
+    rows = [[name, unit_label(i.unit), i.title] for name, i in known.items()]
     return table(["instrument", "output", "measures"], rows, left=2, fold=40)
 
 
@@ -46,7 +47,7 @@ def effects_text(kinds: Kinds) -> str:
         rows = []
         for e in effects:
             first = e.coefficients[0]
-            size = f"{number(first.size)} {pretty(first.unit)}".rstrip()
+            size = f"{number(first.size)} {unit_label(first.unit)}".rstrip()
             equation = e.equation.replace(",  ", ",\n")
             rows.append([e.name, size, ", ".join(e.columns) or "–", equation])
             by_source.setdefault(e.source, []).append(e.name)
@@ -116,7 +117,7 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
     for e in check.entries:
         open_ = e.against not in used and calibration.readings.has(e.against)
         if open_ and e.log_bayes_factor > UNEXPLAINED:
-            size = f"{abs(e.worst.size):.2g} {pretty(check.unit)}"
+            size = f"{abs(e.worst.size):.2g} {unit_label(check.unit)}"
             lines.append(
                 f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "
                 f"{e.log_bayes_factor:.1f}), which no effect of {instrument.name} uses; what is "

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import textwrap
-import unicodedata
-from math import floor, log10
 from typing import TYPE_CHECKING
 
+from bayescal._core.formatting import WIDTH, interval, number, probability, table, with_error
 from bayescal._diagnostics.summary import null_directions, summary
-from bayescal._readings.units import pretty as pretty_unit
+from bayescal._readings.units import unit_label
 
 if TYPE_CHECKING:
     from bayescal._calibration.calibration import Calibration
@@ -23,107 +22,11 @@ CLEAR = 5.0  # expected log Bayes factor from which an experiment tells two effe
 STRUCTURE = (
     3.0  # log Bayes factor from which two covariates together are worth a line, if above each one's
 )
-WIDTH = 110  # columns that a table or a sentence should fit in
-
-
-def pretty(unit: str) -> str:
-    """A unit for people; nothing for a number without one."""
-    return pretty_unit(unit) if unit not in ("", "1") else ""
-
-
-def _width(text: str) -> int:
-    """Columns that a text takes: the mark over a letter takes none."""
-    return sum(not unicodedata.combining(c) for c in text)
-
-
-def table(head: list[str], rows: list[list[str]], left: int = 1, fold: int = 0) -> str:
-    """Columns under a ruled head.
-
-    Args:
-        head, rows: cells; in a folded column, a line break stays one.
-        left: this many columns are flush left, the others flush right.
-        fold: if not zero, the last column is flush left too, and is folded to this width or to
-            what is left of the page, whichever is more.
-    """
-    widths = [
-        max(_width(t) for r in [head, *rows] for t in r[i].split("\n")) for i in range(len(head))
-    ]
-    if fold:
-        room = WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1)
-        widths[-1] = min(widths[-1], max(room, fold))
-
-    def line(cells: list[str]) -> str:
-        *most, last = cells
-        folded = [t for part in last.split("\n") for t in _folded(part, widths[-1] if fold else 0)]
-        parts = []
-        for i, (cell, width) in enumerate(zip([*most, folded[0]], widths, strict=True)):
-            space = " " * (width - _width(cell))
-            flush_left = i < left or (fold and i == len(cells) - 1)
-            parts.append(cell + space if flush_left else space + cell)
-        indent = " " * (sum(widths[:-1]) + 2 * (len(widths) - 1))
-        return "\n".join(["  ".join(parts).rstrip(), *(indent + rest for rest in folded[1:])])
-
-    return "\n".join([line(head), "  ".join("─" * w for w in widths), *(line(r) for r in rows)])
-
-
-def _folded(text: str, width: int) -> list[str]:
-    return [text] if _width(text) <= width or not width else textwrap.wrap(text, width)
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Significant digits, no exponent where it can be avoided, – for nothing."""
-    if value is None:
-        return "–"
-    if value == 0 or 1e-4 <= abs(value) < 1e6:
-        text = f"{value:.{digits}g}"
-        return f"{float(text):.0f}" if "e" in text else text
-    return f"{value:.{digits}g}"
-
-
-def _scaled(value: float, error: float) -> tuple[int, int]:
-    """(power of ten to take out, decimal places that show the error to two digits)."""
-    place = floor(log10(error))
-    largest = max(place, floor(log10(abs(value))) if value else place)
-    power = largest if largest < -3 or largest > 6 else 0
-    return power, max(0, 1 - place + power)
-
-
-def with_error(value: float, error: float) -> str:
-    """value ± error, the error to two significant digits and the value to the same place.
-
-    A value without a sizeable error (held at an estimate, not sampled) stands alone.
-    """
-    if not error > 1e-9 * abs(value):
-        return number(value, 4)
-    power, places = _scaled(value, error)
-    if places > 8:
-        return f"{value:.6g} ± {error:.2g}"
-    text = f"{value / 10**power:z.{places}f} ± {error / 10**power:.{places}f}"
-    return f"({text})e{power}" if power else text
-
-
-def _interval(low: float, high: float, mean: float, error: float) -> str:
-    """The two ends, to the place of the error, or one further where that is coarse."""
-    if not error > 1e-9 * abs(mean):
-        return "–"
-    power, places = _scaled(mean, error)
-    if places > 8:
-        return f"{low:.6g} to {high:.6g}"
-    text = f"{low / 10**power:z.{places}f} to {high / 10**power:z.{places}f}"
-    return f"({text})e{power}" if power else text
-
-
-def probability(p: float | None) -> str:
-    if p is None:
-        return "–"
-    if p > 0.995:
-        return "> 0.99"
-    return f"{p:.2f}" if p >= 0.005 else "< 0.01"
 
 
 def check_text(check: Check) -> str:
     """Where a model fails, the worst covariate first."""
-    unit = pretty(check.unit)
+    unit = unit_label(check.unit)
     rows = [
         [
             e.against,
@@ -161,7 +64,7 @@ def _where(against: str, region: Region) -> str:
     if against == "order":
         rows = f"{region.low:.0f} to {region.high:.0f}"
         return f"row {region.low:.0f}" if region.low == region.high else f"rows {rows}"
-    unit = pretty(region.covariate_unit)
+    unit = unit_label(region.covariate_unit)
     place = f"{number(region.low, 4)} to {number(region.high, 4)} {unit}".rstrip()
     if region.low == region.high:
         place = f"at {number(region.low, 4)} {unit}".rstrip()
@@ -169,7 +72,7 @@ def _where(against: str, region: Region) -> str:
 
 
 def _fixed_text(check: Check) -> str:
-    f, unit = check.fixed, pretty(check.unit)
+    f, unit = check.fixed, unit_label(check.unit)
     assert f is not None
     known = sum(v**2 for v in f.known.values()) ** 0.5
     lines = [
@@ -215,7 +118,7 @@ def _candidate_row(c: Candidate) -> list[str]:
         c.effect,
         probability(c.probability),
         factor + ("*" if c.source == "refit" else " "),
-        f"{with_error(c.size or 0.0, c.size_sd or 0.0)} {pretty(c.unit)}".rstrip(),
+        f"{with_error(c.size or 0.0, c.size_sd or 0.0)} {unit_label(c.unit)}".rstrip(),
         number(c.minimum_detectable, 2),
         remark,
     ]
@@ -249,7 +152,7 @@ def _not_testable(found: Discovery) -> list[str]:
 
 def comparison_text(found: Comparison) -> str:
     """Models side by side, the best first."""
-    unit = pretty(found.unit)
+    unit = unit_label(found.unit)
     grouped = found.chosen_by == "left-out groups"
     head = ["model", f"rmse [{unit}]"]
     head += [f"left-out {found.group}", "score", "difference"] if grouped else []
@@ -293,7 +196,7 @@ def experiment_text(found: NextExperiment) -> str:
 
 def trail_text(trail: Trail) -> str:
     """The error, step by step."""
-    unit = pretty(trail.final.calibration.unit)
+    unit = unit_label(trail.final.calibration.unit)
     head = [
         *("step", f"rmse [{unit}]", "left-out", "held-out", "noise", "floor"),
         *("log evidence", "nothing missing"),
@@ -323,9 +226,9 @@ def calibration_text(calibration: Calibration) -> str:
     for s in (*coefficients, *spreads):
         contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
         low, high = s["interval95"]
-        interval = _interval(low, high, s["mean"], s["sd"])
+        ends = interval(low, high, s["mean"], s["sd"])
         value = with_error(s["mean"], s["sd"])
-        rows.append([s["name"], value, pretty(s["unit"]), interval, contraction])
+        rows.append([s["name"], value, unit_label(s["unit"]), ends, contraction])
     head = [
         *("unknown", "mean ± standard uncertainty", "unit"),
         *("95 % credible interval", "contraction"),
@@ -348,9 +251,9 @@ def calibration_text(calibration: Calibration) -> str:
 
 def budget_text(found: Budget) -> str:
     """Both tables of an uncertainty budget; k and the kind of each interval said."""
-    unit = pretty(found.unit)
+    unit = unit_label(found.unit)
     at = ", ".join(
-        f"{name} = {number(value, 4)} {pretty(found.at_units[name])}".strip()
+        f"{name} = {number(value, 4)} {unit_label(found.at_units[name])}".strip()
         for name, value in found.at.items()
     )
     parts = [
@@ -360,7 +263,7 @@ def budget_text(found: Budget) -> str:
             [
                 [
                     c.name,
-                    f"{with_error(c.value, c.uncertainty)} {pretty(c.unit)}".strip(),
+                    f"{with_error(c.value, c.uncertainty)} {unit_label(c.unit)}".strip(),
                     number(c.sensitivity),
                     number(c.contribution),
                     f"{100 * c.share:.1f} %",

@@ -15,9 +15,9 @@ from arviz_base import from_dict
 
 from bayescal._calibration.calibration import Verdict
 from bayescal._core.errors import InputError, ModelError, NotConverged
+from bayescal._core.formatting import WIDTH, table, with_error
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._core.progress import stage
-from bayescal._diagnostics.text import WIDTH, table, with_error
 from bayescal._inference import nuts_chains
 from bayescal._inference.marginal import (
     CHAINS,

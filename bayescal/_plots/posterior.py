@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
+from bayescal._core.formatting import number
 from bayescal._diagnostics.summary import summary
-from bayescal._diagnostics.text import number
 from bayescal._plots.style import (
     BLUE,
     GREY,

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from bayescal._diagnostics.text import number
+from bayescal._core.formatting import number
 from bayescal._discovery.discover import Discovery
 from bayescal._discovery.search_path import Trail
 from bayescal._plots.residuals import residual_panel

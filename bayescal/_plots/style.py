@@ -11,7 +11,7 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from bayescal._diagnostics.text import pretty
+from bayescal._readings.units import unit_label
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, PALE, GREY = "#56B4E9", "#CC79A7", "#B0B0B0", "#7A7A7A"
@@ -34,7 +34,7 @@ def plain(text: str) -> str:
 
 def axis_label(name: str, unit: str) -> str:
     """A name with its unit, "temperature [°C]"; a pure number is in units of one, "[1]"."""
-    return f"{plain(name)} [{pretty(unit) or '1'}]"
+    return f"{plain(name)} [{unit_label(unit) or '1'}]"
 
 
 def open_sides(ax) -> None:

@@ -220,6 +220,11 @@ def pretty(unit: str) -> str:
     )
 
 
+def unit_label(unit: str) -> str:
+    """A unit for people; nothing for a number without one."""
+    return pretty(unit) if unit not in ("", "1") else ""
+
+
 def _pretty_name(name: str) -> str:
     if name in _PRETTY:
         return _PRETTY[name]

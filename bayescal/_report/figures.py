@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 from bayescal import plot
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
+from bayescal._core.formatting import number
 from bayescal._diagnostics.check import Check
-from bayescal._diagnostics.text import number, pretty
+from bayescal._readings.units import unit_label
 from bayescal._report.section import Chapter
 
 SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
@@ -51,11 +52,11 @@ class Pictures:
     def residuals(self, calibration: Calibration, found: Check, which: str) -> list[Picture]:
         """Residuals against the covariates, the worst first, a picture each."""
         entries = [e for e in found.entries if not e.by_group][:PANELS]
-        unit = pretty(found.unit)
+        unit = unit_label(found.unit)
         pictures = []
         for e in entries:
             size = f"{e.worst.size:+.2g} {unit}".replace("-", "−")
-            where = f"{number(e.worst.low, 4)} to {number(e.worst.high, 4)} {pretty(e.worst.covariate_unit)}"
+            where = f"{number(e.worst.low, 4)} to {number(e.worst.high, 4)} {unit_label(e.worst.covariate_unit)}"
             structure = (
                 f"the worst region, {where.strip()}, has a mean of {size}"
                 if e.log_bayes_factor > 0
@@ -73,7 +74,7 @@ class Pictures:
 
     def error(self, chapter: Chapter) -> Picture:
         steps = chapter.data["steps"]
-        unit = pretty(steps[-1]["unit"])
+        unit = unit_label(steps[-1]["unit"])
         told = "; ".join(f"{s['title']} {number(s['rmse'])} {unit}" for s in steps)
         floor = number(steps[-1]["noise_floor"])
         return self.draw(

@@ -13,9 +13,10 @@ from typing import Any
 from bayescal._calibration.calibration import Calibration
 from bayescal._compensation.budget import Budget, budget
 from bayescal._core.errors import BayescalError, InputError
-from bayescal._diagnostics.text import number, pretty, probability, with_error
+from bayescal._core.formatting import number, probability, with_error
 from bayescal._discovery.search_path import Trail
 from bayescal._model.effect import Effect
+from bayescal._readings.units import unit_label
 from bayescal._readings.write import write_text
 from bayescal._report import figures, sentences, tables
 from bayescal._report.section import Chapter, chapters, taken
@@ -70,7 +71,7 @@ def page(found: list[Chapter], title: str = "") -> str:
     )
     environment.filters |= {
         "number": number,
-        "pretty": pretty,
+        "unit_label": unit_label,
         "probability": probability,
         "minus": lambda text: text.replace("-", "−"),
         "measured": tables.measured,
@@ -182,7 +183,7 @@ def _discovery(
 
 
 def _candidate(c: dict[str, Any]) -> dict[str, Any]:
-    unit = pretty(c["unit"])
+    unit = unit_label(c["unit"])
     return {
         "effect": c["effect"],
         "probability": probability(c["probability"]),
@@ -214,7 +215,7 @@ def _budget_rows(found: Budget | None) -> list[dict[str, str]]:
     return [
         {
             "name": c.name,
-            "estimate": f"{with_error(c.value, c.uncertainty)} {pretty(c.unit)}".strip(),
+            "estimate": f"{with_error(c.value, c.uncertainty)} {unit_label(c.unit)}".strip(),
             "sensitivity": number(c.sensitivity),
             "contribution": number(c.contribution),
             "share": f"{100 * c.share:z.1f} %",

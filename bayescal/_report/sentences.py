@@ -5,7 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
-from bayescal._diagnostics.text import pretty, probability
+from bayescal._core.formatting import probability
+from bayescal._readings.units import unit_label
 from bayescal._report.section import Chapter
 from bayescal._report.tables import READ, UNUSED, measured, ranges
 
@@ -26,7 +27,7 @@ def use_and_limits(chapter: Chapter) -> tuple[list[str], list[str]]:
         if not r["constant"] and r["part"] not in (READ, UNUSED) and r["name"] not in ("time",)
     ]
     what = (
-        f"turning a reading of the output into {instrument.use.stimulus} [{pretty(instrument.use.unit) or '1'}]"
+        f"turning a reading of the output into {instrument.use.stimulus} [{unit_label(instrument.use.unit) or '1'}]"
         if instrument.use is not None
         else "predicting the output"
     )
@@ -107,7 +108,7 @@ def unexplained(chapter: Chapter) -> list[str]:
     ]
     for e in chapter.check.entries:
         if e.log_bayes_factor > STRUCTURE:
-            size = f"{e.worst.size:+.2g} {pretty(unit)}".replace("-", "−")
+            size = f"{e.worst.size:+.2g} {unit_label(unit)}".replace("-", "−")
             said.append(
                 f"The residuals still depend on {e.against} (up to {size}; log Bayes factor {e.log_bayes_factor:.1f})."
             )

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._diagnostics.text import number, pretty, with_error
+from bayescal._core.formatting import number, with_error
 from bayescal._model.effect import Effect
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
 from bayescal._readings.column import Source
 from bayescal._readings.measurements import Measurements
+from bayescal._readings.units import unit_label
 from bayescal._report.section import Chapter
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
@@ -25,7 +26,7 @@ READ = "what was read"
 
 
 def measured(value: float, unit: str, digits: int = 4) -> str:
-    return f"{number(value, digits)} {pretty(unit)}".strip()
+    return f"{number(value, digits)} {unit_label(unit)}".strip()
 
 
 def identity(readings: Measurements) -> list[dict[str, Any]]:
@@ -94,7 +95,7 @@ def _range(name: str, meaning: str, values: np.ndarray, unit: str, part: str) ->
         "meaning": meaning,
         "low": number(low, 4).replace("-", "−"),
         "high": number(high, 4).replace("-", "−"),
-        "unit": pretty(unit),
+        "unit": unit_label(unit),
         "part": part,
         "constant": low == high,
     }
@@ -111,7 +112,7 @@ def coefficients(chapter: Chapter) -> list[dict[str, Any]]:
             {
                 "name": r["name"],
                 "effect": r["effect"],
-                "unit": pretty(r["unit"]),
+                "unit": unit_label(r["unit"]),
                 "value": with_error(mean, K * sd),
                 "u": "held" if held else number(sd, 2),
                 "k2": "–" if held else _between(mean - K * sd, mean + K * sd, sd),
@@ -178,10 +179,10 @@ def _unknowns(effect: Effect) -> list[str]:
     for i, c in enumerate(effect.coefficients):
         prior = f"spread learned, {_prior(c.spread)}" if c.spread is not None else _prior(c.prior)
         per = f", one for each {c.per}" if c.per else ""
-        found.append(f"{effect.coefficient_name(i)} [{pretty(c.unit) or '1'}]: {prior}{per}")
+        found.append(f"{effect.coefficient_name(i)} [{unit_label(c.unit) or '1'}]: {prior}{per}")
     for s in effect.shapes:
         found.append(
-            f"{effect.shape_name(s)} [{pretty(s.unit) or '1'}]: 95 % between {number(s.low)} and {number(s.high)}"
+            f"{effect.shape_name(s)} [{unit_label(s.unit) or '1'}]: 95 % between {number(s.low)} and {number(s.high)}"
         )
     return found
 
