@@ -58,9 +58,9 @@ from ._model.coefficient import Coefficient as Coefficient
 from ._model.coefficient import Shape as Shape
 from ._model.effect import Effect as Effect
 from ._model.frame import Frame as Frame
-from ._model.instrument import Instrument as Instrument
 from ._model.instrument import Slot as Slot
 from ._model.instrument import Use as Use
+from ._model.model import Instrument as Instrument  # with `baseline`, which model.py attaches
 from ._model.model import Model as Model
 
 # noise laws and priors

@@ -23,9 +23,10 @@ from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
 from bayescal._model import noise as _noise
 from bayescal._model.effect import Effect
-from bayescal._model.instrument import UNKNOWN, Instrument
+from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
+from bayescal._model.placeholder import covariate_in
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal
 from bayescal._readings.measurements import Measurements, Source
 
@@ -239,8 +240,8 @@ def _model_from(path: Path, described, readings: Measurements, effects, instrume
         e.name: e for e in (*structural, *instrument.effects, *instrument.candidates, *effects)
     }
     for n in described["effects"]:
-        if n not in catalogue and (unknown := UNKNOWN.fullmatch(n)):
-            catalogue[n] = instrument.unknown(unknown[1])
+        if n not in catalogue and (covariate := covariate_in(n)):
+            catalogue[n] = instrument.unknown(covariate)
     missing = [n for n in described["effects"] if n not in catalogue]
     if missing:
         raise InputError(

@@ -137,7 +137,7 @@ def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
         parts.append(f"WHAT IS MISSING FROM STEP {i} ({step.title})\n\n{said}")
     unexplained = unexplained_text(final.calibration, final.check, own)
     parts += [unexplained] if unexplained else []
-    for name in (e.name for e in final.calibration.model.effects if e.measure is not None):
+    for name in (e.name for e in final.calibration.model.effects if e.is_placeholder):
         draft = template(final.calibration, name)
         parts.append(
             f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"

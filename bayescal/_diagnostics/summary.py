@@ -107,7 +107,7 @@ def null_directions(calibration: Calibration) -> list[dict[str, str]]:
 
 def _single(block: Block) -> bool:
     """Whether a coefficient stands for itself: no deviation of learned spread, no part of an unknown function."""
-    return block.coefficient.spread is None and block.effect.measure is None
+    return block.coefficient.spread is None and not block.effect.is_placeholder
 
 
 def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:

@@ -20,9 +20,9 @@ from bayescal._discovery.search_path import NEARLY, OtherPath, Step, Trail, gate
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of
-from bayescal._model.instrument import free_curve
 from bayescal._model.model import Model
 from bayescal._model.noise import White, over_record
+from bayescal._model.placeholder import free_curve
 from bayescal._readings.measurements import Measurements
 
 WIDER = 1.0  # log evidence that correlated noise must gain over white before it is believed

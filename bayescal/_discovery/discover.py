@@ -21,8 +21,8 @@ from bayescal._discovery.candidate import FINDING, Candidate
 from bayescal._discovery.refit import LEAD
 from bayescal._model.effect import Effect
 from bayescal._model.frame import derived
-from bayescal._model.instrument import FORMS, free_curve
 from bayescal._model.model import testable
+from bayescal._model.placeholder import FORMS, free_curve
 
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 VISIBLE = 0.01  # share of the information left after the nuisances, below which a plausible size must still be seen
@@ -91,7 +91,7 @@ def discover(
     shut = [
         Candidate(n, kind="not testable", reason=r)
         for n, r in reasons.items()
-        if r is not None and known[n].measure is None
+        if r is not None and not known[n].is_placeholder
     ]
     if not tested:
         return Discovery(1.0, (), tuple(shut), (), {})
@@ -121,7 +121,7 @@ def discover(
         nothing = refit.nothing_after(judged, verified, nothing)
         judged = refit.after_refit(judged, verified, nothing)
         sets = (Found(refit.members(judged, verified), 1 - nothing), *sets[1:])
-        if nothing <= FINDING and known[sets[0].effects[0]].measure is not None:
+        if nothing <= FINDING and known[sets[0].effects[0]].is_placeholder:
             together = _together(columns, score, max_effects)
             leaders = [known[s.effects[0]] for s in together]
             share = refit.share_of(calibration, leaders, judged, verified)
@@ -171,7 +171,7 @@ def _together(
     columns: candidates.Columns, score: efficient_score.Score, max_effects: int
 ) -> tuple[Found, ...]:
     """What named effects together would explain: an unknown function can imitate a sum of several of them."""
-    named = [i for i, e in enumerate(columns.effects) if e.measure is None]
+    named = [i for i, e in enumerate(columns.effects) if not e.is_placeholder]
     place = {candidate: i for i, candidate in enumerate(named)}
     if not named:
         return ()
@@ -192,7 +192,7 @@ def _together(
 def _first(found: Found, known: dict[str, Effect]) -> Effect:
     """What to add of a set: its likeliest effect that has a name, if any has one; a placeholder comes last."""
     effects = [known[name] for name in found.effects]
-    return next((e for e in effects if e.measure is None), effects[0])
+    return next((e for e in effects if not e.is_placeholder), effects[0])
 
 
 def _rivals(sets: tuple[Found, ...], ranked: Sequence[Candidate]) -> list[str]:

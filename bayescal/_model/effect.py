@@ -74,6 +74,11 @@ class Effect(eqx.Module):
                 f"{[s.name for s in self.shapes]} by name; it takes {list(taken)}"
             )
 
+    @property
+    def is_placeholder(self) -> bool:
+        """Whether it stands for what no named effect describes: sized by an amplitude, not by a coefficient."""
+        return self.measure is not None
+
     def coefficient_name(self, index: int) -> str:
         part = self.coefficients[index].part
         return f"{self.name}[{part}]" if part else self.name

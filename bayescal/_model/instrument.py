@@ -5,7 +5,6 @@ Instruments are not subclasses. A new one is a set of columns, slots and one fun
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,23 +16,11 @@ from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.noise import Noise, White
+from bayescal._model.placeholder import covariate_in, placeholder
 from bayescal._readings.measurements import Column, Measurements, NominalScale
 from bayescal._readings.units import ANY, coefficient_factor, same_dimension
-from bayescal.effects.unknown import unknown
-from bayescal.effects.unknown_in_time import cycle, jump
-
-if TYPE_CHECKING:
-    from bayescal._model.model import Model
 
 Slots = Mapping[str, Float[Array, "n"]]
-UNKNOWN = re.compile(r"unknown\((.+)\)")
-FORMS = {"time, jump": jump, "time, cycle": cycle}  # of unknown functions, beside the smooth one
-
-
-def free_curve(name: str) -> bool:
-    """Whether an effect follows any smooth curve, and so can stand in for others; a law or a form in time cannot."""
-    found = UNKNOWN.fullmatch(name)
-    return found is not None and found[1] not in FORMS
 
 
 class Slot(eqx.Module):
@@ -81,7 +68,7 @@ class Instrument(eqx.Module):
         nominal_scale: how raw outputs (V, Hz) become input units.
         known_noise: name and standard deviation (output unit) of contributions known before any fit, or a
             function of a temperature slope (output unit per °C) that gives them.
-        structures: further models to compare, by name.
+        structures: further models to compare, by name, and what makes each.
         simulate: `simulate(effects, seed=…, **options)` gives measurements of a simulated campaign.
         experiments: feasible changes of the campaign, in words, and what each would record: `next_experiment` ranks
             them.
@@ -106,7 +93,7 @@ class Instrument(eqx.Module):
     noise: Noise = eqx.field(default_factory=White)
     nominal_scale: NominalScale | None = eqx.field(static=True, default=None)
     known_noise: Callable[[float], dict[str, float]] | None = eqx.field(static=True, default=None)
-    structures: tuple[tuple[str, Callable[[], Model]], ...] = eqx.field(static=True, default=())
+    structures: tuple[tuple[str, Callable[[], Any]], ...] = eqx.field(static=True, default=())
     simulate: Callable[..., Any] | None = eqx.field(static=True, default=None)
     experiments: tuple[tuple[str, Callable[[], Measurements]], ...] = eqx.field(
         static=True, default=()
@@ -135,11 +122,10 @@ class Instrument(eqx.Module):
         """The instrument tailored to readings, where it has to be; else the same."""
         return self if self.tailor is None else self.tailor(readings)
 
-    def baseline(self) -> Model:
-        """The instrument with its baseline effects and noise law."""
-        from bayescal._model.model import Model  # here, because a model is made of an instrument
+    if TYPE_CHECKING:
 
-        return Model(self, self.effects, self.noise)
+        def baseline(self) -> Any:
+            """The instrument's `Model` with its baseline effects and noise law; `model.py` attaches it."""
 
     @property
     def unit(self) -> str:
@@ -185,8 +171,8 @@ class Instrument(eqx.Module):
         for effect in (*self.effects, *self.candidates):
             if effect.name == name:
                 return effect
-        if found := UNKNOWN.fullmatch(name):
-            return self.unknown(found[1])
+        if covariate := covariate_in(name):
+            return self.unknown(covariate)
         raise ModelError(
             f"instrument {self.name!r} knows no effect {name!r}; it knows "
             f"{', '.join(e.name for e in (*self.effects, *self.candidates))}. "
@@ -221,7 +207,4 @@ class Instrument(eqx.Module):
         ]
         noise = getattr(getattr(self.noise, "scale", None), "scale", 1.0)
         low, high = min(sizes, default=noise) / 3, max(sizes, default=noise) * 3
-        form = ", ".join(part.strip() for part in covariate.split(","))
-        if form in FORMS:
-            return FORMS[form](slot.name, low, high, slot.unit)
-        return unknown(covariate, slot.name, low, high, slot.unit)
+        return placeholder(covariate, slot.name, low, high, slot.unit)

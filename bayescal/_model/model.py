@@ -157,6 +157,14 @@ class Model(eqx.Module):
                     )
 
 
+def baseline(instrument: Instrument) -> Model:
+    """The instrument with its baseline effects and noise law."""
+    return Model(instrument, instrument.effects, instrument.noise)
+
+
+Instrument.baseline = baseline  # a model has an instrument, which therefore cannot import models
+
+
 def _unknowns(effect: Effect) -> list[str]:
     names = [effect.coefficient_name(i) for i in range(len(effect.coefficients))]
     return [*names, *_spreads(effect), *(effect.shape_name(shape) for shape in effect.shapes)]

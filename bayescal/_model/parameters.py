@@ -146,7 +146,7 @@ class Layout(eqx.Module):
                     )
                 )
         for effect in self.model.effects:
-            kind = "shape" if effect.measure is None else "process"
+            kind = "process" if effect.is_placeholder else "shape"
             for shape in effect.shapes:
                 found.append(Hyper(effect.shape_name(shape), shape.unit, shape.prior, kind))
         for block in self.blocks:

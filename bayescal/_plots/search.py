@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 from bayescal._core.formatting import number
 from bayescal._discovery.discover import Discovery
 from bayescal._discovery.search_path import Trail
+from bayescal._model.placeholder import covariate_in
 from bayescal._plots.residuals import residual_panel
 from bayescal._plots.style import (
     BLUE,
@@ -124,7 +125,7 @@ def _ticks(low: float, high: float) -> list[float]:
 
 def _quiet(c: Mapping[str, Any]) -> bool:
     """An unknown dependence without evidence is not worth a bar."""
-    return c["effect"].startswith("unknown(") and c["kind"] in (None, "not visible")
+    return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
 
 
 def loop(found: Trail) -> Figure:

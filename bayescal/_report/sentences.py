@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 from bayescal._core.formatting import probability
+from bayescal._model.placeholder import covariate_in
 from bayescal._readings.units import unit_label
 from bayescal._report.section import Chapter
 from bayescal._report.tables import READ, UNUSED, measured, ranges
@@ -63,7 +64,7 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
     for candidate in last["candidates"] if last else []:
         if candidate["kind"] == "not testable":
             by_reason.setdefault(candidate["reason"], []).append(candidate["effect"])
-        elif candidate["kind"] == "not visible" and not candidate["effect"].startswith("unknown("):
+        elif candidate["kind"] == "not visible" and not covariate_in(candidate["effect"]):
             blind.append(candidate["effect"])
     not_for += [
         f"Where {_or(names)} matters: it was not tested ({reason})."

@@ -25,8 +25,8 @@ ROOMS = {
     "_core": "version errors formatting jax_setup progress batched_map jit tall_qr levenberg_marquardt null_space",
     "_readings": "units column raw_table dataset_checks write column_matching extra_columns column_conversion "
     "measurements csv_reader parquet_netcdf_reader read",
-    "_model": "prior coefficient frame effect noise instrument model parameters forward",
-    "effects": "constant temperature thermal thermometer time unknown unknown_in_time",
+    "_model": "prior coefficient frame effect placeholder noise instrument model parameters forward",
+    "effects": "constant temperature thermal thermometer time",
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains least_squares marginal nuts",
     "_numpyro": "trace gaussian_sites marginal_density fit_program",
