@@ -7,7 +7,6 @@ from . import plot as plot
 
 # results
 from ._calibration.calibration import Calibration as Calibration
-from ._calibration.calibration import Verdict as Verdict
 from ._calibration.fit import fit as fit
 from ._calibration.fit import load as load
 from ._calibration.predict import predict as predict
@@ -53,6 +52,7 @@ from ._inference.least_squares import LeastSquares as LeastSquares
 
 # methods of fitting
 from ._inference.marginal import Marginal as Marginal
+from ._inference.method import Verdict as Verdict
 from ._inference.nuts import NUTS as NUTS
 from ._model.coefficient import Coefficient as Coefficient
 from ._model.coefficient import Shape as Shape

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from bayescal._core.batched_map import over
 from bayescal._core.errors import InputError
 from bayescal._core.jit import compiled
 from bayescal._inference.laplace import Mode
+from bayescal._inference.method import Draws, Verdict
 from bayescal._model import forward
 from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.model import Model
@@ -21,45 +22,6 @@ from bayescal._model.parameters import Layout
 from bayescal._readings.measurements import Measurements
 
 PREDICTIVE_CELLS = 2_000_000  # draws × readings kept in posterior_predictive and log_likelihood
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Whether to trust a fit, and why not.
-
-    Attributes:
-        ok: nothing below stands against it.
-        reasons: what stands against it, each a sentence.
-        notes: how it was done and what to know, each a sentence.
-        sampler: what produced the draws.
-        pareto_k: Pareto k̂ of the joint weights; None for chains.
-        ess: smallest effective sample size over the unknowns.
-        r_hat: largest R-hat; None for independent draws.
-        divergences: of NUTS.
-    """
-
-    ok: bool
-    reasons: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    sampler: str = ""
-    pareto_k: float | None = None
-    ess: float | None = None
-    r_hat: float | None = None
-    divergences: int | None = None
-
-    def __str__(self) -> str:
-        head = "converged" if self.ok else "NOT converged: " + " ".join(self.reasons)
-        return " ".join([f"{head} ({self.sampler}).", *self.notes])
-
-
-@dataclass(frozen=True)
-class Draws:
-    """Equally weighted joint draws, chains × draws each, as a method gives them."""
-
-    x: np.ndarray
-    rows: np.ndarray
-    v: np.ndarray
-    stats: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

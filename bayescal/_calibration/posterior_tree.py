@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from bayescal._calibration.calibration import PREDICTIVE_CELLS, Calibration, Draws, flat
+from bayescal._calibration.calibration import PREDICTIVE_CELLS, Calibration, flat
 from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
+from bayescal._inference.method import Draws
 from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Block, Layout

@@ -17,10 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from bayescal._calibration.calibration import Calibration, Draws, Verdict
+from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
 from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
+from bayescal._inference.method import Draws, Verdict
 from bayescal._model import noise as _noise
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument

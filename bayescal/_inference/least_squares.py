@@ -15,12 +15,11 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from bayescal._calibration.calibration import Draws, Verdict
 from bayescal._core.jit import compiled
 from bayescal._core.levenberg_marquardt import least_squares
 from bayescal._core.progress import stage
 from bayescal._inference import gaussian, laplace
-from bayescal._inference.method import Method, Outcome
+from bayescal._inference.method import Draws, Method, Outcome, Verdict
 from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout

@@ -8,7 +8,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayescal._calibration.calibration import Draws, Verdict
 from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
 from bayescal._core.progress import stage
@@ -20,7 +19,7 @@ from bayescal._inference import (
     sampled_products,
 )
 from bayescal._inference import gaussian as linear
-from bayescal._inference.method import MODE, Method, Outcome
+from bayescal._inference.method import MODE, Draws, Method, Outcome, Verdict
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 

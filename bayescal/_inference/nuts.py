@@ -10,11 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayescal._calibration.calibration import Draws
 from bayescal._core.progress import stage
 from bayescal._inference import laplace, marginal
 from bayescal._inference import nuts_chains as chains
-from bayescal._inference.method import Method, Outcome
+from bayescal._inference.method import Draws, Method, Outcome
 from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout

@@ -13,7 +13,6 @@ import numpy as np
 import xarray as xr
 from arviz_base import from_dict
 
-from bayescal._calibration.calibration import Verdict
 from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.formatting import WIDTH, table, with_error
 from bayescal._core.jax_setup import spare_memory_maps
@@ -30,7 +29,7 @@ from bayescal._inference.marginal import (
     smoothed,
     worth,
 )
-from bayescal._inference.method import Method
+from bayescal._inference.method import Method, Verdict
 from bayescal._inference.nuts import NUTS, sampled
 from bayescal._numpyro import marginal_density
 from bayescal._numpyro.gaussian_sites import Split, split
