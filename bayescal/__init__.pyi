@@ -23,13 +23,12 @@ from ._core.errors import BayescalError as BayescalError
 from ._core.errors import InputError as InputError
 from ._core.errors import ModelError as ModelError
 from ._core.errors import NotConverged as NotConverged
-from ._diagnostics.check import Check as Check
 from ._diagnostics.check import check as check
+from ._diagnostics.check_result import Check as Check
 from ._diagnostics.compare import Comparison as Comparison
 from ._diagnostics.compare import compare as compare
-from ._discovery.calibrate import calibrate as calibrate
-from ._discovery.discover import Discovery as Discovery
 from ._discovery.discover import discover as discover
+from ._discovery.discovery import Discovery as Discovery
 from ._discovery.draft_effect import shape_of as shape_of
 from ._discovery.draft_effect import template as template
 from ._discovery.false_reports import FalseReports as FalseReports
@@ -38,7 +37,6 @@ from ._discovery.next_experiment import NextExperiment as NextExperiment
 
 # beside the loop: which test to run next, how often a search reports what is not there, an effect's draft
 from ._discovery.next_experiment import next_experiment as next_experiment
-from ._discovery.search_path import Trail as Trail
 from ._fleet.batch_result import BatchResult as BatchResult
 from ._fleet.batch_result import load_batch as load_batch
 from ._fleet.devices import Devices as Devices
@@ -79,6 +77,8 @@ from ._readings.measurements import Measurements as Measurements
 from ._readings.measurements import NominalScale as NominalScale
 from ._readings.read import read as read
 from ._report.report import report as report
+from ._report.save_search import Trail as Trail  # with `save`, which save_search.py attaches
+from ._report.save_search import calibrate as calibrate
 
 __version__: str
 __all__: list[str]

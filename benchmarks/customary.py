@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._diagnostics import efficient_score
 from bayescal._discovery import candidate_columns
+from bayescal._inference import laplace
 from benchmarks.hidden_effects_bank import open_effects
 
 SELECTIONS = ("stepwise BIC", "LASSO", "STLSQ")
@@ -70,7 +70,7 @@ def _baseline(calibration: bc.Calibration, readings: bc.Measurements) -> tuple[n
         calibration if readings is calibration.readings else replace(calibration, readings=readings)
     )
     y = jnp.asarray(readings["output"])
-    null = efficient_score.null_model(seen.layout, seen.frame, y, seen.mode)
+    null = laplace.linearised(seen.layout, seen.frame, y, seen.mode)
     return np.asarray(null.nuisance), None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -10,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.storage import load_calibration
 from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._inference.checkpoint import fingerprint, keeping
@@ -17,6 +19,7 @@ from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, kept_outcome
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of
+from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 from bayescal._readings.measurements import Measurements
@@ -105,17 +108,17 @@ def fit(
     with keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)):
         outcome = kept_outcome(layout, lambda: method.run(layout, frame, y, seed))
     calibration = Calibration(
-        model,
-        readings,
-        outcome.draws,
-        outcome.verdict,
-        method.name,
-        seed,
-        reference,
-        levels,
-        outcome.layout,
-        jax.tree.map(jnp.asarray, outcome.mode),
-        outcome.log_evidence,
+        model=model,
+        readings=readings,
+        joint=outcome.draws,
+        verdict=outcome.verdict,
+        method=method.name,
+        seed=seed,
+        reference=reference,
+        levels=levels,
+        layout=outcome.layout,
+        mode=jax.tree.map(jnp.asarray, outcome.mode),
+        log_evidence=outcome.log_evidence,
     )
     if strict and not outcome.verdict.ok:
         raise NotConverged(
@@ -178,15 +181,18 @@ def bind(model: Model, readings: Measurements) -> tuple[Layout, dict[str, tuple[
     return layout, levels
 
 
-def load(path: str | Path, *, effects: Sequence[Effect] = ()) -> Calibration:
+def load(
+    path: str | Path, *, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
+) -> Calibration:
     """Read a saved calibration.
 
-    Its effects are resolved by name against the installed instruments and `effects`; nothing in the file is
-    evaluated.
+    Its instrument and effects are resolved by name against what is installed, `instruments` and `effects`; nothing in
+    the file is evaluated.
 
     Raises:
         InputError: not a calibration, another version, or an effect that is not installed.
     """
-    from bayescal._calibration.storage import load_calibration
-
-    return load_calibration(Path(path), effects)
+    found, tree = load_calibration(Path(path), effects, instruments)
+    calibration = Calibration(**{f.name: getattr(found, f.name) for f in fields(found)})
+    vars(calibration)["tree"] = tree  # as it was saved, not made again
+    return calibration

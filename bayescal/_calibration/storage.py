@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fitted import Fitted
 from bayescal._core.errors import InputError
 from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
@@ -47,8 +47,8 @@ def installed_instruments() -> dict[str, Instrument]:
     }
 
 
-def save(calibration: Calibration, path: Path) -> Path:
-    """Write a calibration to NetCDF.
+def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
+    """Write a calibration and its tree to NetCDF.
 
     Raises:
         InputError: the folder does not exist or cannot be written.
@@ -60,7 +60,7 @@ def save(calibration: Calibration, path: Path) -> Path:
         raise InputError(
             f"There is no folder {path.parent} to write {path.name!r} to: make it first"
         )
-    tree = calibration.tree.copy()
+    tree = tree.copy()
     tree["mode"] = xr.DataTree(_mode_dataset(calibration.mode))
     tree.attrs["bayescal"] = json.dumps(_description(calibration))
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -72,7 +72,7 @@ def save(calibration: Calibration, path: Path) -> Path:
     return path
 
 
-def _description(c: Calibration) -> dict[str, Any]:
+def _description(c: Fitted) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "instrument": c.model.instrument.name,
@@ -140,8 +140,8 @@ _MODE_FIELDS = ("v", "covariance", "log_density", "log_evidence", "change", "fla
 
 def load_calibration(
     path: Path, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
-) -> Calibration:
-    """Read a calibration back; see `bayescal.load`."""
+) -> tuple[Fitted, xr.DataTree]:
+    """Read a calibration and its tree back; see `bayescal.load`."""
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     try:
@@ -164,23 +164,22 @@ def load_calibration(
     del tree["mode"]
     verdict = described["verdict"]
     evidence = described["log_evidence"]
-    calibration = Calibration(
-        model,
-        readings,
-        _draws_from(tree),
-        Verdict(
+    found = Fitted(
+        model=model,
+        readings=readings,
+        joint=_draws_from(tree),
+        verdict=Verdict(
             **{**verdict, "reasons": tuple(verdict["reasons"]), "notes": tuple(verdict["notes"])}
         ),
-        described["method"],
-        described["seed"],
-        described["reference"],
-        {k: tuple(v) for k, v in described["levels"].items()},
-        layout,
-        mode,
-        None if evidence is None else (evidence[0], evidence[1]),
+        method=described["method"],
+        seed=described["seed"],
+        reference=described["reference"],
+        levels={k: tuple(v) for k, v in described["levels"].items()},
+        layout=layout,
+        mode=mode,
+        log_evidence=None if evidence is None else (evidence[0], evidence[1]),
     )
-    vars(calibration)["tree"] = tree  # as it was saved, not made again
-    return calibration
+    return found, tree
 
 
 def _draws_from(tree: xr.DataTree) -> Draws:

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fit import load
 from bayescal._calibration.predict import Prediction
-from bayescal._calibration.storage import installed_instruments, load_calibration
+from bayescal._calibration.storage import installed_instruments
 from bayescal._compensation.compensator import Compensator, compensator, load_compensator
 from bayescal._core.errors import InputError
 from bayescal._inference.least_squares import LeastSquares
@@ -221,7 +222,7 @@ def numbers(given: list[str] | None, option: str) -> dict[str, float]:
 def saved(path: Path, effects: Path | None, instrument: str | None) -> Calibration:
     """A saved calibration; of an instrument of the user's own, if one is named."""
     own = () if instrument is None else (instrument_named(instrument),)
-    return load_calibration(path, user_effects(effects), own)
+    return load(path, effects=user_effects(effects), instruments=own)
 
 
 def compensator_from(

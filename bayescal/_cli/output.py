@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.formatting import WIDTH, number, table
-from bayescal._diagnostics.check import Check
+from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.compare import Comparison
-from bayescal._diagnostics.summary import null_directions, summary
 from bayescal._discovery.calibrate import Trail
 from bayescal._discovery.draft_effect import template
 from bayescal._model.effect import Effect

@@ -22,12 +22,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from bayescal._calibration.calibration import PREDICTIVE_CELLS, Calibration
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fitted import PREDICTIVE_CELLS
 from bayescal._compensation import inversion
 from bayescal._compensation.compensator import Compensator, compensator
 from bayescal._core.errors import InputError
 from bayescal._core.jit import compiled
-from bayescal._diagnostics import efficient_score
+from bayescal._inference import laplace
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 from bayescal._readings.units import coefficient_factor, convert, needs_gravity, same_dimension
@@ -301,7 +302,7 @@ def _places(calibration: Calibration) -> dict[str, tuple[int, float]]:
 @compiled
 def _information(layout: Layout, frame: Frame, y: Array, mode: Any):
     """Information of the readings in units of the prior; prior standard deviations; 0 where a prior is flat."""
-    null = efficient_score.null_model(layout, frame, y, mode)
+    null = laplace.linearised(layout, frame, y, mode)
     scaled = null.nuisance * null.prior.sd
     gram = layout.model.noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
     return gram.jtj, null.prior.sd, null.prior.weight

@@ -6,6 +6,7 @@ Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao e
 
 from __future__ import annotations
 
+import textwrap
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +18,9 @@ from scipy.optimize import minimize
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
+from bayescal._core.formatting import WIDTH, number, table
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
+from bayescal._readings.units import unit_label
 
 SAME_CURVE = (
     0.15  # largest difference, in noise standard deviations, of curves that count as the same
@@ -75,11 +78,34 @@ class Comparison:
     warnings: tuple[str, ...]
 
     def __str__(self) -> str:
-        from bayescal._diagnostics.text import (
-            comparison_text,
-        )  # tables for people stand above this floor
-
         return comparison_text(self)
+
+
+def comparison_text(found: Comparison) -> str:
+    """Models side by side, the best first."""
+    unit = unit_label(found.unit)
+    grouped = found.chosen_by == "left-out groups"
+    head = ["model", f"rmse [{unit}]"]
+    head += [f"left-out {found.group}", "score", "difference"] if grouped else []
+    head += ["LOO", "difference", "log evidence", "weight"]
+    rows = []
+    for r in found.rows:
+        cells = [r.name, number(r.rmse)]
+        if grouped:
+            score = "–" if r.group_score is None else f"{r.group_score:.1f}"
+            cells += [number(r.group_rmse), score, _gap(r.group_difference, r.group_error)]
+        evidence = "null" if r.log_evidence is None else f"{r.log_evidence:.1f}"
+        loo = _gap(r.loo_difference, r.loo_error)
+        rows.append([*cells, f"{r.loo:.1f}", loo, evidence, f"{r.weight:.2f}"])
+    count = f" ({found.groups} of them)" if grouped else ""
+    lines = [table(head, rows), f"chosen by {found.chosen_by}{count}"]
+    return "\n".join([*lines, *(textwrap.fill(w, WIDTH) for w in found.warnings)])
+
+
+def _gap(value: float | None, error: float | None) -> str:
+    if value is None or error is None or (value == 0 and error == 0):
+        return "0" if value == 0 else "–"
+    return f"{value:.1f} ± {error:.1f}"
 
 
 def compare(calibrations: Mapping[str, Calibration]) -> Comparison:

@@ -8,15 +8,16 @@ from itertools import pairwise
 
 import numpy as np
 
+from bayescal._calibration.evidence import laplace_evidence
 from bayescal._calibration.fit import fit
 from bayescal._calibration.predict import predict
 from bayescal._core.progress import stage
 from bayescal._diagnostics.check import check
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
+from bayescal._diagnostics.noise_floor import noise_floor
 from bayescal._discovery.discover import discover
 from bayescal._discovery.outliers import without_spikes
-from bayescal._discovery.refit import laplace_evidence
-from bayescal._discovery.search_path import NEARLY, OtherPath, Step, Trail, gate, noise_floor
+from bayescal._discovery.search_path import NEARLY, OtherPath, Step, Trail, gate
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of

@@ -7,7 +7,7 @@ missing" has probability one half; the leading sets are then verified by refitti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from bayescal._discovery import candidate as judgement
 from bayescal._discovery import candidate_columns as candidates
 from bayescal._discovery import refit, susie
 from bayescal._discovery.candidate import FINDING, Candidate
+from bayescal._discovery.discovery import Discovery, Found
 from bayescal._discovery.refit import LEAD
 from bayescal._model.effect import Effect
 from bayescal._model.frame import derived
@@ -27,43 +28,6 @@ from bayescal._model.placeholder import FORMS, free_curve
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 VISIBLE = 0.01  # share of the information left after the nuisances, below which a plausible size must still be seen
 HOPELESS = 10.0  # plausible sizes that an effect would need to be found, above which this experiment cannot see it
-
-
-@dataclass(frozen=True)
-class Found:
-    """One of these effects is missing; the readings cannot tell which."""
-
-    effects: tuple[str, ...]
-    probability: float
-
-
-@dataclass(frozen=True)
-class Discovery:
-    """The answer to "which effect is missing?".
-
-    Attributes:
-        nothing_missing: probability that none of the candidates is.
-        sets: findings, the most probable first.
-        candidates: every candidate, the most probable first.
-        best: the effects to add, so that `model + discovery.best` is the next model; empty for none.
-        verified: log Bayes factor by refit, of each effect refitted.
-        rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
-            with those that come nearest; without a set, the leads.
-    """
-
-    nothing_missing: float
-    sets: tuple[Found, ...]
-    candidates: tuple[Candidate, ...]
-    best: tuple[Effect, ...]
-    verified: dict[str, float]
-    rivals: tuple[Effect, ...] = ()
-
-    def __str__(self) -> str:
-        from bayescal._diagnostics.text import (
-            discovery_text,
-        )  # tables for people stand above this floor
-
-        return discovery_text(self)
 
 
 def discover(

@@ -20,6 +20,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
+from bayescal._core.formatting import table
 from bayescal._core.jit import compiled
 from bayescal._core.progress import stage
 from bayescal._inference.least_squares import LeastSquares
@@ -31,6 +32,9 @@ from bayescal._readings.measurements import Measurements
 
 DRAWS = 300
 MOST = 1500  # readings of a campaign that are looked at, evenly spread
+
+
+CLEAR = 5.0  # expected log Bayes factor from which an experiment tells two effects apart
 
 
 @dataclass(frozen=True)
@@ -66,11 +70,24 @@ class NextExperiment:
     experiments: tuple[Experiment, ...]
 
     def __str__(self) -> str:
-        from bayescal._diagnostics.text import (
-            experiment_text,
-        )  # tables for people stand above this floor
-
         return experiment_text(self)
+
+
+def experiment_text(found: NextExperiment) -> str:
+    """Feasible experiments, the most telling first."""
+    rows = []
+    for e in found.experiments:
+        (truth, rival), least = min(e.expected.items(), key=lambda item: item[1])
+        rows.append([e.name, f"{least:.1f}", f"{truth} against {rival}"])
+    lines = [
+        f"to tell apart: {', '.join(found.members)}",
+        table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
+    ]
+    if found.experiments[0].worst < CLEAR:
+        lines.append(
+            f"None of these is expected to tell them apart (a log Bayes factor of {CLEAR:g} would)."
+        )
+    return "\n".join(lines)
 
 
 def next_experiment(

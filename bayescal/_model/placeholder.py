@@ -70,21 +70,20 @@ def placeholder(covariate: str, slot: str, low: float, high: float, unit: str) -
     return unknown(covariate, slot, low, high, unit)
 
 
-def process_columns(
-    position: Float[Array, "n"], length: Float[Array, ""] | float, terms: int
-) -> Float[Array, "n terms"]:
+def process_columns(position: Any, length: Float[Array, ""] | float, terms: int) -> Any:
     """Columns Φ with ΦΦᵀ near the squared-exponential kernel of unit amplitude.
 
     Args:
-        position: of each reading in the covariate's range, 0 to 1.
+        position: of each reading in the covariate's range, 0 to 1; a NumPy or a JAX array (n,), as is the result.
         length: of the process, in parts of the range.
         terms: how many eigenfunctions.
     """
-    centred = jnp.clip(2 * position - 1, -WIDER, WIDER)
-    order = jnp.arange(1, terms + 1) * math.pi / (2 * WIDER)
+    xp = position.__array_namespace__()  # NumPy's outside of a program, JAX's within
+    centred = xp.clip(2 * position - 1, -WIDER, WIDER)
+    order = xp.arange(1, terms + 1) * math.pi / (2 * WIDER)
     scale = 2 * length
-    root = jnp.sqrt(scale * math.sqrt(2 * math.pi)) * jnp.exp(-((scale * order) ** 2) / 4)
-    waves = jnp.sin(order * (centred[:, None] + WIDER)) / math.sqrt(WIDER)
+    root = xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
+    waves = xp.sin(order * (centred[:, None] + WIDER)) / math.sqrt(WIDER)
     return root * waves
 
 

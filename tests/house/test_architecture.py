@@ -30,16 +30,16 @@ ROOMS = {
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains least_squares marginal nuts",
     "_numpyro": "trace gaussian_sites marginal_density fit_program",
-    "_calibration": "calibration posterior_tree storage predict fit",
-    "_diagnostics": "efficient_score summary text smooth_terms worst_region check leave_group_out compare "
-    "group_bayes_factor",
-    "_discovery": "susie candidate_columns candidate refit discover next_experiment false_reports draft_effect "
-    "outliers search_path calibrate",
+    "_calibration": "named_draws fitted posterior_tree storage summary calibration predict fit evidence",
+    "_diagnostics": "text group_bayes_factor efficient_score noise_floor smooth_terms worst_region check_result check "
+    "leave_group_out compare",
+    "_discovery": "susie candidate_columns candidate discovery refit discover next_experiment false_reports "
+    "draft_effect outliers search_path calibrate",
     "_compensation": "operating_equation inversion expression_graph jaxpr_to_graph code_writer firmware provenance "
     "compensator compensate_file budget",
     "_fleet": "weighted_draws devices split_devices stacks closed_form fit_stack population batch_result fit_batch",
     "_plots": "style residuals search posterior",
-    "_report": "result_json section figures tables sentences report",
+    "_report": "result_json save_search section figures tables sentences report",
     "_cli": "arguments output options deliverables batch main",
 }
 FACES = {"plot": "_plots", "bayescal": "_report"}  # public modules, each above this room

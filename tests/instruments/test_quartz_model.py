@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._calibration.summary import null_directions
 from bayescal._core import null_space
-from bayescal._diagnostics.summary import null_directions
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._readings import units
 from bayescal_models import quartz_beam_accelerometer as quartz

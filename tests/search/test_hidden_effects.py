@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._discovery.refit import laplace_evidence
+from bayescal._calibration.evidence import laplace_evidence
 from bayescal_models import mems_gyro
 from bayescal_models.mems_gyro.campaign import SIZES
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
-from bayescal._diagnostics import efficient_score
+from bayescal._core.formatting import WIDTH, interval, table, with_error
+from bayescal._inference import laplace
 from bayescal._model.parameters import Block
+from bayescal._readings.units import unit_label
 
 WEAK = 0.1  # information against the prior below which a direction counts as not measured
 SHARE = 0.1  # of a direction's squared length below which a coefficient is left out of its words
@@ -18,7 +21,37 @@ LONGEST = 8  # terms of a combination that are written out
 TRACE = 0.01  # of the largest entry, from which a coefficient is named
 
 
-def summary(calibration: Calibration) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def calibration_text(calibration: Fitted) -> str:
+    """Unknowns with standard uncertainty and 95 % credible interval; the verdict."""
+    rows = []
+    coefficients, spreads = summary(calibration)
+    for s in (*coefficients, *spreads):
+        contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
+        low, high = s["interval95"]
+        ends = interval(low, high, s["mean"], s["sd"])
+        value = with_error(s["mean"], s["sd"])
+        rows.append([s["name"], value, unit_label(s["unit"]), ends, contraction])
+    head = [
+        *("unknown", "mean ± standard uncertainty", "unit"),
+        *("95 % credible interval", "contraction"),
+    ]
+    lines = [table(head, rows)] if rows else ["every unknown is fixed"]
+    fixed = ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed)
+    if fixed:
+        lines.append(f"fixed: {fixed}")
+    at = [
+        f"{k} = {v:g} °C"
+        for k, v in calibration.reference.items()
+        if isinstance(v, float) and k.endswith("0")
+    ]
+    if at:
+        lines.append("constants hold at " + ", ".join(at))
+    lines += [f"not measured: {d['in_words']}" for d in null_directions(calibration)]
+    lines.append(str(calibration.verdict))
+    return "\n".join([lines[0], *(textwrap.fill(line, WIDTH) for line in lines[1:])])
+
+
+def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Coefficients, and spreads with noise and shapes: name, effect, unit, mean, sd, interval95, contraction.
 
     Contraction is 1 − (posterior variance)/(prior variance): 1 where the readings said everything, 0 where they
@@ -78,7 +111,7 @@ def _prior_sd(prior: Any) -> float | None:
     return prior.sd if kind == "Normal" else None
 
 
-def null_directions(calibration: Calibration) -> list[dict[str, str]]:
+def null_directions(calibration: Fitted) -> list[dict[str, str]]:
     """Combinations of coefficients that the readings leave as the prior had them, in words.
 
     First the exact ones: combinations that change no reading whatsoever, in the coefficients' own units and with
@@ -88,7 +121,7 @@ def null_directions(calibration: Calibration) -> list[dict[str, str]]:
     """
     y = jnp.asarray(calibration.readings["output"])
     frame, noise = calibration.frame, calibration.model.noise
-    null = efficient_score.null_model(calibration.layout, frame, y, calibration.mode)
+    null = laplace.linearised(calibration.layout, frame, y, calibration.mode)
     count = calibration.layout.size
     if count == 0:
         return []
@@ -115,7 +148,7 @@ def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
     return float(np.sum(vector[main] ** 2)) > SHARE * float(np.sum(vector**2))
 
 
-def _deviations_words(vectors: list[np.ndarray], calibration: Calibration) -> dict[str, str]:
+def _deviations_words(vectors: list[np.ndarray], calibration: Fitted) -> dict[str, str]:
     """Of all directions among deviations of groups and unknown functions' coefficients."""
     size = np.max(np.abs(vectors), axis=0)
     large = [
@@ -131,7 +164,7 @@ def _deviations_words(vectors: list[np.ndarray], calibration: Calibration) -> di
     return {"combination": names, "in_words": words}
 
 
-def _entry_names(calibration: Calibration) -> list[str]:
+def _entry_names(calibration: Fitted) -> list[str]:
     names: list[str] = []
     for b in calibration.layout.x_blocks:
         names += _members(b, calibration.levels)
