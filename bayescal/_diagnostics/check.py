@@ -10,10 +10,11 @@ import numpy as np
 from scipy import stats
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fit import GROUPS, fit
+from bayescal._calibration.fit import fit
 from bayescal._diagnostics import efficient_score, smooth_terms
 from bayescal._diagnostics.worst_region import Region, worst_regions
 from bayescal._inference.least_squares import LeastSquares
+from bayescal._model.frame import GROUPS
 
 ALIKE = 0.95  # rank correlation from which two covariates are taken for one
 DUOS = 15  # pairs of covariates, at most

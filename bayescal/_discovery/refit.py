@@ -14,7 +14,6 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fit import bind
 from bayescal._core.progress import stage
 from bayescal._discovery import susie
 from bayescal._discovery.candidate import Candidate
@@ -22,6 +21,7 @@ from bayescal._inference.laplace import compiled_mode
 from bayescal._model.effect import Effect
 from bayescal._model.frame import build_frame
 from bayescal._model.model import Model
+from bayescal._model.parameters import bind
 
 LEAD = 1.0  # log Bayes factor from which an effect that is not a finding is a lead
 RIVAL = (
