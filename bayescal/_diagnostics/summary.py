@@ -10,7 +10,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._core import null_space
 from bayescal._diagnostics import efficient_score
-from bayescal._model.parameters import Block
+from bayescal._model.parameters import CoefficientBlock
 
 WEAK = 0.1  # information against the prior below which a direction counts as not measured
 SHARE = 0.1  # of a direction's squared length below which a coefficient is left out of its words
@@ -37,8 +37,7 @@ def summary(calibration: Calibration) -> tuple[list[dict[str, Any]], list[dict[s
         if per is None:
             coefficients.append(_row(b.name, b.effect.name, b.coefficient.unit, values, prior))
         elif per != "reading":
-            for i, member in enumerate(levels[per]):
-                name = f"{b.name}({member})"
+            for i, name in enumerate(b.member_names(levels)):
                 coefficients.append(
                     _row(name, b.effect.name, b.coefficient.unit, values[:, i], prior)
                 )
@@ -105,7 +104,7 @@ def null_directions(calibration: Calibration) -> list[dict[str, str]]:
     return [*found, *([_deviations_words(others, calibration)] if others else [])]
 
 
-def _single(block: Block) -> bool:
+def _single(block: CoefficientBlock) -> bool:
     """Whether a coefficient stands for itself: no deviation of learned spread, no part of an unknown function."""
     return block.coefficient.spread is None and block.effect.measure is None
 
@@ -134,15 +133,8 @@ def _deviations_words(vectors: list[np.ndarray], calibration: Calibration) -> di
 def _entry_names(calibration: Calibration) -> list[str]:
     names: list[str] = []
     for b in calibration.layout.x_blocks:
-        names += _members(b, calibration.levels)
+        names += b.member_names(calibration.levels)
     return names
-
-
-def _members(block: Block, levels: dict[str, tuple[str, ...]]) -> list[str]:
-    per = block.coefficient.per
-    if per is None:
-        return [block.name]
-    return [f"{block.name}({m})" for m in levels[per]]
 
 
 def _exact_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:

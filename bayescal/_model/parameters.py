@@ -8,6 +8,7 @@ unknown matters. Each entry of φ has a coordinate v on the whole line.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,14 +23,28 @@ from bayescal._model.prior import Flat, FlatLine, Normal, Positive
 from bayescal._readings import units
 from bayescal._readings.measurements import Measurements
 
+HyperKind = Literal["noise", "spread", "shape", "process", "promoted"]
+MOVING: tuple[HyperKind, ...] = (
+    "shape",
+    "process",
+    "promoted",
+)  # the output's Jacobian depends on them
 _NOISE_UNITS = {
     "noise.freedom": "1",
     "noise.correlated.time": "s",
 }  # the others: that of the output
 
 
+Levels = Mapping[str, Sequence[str]]  # the members of each group
+
+
+def member_name(name: str, member: object) -> str:
+    """What one member's coefficient is called, everywhere."""
+    return f"{name}({member})"
+
+
 @dataclass(frozen=True)
-class Block:
+class CoefficientBlock:
     """One coefficient of the model, with all its group members."""
 
     effect: Effect
@@ -50,11 +65,13 @@ class Block:
     def spread_name(self) -> str:
         return f"{self.name}.spread"
 
-    def member_names(self) -> list[str]:
-        """Names of its entries in φ, when it is promoted."""
-        if self.coefficient.per is None:
+    def member_names(self, levels: Levels | None = None) -> list[str]:
+        """Names of its entries, each after its member; by their number, as in φ, where no levels are given."""
+        per = self.coefficient.per
+        if per is None:
             return [self.name]
-        return [f"{self.name}({i})" for i in range(self.size)]
+        members = range(self.size) if levels is None else levels[per]
+        return [member_name(self.name, member) for member in members]
 
 
 @dataclass(frozen=True)
@@ -64,12 +81,7 @@ class Hyper:
     name: str
     unit: str
     prior: Positive | Normal | FlatLine
-    kind: Literal["noise", "spread", "shape", "process", "promoted"]
-
-    @property
-    def moves(self) -> bool:
-        """Whether the expected output's Jacobian depends on it."""
-        return self.kind in ("shape", "process", "promoted")
+    kind: HyperKind
 
 
 class Layout(eqx.Module):
@@ -86,7 +98,7 @@ class Layout(eqx.Module):
     promoted: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
-    def blocks(self) -> tuple[Block, ...]:
+    def blocks(self) -> tuple[CoefficientBlock, ...]:
         counts, fixed = dict(self.counts), dict(self.model.fixed)
         blocks, start = [], 0
         for effect in self.model.effects:
@@ -103,27 +115,27 @@ class Layout(eqx.Module):
                     place = "phi"
                 factor = units.coefficient_factor(coefficient.unit, slot.unit)
                 blocks.append(
-                    Block(
-                        effect,
-                        index,
-                        name,
-                        slot.name,
-                        size,
-                        factor,
-                        place,
-                        start,
-                        fixed.get(name, 0.0),
+                    CoefficientBlock(
+                        effect=effect,
+                        index=index,
+                        name=name,
+                        slot=slot.name,
+                        size=size,
+                        factor=factor,
+                        place=place,
+                        start=start,
+                        value=fixed.get(name, 0.0),
                     )
                 )
                 start += size if place == "x" else 0
         return tuple(blocks)
 
     @property
-    def x_blocks(self) -> tuple[Block, ...]:
+    def x_blocks(self) -> tuple[CoefficientBlock, ...]:
         return tuple(b for b in self.blocks if b.place == "x")
 
     @property
-    def row_blocks(self) -> tuple[Block, ...]:
+    def row_blocks(self) -> tuple[CoefficientBlock, ...]:
         return tuple(b for b in self.blocks if b.place == "row")
 
     @property
@@ -161,6 +173,15 @@ class Layout(eqx.Module):
                     for name in block.member_names()
                 ]
         return tuple(h for h in found if h.name not in fixed)
+
+    def positions(self, *kinds: HyperKind) -> list[int]:
+        """Where in φ the entries of these kinds stand."""
+        return [i for i, h in enumerate(self.hypers) if h.kind in kinds]
+
+    @property
+    def moving(self) -> list[int]:
+        """Where in φ the entries stand that the expected output's Jacobian depends on."""
+        return self.positions(*MOVING)
 
     def promote(self, *names: str) -> Layout:
         return Layout(self.model, self.counts, (*self.promoted, *names))
