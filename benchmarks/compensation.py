@@ -40,10 +40,10 @@ import numpy as np
 from scipy import stats
 
 import bayescal as bc
-from bayescal._calibration.fit import bind
 from bayescal._compensation.inversion import first_order
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.parameters import bind
 from bayescal_models import (
     inclinometer,
     mems_gyro,

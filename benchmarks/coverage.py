@@ -26,9 +26,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal._calibration.fit import bind
 from bayescal._inference import sampled_products
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.parameters import bind
 from bayescal_models import INSTRUMENTS
 from benchmarks.ranks import Judgement, band, drawn, judge, ranks
 from benchmarks.record import ROOT, write

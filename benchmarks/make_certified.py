@@ -28,11 +28,11 @@ import xarray as xr
 from arviz_stats.base import array_stats
 
 import bayescal as bc
-from bayescal._calibration.fit import bind
 from bayescal._calibration.posterior_tree import named
 from bayescal._core.batched_map import over
 from bayescal._inference import laplace, nuts_chains, sampled_products
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.parameters import bind
 from bayescal_models import INSTRUMENTS
 from benchmarks.record import ROOT, surroundings
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fit import bind
 from bayescal._inference.laplace import compiled_mode
 from bayescal._model.frame import build_frame
 from bayescal._model.model import Model
+from bayescal._model.parameters import bind
 
 
 def laplace_evidence(model: Model, calibration: Calibration) -> float:

@@ -21,13 +21,11 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import bind
 from bayescal._readings.measurements import Measurements
 
 if TYPE_CHECKING:
     from bayescal._numpyro.fit_program import ProgramFit
-
-GROUPS = ("run", "cell", "axis", "device")
 
 
 @overload
@@ -145,40 +143,6 @@ def _fit_program(model, readings, method, seed, strict, reference, checkpoint) -
     )  # loads NumPyro, which the default fit does without
 
     return fit_program(model, readings, method, seed=seed, strict=strict)
-
-
-def bind(model: Model, readings: Measurements) -> tuple[Layout, dict[str, tuple[str, ...]]]:
-    """The model's layout for these readings, and the members of each group.
-
-    Raises:
-        ModelError: fewer readings than flat coefficients, or a group effect without its group.
-    """
-    levels = {group: readings.groups(group)[0] for group in GROUPS}
-    counts = {**{g: len(names) for g, names in levels.items()}, "reading": len(readings)}
-    layout = Layout(model, tuple(counts.items()))
-    flat = sum(b.size for b in layout.x_blocks if b.coefficient.flat)
-    if len(readings) <= flat:
-        raise ModelError(
-            f"{readings.file} has {len(readings)} readings for {flat} coefficients with a flat prior: "
-            "measure more, take effects out, or give them a Normal prior"
-        )
-    if not model.noise.independent and layout.row_blocks:
-        raise ModelError(
-            f"Effect {layout.row_blocks[0].effect.name!r} has one coefficient for each reading, which is not "
-            f"combined with {model.noise.law} noise: take the effect out, or use White() noise"
-        )
-    if not model.noise.independent and not readings.has("time"):
-        raise ModelError(
-            f"{model.noise.law} noise needs the column 'time', which {readings.file} lacks: record it, or use "
-            "White() noise"
-        )
-    for b in layout.blocks:
-        if b.size == 0:
-            raise ModelError(
-                f"Effect {b.effect.name!r} has one coefficient for each {b.coefficient.per}, and "
-                f"{readings.file} has none: name them in a column, or take the effect out"
-            )
-    return layout, levels
 
 
 def load(

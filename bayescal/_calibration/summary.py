@@ -12,7 +12,7 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, table, with_error
 from bayescal._inference import laplace
-from bayescal._model.parameters import Block
+from bayescal._model.parameters import CoefficientBlock
 from bayescal._readings.units import unit_label
 
 WEAK = 0.1  # information against the prior below which a direction counts as not measured
@@ -70,8 +70,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
         if per is None:
             coefficients.append(_row(b.name, b.effect.name, b.coefficient.unit, values, prior))
         elif per != "reading":
-            for i, member in enumerate(levels[per]):
-                name = f"{b.name}({member})"
+            for i, name in enumerate(b.member_names(levels)):
                 coefficients.append(
                     _row(name, b.effect.name, b.coefficient.unit, values[:, i], prior)
                 )
@@ -138,7 +137,7 @@ def null_directions(calibration: Fitted) -> list[dict[str, str]]:
     return [*found, *([_deviations_words(others, calibration)] if others else [])]
 
 
-def _single(block: Block) -> bool:
+def _single(block: CoefficientBlock) -> bool:
     """Whether a coefficient stands for itself: no deviation of learned spread, no part of an unknown function."""
     return block.coefficient.spread is None and not block.effect.is_placeholder
 
@@ -167,15 +166,8 @@ def _deviations_words(vectors: list[np.ndarray], calibration: Fitted) -> dict[st
 def _entry_names(calibration: Fitted) -> list[str]:
     names: list[str] = []
     for b in calibration.layout.x_blocks:
-        names += _members(b, calibration.levels)
+        names += b.member_names(calibration.levels)
     return names
-
-
-def _members(block: Block, levels: dict[str, tuple[str, ...]]) -> list[str]:
-    per = block.coefficient.per
-    if per is None:
-        return [block.name]
-    return [f"{block.name}({m})" for m in levels[per]]
 
 
 def _exact_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:

@@ -10,12 +10,13 @@ import numpy as np
 from scipy import stats
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fit import GROUPS, fit
+from bayescal._calibration.fit import fit
 from bayescal._diagnostics import efficient_score, smooth_terms
 from bayescal._diagnostics.check_result import Check, Entry, FixedComparison, Pair
 from bayescal._diagnostics.worst_region import worst_regions
 from bayescal._inference import laplace
 from bayescal._inference.least_squares import LeastSquares
+from bayescal._model.frame import GROUPS
 
 ALIKE = 0.95  # rank correlation from which two covariates are taken for one
 DUOS = 15  # pairs of covariates, at most

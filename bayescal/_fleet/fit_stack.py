@@ -16,7 +16,7 @@ from bayescal._inference import importance_sampling, least_squares, sampled_prod
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import ENOUGH, K_HAT, Marginal, smoothed, worth
 from bayescal._model import forward
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Layout, Levels
 
 TOGETHER = 64  # devices that a program of many readings or proposals holds at once
 SINGULAR = "The curvature is singular: some direction is not determined by readings or priors."
@@ -46,20 +46,13 @@ class Found(NamedTuple):
     notes: tuple[str, ...]
 
 
-def unknowns(layout: Layout, levels: dict[str, tuple[str, ...]]) -> list[tuple[str, str]]:
+def unknowns(layout: Layout, levels: Levels) -> list[tuple[str, str]]:
     """(name, unit) of every unknown but those of single readings, in the order of `Found.mean`."""
     found = []
     for b in layout.blocks:
-        per = b.coefficient.per
-        if b.place == "fixed" or per == "reading":
-            continue
-        members = [b.name] if per is None else [f"{b.name}({m})" for m in levels[per]]
-        found += [(name, b.coefficient.unit) for name in members]
+        if b.place not in ("fixed", "row"):
+            found += [(name, b.coefficient.unit) for name in b.member_names(levels)]
     return found + [(h.name, h.unit) for h in layout.hypers if h.kind != "promoted"]
-
-
-def coefficient_count(layout: Layout) -> int:
-    return sum(b.size for b in layout.blocks if b.place not in ("fixed", "row"))
 
 
 def solve(

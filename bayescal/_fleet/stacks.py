@@ -14,12 +14,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._calibration.fit import GROUPS, bind
 from bayescal._core.errors import BayescalError
 from bayescal._fleet.devices import DEVICE, Block
-from bayescal._model.frame import Frame, Reference, build_frame, reference_name, reference_of
+from bayescal._model.frame import (
+    GROUPS,
+    Frame,
+    Reference,
+    build_frame,
+    reference_name,
+    reference_of,
+)
 from bayescal._model.model import Model
 from bayescal._model.noise import UNCERTAINTY
+from bayescal._model.parameters import bind
 
 EXACT = 3  # so many different numbers of readings have a program each; more are padded to a common ladder
 STEP = 1.25  # from one rung of the ladder to the next
@@ -150,7 +157,7 @@ def _plain_stacks(
             if not isinstance(v, dict)
         }
         shape = real.shape
-        codes = {g: np.full(shape, -1 if g == "cell" else 0) for g in ("cell", *GROUPS)}
+        codes = {g: np.full(shape, -1 if g == "cell" else 0) for g in GROUPS}
         frame = Frame(
             columns,  # pyright: ignore[reportArgumentType]  # NumPy arrays, until they are fitted
             {},

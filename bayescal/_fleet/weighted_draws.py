@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._calibration.fit import bind
 from bayescal._calibration.posterior_tree import named
 from bayescal._core.errors import InputError, ModelError
 from bayescal._inference import importance_sampling, sampled_products
@@ -20,7 +19,7 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.marginal import Marginal, smoothed
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Layout, bind
 from bayescal._readings.measurements import Measurements
 
 

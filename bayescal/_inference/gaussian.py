@@ -191,8 +191,7 @@ def whitener(
 
 def needs_one_pass(layout: Layout, frame: Frame) -> bool:
     """Whether products over the readings can be computed once: J does not move with φ, and one variance."""
-    moving = any(h.moves for h in layout.hypers)
-    return not moving and not layout.row_blocks and layout.model.noise.constant(frame)
+    return not layout.moving and not layout.row_blocks and layout.model.noise.constant(frame)
 
 
 def gram_function(layout: Layout, frame: Frame, y: Float[Array, "n"], point: Point):
@@ -215,7 +214,7 @@ def gram_function(layout: Layout, frame: Frame, y: Float[Array, "n"], point: Poi
         j = line.jacobian
         return shaped(Gram(j.T @ j, j.T @ r, r @ r, jnp.zeros(())))
 
-    moving = [i for i, h in enumerate(layout.hypers) if h.moves]
+    moving = layout.moving
     once = not layout.row_blocks and noise.constant(frame)
     if not once or not _interpolates(layout, moving):
         return lambda hyper, v: products(hyper, white=False)

@@ -227,7 +227,7 @@ def linearised(layout: Layout, frame: Frame, y: Float[Array, "n"], mode) -> Line
     hyper = forward.hyper_values(layout, mode.v)
     point = mode.point
     line = forward.linearise(layout, frame, point.x, point.rows, hyper)
-    moving = [i for i, h in enumerate(layout.hypers) if h.moves]
+    moving = layout.moving
     nuisance, prior = line.jacobian, gaussian.prior_of(layout, hyper, mode.flat)
     at = point.x
     if moving:

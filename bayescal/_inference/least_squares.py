@@ -82,9 +82,7 @@ def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:
     An unknown function's amplitude and length are neither: fitted together with the function, the amplitude would run
     away and its coefficients to zero. They stay where the marginal likelihood has its maximum.
     """
-    kinds = [h.kind for h in layout.hypers]
-    scales = [i for i, k in enumerate(kinds) if k in ("noise", "spread")]
-    return scales, [i for i, k in enumerate(kinds) if k in ("shape", "promoted")]
+    return layout.positions("noise", "spread"), layout.positions("shape", "promoted")
 
 
 def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool) -> Solution:

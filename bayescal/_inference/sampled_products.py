@@ -18,7 +18,7 @@ from bayescal._core.jit import compiled
 from bayescal._inference import laplace
 from bayescal._model import forward
 from bayescal._model.frame import Frame
-from bayescal._model.parameters import Block, Layout
+from bayescal._model.parameters import CoefficientBlock, Layout
 
 THRESHOLD = 0.3  # root-sum-square over the readings, noise standard deviations
 MOST = 6  # entries of φ that promotion may add
@@ -79,8 +79,8 @@ def choose(
 
 
 def _with_its_parts(
-    candidates: list[Block], strength: list[float], best: int, free: int
-) -> list[Block]:
+    candidates: list[CoefficientBlock], strength: list[float], best: int, free: int
+) -> list[CoefficientBlock]:
     """A coefficient with the other parts of its effect in the same slot, which bend with it, where all fit in φ."""
     one = candidates[best]
     parts = [

@@ -20,7 +20,7 @@ from bayescal._readings.measurements import Measurements
 
 configure_jax()
 
-GROUPS = ("run", "axis", "device")  # columns of text that coefficients may be given per member of
+GROUPS = ("run", "cell", "axis", "device")  # whose members coefficients may be given one of each
 RATE_WINDOW = 60.0  # s, of the causal least-squares slope
 GAP = 10.0  # windows without a reading, after which nothing is known of the rate
 Reference = dict[str, float | dict[str, float]]
@@ -218,7 +218,7 @@ def build_frame(
             if readings.unit(name) == "degC" and name != "temperature_point":
                 rates[name] = jnp.asarray(causal_slope(time, readings[name], order, step))
     group_codes = {}
-    for group in ("cell", *GROUPS):
+    for group in GROUPS:
         own_levels, own_codes = readings.groups(group)
         if levels is not None:
             known = {level: i for i, level in enumerate(levels.get(group, ()))}

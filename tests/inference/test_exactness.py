@@ -8,9 +8,9 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._calibration.fit import bind
 from bayescal._inference.sampled_products import bends
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.parameters import bind
 
 COLUMNS = (
     bc.Column("run", None, "label", required=False),

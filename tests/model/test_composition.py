@@ -14,12 +14,11 @@ from scipy.stats import multivariate_normal
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._calibration.fit import bind
 from bayescal._inference import block_elimination, gaussian, laplace
 from bayescal._inference.nuts import program
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Layout, bind
 from bayescal_models import INSTRUMENTS, ng_accelerometer
 from bayescal_models.mems_gyro import INSTRUMENT
 from bayescal_models.mems_gyro.model import THERMOMETER

@@ -7,8 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._calibration.fit import bind
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Layout, bind
 from bayescal_models.mems_gyro import INSTRUMENT
 
 BASELINE = INSTRUMENT.baseline()

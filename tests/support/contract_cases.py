@@ -18,12 +18,11 @@ import numpy as np
 
 import bayescal as bc
 import bayescal_models
-from bayescal._calibration.fit import bind
 from bayescal._inference import importance_sampling, laplace, marginal, sampled_products
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Layout, bind
 from benchmarks import make_certified
 
 STEP = 1e-3  # of the finite differences, prior standard deviations
