@@ -6,7 +6,6 @@ The file names its instrument and effects; they are resolved against what is ins
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.metadata import entry_points
@@ -18,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from bayescal._calibration.fitted import Fitted
+from bayescal._core.atomic_file import replacing
 from bayescal._core.errors import InputError
 from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
@@ -63,12 +63,8 @@ def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
     tree = tree.copy()
     tree["mode"] = xr.DataTree(_mode_dataset(calibration.mode))
     tree.attrs["bayescal"] = json.dumps(_description(calibration))
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        tree.to_netcdf(beside, engine="h5netcdf")
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with replacing(path) as partial:
+        tree.to_netcdf(partial, engine="h5netcdf")
     return path
 
 

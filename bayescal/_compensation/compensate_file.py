@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 import xarray as xr
 
 from bayescal._compensation.compensator import Compensated, Compensator, Method
+from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._readings.column import Admitted, Column, NominalScale, Source
 from bayescal._readings.column_conversion import admit
@@ -28,7 +29,6 @@ from bayescal._readings.measurements import ROW, Measurements, assemble
 from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet, parquet_parts
 from bayescal._readings.raw_table import Table, bytes_text
 from bayescal._readings.read import MAX_BYTES
-from bayescal._readings.write import beside
 
 OPENERS = {".csv": open_csv, ".parquet": open_parquet, ".nc": open_netcdf}
 ROWS = 200_000  # compensated at a time
@@ -138,7 +138,7 @@ def compensate_file(
         )
     door = _door(compensator)
     wishes = Wishes(columns or {}, units or {}, local_gravity, None)
-    with beside(out) as partial:
+    with replacing_for_user(out) as partial:
         table = OPENERS[suffix](path, path.name, *(() if suffix == ".csv" else (_limit(suffix),)))
         raw, names = _names(table, door, wishes)
         done = Done(out, 0, names, {}, 0, ())

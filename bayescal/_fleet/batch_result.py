@@ -14,9 +14,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._fleet.population import Population
-from bayescal._readings.write import beside
 
 SCHEMA = "bayescal.batch/1"
 SHOWN = 10  # devices that are named in print when they cannot be trusted
@@ -215,7 +215,7 @@ class BatchResult:
             else pa.array(long[f.name].to_numpy(np.float64), type=f.type)  # NaN stays NaN
             for f in fields
         ]
-        with beside(path) as partial:
+        with replacing_for_user(path) as partial:
             pq.write_table(pa.Table.from_arrays(columns, schema=schema), partial)
         return path
 

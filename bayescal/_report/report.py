@@ -12,13 +12,13 @@ from typing import Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._compensation.budget import Budget, budget
+from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._discovery.search_path import Trail
 from bayescal._model.effect import Effect
 from bayescal._model.placeholder import covariate_in
 from bayescal._readings.units import unit_label
-from bayescal._readings.write import write_text
 from bayescal._report import figures, sentences, tables
 from bayescal._report.section import Chapter, chapters, taken
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.summary import null_directions, summary
+from bayescal._core.atomic_file import replacing
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import groups_of
 from bayescal._discovery.discovery import Discovery
@@ -236,9 +236,5 @@ def clean(value: Any) -> Any:
 
 def write_json(data: Any, path: Path) -> None:
     """Written beside and renamed, so that an interruption leaves the old file whole."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        beside.write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with replacing(path) as partial:
+        partial.write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
