@@ -72,9 +72,9 @@ from ._model.prior import HalfCauchy as HalfCauchy
 from ._model.prior import HalfNormal as HalfNormal
 from ._model.prior import Normal as Normal
 from ._numpyro.fit_program import ProgramFit as ProgramFit
-from ._readings.measurements import Column as Column
+from ._readings.column import Column as Column
+from ._readings.column import NominalScale as NominalScale
 from ._readings.measurements import Measurements as Measurements
-from ._readings.measurements import NominalScale as NominalScale
 from ._readings.read import read as read
 from ._report.report import report as report
 from ._report.save_search import Trail as Trail  # with `save`, which save_search.py attaches

@@ -29,7 +29,8 @@ from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 from bayescal._model.placeholder import covariate_in
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal
-from bayescal._readings.measurements import Measurements, Source
+from bayescal._readings.column import Source
+from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.calibration/1"
 _NOISES = {

@@ -13,8 +13,8 @@ import numpy as np
 import xarray as xr
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import Source
-from bayescal._readings.measurements import ROW, Measurements
+from bayescal._readings.column import ROW, Source
+from bayescal._readings.measurements import Measurements
 
 DEVICE = "device"
 

@@ -11,11 +11,11 @@ import pandas as pd
 
 from bayescal._core.errors import InputError
 from bayescal._fleet.devices import DEVICE, Block, Devices, without
-from bayescal._readings.column import Admitted, Column, NominalScale, Source
-from bayescal._readings.column_conversion import admit
+from bayescal._readings.column import Column, NominalScale, Source
+from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
 from bayescal._readings.column_matching import (
-    Expects,
-    Wishes,
+    InstrumentLike,
+    ReadOptions,
     expected_columns,
     match,
     output_name,
@@ -30,7 +30,8 @@ from bayescal._readings.dataset_checks import (
 )
 from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet
 from bayescal._readings.raw_table import Cells, Table, load_whole, numbers_of
-from bayescal._readings.units import STANDARD_GRAVITY, base_unit
+from bayescal._readings.unit_registry import STANDARD_GRAVITY
+from bayescal._readings.units import base_unit
 from bayescal._readings.write import FORMATS
 
 MAX_BYTES = 2_000_000_000
@@ -38,7 +39,7 @@ MAX_BYTES = 2_000_000_000
 
 def split_devices(
     paths: str | Path | Sequence[str | Path],
-    instrument: Expects,
+    instrument: InstrumentLike,
     *,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
@@ -67,7 +68,7 @@ def split_devices(
     given = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     if not given:
         raise InputError("no file was given to split into devices: give at least one")
-    wishes = Wishes(columns or {}, units or {}, local_gravity, nominal_scale)
+    wishes = ReadOptions(columns or {}, units or {}, local_gravity, nominal_scale)
     names: list[str] = []
     blocks: list[Block] = []
     refused: dict[str, str] = {}
@@ -105,7 +106,7 @@ def _open(path: Path, max_bytes: int) -> Table:
 
 
 def _split(
-    table: Table, path: Path, instrument: Expects, wishes: Wishes, needs: Sequence[str]
+    table: Table, path: Path, instrument: InstrumentLike, wishes: ReadOptions, needs: Sequence[str]
 ) -> Devices:
     expects = _Wider(instrument, _further(table, instrument, wishes, needs))
     places = match(table, expected_columns(expects), wishes)
@@ -152,7 +153,7 @@ def _less(table: Table, position: int) -> Table:
     return replace(table, headers=tuple(table.headers[i] for i in rest), load=load)
 
 
-def _less_wishes(wishes: Wishes) -> Wishes:
+def _less_wishes(wishes: ReadOptions) -> ReadOptions:
     columns = {ours: theirs for ours, theirs in wishes.columns.items() if ours != DEVICE}
     return replace(wishes, columns=columns)
 
@@ -161,7 +162,7 @@ def _less_wishes(wishes: Wishes) -> Wishes:
 class _Wider:
     """An instrument with further columns."""
 
-    instrument: Expects
+    instrument: InstrumentLike
     further: tuple[Column, ...]
 
     @property
@@ -182,7 +183,7 @@ class _Wider:
 
 
 def _further(
-    table: Table, instrument: Expects, wishes: Wishes, needs: Sequence[str]
+    table: Table, instrument: InstrumentLike, wishes: ReadOptions, needs: Sequence[str]
 ) -> tuple[Column, ...]:
     """Columns that effects need and the instrument does not know, in their base units."""
     known = expected_columns(instrument)
@@ -237,19 +238,23 @@ class _Taken:
 
 
 def _admit_most(
-    taken: _Taken, codes: np.ndarray, names: Sequence[str], expects: Expects, wishes: Wishes
-) -> tuple[Admitted, np.ndarray, dict[str, str]]:
+    taken: _Taken,
+    codes: np.ndarray,
+    names: Sequence[str],
+    expects: InstrumentLike,
+    wishes: ReadOptions,
+) -> tuple[ConvertedColumns, np.ndarray, dict[str, str]]:
     """The columns of all devices whose cells can be used, their rows (of those taken), and why the others not.
 
     Raises:
         InputError: something is wrong that is not in one row.
     """
 
-    def attempt(rows: np.ndarray) -> Admitted | str:
+    def attempt(rows: np.ndarray) -> ConvertedColumns | str:
         part = replace(taken, rows=taken.rows[rows], spoken_of=-1)
         table = part.table()
         try:
-            return admit(table, expects, wishes)
+            return convert_columns(table, expects, wishes)
         except InputError as error:
             index = part.spoken_of
             if index < 0 or not str(error).startswith(table.place(index)):
@@ -274,14 +279,14 @@ def _admit_most(
     if isinstance(found, str):
         bad = dict(search(rows))
         rows = rows[~np.isin(codes, list(bad))]
-        found = attempt(rows) if rows.size else Admitted()
+        found = attempt(rows) if rows.size else ConvertedColumns()
     if isinstance(found, str):
         raise InputError(found)
     return found, rows, {names[code]: why for code, why in bad.items()}
 
 
 def _without_useless(
-    names: tuple[str, ...], block: Block, refused: dict[str, str], instrument: Expects
+    names: tuple[str, ...], block: Block, refused: dict[str, str], instrument: InstrumentLike
 ) -> Devices:
     """Refuse devices with one temperature only, or with time running backwards."""
     bad: dict[int, str] = {}

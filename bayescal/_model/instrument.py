@@ -17,8 +17,10 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.noise import Noise, White
 from bayescal._model.placeholder import covariate_in, placeholder
-from bayescal._readings.measurements import Column, Measurements, NominalScale
-from bayescal._readings.units import ANY, coefficient_factor, same_dimension
+from bayescal._readings.column import Column, NominalScale
+from bayescal._readings.measurements import Measurements
+from bayescal._readings.unit_registry import ANY
+from bayescal._readings.units import coefficient_factor, same_dimension
 
 Slots = Mapping[str, Float[Array, "n"]]
 

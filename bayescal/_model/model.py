@@ -11,8 +11,8 @@ from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise import Noise
-from bayescal._readings import units
 from bayescal._readings.measurements import Measurements
+from bayescal._readings.unit_registry import ANY
 
 
 class Model(eqx.Module):
@@ -137,7 +137,7 @@ class Model(eqx.Module):
             ModelError: the output has another unit, or a column is missing.
         """
         own, unit = self.instrument.unit, readings.unit(readings.output)
-        if own == units.ANY:
+        if own == ANY:
             raise ModelError(
                 f"Instrument {self.instrument.name!r} takes its unit and plausible sizes from readings: compose "
                 "the model of instrument.for_readings(readings)"

@@ -24,7 +24,7 @@ MOST_ROOMS = 14
 ROOMS = {
     "_core": "version errors atomic_file formatting jax_setup progress batched_map jit tall_qr levenberg_marquardt "
     "null_space",
-    "_readings": "units column raw_table dataset_checks write column_matching extra_columns column_conversion "
+    "_readings": "unit_registry units column raw_table dataset_checks write column_matching column_conversion "
     "measurements csv_reader parquet_netcdf_reader read",
     "_model": "prior coefficient frame effect placeholder noise instrument model parameters forward",
     "effects": "constant temperature thermal thermometer time",

@@ -15,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
-from bayescal._readings.measurements import Column, Measurements, NominalScale
+from bayescal._readings.column import Column, NominalScale
+from bayescal._readings.measurements import Measurements
 from bayescal._readings.read import read
 
 VOLTS = NominalScale("V", gain=0.001, offset=1.2)
