@@ -16,7 +16,7 @@ import numpy as np
 import bayescal as bc
 from bayescal._diagnostics import efficient_score
 from bayescal._discovery import candidate_columns
-from benchmarks.hidden_effects_bank import open_effects
+from benchmarks.hidden_effects.bank import open_effects
 
 SELECTIONS = ("stepwise BIC", "LASSO", "STLSQ")
 MOST = 5
