@@ -1,4 +1,4 @@
-"""Results as JSON, with the versions and the machine that made them."""
+"""Results as JSON, with the versions and the machine that made them; rows of long benchmarks as lines of JSON."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+RESULTS = ROOT / "benchmarks" / "results"
 REFERENCE_DATA = ROOT.parent / "shared" / "data"  # beside the checkout; not part of it
 PACKAGES = ("bayescal", "jax", "jaxlib", "numpy", "scipy", "optimistix", "equinox", "lineax")
 
@@ -27,12 +29,36 @@ def surroundings() -> dict[str, Any]:
     }
 
 
-def write(name: str, results: dict[str, Any]) -> Path:
-    """Write `benchmarks/results/NAME.json`, beside and then renamed."""
-    path = ROOT / "benchmarks" / "results" / f"{name}.json"
+def write_json(path: Path, content: dict[str, Any]) -> Path:
+    """Write a file of JSON, beside and then renamed."""
     path.parent.mkdir(exist_ok=True)
     draft = path.with_suffix(".part")
-    text = json.dumps({"surroundings": surroundings(), **results}, indent=1, ensure_ascii=False)
-    draft.write_text(text + "\n", encoding="utf-8")
+    draft.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     draft.replace(path)
     return path
+
+
+def write(name: str, results: dict[str, Any]) -> Path:
+    """Write `benchmarks/results/NAME.json`, with what surrounds it."""
+    return write_json(RESULTS / f"{name}.json", {"surroundings": surroundings(), **results})
+
+
+def read(name: str) -> dict[str, Any]:
+    """What `write` wrote, without what surrounds it; empty if nothing stands there."""
+    path = RESULTS / f"{name}.json"
+    found = json.loads(path.read_text("utf-8")) if path.is_file() else {}
+    found.pop("surroundings", None)
+    return found
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """Rows of a file, a line each; none if there is no file."""
+    text = path.read_text("utf-8") if path.is_file() else ""
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def add_line(path: Path, row: dict[str, Any]) -> None:
+    """Add a row to a file, so that a benchmark that is stopped goes on where it was."""
+    path.parent.mkdir(exist_ok=True)
+    with path.open("a", encoding="utf-8") as out:
+        out.write(json.dumps(row, ensure_ascii=False) + "\n")

@@ -10,8 +10,8 @@ import pytest
 import bayescal as bc
 from bayescal._compensation.compensator import OutsideCalibration
 from bayescal_models import mems_gyro, still_sensor
-from benchmarks import compensation as campaigns
-from benchmarks.coverage import collect
+from benchmarks.accuracy.coverage import collect
+from benchmarks.instruments import compensation as campaigns
 from tests.support import bent_sensor
 
 pytestmark = pytest.mark.filterwarnings(

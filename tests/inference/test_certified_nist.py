@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bayescal._core import levenberg_marquardt
-from benchmarks import nist
+from benchmarks.accuracy import nist
 
 PARAMETERS, DEVIATIONS = 8.0, 6.0  # digits
 # Not to be met: of data without noise, standard deviations are rounding.

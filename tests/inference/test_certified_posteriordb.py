@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from benchmarks import posteriordb
+from benchmarks.accuracy import posteriordb
 
 SHIFT, RATIO = 0.05, 0.03
 # The others are slow only by their number.

@@ -1,7 +1,7 @@
 """Intervals cover: over data sets drawn from the priors, the truth's rank among the draws is uniform.
 
-Ranks, band and binomial test: `benchmarks/ranks.py`, with their sources. A thousand data sets for each instrument
-are the benchmark `coverage`; here are a hundred.
+Ranks, band and binomial test: `benchmarks/accuracy/ranks.py`, with their sources. A thousand data sets for each
+instrument are the benchmark `coverage`; here are a hundred.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import bayescal as bc
 from bayescal_models import INSTRUMENTS
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
-from benchmarks import coverage
-from benchmarks.ranks import band, drawn, judge, ranks
+from benchmarks.accuracy import coverage
+from benchmarks.accuracy.ranks import band, drawn, judge, ranks
 
 SEED = 11
 LEVEL = 0.01  # chance that a right program fails one of these tests

@@ -24,8 +24,8 @@ import bayescal as bc
 from bayescal._model import forward
 from bayescal._readings import units
 from bayescal_models import INSTRUMENTS
-from benchmarks import make_certified
-from benchmarks.ranks import drawn
+from benchmarks.accuracy import reference_posteriors
+from benchmarks.accuracy.ranks import drawn
 from tests.support.compilations import compiled
 from tests.support.contract_cases import Case, columns_of
 from tests.support.contract_data_sheet import listed
@@ -214,7 +214,9 @@ def test_marginal_agrees_with_the_certified_posterior(case: Case) -> None:
     certified = case.certified
     assert certified["max_r_hat"] < certified["tolerances"]["r_hat"] <= 1.01
     own = columns_of(case.marginal)
-    assert set(certified["coefficients"]) == set(own), "make certified.json anew: make_certified"
+    assert set(certified["coefficients"]) == set(own), (
+        "make certified.json anew: reference_posteriors"
+    )
     allowed = certified["tolerances"]["agreement"]
     for name, reference in certified["coefficients"].items():
         assert reference["mcse"] < 0.02 * reference["sd"], name
@@ -271,8 +273,8 @@ def test_marginal_agrees_with_least_squares(case: Case) -> None:
 def test_marginal_agrees_with_nuts(case: Case) -> None:
     # The plain program, or whitened coordinates where it does not mix: as the certificate was made, 1000 draws a chain.
     kind = case.certified["sampler"]["kind"]
-    posterior, _ = make_certified.SAMPLERS[kind](case.model, case.readings, 1000)
-    for name, (draws, _) in make_certified.columns_of(posterior).items():
+    posterior, _ = reference_posteriors.SAMPLERS[kind](case.model, case.readings, 1000)
+    for name, (draws, _) in reference_posteriors.columns_of(posterior).items():
         own = columns_of(case.marginal)[name]
         many = _independent(draws), _effective(case.marginal, own)
         error = np.hypot(draws.std() / many[0] ** 0.5, own.std() / many[1] ** 0.5)

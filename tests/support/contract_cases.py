@@ -23,7 +23,7 @@ from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable
 from bayescal._model.parameters import Layout, bind
-from benchmarks import make_certified
+from benchmarks.accuracy import reference_posteriors
 
 STEP = 1e-3  # of the finite differences, prior standard deviations
 SEED = 17
@@ -181,4 +181,4 @@ class Case:
 def columns_of(calibration: bc.Calibration) -> dict[str, np.ndarray]:
     """Draws (chains, draws) of every unknown; members of a group each by number, as in certified.json."""
     posterior = calibration.tree["posterior"].to_dataset()
-    return {name: draws for name, (draws, _) in make_certified.columns_of(posterior).items()}
+    return {name: draws for name, (draws, _) in reference_posteriors.columns_of(posterior).items()}

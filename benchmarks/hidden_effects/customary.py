@@ -16,7 +16,7 @@ import numpy as np
 import bayescal as bc
 from bayescal._discovery import candidate_columns
 from bayescal._inference import laplace
-from benchmarks.hidden_effects_bank import open_effects
+from benchmarks.hidden_effects.bank import open_effects
 
 SELECTIONS = ("stepwise BIC", "LASSO", "STLSQ")
 MOST = 5

@@ -241,11 +241,13 @@ def warm(kind: str) -> dict[str, Any]:
 
 
 COLD = {
-    "bayescal": "import bayescal as bc; from benchmarks.fit_cost import _case, told_z; "
+    "bayescal": "import bayescal as bc; from benchmarks.speed.scaling.fit_cost import _case, told_z; "
     "told_z(bc.fit(*_case('warm-up'), bc.LeastSquares()))",
-    "scipy": "import sys, json; from benchmarks.fit_cost import *; scale, noise = json.loads(sys.argv[1]); "
+    "scipy": "import sys, json; from benchmarks.speed.scaling.fit_cost import *; "
+    "scale, noise = json.loads(sys.argv[1]); "
     "z = by_scipy(by_hand('warm-up', scale, noise), 'trf')[0]; print(json.dumps([time.time(), z.tolist()]))",
-    "lmfit": "import sys, json; from benchmarks.fit_cost import *; scale, noise = json.loads(sys.argv[1]); "
+    "lmfit": "import sys, json; from benchmarks.speed.scaling.fit_cost import *; "
+    "scale, noise = json.loads(sys.argv[1]); "
     "z = by_lmfit(by_hand('warm-up', scale, noise))[0]; print(json.dumps([time.time(), z.tolist()]))",
 }
 

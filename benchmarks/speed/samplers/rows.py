@@ -42,7 +42,7 @@ from bayescal._inference.nuts import program
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from benchmarks.record import ROOT, write
-from benchmarks.sampler_peers import (
+from benchmarks.speed.samplers.peers import (
     CHAINS,
     DRAWS,
     Ran,
@@ -53,7 +53,7 @@ from benchmarks.sampler_peers import (
     nutpie_nuts,
     pymc_nuts,
 )
-from benchmarks.sampler_problems import PROBLEMS
+from benchmarks.speed.samplers.problems import PROBLEMS
 
 LINES = ROOT / "benchmarks" / "results" / "samplers.jsonl"
 SEED = 20261121
@@ -272,7 +272,7 @@ def _apart(name: str, limit: float) -> dict[str, Any] | None:
     Raises:
         RuntimeError: it failed.
     """
-    code = "import sys; from benchmarks.samplers import in_here; in_here(*sys.argv[1:])"
+    code = "import sys; from benchmarks.speed.samplers.rows import in_here; in_here(*sys.argv[1:])"
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "row.json"
         try:

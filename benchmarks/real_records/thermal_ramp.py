@@ -23,7 +23,7 @@ import numpy as np
 
 import bayescal as bc
 from bayescal_models import still_sensor
-from benchmarks import thermal_ramp_page
+from benchmarks.real_records import thermal_ramp_page
 from benchmarks.record import REFERENCE_DATA, ROOT, write
 
 RECORD = Path("thermal_ramp") / "imu_thermal_ramp.csv"

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from benchmarks.customary import SELECTIONS
-from benchmarks.hidden_effects_bank import COUNTS, OUTSIDE
+from benchmarks.hidden_effects.bank import COUNTS, OUTSIDE
+from benchmarks.hidden_effects.customary import SELECTIONS
 
 STRONG = 8.0  # oracle
 ALIKE = 0.7  # correlation from which an effect outside the catalogue looks like one of it

@@ -47,7 +47,7 @@ OURS = (
     "mems_gyro",
     "--json",
 )
-PEER = ("import sys; from benchmarks.start_up import peer; peer(*sys.argv[1:])", str(TABLE))
+PEER = ("import sys; from benchmarks.speed.start_up import peer; peer(*sys.argv[1:])", str(TABLE))
 
 
 def peer(table: str, begun: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks import nist, posteriordb
+from benchmarks.accuracy import nist, posteriordb
 from benchmarks.record import REFERENCE_DATA, ROOT, write
 
 MEANINGLESS = ("Lanczos1", "wampler1", "wampler2")  # standard deviations of data without noise

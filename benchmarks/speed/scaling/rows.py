@@ -20,8 +20,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks import fit_cost, gradient_cost
 from benchmarks.record import ROOT, write
+from benchmarks.speed.scaling import fit_cost, gradient_cost
 
 LINES = ROOT / "benchmarks" / "results" / "scaling.jsonl"
 MEMORY_READINGS, MEMORY_GOAL, MEMORY_LIMIT = 10_000_000, 2.0, 8.0  # GiB; the last ends a process
@@ -112,7 +112,7 @@ def memory(readings: int, what: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = str(Path(folder) / "readings.parquet")
         _guarded(DATA, path, str(readings))
-        code = "import sys; from benchmarks.scaling import fit_in_here; fit_in_here(*sys.argv[1:])"
+        code = "import sys; from benchmarks.speed.scaling.rows import fit_in_here; fit_in_here(*sys.argv[1:])"
         found = _guarded(code, path, what)
     found = {"readings": readings, "what": STEPS[what], "goal_gib": MEMORY_GOAL, **found}
     if "ended_above" in found:
@@ -129,7 +129,7 @@ def memory(readings: int, what: str) -> dict[str, Any]:
 
 
 def _scan() -> dict[str, Any]:
-    from benchmarks import scan_cost
+    from benchmarks.speed.scaling import scan_cost
 
     return scan_cost.scan()
 
@@ -174,7 +174,7 @@ def main() -> None:
     for name in ROWS:
         if name in done or only not in name:
             continue
-        code = "import sys; from benchmarks.scaling import in_here; in_here(sys.argv[1])"
+        code = "import sys; from benchmarks.speed.scaling.rows import in_here; in_here(sys.argv[1])"
         with one_core(), tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "row.json"
             ran = subprocess.run(

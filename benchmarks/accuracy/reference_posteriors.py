@@ -1,7 +1,7 @@
 """Writes `certified.json` of an instrument: the posterior of its proving ground, by long NUTS.
 
-    python -m benchmarks.make_certified mems_gyro
-    python -m benchmarks.make_certified ng_accelerometer --sampler whitened
+    python -m benchmarks.accuracy.reference_posteriors mems_gyro
+    python -m benchmarks.accuracy.reference_posteriors ng_accelerometer --sampler whitened
 
 The reference must not rest on what it certifies, so the coefficients are never integrated out. `program` is NumPyro's
 NUTS on the plain program (`bc.NUTS`); `whitened` runs the same kernel on the same exact log density in coordinates in
@@ -132,7 +132,7 @@ def certify(name: str, sampler: str = "program") -> dict[str, Any]:
         raise SystemExit(f"{name}: no certificate: see the last figures above; try another sampler")
     shown = ("mean", "sd", "mcse", "mcse_sd")
     return {
-        "made_by": f"python -m benchmarks.make_certified {name} --sampler {sampler}",
+        "made_by": f"python -m benchmarks.accuracy.reference_posteriors {name} --sampler {sampler}",
         "sampler": {
             "kind": sampler,
             "numpyro": version("numpyro"),
@@ -171,7 +171,7 @@ def write_certificate(name: str, certificate: dict[str, Any]) -> Path:
 
 def main(argv: list[str] | None = None) -> None:
     """Certify the instruments named, one after the other."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.make_certified")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy.reference_posteriors")
     parser.add_argument("names", nargs="+", choices=INSTRUMENTS, metavar="instrument")
     parser.add_argument("--sampler", choices=SAMPLERS, default="program")
     asked = parser.parse_args(argv)

@@ -1,4 +1,4 @@
-"""The page `docs/thermal_ramp.md`, rendered from the results of `benchmarks/thermal_ramp.py`."""
+"""The page `docs/thermal_ramp.md`, rendered from the results of `thermal_ramp.py` beside it."""
 
 from __future__ import annotations
 

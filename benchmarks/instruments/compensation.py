@@ -1,7 +1,7 @@
 """Does compensation lose nothing that the campaign has told? Campaigns drawn from the priors, and verification data.
 
     python -m benchmarks compensation                               1000 campaigns of each instrument
-    python -m benchmarks.compensation mems_gyro --replicates 100
+    python -m benchmarks.instruments.compensation mems_gyro --replicates 100
 
 For each campaign the truth of every unknown is drawn from the model's own priors (all proper), and from that truth a
 calibration and a verification data set, by the model's own composition and noise: the same device, new runs and
@@ -17,7 +17,7 @@ readings back into the stimulus, by draws. Measured:
 - of what is left aside: how often the coefficient's own mean ± 2u holds the truth.
 
 Campaigns whose fit is not to be trusted are counted as the others are, and their share is stated. A differential pair
-has no compensator: what it measures is no function of one reading (`benchmarks/differential_pair.py`).
+has no compensator: what it measures is no function of one reading (`differential_pair.py`).
 
 Resumable: results/compensation_NAME.jsonl holds a line for each chunk. Writes results/compensation.json.
 """
@@ -54,7 +54,7 @@ from bayescal_models.mems_gyro.proving import TURNING
 from bayescal_models.ng_accelerometer import proving as ng_proving
 from bayescal_models.ng_accelerometer.geometry import accelerations
 from bayescal_models.still_sensor import proving as still_proving
-from benchmarks.coverage import PROPOSALS, RESULTS, Ground, collect
+from benchmarks.accuracy.coverage import PROPOSALS, RESULTS, Ground, collect
 from benchmarks.record import write
 
 REPLICATES = 1000
@@ -370,7 +370,9 @@ def line(name: str, s: dict[str, Any]) -> str:
 
 def main(argv: list[str] | None = None) -> None:
     """Compute what is missing, print the table, write results."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.compensation", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.instruments.compensation", description=__doc__
+    )
     parser.add_argument("names", nargs="*", default=[], help="instruments; all if none is named")
     parser.add_argument("--replicates", type=int, default=REPLICATES)
     asked = parser.parse_args(argv if argv is not None else [])

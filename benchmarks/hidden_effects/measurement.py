@@ -29,9 +29,8 @@ from bayescal._calibration.evidence import laplace_evidence
 from bayescal._diagnostics import efficient_score
 from bayescal._discovery import candidate_columns
 from bayescal_models import INSTRUMENTS
-from benchmarks import hidden_effects_page
-from benchmarks.customary import SELECTIONS, select
-from benchmarks.hidden_effects_bank import (
+from benchmarks.hidden_effects import page
+from benchmarks.hidden_effects.bank import (
     OUTSIDE,
     Case,
     by_law,
@@ -40,6 +39,7 @@ from benchmarks.hidden_effects_bank import (
     plan,
     simulated,
 )
+from benchmarks.hidden_effects.customary import SELECTIONS, select
 from benchmarks.record import ROOT
 
 RESULTS = ROOT / "benchmarks" / "results"
@@ -59,8 +59,8 @@ def main() -> None:
     banks = {p.stem.removeprefix("hidden_effects_"): read(p) for p in lines_of()}
     spoilt = json.loads((RESULTS / "false_discoveries.json").read_text("utf-8"))
     del spoilt["surroundings"]
-    hidden_effects_page.write(banks, spoilt, ROOT / "docs" / "hidden_effects.md")
-    hidden_effects_page.in_readme(banks, ROOT / "README.md")
+    page.write(banks, spoilt, ROOT / "docs" / "hidden_effects.md")
+    page.in_readme(banks, ROOT / "README.md")
 
 
 def lines_of() -> list[Path]:

@@ -1,6 +1,6 @@
 """The page of speeds, from the results that stand: samplers, readings, start-up, many devices.
 
-python -m benchmarks.speed_page
+python -m benchmarks.speed.page
 """
 
 from __future__ import annotations

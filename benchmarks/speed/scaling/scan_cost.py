@@ -14,7 +14,7 @@ import numpy as np
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from benchmarks.fit_cost import interleaved
+from benchmarks.speed.scaling.fit_cost import interleaved
 
 READINGS, CANDIDATES, SEED = 2000, 60, 7
 HIDDEN, SIZE, PRIOR, NOISE = 17, 0.05, 0.05, 0.2  # which cosine; °/s

@@ -1,7 +1,7 @@
 """Do the intervals cover? Simulation-based calibration of every instrument on its proving ground.
 
     python -m benchmarks coverage                            1000 data sets for each instrument
-    python -m benchmarks.coverage mems_gyro --replicates 100
+    python -m benchmarks.accuracy.coverage mems_gyro --replicates 100
 
 Data sets are drawn from the priors that the fit uses (`bayescal_models/NAME/proving.py`) and fitted by `Marginal`.
 Resumable: results/coverage_NAME.jsonl holds a line for each chunk, and chunks that stand there for the same model
@@ -30,7 +30,7 @@ from bayescal._inference import sampled_products
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from bayescal_models import INSTRUMENTS
-from benchmarks.ranks import Judgement, band, drawn, judge, ranks
+from benchmarks.accuracy.ranks import Judgement, band, drawn, judge, ranks
 from benchmarks.record import ROOT, write
 
 RESULTS = ROOT / "benchmarks" / "results"
@@ -205,7 +205,9 @@ def line(name: str, s: dict[str, Any]) -> str:
 
 def main(argv: list[str] | None = None) -> None:
     """Compute what is missing, print the table, write results and figures."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.accuracy.coverage", description=__doc__
+    )
     parser.add_argument("names", nargs="*", default=[], help="instruments; all if none is named")
     parser.add_argument("--replicates", type=int, default=REPLICATES)
     asked = parser.parse_args(argv if argv is not None else [])

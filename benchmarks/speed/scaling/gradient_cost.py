@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.fit_cost import interleaved
+from benchmarks.speed.scaling.fit_cost import interleaved
 
 GROWTH_GOAL, RATE_GOAL = 1.2, 1e5  # times from 10³ to 10⁶; readings a second
 SIZES = (1_000, 10_000, 100_000, 1_000_000)

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from benchmarks.hidden_effects_bank import instrument_named
-from benchmarks.hidden_effects_page import interval
+from benchmarks.hidden_effects.bank import instrument_named
+from benchmarks.hidden_effects.page import interval
 from benchmarks.record import ROOT, write
 
 RESULTS = ROOT / "benchmarks" / "results"

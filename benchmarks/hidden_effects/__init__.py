@@ -1,0 +1,1 @@
+"""Which effects are found, told apart and invented, in banks of simulated campaigns."""

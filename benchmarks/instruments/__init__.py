@@ -1,0 +1,1 @@
+"""What calibration makes of each instrument, beside customary estimates and published figures."""

@@ -1,0 +1,1 @@
+"""What answers cost in seconds and memory, beside peers in the same run on the same machine."""

@@ -1,0 +1,1 @@
+"""What computing costs, and how the cost grows with the readings."""
