@@ -93,13 +93,7 @@ def fit(
     spare_memory_maps()
     method = Marginal() if method is None else method
     model.require(readings)
-    own = reference_of(readings)
-    strange = sorted(set(reference or {}) - set(own))
-    if strange:
-        raise InputError(
-            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: {', '.join(own)}"
-        )
-    reference = {**own, **(reference or {})}
+    reference = _reference(readings, reference)
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference)
     y = frame["output"]
@@ -118,13 +112,29 @@ def fit(
         mode=jax.tree.map(jnp.asarray, outcome.mode),
         log_evidence=outcome.log_evidence,
     )
-    if strict and not outcome.verdict.ok:
+    if strict:
+        _refuse_unconverged(calibration)
+    return calibration
+
+
+def _refuse_unconverged(calibration: Calibration) -> None:
+    if not calibration.verdict.ok:
         raise NotConverged(
-            f"The fit of {', '.join(model.names)} to {readings.file} did not converge: "
-            f"{' '.join(outcome.verdict.reasons)} (strict=False returns it all the same.)",
+            f"The fit of {', '.join(calibration.model.names)} to {calibration.readings.file} did not converge: "
+            f"{' '.join(calibration.verdict.reasons)} (strict=False returns it all the same.)",
             calibration,
         )
-    return calibration
+
+
+def _reference(readings: Measurements, asked: Reference | None) -> Reference:
+    """Constants of the bases: the readings' own, but for those that are asked for."""
+    own = reference_of(readings)
+    strange = sorted(set(asked or {}) - set(own))
+    if strange:
+        raise InputError(
+            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: {', '.join(own)}"
+        )
+    return {**own, **(asked or {})}
 
 
 def _fit_program(model, readings, method, seed, strict, reference, checkpoint) -> ProgramFit:

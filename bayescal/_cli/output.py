@@ -8,6 +8,7 @@ from typing import Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.summary import null_directions, summary
+from bayescal._core.evidence_scale import STRONG
 from bayescal._core.formatting import WIDTH, number, table
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.compare import Comparison
@@ -17,8 +18,6 @@ from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._readings.units import unit_label
 from bayescal._report.result_json import clean
-
-UNEXPLAINED = 3.0  # log Bayes factor from which structure in the residuals is worth a sentence
 
 Kinds = Mapping[str, Sequence[Effect]]
 
@@ -116,7 +115,7 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
     lines = []
     for e in check.entries:
         open_ = e.against not in used and calibration.readings.has(e.against)
-        if open_ and e.log_bayes_factor > UNEXPLAINED:
+        if open_ and e.log_bayes_factor > STRONG:
             size = f"{abs(e.worst.size):.2g} {unit_label(check.unit)}"
             lines.append(
                 f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "

@@ -11,6 +11,7 @@ from scipy import stats
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
+from bayescal._core.evidence_scale import STRONG
 from bayescal._diagnostics import efficient_score, smooth_terms
 from bayescal._diagnostics.check_result import Check, Entry, FixedComparison, Pair
 from bayescal._diagnostics.worst_region import worst_regions
@@ -22,7 +23,6 @@ ALIKE = 0.95  # rank correlation from which two covariates are taken for one
 DUOS = 15  # pairs of covariates, at most
 MEMBERS = 64  # of a group that is looked at member by member, at most
 OUTLIER = 4.0  # leave-one-out standard deviations
-MEAN_IS_OFF = 3.0  # log Bayes factor of structure from which the scatter is not judged
 SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
 
 
@@ -57,7 +57,7 @@ def check(calibration: Calibration) -> Check:
         noise,
         autocorrelation(judged, white),
         # Where the mean is off, so is the size of the residuals: scatter is judged only where it is not.
-        _spread_with(covariates, white) if max(factors, default=0.0) < MEAN_IS_OFF else {},
+        _spread_with(covariates, white) if max(factors, default=0.0) < STRONG else {},
         tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
         float(stats.kstest(stats.norm.cdf(loo), "uniform").pvalue),
         None if free_noise is None else _compare_fixed(calibration, residual, noise, free_noise),

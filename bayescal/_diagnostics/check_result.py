@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from bayescal._core.evidence_scale import STRONG
 from bayescal._core.formatting import number, table
 from bayescal._diagnostics.worst_region import Region
 from bayescal._readings.units import unit_label
-
-STRUCTURE = 3.0  # log Bayes factor from which two covariates are worth a line, if above each one's
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def check_text(check: Check) -> str:
         f"{' and '.join(p.against)} together: no sum of one on each explains it (log Bayes factor "
         f"{p.log_bayes_factor:.1f})"
         for p in check.pairs[:2]
-        if p.log_bayes_factor > max(STRUCTURE, *(e.log_bayes_factor for e in check.entries))
+        if p.log_bayes_factor > max(STRONG, *(e.log_bayes_factor for e in check.entries))
     ]
     coefficient, z = check.autocorrelation
     lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")

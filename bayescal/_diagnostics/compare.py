@@ -19,7 +19,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, table
-from bayescal._diagnostics.leave_group_out import leave_one_group_out
+from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut, leave_one_group_out
 from bayescal._readings.units import unit_label
 
 SAME_CURVE = (
@@ -118,6 +118,36 @@ def compare(calibrations: Mapping[str, Calibration]) -> Comparison:
         InputError: fewer than two, or fits of different readings.
     """
     names = list(calibrations)
+    _refuse_different_readings(calibrations)
+    loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
+    folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
+    grouped = all(f is not None for f in folds.values())
+    fold = next((f for f in folds.values() if f is not None), None)
+    best_loo = loo[max(names, key=lambda n: loo[n][0].sum())][0]
+    left_out = [f for f in folds.values() if f is not None]
+    best_fold = max(left_out, key=lambda f: f.log_score.sum()) if grouped else None
+    weights = stacking(np.stack([loo[n][0] for n in names], axis=1))
+    rows = [
+        _row(name, calibrations[name], loo[name], best_loo, folds[name], best_fold, float(weight))
+        for name, weight in zip(names, weights, strict=True)
+    ]
+    rows.sort(key=lambda r: -(r.group_score if grouped and r.group_score is not None else r.loo))
+    first = calibrations[names[0]]
+    return Comparison(
+        rows=tuple(rows),
+        group=fold.group if fold else "reading",
+        groups=fold.count if fold else len(first.readings),
+        unit=first.unit,
+        chosen_by="left-out groups" if grouped else "pointwise leave-one-out",
+        warnings=(
+            *_warnings(rows, fold.count if fold else 0, grouped),
+            *_alike(calibrations),
+        ),
+    )
+
+
+def _refuse_different_readings(calibrations: Mapping[str, Calibration]) -> None:
+    names = list(calibrations)
     if len(names) < 2:
         raise InputError(f"compare needs at least two calibrations, not {len(names)}")
     first = calibrations[names[0]]
@@ -130,44 +160,33 @@ def compare(calibrations: Mapping[str, Calibration]) -> Comparison:
                 f"{names[0]!r} and {name!r} were fitted to different readings "
                 f"({first.readings.file}, {calibrations[name].readings.file}): fit both to the same"
             )
-    loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
-    folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
-    grouped = all(f is not None for f in folds.values())
-    any_fold = next((f for f in folds.values() if f is not None), None)
-    best_loo = max(names, key=lambda n: loo[n][0].sum())
-    best_group = max(names, key=lambda n: folds[n].log_score.sum()) if grouped else None
-    weights = stacking(np.stack([loo[n][0] for n in names], axis=1))
-    rows = []
-    for name, weight in zip(names, weights, strict=True):
-        c, (points, k) = calibrations[name], loo[name]
-        difference = points - loo[best_loo][0]
-        fold, best = folds[name], folds[best_group] if best_group else None
-        gap = fold.log_score - best.log_score if fold and best else None
-        rows.append(
-            Row(
-                name,
-                c.model.names,
-                predict(c).rmse,
-                float(fold.log_score.sum()) if fold else None,
-                None if gap is None else float(gap.sum()),
-                None if gap is None else _error(gap),
-                fold.rmse if fold else None,
-                float(points.sum()),
-                float(difference.sum()),
-                _error(difference),
-                k,
-                c.log_evidence[0] if c.log_evidence else None,
-                float(weight),
-            )
-        )
-    rows.sort(key=lambda r: -(r.group_score if grouped and r.group_score is not None else r.loo))
-    return Comparison(
-        tuple(rows),
-        any_fold.group if any_fold else "reading",
-        any_fold.count if any_fold else len(first.readings),
-        first.unit,
-        "left-out groups" if grouped else "pointwise leave-one-out",
-        (*_warnings(rows, any_fold.count if any_fold else 0, grouped), *_alike(calibrations)),
+
+
+def _row(
+    name: str,
+    calibration: Calibration,
+    loo: tuple[np.ndarray, float],
+    best_loo: np.ndarray,
+    fold: LeaveOneGroupOut | None,
+    best_fold: LeaveOneGroupOut | None,
+    weight: float,
+) -> Row:
+    points, pareto_k = loo
+    gap = fold.log_score - best_fold.log_score if fold and best_fold else None
+    return Row(
+        name=name,
+        effects=calibration.model.names,
+        rmse=predict(calibration).rmse,
+        group_score=float(fold.log_score.sum()) if fold else None,
+        group_difference=None if gap is None else float(gap.sum()),
+        group_error=None if gap is None else _error(gap),
+        group_rmse=fold.rmse if fold else None,
+        loo=float(points.sum()),
+        loo_difference=float((points - best_loo).sum()),
+        loo_error=_error(points - best_loo),
+        pareto_k=pareto_k,
+        log_evidence=calibration.log_evidence[0] if calibration.log_evidence else None,
+        weight=weight,
     )
 
 

@@ -45,18 +45,7 @@ def discover(
         max_effects: most effects that may be missing at once.
         verify: refit the leading set's members and demand that their evidence agrees.
     """
-    model, readings = calibration.model, calibration.readings
-    known = {e.name: e for e in (*model.instrument.candidates, *model.instrument.effects, *effects)}
-    for effect in unknowns(calibration):
-        known.setdefault(effect.name, effect)
-    open_ = [e for n, e in known.items() if n not in model.names]
-    reasons = {e.name: testable(e, readings) for e in open_}
-    tested = [e for e in open_ if reasons[e.name] is None]
-    shut = [
-        Candidate(n, kind="not testable", reason=r)
-        for n, r in reasons.items()
-        if r is not None and not known[n].is_placeholder
-    ]
+    known, tested, shut = _candidates_of(calibration, effects)
     if not tested:
         return Discovery(1.0, (), tuple(shut), (), {})
     with stage("looking for missing effects"):
@@ -70,10 +59,8 @@ def discover(
             rows=max_effects,
             candidate_prior=columns.prior,
         )
-        judged = [
-            judgement.judge(columns, score, i, float(found.inclusion[i]))
-            for i in range(len(tested))
-        ]
+        shares = [float(share) for share in found.inclusion]
+        judged = [judgement.judge(columns, score, i, share) for i, share in enumerate(shares)]
         judged = judgement.name_aliases(judged, columns, score, found)
     sets = tuple(Found(tuple(tested[m].name for m in s.members), s.probability) for s in found.sets)
     learned = any(h.kind == "spread" for h in calibration.layout.hypers)
@@ -89,11 +76,12 @@ def discover(
             together = _together(columns, score, max_effects)
             leaders = [known[s.effects[0]] for s in together]
             share = refit.share_of(calibration, leaders, judged, verified)
-            sets, judged = _named(sets, together, share, judged, verified, len(readings))
+            sets, judged = _named(
+                sets, together, share, judged, verified, len(calibration.readings)
+            )
     if nothing <= FINDING and sets:
         best = (_first(sets[0], known),)
-        names = [e.name for e in tested]
-        judged = judgement.given(judged, columns, score, names.index(best[0].name))
+        judged = judgement.given(judged, columns, score, tested.index(best[0]))
     else:
         sets = ()
     in_sets = {name for s in sets for name in s.effects}
@@ -102,6 +90,24 @@ def discover(
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     rivals = tuple(known[name] for name in _rivals(sets, ranked))
     return Discovery(nothing, sets, (*ranked, *shut), best, verified, rivals)
+
+
+def _candidates_of(
+    calibration: Calibration, effects: Sequence[Effect]
+) -> tuple[dict[str, Effect], list[Effect], list[Candidate]]:
+    """All effects by name; those to test; and those that these readings cannot test, each with the reason."""
+    model, readings = calibration.model, calibration.readings
+    known = {e.name: e for e in (*model.instrument.candidates, *model.instrument.effects, *effects)}
+    for effect in unknowns(calibration):
+        known.setdefault(effect.name, effect)
+    reasons = {n: testable(e, readings) for n, e in known.items() if n not in model.names}
+    tested = [known[n] for n, reason in reasons.items() if reason is None]
+    shut = [
+        Candidate(n, kind="not testable", reason=reason)
+        for n, reason in reasons.items()
+        if reason is not None and not known[n].is_placeholder
+    ]
+    return known, tested, shut
 
 
 def _named(

@@ -20,6 +20,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
+from bayescal._core.evidence_scale import VERY_STRONG
 from bayescal._core.formatting import table
 from bayescal._core.jit import compiled
 from bayescal._core.progress import stage
@@ -32,9 +33,6 @@ from bayescal._readings.measurements import Measurements
 
 DRAWS = 300
 MOST = 1500  # readings of a campaign that are looked at, evenly spread
-
-
-CLEAR = 5.0  # expected log Bayes factor from which an experiment tells two effects apart
 
 
 @dataclass(frozen=True)
@@ -83,9 +81,9 @@ def experiment_text(found: NextExperiment) -> str:
         f"to tell apart: {', '.join(found.members)}",
         table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
     ]
-    if found.experiments[0].worst < CLEAR:
+    if found.experiments[0].worst < VERY_STRONG:
         lines.append(
-            f"None of these is expected to tell them apart (a log Bayes factor of {CLEAR:g} would)."
+            f"None of these is expected to tell them apart (a log Bayes factor of {VERY_STRONG:g} would)."
         )
     return "\n".join(lines)
 

@@ -14,7 +14,6 @@ from bayescal._discovery.discovery import Discovery
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.units import unit_label
 
-NEARLY = 3.0  # log Bayes factor, odds of twenty, within which the end of another path is named
 AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
 NOTICEABLE = 0.1  # if the coefficient itself is above this
 
