@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from bayescal._model.model import Model
 
 Slots = Mapping[str, Float[Array, "n"]]
+Columns = Mapping[str, ArrayLike]
 UNKNOWN = re.compile(r"unknown\((.+)\)")
 FORMS = {"time, jump": jump, "time, cycle": cycle}  # of unknown functions, beside the smooth one
 
@@ -82,9 +84,11 @@ class Instrument(eqx.Module):
         known_noise: name and standard deviation (output unit) of contributions known before any fit, or a
             function of a temperature slope (output unit per °C) that gives them.
         structures: further models to compare, by name.
-        simulate: `simulate(effects, seed=…, **options)` gives measurements of a simulated campaign.
-        experiments: feasible changes of the campaign, in words, and what each would record: `next_experiment` ranks
-            them.
+        simulator: `simulator(effects, seed=…, **options)` gives the columns of a simulated campaign, by name; one
+            that is not the instrument's own carries its unit as a file's header does, `humidity [%]`. `simulate`
+            makes readings of them.
+        experiments: feasible changes of the campaign, in words, and the columns that each would record:
+            `next_experiment` ranks them.
         demo: writes a demonstration to a folder, under a seed.
         pairs: of an instrument whose devices are chosen in pairs: `pairs(calibration, criterion=…)` gives a table
             that prints itself and has `data()`, plain JSON.
@@ -107,10 +111,8 @@ class Instrument(eqx.Module):
     nominal_scale: NominalScale | None = eqx.field(static=True, default=None)
     known_noise: Callable[[float], dict[str, float]] | None = eqx.field(static=True, default=None)
     structures: tuple[tuple[str, Callable[[], Model]], ...] = eqx.field(static=True, default=())
-    simulate: Callable[..., Any] | None = eqx.field(static=True, default=None)
-    experiments: tuple[tuple[str, Callable[[], Measurements]], ...] = eqx.field(
-        static=True, default=()
-    )
+    simulator: Callable[..., Columns] | None = eqx.field(static=True, default=None)
+    experiments: tuple[tuple[str, Callable[[], Columns]], ...] = eqx.field(static=True, default=())
     demo: Callable[[Path, int], None] | None = eqx.field(static=True, default=None)
     pairs: Callable[..., Any] | None = eqx.field(static=True, default=None)
     use: Use | None = None
@@ -134,6 +136,24 @@ class Instrument(eqx.Module):
     def for_readings(self, readings: Measurements) -> Instrument:
         """The instrument tailored to readings, where it has to be; else the same."""
         return self if self.tailor is None else self.tailor(readings)
+
+    def simulate(
+        self, effects: Mapping[str, float] | None = None, *, seed: int, **options: Any
+    ) -> Measurements:
+        """Readings of a simulated campaign with effects hidden in it.
+
+        Args:
+            effects: canonical name → true size, in the unit of the effect's coefficient.
+            seed: of every random number.
+            options: of the instrument's own simulator, such as its campaign.
+
+        Raises:
+            ModelError: the instrument has no simulator.
+            ValueError: what its simulator refuses, such as an unknown effect.
+        """
+        if self.simulator is None:
+            raise ModelError(f"instrument {self.name!r} has no simulator")
+        return Measurements.from_arrays(self, **self.simulator(effects, seed=seed, **options))
 
     def baseline(self) -> Model:
         """The instrument with its baseline effects and noise law."""
