@@ -127,10 +127,10 @@ def simulate(
     from bayescal._cli.arguments import instrument_named, numbers
 
     chosen = instrument_named(instrument)
-    if chosen.simulate is None:
+    if chosen.simulator is None:
         raise InputError(f"instrument {chosen.name!r} has no simulator")
     law = {} if noise_law == "white" else {"noise_law": noise_law}
-    if law and "noise_law" not in inspect.signature(chosen.simulate).parameters:
+    if law and "noise_law" not in inspect.signature(chosen.simulator).parameters:
         raise InputError(
             f"the simulator of {chosen.name!r} has white noise only: leave --noise-law out"
         )

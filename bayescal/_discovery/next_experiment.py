@@ -111,7 +111,10 @@ def next_experiment(
             f"next_experiment needs two effects or more to tell apart, not {len(chosen)}"
         )
     plans = (
-        {name: make() for name, make in instrument.experiments}
+        {
+            name: Measurements.from_arrays(instrument, **record())
+            for name, record in instrument.experiments
+        }
         if experiments is None
         else dict(experiments)
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
@@ -23,6 +24,7 @@ from bayescal._readings.unit_registry import ANY
 from bayescal._readings.units import coefficient_factor, same_dimension
 
 Slots = Mapping[str, Float[Array, "n"]]
+Columns = Mapping[str, ArrayLike]
 
 
 class Slot(eqx.Module):
@@ -71,9 +73,11 @@ class Instrument(eqx.Module):
         known_noise: name and standard deviation (output unit) of contributions known before any fit, or a
             function of a temperature slope (output unit per °C) that gives them.
         structures: further models to compare, by name, and what makes each.
-        simulate: `simulate(effects, seed=…, **options)` gives measurements of a simulated campaign.
-        experiments: feasible changes of the campaign, in words, and what each would record: `next_experiment` ranks
-            them.
+        simulator: `simulator(effects, seed=…, **options)` gives the columns of a simulated campaign, by name; one
+            that is not the instrument's own carries its unit as a file's header does, `humidity [%]`. `simulate`
+            makes readings of them.
+        experiments: feasible changes of the campaign, in words, and the columns that each would record:
+            `next_experiment` ranks them.
         demo: writes a demonstration to a folder, under a seed.
         pairs: of an instrument whose devices are chosen in pairs: `pairs(calibration, criterion=…)` gives a table
             that prints itself and has `data()`, plain JSON.
@@ -96,10 +100,8 @@ class Instrument(eqx.Module):
     nominal_scale: NominalScale | None = eqx.field(static=True, default=None)
     known_noise: Callable[[float], dict[str, float]] | None = eqx.field(static=True, default=None)
     structures: tuple[tuple[str, Callable[[], Any]], ...] = eqx.field(static=True, default=())
-    simulate: Callable[..., Any] | None = eqx.field(static=True, default=None)
-    experiments: tuple[tuple[str, Callable[[], Measurements]], ...] = eqx.field(
-        static=True, default=()
-    )
+    simulator: Callable[..., Columns] | None = eqx.field(static=True, default=None)
+    experiments: tuple[tuple[str, Callable[[], Columns]], ...] = eqx.field(static=True, default=())
     demo: Callable[[Path, int], None] | None = eqx.field(static=True, default=None)
     pairs: Callable[..., Any] | None = eqx.field(static=True, default=None)
     use: Use | None = None
@@ -123,6 +125,24 @@ class Instrument(eqx.Module):
     def for_readings(self, readings: Measurements) -> Instrument:
         """The instrument tailored to readings, where it has to be; else the same."""
         return self if self.tailor is None else self.tailor(readings)
+
+    def simulate(
+        self, effects: Mapping[str, float] | None = None, *, seed: int, **options: Any
+    ) -> Measurements:
+        """Readings of a simulated campaign with effects hidden in it.
+
+        Args:
+            effects: canonical name → true size, in the unit of the effect's coefficient.
+            seed: of every random number.
+            options: of the instrument's own simulator, such as its campaign.
+
+        Raises:
+            ModelError: the instrument has no simulator.
+            ValueError: what its simulator refuses, such as an unknown effect.
+        """
+        if self.simulator is None:
+            raise ModelError(f"instrument {self.name!r} has no simulator")
+        return Measurements.from_arrays(self, **self.simulator(effects, seed=seed, **options))
 
     if TYPE_CHECKING:
 

@@ -84,7 +84,7 @@ class Measurements:
             nominal_scale: in place of the instrument's.
             allow_one_temperature: accept one temperature, as for a prediction.
             **columns: one entry per reading, or one for all; in the instrument's units unless
-                `units` says otherwise.
+                `units` says otherwise, or a name like a file's header, `humidity [%]`.
 
         Raises:
             InputError: what `read` refuses, and columns of unequal length.
@@ -95,7 +95,7 @@ class Measurements:
             for name in (c.name, *c.also)
         }
         own.setdefault("output_uncertainty", own.get(output_name(instrument)))
-        headers = tuple(Header(name, name, own.get(name)) for name in columns)
+        headers = tuple(Header.parse(name, own.get(name)) for name in columns)
         arrays = _equally_long(columns)
         table = Table(
             file=_ARRAYS,

@@ -14,7 +14,8 @@ import bayescal as bc
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair import criteria
 from bayescal_models.differential_pair.environment import SHARED, order_names
-from bayescal_models.differential_pair.selection import CRITERIA, judge
+from bayescal_models.differential_pair.judgement import judge
+from bayescal_models.differential_pair.selection import CRITERIA
 from tests.support.command_line import GYRO, TABLE, run
 
 SMALL = dp.Campaign(samples=20)

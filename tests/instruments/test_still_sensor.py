@@ -13,7 +13,8 @@ from bayescal._cli.arguments import Request, open_up
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable as can_test
 from bayescal_models import still_sensor
-from bayescal_models.still_sensor.simulate import LAG_TIME, NOISE_LAWS, WARM_UP_TIME
+from bayescal_models.still_sensor.campaign import LAG_TIME
+from bayescal_models.still_sensor.simulator import NOISE_LAWS, WARM_UP_TIME
 
 LATE = pytest.mark.xfail(
     reason="the direction is known half a minute late, and a rate predicts better", strict=False

@@ -21,7 +21,7 @@ from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
 from bayescal_models import INSTRUMENTS, ng_accelerometer
 from bayescal_models.mems_gyro import INSTRUMENT
-from bayescal_models.mems_gyro.model import THERMOMETER
+from bayescal_models.mems_gyro.effects import THERMOMETER
 
 # A model with everything in it that bends: a corrected column, a square, a lag, a scale factor, groups.
 RICH = INSTRUMENT.baseline() + [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bayescal as bc
-from bayescal_models.mems_gyro.simulate import TABLE, simulate
+from bayescal_models.mems_gyro.tables import TABLE
 
 PUBLISHED = {
     "bias.constant": 19.80,
@@ -44,8 +44,8 @@ def run(out: Path, seed: int) -> None:
 
     hidden = ", ".join(f"{k} = {v}" for k, v in HIDDEN.items())
     print(f"\n3. A SIMULATED CAMPAIGN WITH ONE HIDDEN EFFECT ({hidden}, seed {seed})\n")
-    campaign = simulate(HIDDEN, seed=seed + 1)
-    kept = simulate(HIDDEN, seed=seed + 2)
+    campaign = instrument.simulate(HIDDEN, seed=seed + 1)
+    kept = instrument.simulate(HIDDEN, seed=seed + 2)
     trail = bc.calibrate(instrument.baseline(), campaign, holdout=kept, seed=seed)
     for step in trail.steps:
         print(f"{step.title}:")

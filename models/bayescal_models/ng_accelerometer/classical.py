@@ -95,7 +95,13 @@ def classical_estimates(
     bias = np.array([row[0] for row in found])
     scale = np.array([row[1] for row in found])
     return ClassicalEstimates(
-        used, names, temperature, bias, scale, _slope(temperature, bias), _slope(temperature, scale)
+        used,
+        names,
+        temperature,
+        bias=bias,
+        scale=scale,
+        bias_tempco=_slope(temperature, bias),
+        scale_tempco=_slope(temperature, scale),
     )
 
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 import bayescal as bc
 from bayescal_models.quartz_beam_accelerometer.device import SCALE_FACTOR
+from bayescal_models.quartz_beam_accelerometer.model import INSTRUMENT
 
 
 def from_tables(
@@ -45,10 +46,6 @@ def from_tables(
         InputError: one uncertainty without the other, one that is not positive, a nominal scale factor of zero,
             tables of unequal length, or what the instrument refuses.
     """
-    from bayescal_models.quartz_beam_accelerometer.model import (
-        INSTRUMENT,  # a sibling above this one
-    )
-
     if (bias_uncertainty is None) != (scale_uncertainty is None):
         raise bc.InputError(
             "from_tables: bias_uncertainty and scale_uncertainty go together; give both, or neither"

@@ -1,15 +1,15 @@
-"""A small problem with proper priors, on which methods are proven: their coverage, and that they agree.
+"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
 
-    model, readings = proving.model(), proving.readings()
+    model, readings = reference_problem.model(), reference_problem.readings()
 
-`certified.json` holds its posterior for `readings(seed=0)`, by long NUTS.
+`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
 """
 
 from __future__ import annotations
 
 import bayescal as bc
-from bayescal_models.differential_pair.campaign import Campaign, simulate
-from bayescal_models.differential_pair.model import INSTRUMENT
+from bayescal_models.differential_pair.campaign import Campaign
+from bayescal_models.differential_pair.model import INSTRUMENT, simulate
 
 # Two outer and two inner devices, 16 readings each: 64 rows.
 CAMPAIGN = Campaign(outer=2, inner=2, samples=16, thermometer=None)

@@ -1,8 +1,8 @@
-"""A small problem with proper priors, on which methods are proven: their coverage, and that they agree.
+"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
 
-    model, readings = proving.model(), proving.readings()
+    model, readings = reference_problem.model(), reference_problem.readings()
 
-`certified.json` holds its posterior for `readings(seed=0)`, by long NUTS.
+`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from collections.abc import Mapping
 
 import bayescal as bc
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
-from bayescal_models.quartz_beam_accelerometer.model import INSTRUMENT
-from bayescal_models.quartz_beam_accelerometer.simulate import simulate
+from bayescal_models.quartz_beam_accelerometer.model import INSTRUMENT, simulate
 
 # Two tumbles over five temperatures and a ramp at each of three attitudes, a reading every ten minutes.
 CAMPAIGN = Campaign(

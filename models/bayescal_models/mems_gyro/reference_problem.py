@@ -1,8 +1,8 @@
-"""A small problem with proper priors, on which methods are proven: their coverage, and that they agree.
+"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
 
-    model, readings = proving.model(), proving.readings()
+    model, readings = reference_problem.model(), reference_problem.readings()
 
-`certified.json` holds its posterior for `readings(seed=0)`, by long NUTS.
+`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import bayescal as bc
-from bayescal_models.mems_gyro.chamber import Campaign
-from bayescal_models.mems_gyro.model import INSTRUMENT
-from bayescal_models.mems_gyro.simulate import simulate
+from bayescal_models.mems_gyro.campaign import Campaign
+from bayescal_models.mems_gyro.model import INSTRUMENT, simulate
 
 # Four runs over 30 to 80 °C, one reading a step: 44 rows.
 CAMPAIGN = Campaign(average=300, runs=4)

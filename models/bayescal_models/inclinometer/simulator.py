@@ -1,4 +1,4 @@
-"""Simulated zero tests and verifications, with effects hidden in them.
+"""Columns of simulated zero tests and verifications, with effects hidden in them.
 
 The world is made by its physics: true angles behind the table's dividing errors, a hinge that lags behind the
 thermometer, a base that settles, a hysteresis that needs some degrees to turn round, and the equation of both axes.
@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-import bayescal as bc
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign, Plan, plan
 from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sensed
 
@@ -87,27 +86,16 @@ _LAWS: dict[str, Callable[[_World, float], _Sum]] = {
 }
 
 
-def simulate(
+def simulated_columns(
     effects: Mapping[str, float] | None = None,
     *,
     seed: int,
     campaign: Campaign | None = None,
-) -> bc.Measurements:
-    """Readings of a campaign with these effects hidden in it.
+) -> dict[str, Any]:
+    """Columns of a campaign with these effects hidden in it, by name, in the instrument's units.
 
-    The same seed gives the same noise whatever the effects.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients, which all have that size;
-            effects on an accelerometer come at its own `share` of it.
-        seed: seed of every random number.
-        campaign: the test; the default is source 4's zero test.
-
-    Raises:
-        ValueError: an unknown effect, or a size that is no number.
+    Args and Raises: as of `simulate` in `model.py`.
     """
-    from bayescal_models.inclinometer.model import INSTRUMENT  # the instrument holds this function
-
     campaign, effects = campaign or Campaign(), dict(effects or {})
     for name, size in effects.items():
         if name not in _LAWS:
@@ -135,7 +123,7 @@ def simulate(
         columns["true_angle"] = laid.tilt
     else:
         columns["direction"] = np.where(laid.forward > 0, "forward", "backward")
-    return bc.Measurements.from_arrays(INSTRUMENT, **columns)
+    return columns
 
 
 def _world(
@@ -158,7 +146,16 @@ def _world(
     turning = 1 - 2 * np.exp(-laid.turned / campaign.reversal)
     own, share = _accelerometers(campaign, laid, random["device"])
     sweep = laid.forward * turning
-    world = _World(own, share, laid.tilt, cross, placement, warmth, settled, sweep)
+    world = _World(
+        own,
+        share,
+        tilt=laid.tilt,
+        cross=cross,
+        placement=placement,
+        warmth=warmth,
+        settled=settled,
+        sweep=sweep,
+    )
     return MEAN_TEMPERATURE + thermometer + noise, world
 
 

@@ -1,8 +1,8 @@
-"""A small problem with proper priors, on which methods are proven: their coverage, and that they agree.
+"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
 
-    model, readings = proving.model(), proving.readings()
+    model, readings = reference_problem.model(), reference_problem.readings()
 
-`certified.json` holds its posterior for `readings(seed=0)`, by long NUTS.
+`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from dataclasses import replace
 
 import bayescal as bc
 from bayescal_models.inclinometer.campaign import VERIFICATION, Campaign
-from bayescal_models.inclinometer.model import INSTRUMENT
-from bayescal_models.inclinometer.simulate import simulate
+from bayescal_models.inclinometer.model import INSTRUMENT, simulate
 
 # ±45° by 15°, forward and backward, two mountings of each axis: 56 rows.
 CAMPAIGN = Campaign(angles=tuple(float(a) for a in range(-45, 46, 15)))

@@ -11,20 +11,16 @@ from collections.abc import Callable
 from functools import cache  # equal models then share one compiled program
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-
 import bayescal as bc
 from bayescal import effects
-from bayescal_models.quartz_beam_accelerometer.hidden_effects import SHARE, UNIT, size
+from bayescal_models.quartz_beam_accelerometer.hysteresis import hysteresis
+from bayescal_models.quartz_beam_accelerometer.laws import SECOND_ORDER, SHARE, UNIT, size
 
+SLOTS = ("bias", "scale")
 SOURCE = "source 2; size ours"
 OURS = "ours"
 CONSTANT = {"bias": 20_000.0, "scale": 5000.0}  # µg, ppm
 MINUTE = 60.0
-SLIP = 1.0  # °C, width of the play of hysteresis
-SEEN = 0.02  # share of the readings that a direction must have to count as one
 THERMOMETERS = ("temperature_circuit", "temperature_head")
 FREQUENCY_SUM = 80_000.0  # Hz at 15 °C, nominal; ours
 FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours
@@ -203,51 +199,6 @@ def frequency_sum(
     return tuple(made)
 
 
-def _slipped(r: bc.Frame) -> Any:
-    """(t2 − seat)/width, the seat dragged along within ±width, anew in each run: from −1 to 1."""
-    here = r["temperature_head"][r.order]
-    begins = r.step < 0
-
-    def advance(seat, row):
-        now, begin = row
-        seat = jnp.where(begin, now, jnp.clip(seat, now - SLIP, now + SLIP))
-        return seat, (now - seat) / SLIP
-
-    _, strain = jax.lax.scan(advance, here[0], (here, begins))
-    return jnp.zeros_like(strain).at[r.order].set(strain)
-
-
-def _one_way(readings: bc.Measurements) -> str | None:
-    """Why readings cannot show hysteresis: the head's temperature goes one way only."""
-    _, run = readings.groups("run")
-    rises = falls = 0
-    for k in np.unique(run):
-        chosen = np.flatnonzero(run == k)
-        order = chosen[np.argsort(readings["time"][chosen], kind="stable")]
-        change = np.diff(readings["temperature_head"][order])
-        rises, falls = rises + (change > 0.05).sum(), falls + (change < -0.05).sum()
-    if min(rises, falls) >= SEEN * len(readings):
-        return None
-    return "needs temperature_head to rise and to fall within runs; it goes one way only"
-
-
-def hysteresis(slot: str) -> bc.Effect:
-    """c times the strain of a joint that sticks for 1 °C and then slips: the direction of the last change."""
-    value, unit = size(slot, "hysteresis")
-    columns = ("time", "temperature_head", *(("acceleration",) if slot == "scale" else ()))
-    return bc.Effect(
-        f"{slot}.hysteresis",
-        slot,
-        basis=_slipped,
-        coefficients=(bc.Coefficient(unit, bc.Normal(0.0, value)),),
-        columns=columns,
-        varies=columns[1:],
-        untestable=_one_way,
-        equation=f"c·(t2 − s)/w,  s dragged along within ±w = {SLIP:g} °C: the direction of the last change",
-        source=OURS,
-    )
-
-
 @cache
 def temporal(slot: str) -> tuple[bc.Effect, ...]:
     """Lag, hysteresis, warm-up, drift, and deviations of runs and cells."""
@@ -271,3 +222,34 @@ def temporal(slot: str) -> tuple[bc.Effect, ...]:
         effects.deviation(slot, "run", *size(slot, "run"), source=OURS),
         effects.deviation(slot, "cell", *size(slot, "cell"), source=OURS),
     )
+
+
+BASELINE = tuple(
+    effect
+    for slot in SLOTS
+    for effect in (
+        constant(slot, "head"),
+        *polynomial(slot, "temperature_head", range(1, 4)),
+    )
+)
+K2 = bc.Effect(
+    "second_order",
+    "second_order",
+    basis=lambda r: 1.0,
+    coefficients=(bc.Coefficient("ug/g^2", bc.Normal(0.0, SECOND_ORDER)),),
+    columns=("acceleration",),
+    varies=("acceleration",),
+    equation="K2·a²",
+    source="IEEE Std 1293; size ours",
+)
+CANDIDATES = tuple(
+    effect
+    for slot in SLOTS
+    for effect in (
+        *polynomial(slot, "temperature_circuit", range(1, 4)),
+        *polynomial(slot, "gradient", range(1, 4)),
+        *rates(slot),
+        *crossed(slot),
+        *temporal(slot),
+    )
+) + (K2,)

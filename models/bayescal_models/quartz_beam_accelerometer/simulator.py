@@ -1,47 +1,30 @@
-"""Measurements from a simulated campaign."""
+"""Columns of a simulated campaign, with effects hidden in it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
-import bayescal as bc
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.device import CUBIC, Truth, truth
-from bayescal_models.quartz_beam_accelerometer.hidden_effects import LAWS, Chance
+from bayescal_models.quartz_beam_accelerometer.laws import LAWS, Chance
 from bayescal_models.quartz_beam_accelerometer.thermal import Array, World, make_world
-
-if TYPE_CHECKING:
-    from bayescal import Measurements
 
 WANDER_TIME = 300.0  # s
 CHANCES = ("noise", "wander", "thermometers", "bias", "scale", "frequency")
 
 
-def simulate(
+def simulated_columns(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
-) -> Measurements:
-    """Readings of a campaign with these effects hidden in it.
+) -> dict[str, Any]:
+    """Columns of a campaign with these effects hidden in it, by name, in the instrument's units.
 
     The same seed gives the same noise and the same turn-on offsets whatever the effects.
 
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficient; for an effect with learned
-            deviations (`*.run`, `*.cell`) their standard deviation. The cubic device's own coefficients (about
-            T0 = `campaign.T0`) may be replaced by name.
-        seed: seed of every random number.
-        campaign: plan of the test.
-
-    Returns:
-        Readings; `output` in µg of the nominal scale factor.
-
-    Raises:
-        ValueError: no law for an effect of that name, or a size that is no number.
+    Args and Raises: as of `simulate` in `model.py`.
     """
-    from bayescal_models.quartz_beam_accelerometer.model import INSTRUMENT  # it holds this function
-
     campaign, effects = campaign or Campaign(), dict(effects or {})
     world, true = _true(campaign, effects, seed)
     generators = _generators(seed)
@@ -49,7 +32,7 @@ def simulate(
     output = true.bias + (1e6 + true.scale) * g + effects.get("second_order", 0.0) * g**2
     output = output + _noise(campaign, world, generators)
     error = campaign.thermometer_noise * generators["thermometers"].standard_normal((2, g.size))
-    columns = {
+    columns: dict[str, Any] = {
         "run": np.array([str(k + 1) for k in world.run]),
         "temperature_point": world.point,
         "time": world.average(world.time),
@@ -61,7 +44,7 @@ def simulate(
     if campaign.frequency_sum:
         jitter = 0.005 * generators["frequency"].standard_normal(g.size)  # Hz
         columns["frequency_sum"] = true.frequency_sum + jitter
-    return bc.Measurements.from_arrays(INSTRUMENT, **columns)
+    return columns
 
 
 def true_values(

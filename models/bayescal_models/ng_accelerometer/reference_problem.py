@@ -1,4 +1,4 @@
-"""A small model and a small test on which inference is proved: simulation-based calibration, certified numbers.
+"""The reference problem, a small model and a small test: intervals must cover, and methods agree on its posterior.
 
 The model is the baseline with narrower priors, all proper: what a recalibration would start from.
 """
@@ -9,8 +9,7 @@ from dataclasses import replace
 
 import bayescal as bc
 from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A
-from bayescal_models.ng_accelerometer.model import INSTRUMENT
-from bayescal_models.ng_accelerometer.simulate import simulate
+from bayescal_models.ng_accelerometer.model import INSTRUMENT, simulate
 
 PRIORS = {
     "bias.constant": bc.Normal(850.0, 200.0),

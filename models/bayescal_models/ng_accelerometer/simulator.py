@@ -1,6 +1,6 @@
-"""Readings of a simulated test, with effects hidden in them.
+"""Columns of a simulated test, with effects hidden in it.
 
-    readings = simulate({"base_tilt.tide": 200.0, "second_order": 0.05}, seed=1)
+    columns = simulated_columns({"base_tilt.tide": 200.0, "second_order": 0.05}, seed=1)
 
 The geometry is done here with rotations of vectors, apart from the closed form that models are fitted with.
 """
@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-import bayescal as bc
 from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A, Campaign
 from bayescal_models.ng_accelerometer.laws import BY_CELL, BY_RUN, LAWS
 from bayescal_models.ng_accelerometer.world import Array, World, make_world
@@ -40,43 +40,29 @@ class Simulated:
     output: Array
 
 
-def simulate(
+def simulated_columns(
     effects: Mapping[str, float] | None = None,
     *,
     seed: int,
     campaign: Campaign = INSTRUMENT_A,
-) -> bc.Measurements:
-    """Readings of a test with these effects hidden in it.
+) -> dict[str, Any]:
+    """Columns of a test with these effects hidden in it, by name, in the instrument's units.
 
-    The same seed gives the same noise, the same weather and the same scatter whatever the effects, so two
-    simulations differ by the effects alone.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients, all of which take it (see
-            `laws.py` for the two components of the base tilt, and for the tide). The instrument's own line,
-            constants and scatter are there too, as `campaign.truth` has them unless given here.
-        seed: seed of every random number.
-        campaign: plan of the test.
-
-    Raises:
-        ValueError: an unknown effect, or a size that is no number.
+    Args and Raises: as of `simulate` in `model.py`.
     """
-    from bayescal_models.ng_accelerometer.model import INSTRUMENT  # it holds this function
-
     made = simulate_arrays(effects, seed=seed, campaign=campaign)
     world, temperature = made.world, made.world.device.mean(axis=1)
     scatter = _generators(seed)["thermometer"].standard_normal((2, len(temperature)))
-    return bc.Measurements.from_arrays(
-        INSTRUMENT,
-        run=np.array([str(k + 1) for k in world.run]),
-        temperature_point=world.point,
-        time=world.time.mean(axis=1),
-        temperature=temperature + campaign.thermometer_noise * scatter[0],
-        lab_temperature=world.laboratory.mean(axis=1) + campaign.thermometer_noise * scatter[1],
-        position_angle=world.angle[:, 0],
-        tilt=world.tilt[:, 0],
-        output=made.output,
-    )
+    return {
+        "run": np.array([str(k + 1) for k in world.run]),
+        "temperature_point": world.point,
+        "time": world.time.mean(axis=1),
+        "temperature": temperature + campaign.thermometer_noise * scatter[0],
+        "lab_temperature": world.laboratory.mean(axis=1) + campaign.thermometer_noise * scatter[1],
+        "position_angle": world.angle[:, 0],
+        "tilt": world.tilt[:, 0],
+        "output": made.output,
+    }
 
 
 def simulate_arrays(
@@ -100,7 +86,7 @@ def simulate_arrays(
     }
     noise_free = respond(world, contributions).mean(axis=1)
     noise = campaign.noise * generators["noise"].standard_normal(len(noise_free))
-    return Simulated(world, sizes, contributions, noise_free, noise_free + noise)
+    return Simulated(world, sizes, contributions, noise_free, output=noise_free + noise)
 
 
 def respond(world: World, contributions: Mapping[str, tuple[tuple[str, Array], ...]]) -> Array:

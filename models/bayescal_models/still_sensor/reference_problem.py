@@ -1,15 +1,14 @@
-"""A small problem with proper priors, on which methods are proven: their coverage, and that they agree.
+"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
 
-    model, readings = proving.model(), proving.readings()
+    model, readings = reference_problem.model(), reference_problem.readings()
 
-`certified.json` holds its posterior for `readings(seed=0)`, by long NUTS.
+`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
 """
 
 from __future__ import annotations
 
 import bayescal as bc
-from bayescal_models.still_sensor.model import instrument
-from bayescal_models.still_sensor.simulate import simulate
+from bayescal_models.still_sensor.model import instrument, simulate
 
 # Sizes as of a plausible accelerometer on ramps, declared here so that no record has a say in them; made once,
 # because an instrument made anew has programs of its own. µg, µg, °C, °C/min.
