@@ -9,7 +9,6 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
 from bayescal._model import noise as _noise
 from bayescal._model.effect import Effect
+from bayescal._model.installed import installed_instruments
 from bayescal._model.instrument import UNKNOWN, Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
@@ -36,14 +36,6 @@ _NOISES = {
     for c in (_noise.White, _noise.OrnsteinUhlenbeck, _noise.StudentT, _noise.Quantised)
 }
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal)}
-
-
-def installed_instruments() -> dict[str, Instrument]:
-    """Instruments offered through the entry-point group `bayescal.instruments`, by name."""
-    return {
-        e.name: e.load()
-        for e in sorted(entry_points(group="bayescal.instruments"), key=lambda e: e.name)
-    }
 
 
 def save(calibration: Calibration, path: Path) -> Path:

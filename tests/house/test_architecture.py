@@ -25,7 +25,7 @@ ROOMS = {
     "_core": "version errors formatting jax_setup progress batched_map jit tall_qr levenberg_marquardt null_space",
     "_readings": "unit_registry units column raw_table dataset_checks write column_matching column_conversion "
     "measurements csv_reader parquet_netcdf_reader read",
-    "_model": "prior coefficient frame effect noise instrument model parameters forward",
+    "_model": "prior coefficient frame effect noise instrument installed model parameters forward",
     "effects": "constant temperature thermal thermometer time unknown unknown_in_time",
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains least_squares marginal nuts",
@@ -40,7 +40,7 @@ ROOMS = {
     "_fleet": "weighted_draws devices split_devices stacks closed_form fit_stack population batch_result fit_batch",
     "_plots": "style residuals search posterior",
     "_report": "result_json section figures tables sentences report",
-    "_cli": "arguments output options deliverables batch main",
+    "_cli": "options console request saved output catalogue fitting instrument_extras deliverables batch main",
 }
 FACES = {"plot": "_plots", "bayescal": "_report"}  # public modules, each above this room
 
