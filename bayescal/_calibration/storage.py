@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
 from bayescal._model import noise as _noise
 from bayescal._model.effect import Effect
+from bayescal._model.installed import installed_instruments
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
@@ -38,14 +38,6 @@ _NOISES = {
     for c in (_noise.White, _noise.OrnsteinUhlenbeck, _noise.StudentT, _noise.Quantised)
 }
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal)}
-
-
-def installed_instruments() -> dict[str, Instrument]:
-    """Instruments offered through the entry-point group `bayescal.instruments`, by name."""
-    return {
-        e.name: e.load()
-        for e in sorted(entry_points(group="bayescal.instruments"), key=lambda e: e.name)
-    }
 
 
 def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.evidence_scale import STRONG
 from bayescal._core.formatting import WIDTH, number, table
@@ -16,6 +20,7 @@ from bayescal._discovery.calibrate import Trail
 from bayescal._discovery.draft_effect import template
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
+from bayescal._readings.measurements import Measurements
 from bayescal._readings.units import unit_label
 from bayescal._report.result_json import clean
 
@@ -126,8 +131,8 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
     return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
 
 
-def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
-    """The loop from its first model to its last."""
+def loop_text(trail: Trail, own: Sequence[Effect] = ()) -> str:
+    """`calibrate` from its first model to its last."""
     final = trail.final
     parts = [f"WHERE THE FIRST MODEL FAILS\n\n{trail.steps[0].check}"]
     for i, step in enumerate(trail.steps):
@@ -147,3 +152,18 @@ def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
         parts.append(textwrap.fill(f"undecided: {trail.other_path}", WIDTH))
     parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))
     return "\n\n".join(parts)
+
+
+def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
+    """The readings with columns predicted, predicted_uncertainty and residual beside them.
+
+    Raises:
+        InputError: the file type is not known or the folder is not there.
+    """
+    unit = {"units": readings.unit("output")}
+    added = {
+        "predicted": ("reading", np.asarray(prediction.mean), unit),
+        "predicted_uncertainty": ("reading", np.asarray(prediction.sd), unit),
+        "residual": ("reading", np.asarray(prediction.residual), unit),
+    }
+    Measurements(data=readings.data.assign(added), sources=readings.sources).write(path)

@@ -58,8 +58,7 @@ def read(
     """
     paths = [path_or_paths] if isinstance(path_or_paths, str | Path) else list(path_or_paths)
     paths = [Path(path) for path in paths]
-    names = _names(paths)
-    _refuse_large(paths, names, max_bytes)
+    names = check_files(paths, max_bytes)
     tables = [_open(path, name, max_bytes) for path, name in zip(paths, names, strict=True)]
     options = ReadOptions(columns or {}, units or {}, local_gravity, nominal_scale)
     refuse_unused_units(tables, options)
@@ -70,6 +69,17 @@ def read(
     joined = replace(joined, flags=[*joined.flags, *_equal_contents(tables)])
     sources = tuple(Source(table.file, table.sha256, table.rows) for table in tables)
     return assemble(tables, joined, instrument, sources, allow_one_temperature)
+
+
+def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
+    """Look at the files before anything is opened; what messages call them.
+
+    Raises:
+        InputError: no file, one twice, one that is not there or is no file, or all are too large.
+    """
+    names = _names(paths)
+    _refuse_large(paths, names, max_bytes)
+    return names
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

@@ -26,7 +26,7 @@ ROOMS = {
     "levenberg_marquardt null_space",
     "_readings": "unit_registry units column raw_table dataset_checks write column_matching column_conversion "
     "measurements csv_reader parquet_netcdf_reader read",
-    "_model": "prior coefficient frame effect placeholder noise instrument model parameters forward",
+    "_model": "prior coefficient frame effect placeholder noise instrument installed model parameters forward",
     "effects": "constant temperature thermal thermometer time",
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains least_squares marginal nuts",
@@ -41,7 +41,7 @@ ROOMS = {
     "_fleet": "weighted_draws devices split_devices stacks closed_form fit_stack population batch_result fit_batch",
     "_plots": "style residuals search posterior",
     "_report": "result_json save_search section figures tables sentences report",
-    "_cli": "arguments output options deliverables batch main",
+    "_cli": "options console request saved output catalogue fitting instrument_extras deliverables batch main",
 }
 FACES = {"plot": "_plots", "bayescal": "_report"}  # public modules, each above this room
 
