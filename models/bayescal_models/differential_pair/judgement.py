@@ -90,4 +90,5 @@ def _share_best(values: Array, weights: Array) -> Array:
     """How often each pair has the least value, (outer, inner)."""
     shape = values.shape[1:]
     least = np.argmin(values.reshape(len(values), -1), axis=1)
-    return np.bincount(least, weights, minlength=shape[0] * shape[1]).reshape(shape)
+    found = np.bincount(least, weights, minlength=shape[0] * shape[1])
+    return np.asarray(found, dtype=float).reshape(shape)

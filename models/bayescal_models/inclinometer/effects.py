@@ -7,7 +7,7 @@ dividing table is one and the same for all.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -60,7 +60,7 @@ def _effect(
     *,
     slot: str | None = None,
     parts: tuple[str, ...] = ("",),
-    per: str | None = "axis",
+    per: Literal["axis", "run", "device"] | None = "axis",
     learned: bool = False,
     source: str = SOURCE,
     **more: Any,

@@ -125,7 +125,8 @@ def gravity(tilt: Array, parallel: Array, angle: Array, fixture: Array) -> tuple
     zero = np.zeros_like(angle + tilt)
     up = _turn(_turn((zero, zero, zero + 1.0), 1, parallel), 0, -tilt)
     axis = _turn(_turn((zero + 1.0, zero, zero), 1, -fixture), 2, angle)
-    return G * sum(u * s for u, s in zip(up, axis, strict=True)), up[2]
+    along = sum((u * s for u, s in zip(up, axis, strict=True)), start=zero)
+    return G * along, up[2]
 
 
 def _turn(vector: tuple[Array, ...], about: int, by: Array) -> tuple[Array, ...]:

@@ -12,6 +12,8 @@ These are not readings that anyone took: a² is one constant, so K2 is not to be
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -67,7 +69,7 @@ def from_tables(
         reach = bias_uncertainty / (scale_uncertainty / nominal)
         columns["output_uncertainty"] = np.full(b.size, np.sqrt(2.0) * bias_uncertainty)
     sign = np.tile([1.0, -1.0], b.size)
-    doubled = {name: np.repeat(np.asarray(c), 2) for name, c in columns.items()}
+    doubled: dict[str, Any] = {name: np.repeat(np.asarray(c), 2) for name, c in columns.items()}
     return bc.Measurements.from_arrays(
         INSTRUMENT,
         **doubled,

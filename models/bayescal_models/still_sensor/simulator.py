@@ -55,7 +55,8 @@ def simulated_columns(
         raise ValueError(f"runs={runs} and interval={interval} s must be at least 1")
     rng = np.random.default_rng(seed)
     temperature, world = make_world(runs, rng.standard_normal(runs))
-    true = sum(size * _LAWS[name](world) for name, size in sizes.items())
+    parts = (size * _LAWS[name](world) for name, size in sizes.items())
+    true = sum(parts, start=np.zeros_like(world.time))
     scatter = NOISE * rng.standard_normal(true.shape)
     if noise_law == "ornstein_uhlenbeck":
         scatter += NOISE * _wander(rng, true.shape)
@@ -75,4 +76,4 @@ def _wander(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     decay = np.exp(-1 / WANDER_TIME)
     kicks = rng.standard_normal(shape)
     kicks[:, 1:] *= np.sqrt(1 - decay**2)
-    return lfilter([1.0], [1.0, -decay], kicks, axis=1)
+    return np.asarray(lfilter([1.0], [1.0, -decay], kicks, axis=1))
