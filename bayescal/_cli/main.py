@@ -386,14 +386,16 @@ def pairs(
 ) -> None:
     """Which two devices make the best pair, each pair with its probability."""
     from bayescal._cli import arguments
+    from bayescal._cli.offered import PAIR_SELECTIONS, offered
 
     asked = arguments.Request(instrument, columns, unit, local_gravity, None, None, add, None, None)
     chosen, model, readings = arguments.open_up(asked, files)
-    if chosen.pairs is None:
+    select = offered(PAIR_SELECTIONS, chosen.name)
+    if select is None:
         raise InputError(f"instrument {chosen.name!r} does not choose its devices in pairs")
     _say_flags(readings)
     fitted = bc.fit(model, readings, seed=seed, strict=False)
-    found = chosen.pairs(fitted, criterion=criterion)
+    found = select(fitted, criterion=criterion)
     _say(found.data() if json_ else found)
     _leave(fitted.verdict.ok, " ".join(fitted.verdict.reasons))
 
@@ -411,15 +413,17 @@ def demo(
 ) -> None:
     """A gyroscope's table against its published line, then a hidden effect found and added."""
     from bayescal._cli import arguments
+    from bayescal._cli.offered import DEMONSTRATIONS, offered
 
     chosen = arguments.instrument_named(instrument)
-    if chosen.demo is None:
+    demonstrate = offered(DEMONSTRATIONS, chosen.name)
+    if demonstrate is None:
         raise InputError(f"instrument {chosen.name!r} has no demonstration")
     with (
         arguments.folder(out) as folder,
         contextlib.redirect_stdout(sys.stderr if json_ else sys.stdout),
     ):
-        chosen.demo(folder, seed)
+        demonstrate(folder, seed)
     if json_:
         print((out / "result.json").read_text(encoding="utf-8"), end="")
 
