@@ -12,6 +12,7 @@ import typer
 import bayescal as bc
 from bayescal._cli import options
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
+from bayescal._cli.offered import DEMONSTRATIONS, PAIR_SELECTIONS, offered
 from bayescal._cli.options import ColumnOptions, ModelOptions, with_groups
 from bayescal._core.errors import InputError
 
@@ -38,11 +39,12 @@ def pairs(
     from bayescal._cli.request import open_request
 
     chosen, model, readings = open_request(instrument, files, columns, ModelOptions(add=add))
-    if chosen.pairs is None:
+    select = offered(PAIR_SELECTIONS, chosen.name)
+    if select is None:
         raise InputError(f"instrument {chosen.name!r} does not choose its devices in pairs")
     print_notes(readings.flags)
     fitted = bc.fit(model, readings, seed=seed, strict=False)
-    found = chosen.pairs(fitted, criterion=criterion)
+    found = select(fitted, criterion=criterion)
     print_result(found.data() if json_ else found)
     exit_unless(fitted.verdict.ok, " ".join(fitted.verdict.reasons))
 
@@ -62,12 +64,13 @@ def demo(
     from bayescal._cli.request import instrument_named
 
     chosen = instrument_named(instrument)
-    if chosen.demo is None:
+    demonstrate = offered(DEMONSTRATIONS, chosen.name)
+    if demonstrate is None:
         raise InputError(f"instrument {chosen.name!r} has no demonstration")
     with (
         result_folder(out),
         contextlib.redirect_stdout(sys.stderr if json_ else sys.stdout),
     ):
-        chosen.demo(out, seed)
+        demonstrate(out, seed)
     if json_:
         print((out / "result.json").read_text(encoding="utf-8"), end="")

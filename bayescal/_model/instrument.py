@@ -6,7 +6,6 @@ Instruments are not subclasses. A new one is a set of columns, slots and one fun
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -78,9 +77,6 @@ class Instrument(eqx.Module):
             makes readings of them.
         experiments: feasible changes of the campaign, in words, and the columns that each would record:
             `next_experiment` ranks them.
-        demo: writes a demonstration to a folder, under a seed.
-        pairs: of an instrument whose devices are chosen in pairs: `pairs(calibration, criterion=…)` gives a table
-            that prints itself and has `data()`, plain JSON.
         use: which quantity the calibrated instrument measures; None where no single reading tells it.
         source: document that the equations come from.
         tailor: of an instrument whose output may be anything: `tailor(readings, **settings)` gives the
@@ -102,8 +98,6 @@ class Instrument(eqx.Module):
     structures: tuple[tuple[str, Callable[[], Any]], ...] = eqx.field(static=True, default=())
     simulator: Callable[..., Columns] | None = eqx.field(static=True, default=None)
     experiments: tuple[tuple[str, Callable[[], Columns]], ...] = eqx.field(static=True, default=())
-    demo: Callable[[Path, int], None] | None = eqx.field(static=True, default=None)
-    pairs: Callable[..., Any] | None = eqx.field(static=True, default=None)
     use: Use | None = None
     source: str = eqx.field(static=True, default="")
     tailor: Callable[..., Instrument] | None = eqx.field(static=True, default=None)

@@ -43,7 +43,6 @@ from bayescal_models.differential_pair.effects import (
     tangential,
 )
 from bayescal_models.differential_pair.environment import DEPARTURE
-from bayescal_models.differential_pair.selection import select
 from bayescal_models.differential_pair.simulator import simulated_columns
 
 
@@ -91,7 +90,6 @@ INSTRUMENT = bc.Instrument(
         ("no departures", lambda: INSTRUMENT.baseline() - DEPARTURE),
     ),
     simulator=simulated_columns,
-    pairs=select,
     source="source 3",
 )
 

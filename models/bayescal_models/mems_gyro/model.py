@@ -29,7 +29,6 @@ from collections.abc import Mapping
 import bayescal as bc
 from bayescal_models.mems_gyro import effects
 from bayescal_models.mems_gyro.campaign import Campaign
-from bayescal_models.mems_gyro.demo import run
 from bayescal_models.mems_gyro.effects import CUBIC, LINE, QUADRATIC, RESONANCE, THERMOMETER
 from bayescal_models.mems_gyro.experiments import EXPERIMENTS
 from bayescal_models.mems_gyro.simulator import simulated_columns
@@ -112,7 +111,6 @@ INSTRUMENT = bc.Instrument(
     ),
     simulator=simulated_columns,
     experiments=EXPERIMENTS,
-    demo=run,
     use=bc.Use("rate_input", "deg/s"),
     source="source 1",
 )
