@@ -73,7 +73,7 @@ from ._model.prior import Flat as Flat
 from ._model.prior import HalfCauchy as HalfCauchy
 from ._model.prior import HalfNormal as HalfNormal
 from ._model.prior import Normal as Normal
-from ._numpyro.fit_program import ProgramFit as ProgramFit
+from ._numpyro.program_fit import ProgramFit as ProgramFit
 from ._readings.measurements import Column as Column
 from ._readings.measurements import Measurements as Measurements
 from ._readings.measurements import NominalScale as NominalScale

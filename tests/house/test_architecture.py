@@ -22,14 +22,15 @@ MOST_ROOMS = 14
 
 # From the ground up. A module imports only what stands before it, wherever in the file the import stands.
 ROOMS = {
-    "_core": "version errors formatting jax_setup progress batched_map jit tall_qr levenberg_marquardt null_space",
+    "_core": "version errors formatting jax_setup progress batched_map jit tall_qr levenberg_marquardt null_space "
+    "weights",
     "_readings": "units column raw_table dataset_checks write column_matching extra_columns column_conversion "
     "measurements csv_reader parquet_netcdf_reader read",
     "_model": "prior coefficient frame effect noise instrument model parameters forward",
     "effects": "constant temperature thermal thermometer time unknown unknown_in_time",
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
-    "nuts_chains least_squares marginal nuts",
-    "_numpyro": "trace gaussian_sites marginal_density fit_program",
+    "nuts_chains trust least_squares marginal nuts",
+    "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",
     "_calibration": "calibration posterior_tree storage predict fit",
     "_diagnostics": "efficient_score summary text smooth_terms worst_region check leave_group_out compare "
     "group_bayes_factor",
