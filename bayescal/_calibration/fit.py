@@ -25,7 +25,7 @@ from bayescal._model.parameters import bind
 from bayescal._readings.measurements import Measurements
 
 if TYPE_CHECKING:
-    from bayescal._numpyro.fit_program import ProgramFit
+    from bayescal._numpyro.program_fit import ProgramFit
 
 
 @overload

@@ -10,16 +10,16 @@ import numpy as np
 
 from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
+from bayescal._core.weights import smoothed
 from bayescal._fleet import closed_form
 from bayescal._fleet.stacks import Stack, weighed
-from bayescal._inference import importance_sampling, least_squares, sampled_products
+from bayescal._inference import importance_sampling, least_squares, sampled_products, trust
 from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.marginal import ENOUGH, K_HAT, Marginal, smoothed, worth
+from bayescal._inference.marginal import Marginal
 from bayescal._model import forward
 from bayescal._model.parameters import Layout, Levels
 
 TOGETHER = 64  # devices that a program of many readings or proposals holds at once
-SINGULAR = "The curvature is singular: some direction is not determined by readings or priors."
 NO_SCATTER = (
     "The readings leave no scatter about the model, so that the noise cannot be told: too few readings for the "
     "coefficients, or made without noise."
@@ -114,7 +114,7 @@ def _quick(layout: Layout, stack: Stack) -> Found:
     for i in np.flatnonzero(~line.scatter) if not fixed else ():
         reasons[i] = NO_SCATTER
     for i in np.flatnonzero(~line.determined):
-        reasons[i] = SINGULAR
+        reasons[i] = trust.SINGULAR
     return Found(layout, mean, covariance, reasons, None, ())
 
 
@@ -160,9 +160,9 @@ def _ordinary(layout: Layout, stack: Stack, method: LeastSquares) -> Found:
     covariance[:, at[:, None], at] = own
     reasons = [""] * len(mean)
     for i in np.flatnonzero(~converged):
-        reasons[i] = "Levenberg–Marquardt stopped before its tolerance was met."
+        reasons[i] = trust.NOT_CONVERGED
     for i in np.flatnonzero(~np.all(np.isfinite(own), axis=(1, 2)) | ~np.isfinite(mean).all(1)):
-        reasons[i] = SINGULAR
+        reasons[i] = trust.SINGULAR
     notes = (
         "Shapes have the standard uncertainty of their coordinate times its slope; noise and spreads are held at "
         "their restricted-likelihood estimates.",
@@ -222,10 +222,10 @@ def _weights(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _why_not(mean: np.ndarray, k_hat: float, weights: np.ndarray) -> str:
     if not np.all(np.isfinite(mean)):
-        return SINGULAR
-    if k_hat > K_HAT or worth(weights) < ENOUGH:
+        return trust.SINGULAR
+    if why := trust.unevenness(weights, k_hat):
         return (
-            f"Importance weights were uneven (k̂ = {k_hat:.2f}, {worth(weights):.0f} effective draws): fit this "
-            "device by bc.fit, which goes over to NUTS."
+            f"Importance weights were uneven ({why}): fit this device by bc.fit, which goes over to "
+            "NUTS."
         )
     return ""

@@ -36,7 +36,8 @@ from scipy.special import gammaln
 
 from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
-from bayescal._inference.marginal import K_HAT, smoothed, worth
+from bayescal._core.weights import smoothed
+from bayescal._inference import trust
 from bayescal._model.coefficient import Coefficient
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
@@ -44,6 +45,7 @@ from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
 FEWEST = 3  # devices from which a spread can be learned
 DRAWS = 2000  # of τ, fewer for many devices: their posterior is narrow
 CELLS = 1_000_000  # draws × devices at most
+ENOUGH = 50  # effective draws of τ, from which its mean and spread are known well enough
 FREEDOM = 5.0  # of the Student-t that τ's logarithms are proposed from
 DEFENCE = 0.1  # share of proposals from the prior
 TOGETHER = 16  # draws evaluated at once
@@ -145,14 +147,14 @@ def pool(
             "unit": [c.unit for c in parts],
         }
     )
-    effective = worth(weights)
-    ok = k_hat <= K_HAT and effective >= 50
-    reason = (
-        ""
-        if ok
-        else f"weights of the spreads were uneven (k̂ = {k_hat:.2f}, {effective:.0f} effective draws)"
+    why = trust.unevenness(weights, k_hat, enough=ENOUGH)
+    population = Population(
+        table=table,
+        ok=not why,
+        reason=f"weights of the spreads were uneven ({why})" if why else "",
+        devices=len(mean),
+        pareto_k=k_hat,
     )
-    population = Population(table, ok, reason, len(mean), k_hat)
     return Pooled(found.devices * size, found.covariances * units, population)
 
 

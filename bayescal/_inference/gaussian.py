@@ -126,7 +126,9 @@ def condition(gram: Gram, size: int, prior: Prior, at: Float[Array, "p"]) -> Con
     )
     # A sum of squares that came out negative has no digits left (noise far below any residual): no density there.
     log_marginal = jnp.where(rest > 0, log_marginal, -jnp.inf)
-    return Conditional(log_marginal, at + offset, prior.sd, factor, u)
+    return Conditional(
+        log_marginal=log_marginal, shift=at + offset, sd=prior.sd, factor=factor, u=u
+    )
 
 
 def condition_white(
@@ -159,7 +161,9 @@ def condition_white(
     flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
     volume = logdet + 2 * jnp.sum(jnp.log(jnp.diag(root)))
     log_marginal = flat_volume - 0.5 * (len(residual) * jnp.log(2 * jnp.pi) + volume + rest**2)
-    return Conditional(log_marginal, at + offset, prior.sd, Dense(root.T), u)
+    return Conditional(
+        log_marginal=log_marginal, shift=at + offset, sd=prior.sd, factor=Dense(root.T), u=u
+    )
 
 
 def whitener(

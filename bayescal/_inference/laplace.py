@@ -6,6 +6,7 @@ does not. Both optimisers are optimistix's.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -187,11 +188,13 @@ def _at_mode(layout, frame, y, point, v, change, flat) -> Mode:
     density = density_of_phi(layout, frame, y, point, flat)
     dim = len(layout.hypers)
     value = density(v)[0]
+    found = partial(Mode, point=point, v=v, log_density=value, change=change, flat=flat)
     if not dim:
-        none = jnp.zeros((0, 0))
-        return Mode(point, v, none, value, value, change, flat, jnp.zeros((), bool))
+        return found(
+            covariance=jnp.zeros((0, 0)), log_evidence=value, indefinite=jnp.zeros((), bool)
+        )
     covariance, volume, indefinite = gaussian_fit(lambda v: density(v)[0], v)
-    return Mode(point, v, covariance, value, value + volume, change, flat, indefinite)
+    return found(covariance=covariance, log_evidence=value + volume, indefinite=indefinite)
 
 
 def gaussian_fit(log_density, v: Float[Array, "d"]) -> tuple[Array, Array, Array]:

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from bayescal._inference import checkpoint
 from bayescal._inference.gaussian import Point
@@ -18,7 +19,8 @@ from bayescal._inference.laplace import Mode
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
-MODE = Mode(Point(0, 0), *range(7))  # pyright: ignore[reportArgumentType]  # for its structure alone
+CHAINS = 4  # that draws are dealt into, so that what reads chains can read independent draws too
+MODE = Mode._make([Point._make((0, 0)), *range(7)])  # for its structure alone
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,12 @@ class Draws:
     stats: dict[str, np.ndarray] = field(default_factory=dict)
 
 
+def by_chain(values: ArrayLike) -> np.ndarray:
+    """Draws, as many as make `CHAINS` equal parts, as (chains, draws, …)."""
+    values = np.asarray(values)
+    return values.reshape(CHAINS, len(values) // CHAINS, *values.shape[1:])
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What a method hands back, before names and units are put to it."""
@@ -98,11 +106,11 @@ def kept_outcome(layout: Layout, run: Callable[[], Outcome]) -> Outcome:
     words = {name: tuple(verdict[name]) for name in ("reasons", "notes")}
     evidence = told["log_evidence"]
     return Outcome(
-        Layout(layout.model, layout.counts, tuple(told["promoted"])),
-        Draws(x, rows, v, stats),  # pyright: ignore[reportArgumentType]
-        mode,
-        Verdict(**{**verdict, **words}),
-        None if evidence is None else (evidence[0], evidence[1]),
+        layout=Layout(layout.model, layout.counts, tuple(told["promoted"])),
+        draws=Draws(x, rows, v, stats),  # pyright: ignore[reportArgumentType]
+        mode=mode,
+        verdict=Verdict(**{**verdict, **words}),
+        log_evidence=None if evidence is None else (evidence[0], evidence[1]),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._core.progress import stage
-from bayescal._inference import laplace, marginal
+from bayescal._inference import laplace, trust
 from bayescal._inference import nuts_chains as chains
 from bayescal._inference.method import Draws, Method, Outcome
 from bayescal._model import forward
@@ -42,8 +42,13 @@ class NUTS(Method):
         mode = jax.tree.map(np.asarray, laplace.compiled_mode(layout, frame, y))
         joint = np.concatenate([x, v], axis=2)
         ran = chains.Chains(jnp.asarray(joint), found.divergences, found.steps)
-        verdict = marginal.chain_verdict(ran, mode, "NUTS", (), None)
-        return Outcome(layout, Draws(x, rows, v), mode, verdict, None)
+        return Outcome(
+            layout=layout,
+            draws=Draws(x, rows, v),
+            mode=mode,
+            verdict=trust.chain_verdict(ran, "NUTS", ()),
+            log_evidence=None,
+        )
 
 
 def sampled(
@@ -119,7 +124,7 @@ def program(layout: Layout, frame: Frame) -> Callable:
             e = numpyro.sample(
                 "rows.standard", dist.Normal(0.0, 1.0).expand(rows.shape).to_event(2)
             )
-            rows = e * forward.row_sd(layout)
+            rows = jnp.asarray(e) * forward.row_sd(layout)
         numpyro.deterministic("x", x)
         numpyro.deterministic("rows", rows)
         numpyro.deterministic("v", v)

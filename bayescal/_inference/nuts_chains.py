@@ -100,25 +100,8 @@ def iterate(
     state = kernel.init(
         jax.random.split(key, chains), warmup, begin, model_args=arguments, model_kwargs={}
     )
-
-    @partial(jax.jit, compiler_options=known(ALWAYS))
-    def block(state, count):
-        def one(i, carried):
-            state, kept = carried
-            state = kernel.sample(state, arguments, {})
-            new = (state.z, state.diverging, state.num_steps)
-            return state, jax.tree.map(lambda a, b: a.at[i].set(b), kept, new)
-
-        kept = jax.tree.map(
-            lambda a: jnp.zeros((BLOCK, *a.shape), a.dtype),
-            (state.z, state.diverging, state.num_steps),
-        )
-        return jax.lax.fori_loop(0, count, one, (state, kept))
-
-    found = jax.tree.map(
-        lambda a: np.zeros((draws, *a.shape), a.dtype),
-        (state.z, state.diverging, state.num_steps),
-    )
+    block = _block_of(kernel, arguments)
+    found = jax.tree.map(lambda a: np.zeros((draws, *a.shape), a.dtype), _kept(state))
     store, done = checkpoint.current(), 0
     if store is not None and name in store.arrays:
         done = int(store.notes[name])
@@ -140,6 +123,28 @@ def iterate(
     z, diverging, steps = found
     by_chain = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
     return Iterated(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
+
+
+def _kept(state: Any) -> tuple:
+    """What is kept of the sampler's state at an iteration."""
+    return state.z, state.diverging, state.num_steps
+
+
+def _block_of(kernel: Any, arguments: tuple) -> Callable:
+    """At most `BLOCK` iterations as one compiled program: from a state and their number to the state, and to what
+    is kept of each."""
+
+    @partial(jax.jit, compiler_options=known(ALWAYS))
+    def block(state, count):
+        def one(i, carried):
+            state, kept = carried
+            state = kernel.sample(state, arguments, {})
+            return state, jax.tree.map(lambda a, b: a.at[i].set(b), kept, _kept(state))
+
+        kept = jax.tree.map(lambda a: jnp.zeros((BLOCK, *a.shape), a.dtype), _kept(state))
+        return jax.lax.fori_loop(0, count, one, (state, kept))
+
+    return block
 
 
 def whitened(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode):

@@ -20,8 +20,8 @@ from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
 from bayescal._numpyro.trace import (
     Densities,
-    Program,
     Site,
+    TracedProgram,
     densities,
     draw_trace,
     free_of,
@@ -48,7 +48,7 @@ class Split(NamedTuple):
         reasons: why Gaussian sites are sampled, each a sentence.
     """
 
-    program: Program
+    program: TracedProgram
     inside: tuple[Site, ...]
     outside: tuple[Site, ...]
     fixed: tuple[str, ...]
@@ -88,7 +88,7 @@ def raveled(sites: Sequence[Site], values: Mapping[str, Array]) -> Float[Array, 
     return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
 
-def split(program: Program, keep: Sequence[str] | None = None) -> Split:
+def split(program: TracedProgram, keep: Sequence[str] | None = None) -> Split:
     """Decide what is integrated out.
 
     Args:
@@ -107,7 +107,7 @@ def split(program: Program, keep: Sequence[str] | None = None) -> Split:
             )
     candidates = [s for s in program.latent if s.gaussian and s.size and s.name not in keep]
     if program.loops or not candidates:
-        return Split(program, (), program.latent, (), True, ())
+        return Split(program, (), program.latent, fixed=(), separate=True, reasons=())
     study = _study(program, tuple(candidates))
     out, reasons = _expelled(program, candidates, study)
     inside = tuple(s for s in candidates if s.name not in out)
@@ -125,7 +125,7 @@ def split(program: Program, keep: Sequence[str] | None = None) -> Split:
     moved = study.scaled.copy()
     moved[:, : study.placed.shape[1]] |= study.placed
     apart = not any(moved[i, at[s.name]] for i in inner for s in outside)
-    return Split(program, inside, outside, fixed, apart, tuple(reasons))
+    return Split(program, inside, outside, fixed=fixed, separate=apart, reasons=tuple(reasons))
 
 
 class _Study(NamedTuple):
@@ -141,7 +141,7 @@ class _Study(NamedTuple):
     by_rest: np.ndarray  # its location moves with the sites that are no candidates
 
 
-def _study(program: Program, candidates: tuple[Site, ...]) -> _Study:
+def _study(program: TracedProgram, candidates: tuple[Site, ...]) -> _Study:
     rest = tuple(s for s in program.latent if s not in candidates)
     size = sum(s.size for s in candidates)
     owner = np.repeat(np.arange(len(candidates)), [s.size for s in candidates])
@@ -197,7 +197,7 @@ def _study(program: Program, candidates: tuple[Site, ...]) -> _Study:
 
 
 def _understood(
-    program: Program,
+    program: TracedProgram,
     count: int,
     pairs: list[tuple[int, int]],
     names: list[str],
@@ -217,7 +217,14 @@ def _understood(
     normal = [s.name for s in program.observed if s.law == "Normal" and s.gaussian]
     single = [n for i, n in enumerate(names[:gaussian]) if np.all(equal[:, i])]
     single = tuple(n for n in single if n in normal)
-    return _Study(tuple(names), single, placed, scaled, square, rest_moves)
+    return _Study(
+        names=tuple(names),
+        single=single,
+        placed=placed,
+        scaled=scaled,
+        bent=square,
+        by_rest=rest_moves,
+    )
 
 
 def _seen(verdicts: np.ndarray) -> np.ndarray:
@@ -249,7 +256,7 @@ def _bends(places: list[Array], slopes: list[Array]) -> Array:
 
 
 def _expelled(
-    program: Program, candidates: list[Site], study: _Study
+    program: TracedProgram, candidates: list[Site], study: _Study
 ) -> tuple[set[str], list[str]]:
     """Candidates that are sampled after all, and why."""
     out: set[str] = set()

@@ -24,7 +24,7 @@ MOST_ROOMS = 14
 # From the ground up. A module imports only what stands before it, wherever in the file the import stands.
 ROOMS = {
     "_core": "version errors evidence_scale atomic_file formatting jax_setup progress batched_map jit tall_qr "
-    "levenberg_marquardt null_space",
+    "levenberg_marquardt null_space weights",
     "_readings": "unit_registry units column raw_table dataset_checks write column_matching column_conversion "
     "measurements csv_reader parquet_netcdf_reader read",
     "_model": "prior coefficient frame effect placeholder noise instrument installed model parameters forward",

@@ -36,8 +36,8 @@ from arviz_stats.base import array_stats
 from jax.flatten_util import ravel_pytree
 
 import bayescal as bc
+from bayescal._core.weights import smoothed
 from bayescal._inference import importance_sampling, laplace, nuts_chains, sampled_products
-from bayescal._inference.marginal import smoothed
 from bayescal._inference.nuts import program
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
