@@ -1,4 +1,4 @@
-"""What a command answers: as text where a result does not print itself, and as plain JSON data."""
+"""Results of commands: text where a result does not print itself, plain JSON data, a file of predictions."""
 
 from __future__ import annotations
 
@@ -81,28 +81,28 @@ def effects_data(kinds: Kinds) -> list[dict[str, Any]]:
     ]
 
 
-def fit_data(found: Calibration) -> dict[str, Any]:
-    coefficients, spreads = summary(found)
+def fit_data(calibration: Calibration) -> dict[str, Any]:
+    coefficients, spreads = summary(calibration)
     data = {
         "coefficients": coefficients,
         "spreads": spreads,
-        "reference": found.reference,
-        "fixed": dict(found.model.fixed),
-        "log_evidence": found.log_evidence,
-        "verdict": vars(found.verdict),
-        "identifiability": {"null_directions": null_directions(found)},
+        "reference": calibration.reference,
+        "fixed": dict(calibration.model.fixed),
+        "log_evidence": calibration.log_evidence,
+        "verdict": vars(calibration.verdict),
+        "identifiability": {"null_directions": null_directions(calibration)},
     }
     return clean(data)
 
 
-def comparison_data(found: Comparison) -> dict[str, Any]:
+def comparison_data(comparison: Comparison) -> dict[str, Any]:
     data = {
-        "rows": [vars(row) for row in found.rows],
-        "group": found.group,
-        "groups": found.groups,
-        "unit": found.unit,
-        "chosen_by": found.chosen_by,
-        "warnings": found.warnings,
+        "rows": [vars(row) for row in comparison.rows],
+        "group": comparison.group,
+        "groups": comparison.groups,
+        "unit": comparison.unit,
+        "chosen_by": comparison.chosen_by,
+        "warnings": comparison.warnings,
     }
     return clean(data)
 

@@ -90,7 +90,9 @@ class _Job:
             )
         admitted = convert_columns(table, self.door, self.wishes)
         source = Source(table.file, table.sha256, table.rows)
-        readings = assemble([table], admitted, self.door, (source,), allow_one_temperature=True)
+        readings = assemble(
+            [table], admitted, self.door, sources=(source,), allow_one_temperature=True
+        )
         self.done.flags = readings.flags
         return self._take(readings)
 

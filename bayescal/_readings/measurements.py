@@ -108,7 +108,7 @@ class Measurements:
         options = ReadOptions({}, units or {}, local_gravity, nominal_scale)
         refuse_unused_units([table], options)
         converted = convert_columns(table, instrument, options)
-        return assemble([table], converted, instrument, (), allow_one_temperature)
+        return assemble([table], converted, instrument, allow_one_temperature=allow_one_temperature)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column, in its fixed unit; labels as text.
@@ -236,7 +236,8 @@ def assemble(
     tables: Sequence[Table],
     converted: ConvertedColumns,
     instrument: InstrumentLike,
-    sources: tuple[Source, ...],
+    *,
+    sources: tuple[Source, ...] = (),
     allow_one_temperature: bool,
 ) -> Measurements:
     """Check the columns of one or several joined files together and make measurements of them.
@@ -256,7 +257,10 @@ def assemble(
     if needs_temperature and not allow_one_temperature:
         refuse_one_temperature(converted.values, names)
     refuse_backward_time(converted.values, where)
-    flags = [*converted.flags, *flags_of(converted.values, output, where, names, converted.filled)]
+    flags = [
+        *converted.flags,
+        *flags_of(converted.values, output, where, names, unchecked=converted.filled),
+    ]
     variables = {
         name: _variable(values, converted.units[name]) for name, values in converted.values.items()
     }

@@ -68,7 +68,13 @@ def read(
     joined = parts[0] if len(parts) == 1 else _join(tables, parts)
     joined = replace(joined, flags=[*joined.flags, *_equal_contents(tables)])
     sources = tuple(Source(table.file, table.sha256, table.rows) for table in tables)
-    return assemble(tables, joined, instrument, sources, allow_one_temperature)
+    return assemble(
+        tables,
+        joined,
+        instrument,
+        sources=sources,
+        allow_one_temperature=allow_one_temperature,
+    )
 
 
 def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:

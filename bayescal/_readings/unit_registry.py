@@ -108,10 +108,10 @@ def normalised(text: str) -> str:
     """
     if not text.strip() or len(text) > 60:
         raise InputError(f"[{text[:60]}] is not a unit: write one such as [degC], [deg/s] or [1]")
-    plain = re.sub(r"([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", r"^\1", text.strip()).translate(_SUPERSCRIPTS)
+    plain = re.sub(r"([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", r"^\1", text.strip()).translate(_SUPERSCRIPTS)  # m/s²
     for seen, meant in _REWRITTEN.items():
         plain = plain.replace(seen, meant)
-    plain = re.sub(r"(?:√|sqrt)\(?([A-Za-z]+)\)?", r"\1^0.5", plain)
+    plain = re.sub(r"(?:√|sqrt)\(?([A-Za-z]+)\)?", r"\1^0.5", plain)  # deg/√h
     plain = re.sub(r"([A-Za-z])([2-4])\b", r"\1^\2", plain)  # m/s2
     plain = "1" if plain == "-" else plain
     plain = NAME.sub(lambda m: _SPELLINGS.get(m[0], m[0]), plain)
@@ -119,6 +119,7 @@ def normalised(text: str) -> str:
     for name in names:
         if name not in BASE and name not in _DERIVED:
             raise InputError(f"[{text}] is not a unit known here: {name!r} is none{_near(name)}")
+    # Without its powers, each name as "u", a unit may hold operators and a lone 1, as in 1/degC.
     rest = NAME.sub("u", EXPONENT.sub("", plain))
     if re.search(r"[^u1*/() ]|11|1u", rest):
         raise InputError(

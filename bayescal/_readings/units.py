@@ -154,7 +154,7 @@ def pretty(unit: str) -> str:
         return unit
     parse(unit)
     text = NAME.sub(lambda m: _pretty_name(m[0]), normalised(unit)).replace("*", "·")
-    text = re.sub(r"(\w+)\^\(?0\.5\)?", r"√\1", text)
+    text = re.sub(r"(\w+)\^\(?0\.5\)?", r"√\1", text)  # °/√h
     digits = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
     return EXPONENT.sub(
         lambda m: m[0].strip("^()").translate(digits) if "." not in m[0] else m[0], text
