@@ -28,18 +28,7 @@ PREDICTIVE_CELLS = 2_000_000  # draws × readings kept in posterior_predictive a
 class Fitted:
     """The result of a fit, before it is printed, saved or made a tree; `Calibration` offers these.
 
-    Attributes:
-        model: what was fitted.
-        readings: to what.
-        joint: equally weighted joint draws, from which everything else is computed when it is asked for.
-        verdict: whether to trust it.
-        method: name of the method.
-        seed: of every random number.
-        reference: constants of the bases: T0, run starts …
-        levels: members of each group.
-        layout: where each unknown stands.
-        mode: φ̂ and x̂, at which everything is linearised.
-        log_evidence: (value, Monte-Carlo error or None), None where a prior is flat.
+    Its fields are described there.
     """
 
     model: Model
