@@ -24,7 +24,6 @@ from ._report.report import report as report
 from . import plot as plot
 
 # what a model is made of
-from . import effects as effects
 from ._model.model import Instrument as Instrument  # with `baseline`, which model.py attaches
 from ._model.instrument import Slot as Slot
 from ._model.instrument import Use as Use

@@ -1,4 +1,4 @@
-"""Importance weights of draws: Pareto smoothing, what they are worth, resampling."""
+"""Importance weights of draws: Pareto smoothing, effective sample size, resampling."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"]
 
 
 def effective_size(weights: Float[np.ndarray, "s"]) -> float:
-    """How many independent draws weights that sum to one are worth (Kish)."""
+    """Effective sample size of weights that sum to one (Kish)."""
     return float(1 / np.sum(weights**2))
 
 

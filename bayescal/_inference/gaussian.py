@@ -81,7 +81,7 @@ class Conditional(NamedTuple):
         return self.shift + self.sd * self.factor.back(self.u + normal)
 
     @property
-    def stretch(self) -> Float[Array, ""]:
+    def log_jacobian(self) -> Float[Array, ""]:
         """Log volume of the map from standard normal numbers to x."""
         return jnp.sum(jnp.log(self.sd)) - self.factor.log_diagonal
 

@@ -222,7 +222,7 @@ def draw_coefficients(layout, frame, y, point, v, found: gaussian.Conditional, k
     hyper = forward.hyper_values(layout, v)
     k1, k2 = jax.random.split(key)
     normal = jax.random.normal(k1, found.u.shape)
-    x, stretch, rows = found.place(normal), found.stretch, point.rows
+    x, log_jacobian, rows = found.place(normal), found.log_jacobian, point.rows
     squares = jnp.sum(normal**2)
     if layout.row_blocks:
         line = forward.linearise(layout, frame, point.x, point.rows, hyper)
@@ -231,9 +231,9 @@ def draw_coefficients(layout, frame, y, point, v, found: gaussian.Conditional, k
         variance = layout.model.noise.variance(hyper, frame)
         own = jax.random.normal(k2, point.rows.shape)
         rows, volume = gaussian.draw_rows(layout, line, y - straight + back, variance, own)
-        stretch, squares = stretch + volume, squares + jnp.sum(own**2)
+        log_jacobian, squares = log_jacobian + volume, squares + jnp.sum(own**2)
     size = normal.size + rows.size
-    log_drawn = -0.5 * (squares + size * jnp.log(2 * jnp.pi)) - stretch
+    log_drawn = -0.5 * (squares + size * jnp.log(2 * jnp.pi)) - log_jacobian
     true = jnp.sum(forward.log_likelihood(layout, frame, y, x, rows, hyper))
     prior = forward.log_prior_x(layout, x, rows, hyper)
     return x, rows, true + prior - log_drawn - found.log_marginal

@@ -27,7 +27,9 @@ from bayescal._model.parameters import Layout
 
 TOO_NONLINEAR = "The model bends too much for its linear form ({}): exact NUTS."
 WEIGHTED = importance_sampling.WeightedDraws._make([MODE, *range(7)])  # for its structure alone
-NEARLY_EVEN = 0.98  # share of the draws that weights are worth, from which they stay as they are
+NEARLY_EVEN = (
+    0.98  # effective sample size as a share of the draws, from which they stay as they are
+)
 
 
 class Marginal(Method):
@@ -39,7 +41,7 @@ class Marginal(Method):
             many readings.
         rounds: of adaptation.
         sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7 (0.5, if the model
-            bends) or the weights are worth less than 400 draws; "nuts" for NUTS on φ.
+            is nonlinear) or the effective sample size is below 400; "nuts" for NUTS on φ.
         promote: names of coefficients to sample with φ because their product with another unknown matters;
             None chooses them by the size of the second-order term.
     """
@@ -94,7 +96,7 @@ class Marginal(Method):
 
     def _from_weights(self, layout, found, weights, k_hat, notes, seed) -> Outcome:
         effective = effective_size(weights)
-        # Never more draws than the weights are worth: repeated draws would pass for information.
+        # Never more draws than the effective sample size: repeated draws would pass for information.
         count = CHAINS * max(1, int(min(self.draws, effective)) // CHAINS)
         pick = resample(weights, count, seed)
         evidence = (float(found.log_evidence), float(found.log_evidence_error))

@@ -158,7 +158,7 @@ def whitened(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode):
         hyper = forward.hyper_values(layout, v)
         found = density(v)[1]
         x = found.place(z)
-        stretch = found.stretch
+        log_jacobian = found.log_jacobian
         rows = mode.point.rows
         if layout.row_blocks:
             line = forward.linearise(layout, frame, mode.point.x, mode.point.rows, hyper)
@@ -166,14 +166,14 @@ def whitened(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode):
             rest = y - line.mean - line.jacobian @ (x - mode.point.x) + back
             variance = noise.variance(hyper, frame)
             rows, volume = gaussian.draw_rows(layout, line, rest, variance, e)
-            stretch = stretch + volume
-        return x, rows, v, hyper, stretch
+            log_jacobian = log_jacobian + volume
+        return x, rows, v, hyper, log_jacobian
 
     def log_density(q: Float[Array, "dim"]) -> Float[Array, ""]:
-        x, rows, v, hyper, stretch = unpack(q)
+        x, rows, v, hyper, log_jacobian = unpack(q)
         likelihood = jnp.sum(forward.log_likelihood(layout, frame, y, x, rows, hyper))
         prior = forward.log_prior_x(layout, x, rows, hyper)
-        return likelihood + prior + forward.hyper_log_prior(layout, v) + stretch
+        return likelihood + prior + forward.hyper_log_prior(layout, v) + log_jacobian
 
     dim = d + p + int(np.prod(shape))
     start = jnp.concatenate([mode.v, jnp.zeros(dim - d)])

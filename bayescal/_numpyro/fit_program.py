@@ -26,8 +26,10 @@ from bayescal._numpyro.trace import TracedProgram, draw_trace
 
 WIDE = 30  # coordinates, above which importance sampling is not tried
 MANY = 1000  # readings that cost anew at each proposal, above which fewer are made
-BEND = 0.01  # root mean square of what the Gaussian form leaves out of the log density, below which draws stand
-BENT = (
+MOST_LEFT_OUT = (
+    0.01  # of the log density by the Gaussian form, root mean square, below which draws stand
+)
+NOT_GAUSSIAN = (
     "The density is Gaussian at the points that were tried, but not where the readings point to: "
     "NumPyro's NUTS on every unknown."
 )
@@ -151,17 +153,19 @@ def _marginal(divided: Split, method: Marginal, seed: int) -> _Drawn:
 def _closed(divided: Split, mode, method: Marginal, key, seed: int, notes) -> _Drawn:
     """Independent draws, where nothing is left to sample."""
     count = CHAINS * max(1, method.draws // CHAINS)
-    x, v, evidence, bend = marginal_density.draws_back(divided, mode, jnp.zeros((count, 0)), key)
-    if not _straight(bend):
-        return _plain(divided, method, seed, (*notes[1:], BENT))
+    x, v, evidence, left_out = marginal_density.draws_back(
+        divided, mode, jnp.zeros((count, 0)), key
+    )
+    if not _gaussian(left_out):
+        return _plain(divided, method, seed, (*notes[1:], NOT_GAUSSIAN))
     verdict = Verdict(True, notes=notes, sampler="independent draws", ess=float(count))
     values = _by_chain(marginal_density.values_of(divided, x, v))
     return _Drawn(values, verdict, (float(evidence[0]), 0.0))
 
 
-def _straight(bend) -> bool:
+def _gaussian(left_out) -> bool:
     """Whether the density is Gaussian in what was integrated out wherever the draws lie."""
-    return bool(np.sqrt(np.mean(np.clip(np.asarray(bend), -1e3, 1e3) ** 2)) < BEND)
+    return bool(np.sqrt(np.mean(np.clip(np.asarray(left_out), -1e3, 1e3) ** 2)) < MOST_LEFT_OUT)
 
 
 def _anew(divided: Split) -> int:
@@ -187,9 +191,9 @@ def _chains(divided: Split, mode, method: Marginal, seed: int, notes: tuple[str,
             dense=divided.dim <= 2 * WIDE,
         )
         flat = ran.draws.reshape(-1, divided.dim)
-        x, v, _, bend = marginal_density.draws_back(divided, mode, flat, k2)
-    if not _straight(bend):
-        return _plain(divided, method, seed, (*notes[1:], BENT))
+        x, v, _, left_out = marginal_density.draws_back(divided, mode, flat, k2)
+    if not _gaussian(left_out):
+        return _plain(divided, method, seed, (*notes[1:], NOT_GAUSSIAN))
     verdict = trust.chain_verdict(ran, "NUTS on what is not integrated out", notes)
     values = marginal_density.values_of(divided, x, v)
     return _Drawn(_by_chain(values), verdict, (float(mode.log_evidence), None))
@@ -203,7 +207,15 @@ def _plain(divided: Split, method: Method, seed: int, notes: tuple[str, ...]) ->
     program = divided.program
     size = sum(site.size for site in program.latent)
     dense = method.dense and size <= 2 * WIDE
-    found, values = sampled(program.run, (), method, seed, dense)
+    found, values = sampled(
+        program.run,
+        (),
+        warmup=method.warmup,
+        draws=method.draws,
+        chains=method.chains,
+        dense=dense,
+        seed=seed,
+    )
     flat = [jnp.reshape(a, (*a.shape[:2], -1)) for a in jax.tree.leaves(found.draws)]
     ran = nuts_chains.Chains(jnp.concatenate(flat, axis=2), found.divergences, found.steps)
     return _Drawn(

@@ -137,7 +137,7 @@ class _Study(NamedTuple):
         np.ndarray
     )  # the site's location moves with the candidate; Gaussian sites alone, which come first
     scaled: np.ndarray  # its scale, or its density if it is not Gaussian, moves
-    bent: np.ndarray  # its location is not affine in the two
+    nonlinear: np.ndarray  # its location is not affine in the two
     by_rest: np.ndarray  # its location moves with the sites that are no candidates
 
 
@@ -176,7 +176,7 @@ def _study(program: TracedProgram, candidates: tuple[Site, ...]) -> _Study:
             a, b = masks[pair[0]] * h, masks[pair[1]] * k
             corners = jnp.stack([x, x + a, x + b, x + a + b])
             push = jax.vmap(lambda at: jax.jvp(lambda x: parts(x, v)[0], (at,), (b,)))
-            return _bends(*push(corners))
+            return _nonlinear(*push(corners))
 
         return scaled, placed[1:], over(together, jnp.asarray(pairs), room), placed[0], equal
 
@@ -203,16 +203,18 @@ def _understood(
     names: list[str],
     scaled: np.ndarray,
     placed: np.ndarray,
-    bent: np.ndarray,
+    nonlinear: np.ndarray,
     rest_moves: np.ndarray,
     equal: np.ndarray,
 ) -> _Study:
     """What was seen at all points together."""
     # 1 seen, 0 not seen, −1 not finite there; what is finite nowhere counts as seen.
-    scaled, placed, bent, rest_moves = (_seen(a) for a in (scaled, placed, bent, rest_moves))
+    scaled, placed, nonlinear, rest_moves = (
+        _seen(a) for a in (scaled, placed, nonlinear, rest_moves)
+    )
     gaussian = placed.shape[1]
     square = np.zeros((count, count, gaussian), bool)
-    for (i, j), row in zip(pairs, bent, strict=True):
+    for (i, j), row in zip(pairs, nonlinear, strict=True):
         square[i, j] = square[j, i] = row
     normal = [s.name for s in program.observed if s.law == "Normal" and s.gaussian]
     single = [n for i, n in enumerate(names[:gaussian]) if np.all(equal[:, i])]
@@ -222,7 +224,7 @@ def _understood(
         single=single,
         placed=placed,
         scaled=scaled,
-        bent=square,
+        nonlinear=square,
         by_rest=rest_moves,
     )
 
@@ -242,7 +244,7 @@ def _differ(here: list[Array], there: list[Array]) -> Array:
     return jnp.stack(found) if found else jnp.zeros(0, int)
 
 
-def _bends(places: list[Array], slopes: list[Array]) -> Array:
+def _nonlinear(places: list[Array], slopes: list[Array]) -> Array:
     """For each Gaussian site whether its location is not affine: values and slopes at x, x + a, x + b, x + a + b."""
     found = []
     for at, along in zip(places, slopes, strict=True):
@@ -250,8 +252,8 @@ def _bends(places: list[Array], slopes: list[Array]) -> Array:
         step = jnp.max(jnp.abs(at[3] - at[2] - at[1] + at[0]))
         steep = jnp.max(jnp.abs(along))
         turn = jnp.max(jnp.abs(along - along[0]))
-        bent = (step > SAME * size) | (turn > STRAIGHT * steep)
-        found.append(jnp.where(jnp.isfinite(size + steep + step + turn), bent, -1))
+        nonlinear = (step > SAME * size) | (turn > STRAIGHT * steep)
+        found.append(jnp.where(jnp.isfinite(size + steep + step + turn), nonlinear, -1))
     return jnp.stack(found) if found else jnp.zeros(0, int)
 
 
@@ -276,9 +278,9 @@ def _expelled(
             elif study.scaled[i, j]:
                 law = "a factor" if laws[name].law == "Unit" else laws[name].law
                 expel(i, f"{name!r} ({law}) depends on it and is not Gaussian")
-            elif j < study.bent.shape[2] and study.bent[i, i, j] and name != own:
+            elif j < study.nonlinear.shape[2] and study.nonlinear[i, i, j] and name != own:
                 expel(i, f"the location of {name!r} is not affine in it")
-    clash = np.any(study.bent, axis=2)
+    clash = np.any(study.nonlinear, axis=2)
     np.fill_diagonal(clash, False)
     left = [i for i in range(len(candidates)) if candidates[i].name not in out]
     while True:

@@ -52,13 +52,13 @@ class ProgramDraws(NamedTuple):
     Attributes:
         x, v: of each draw, v in the program's own unconstrained coordinates.
         log_weight: true joint density over that which the draw came from.
-        bend: what the Gaussian form leaves out of the log joint density: rounding, if the split is right.
+        left_out: what the Gaussian form leaves out of the log joint density: rounding, if the split is right.
     """
 
     x: Float[Array, "s p"]
     v: Float[Array, "s d"]
     log_weight: Float[Array, "s"]
-    bend: Float[Array, "s"]
+    left_out: Float[Array, "s"]
 
 
 def log_joint(split: Split, x: Array, v: Array) -> Float[Array, ""]:
@@ -187,7 +187,7 @@ def draw_back(split: Split, mode: ProgramMode, density, u: Array, key: Array):
     value, found = density(u)
     normal = jax.random.normal(key, (split.size,))
     x = found.place(normal)
-    of_x = -found.stretch - 0.5 * (normal @ normal + split.size * LOG_2PI)
+    of_x = -found.log_jacobian - 0.5 * (normal @ normal + split.size * LOG_2PI)
     v = mode.centre + mode.width * u
     true = log_joint(split, x, v) + jnp.sum(jnp.log(mode.width))
     return x, v, value, true - (value + of_x)
@@ -209,17 +209,17 @@ def sample(
         rounds,
     )
     keys = jax.random.split(place_key, proposals)
-    x, v, value, bend = over(
+    x, v, value, left_out = over(
         lambda a: draw_back(split, mode, density, *a), (u, keys), importance_sampling.BATCH
     )
-    some = jnp.isfinite(bend)
-    x, bend = jnp.where(some[:, None], x, mode.x), jnp.where(some, bend, -1e300)
-    return ProgramDraws(x, v, value - log_proposal + bend, bend)
+    some = jnp.isfinite(left_out)
+    x, left_out = jnp.where(some[:, None], x, mode.x), jnp.where(some, left_out, -1e300)
+    return ProgramDraws(x, v, value - log_proposal + left_out, left_out)
 
 
 @compiled
 def draws_back(split: Split, mode: ProgramMode, u: Float[Array, "s d"], key: Array):
-    """x and v of draws of u, log p(y, u), and the bend."""
+    """x and v of draws of u, log p(y, u), and what was left out."""
     density = density_of_u(split, mode)
     keys = jax.random.split(key, len(u))
     return over(lambda a: draw_back(split, mode, density, *a), (u, keys), importance_sampling.BATCH)

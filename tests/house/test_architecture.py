@@ -39,7 +39,8 @@ ROOMS = {
     "draft_effect outliers search_path calibrate",
     "_compensation": "operating_equation inversion expression_graph jaxpr_to_graph code_writer firmware provenance "
     "compensator compensate_file budget",
-    "_fleet": "weighted_draws devices split_devices stacks closed_form fit_stack population batch_result fit_batch",
+    "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack population "
+    "device_result batch_result partial_pooling fit_batch",
     "_plots": "style residuals search posterior",
     "_report": "result_json save_search section figures tables sentences report",
     "_cli": "options console offered request saved output catalogue fitting instrument_extras deliverables batch main",
