@@ -12,10 +12,10 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import null_directions, summary
-from bayescal._core.evidence_scale import STRONG
 from bayescal._core.formatting import WIDTH, number, table
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.compare import Comparison
+from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._discovery.calibrate import Trail
 from bayescal._discovery.draft_effect import template
 from bayescal._model.effect import Effect

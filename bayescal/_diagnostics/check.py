@@ -11,9 +11,9 @@ from scipy import stats
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
-from bayescal._core.evidence_scale import STRONG
 from bayescal._diagnostics import efficient_score, smooth_terms
 from bayescal._diagnostics.check_result import Check, Entry, FixedComparison, Pair
+from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.worst_region import worst_regions
 from bayescal._inference import laplace
 from bayescal._inference.least_squares import LeastSquares

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bayescal._core.evidence_scale import STRONG
 from bayescal._core.formatting import number, table
+from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.worst_region import Region
 from bayescal._readings.units import unit_label
 

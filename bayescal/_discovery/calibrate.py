@@ -11,9 +11,9 @@ import numpy as np
 from bayescal._calibration.evidence import laplace_evidence
 from bayescal._calibration.fit import fit
 from bayescal._calibration.predict import predict
-from bayescal._core.evidence_scale import STRONG
 from bayescal._core.progress import stage
 from bayescal._diagnostics.check import check
+from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
 from bayescal._diagnostics.noise_floor import noise_floor
 from bayescal._discovery.discover import discover

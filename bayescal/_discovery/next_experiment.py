@@ -20,10 +20,10 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
-from bayescal._core.evidence_scale import VERY_STRONG
 from bayescal._core.formatting import table
 from bayescal._core.jit import compiled
 from bayescal._core.progress import stage
+from bayescal._diagnostics.evidence_scale import VERY_STRONG
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model import forward
 from bayescal._model.effect import Effect

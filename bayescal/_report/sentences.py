@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
-from bayescal._core.evidence_scale import STRONG
 from bayescal._core.formatting import probability
+from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._model.placeholder import covariate_in
 from bayescal._readings.units import unit_label
 from bayescal._report.section import Chapter

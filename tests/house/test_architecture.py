@@ -23,18 +23,18 @@ MOST_ROOMS = 14
 
 # From the ground up. A module imports only what stands before it, wherever in the file the import stands.
 ROOMS = {
-    "_core": "version errors evidence_scale atomic_file formatting jax_setup progress batched_map jit tall_qr "
+    "_core": "version errors atomic_file formatting jax_setup progress batched_map jit tall_qr "
     "levenberg_marquardt null_space weights",
     "_readings": "unit_registry units column raw_table dataset_checks write column_matching column_conversion "
     "measurements csv_reader parquet_netcdf_reader read",
     "_model": "prior coefficient frame effect placeholder noise instrument installed model parameters forward",
     "effects": "constant temperature thermal thermometer time",
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
-    "nuts_chains least_squares marginal nuts",
-    "_numpyro": "trace gaussian_sites marginal_density fit_program",
+    "nuts_chains trust least_squares marginal nuts",
+    "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",
     "_calibration": "named_draws fitted posterior_tree storage summary calibration predict fit evidence",
-    "_diagnostics": "text group_bayes_factor efficient_score noise_floor smooth_terms worst_region check_result check "
-    "leave_group_out compare",
+    "_diagnostics": "text evidence_scale group_bayes_factor efficient_score noise_floor smooth_terms worst_region "
+    "check_result check leave_group_out compare",
     "_discovery": "susie candidate_columns candidate discovery refit discover next_experiment false_reports "
     "draft_effect outliers search_path calibrate",
     "_compensation": "operating_equation inversion expression_graph jaxpr_to_graph code_writer firmware provenance "
