@@ -113,6 +113,7 @@ def export(
 ) -> None:
     """Write the compensation for firmware: a C99 header, a Python function, or JSON."""
     from bayescal._cli import arguments
+    from bayescal._compensation import code_writer
 
     if format_ is None and out is None:
         raise InputError("say which format: --format json, c or python")
@@ -120,7 +121,7 @@ def export(
         raise InputError(f"--format {format_!r} is not one of json, c, python")
     chosen = arguments.compensator_from(calibration, effects_file, instrument, member)
     if out is None:
-        print(chosen.program.text(str(format_)), end="")
+        print(code_writer.as_text(chosen.program, str(format_)), end="")
         return
     print(f"written: {chosen.export(out, format_)}")
 
@@ -147,13 +148,13 @@ def budget(
 ) -> None:
     """The uncertainty budget of a compensated value (JCGM 100): who contributes how much."""
     from bayescal._cli import arguments
-    from bayescal._compensation import budget as _budget
+    from bayescal._diagnostics import prior_influence
 
     chosen = arguments.compensator_from(calibration, effects_file, instrument, member)
     found = bc.budget(chosen, arguments.numbers(at, "--at"), k=k)
     priors = None
     if prior_sensitivity and chosen.calibration is not None:
-        priors = _budget.prior_sensitivity(chosen.calibration)
+        priors = prior_influence.prior_sensitivity(chosen.calibration)
     if json_:
         more = {} if priors is None else {"prior_sensitivity": priors.to_dict("index")}
         say({**found.data(), **more})

@@ -32,12 +32,12 @@ ROOMS = {
     "nuts_chains least_squares marginal nuts",
     "_numpyro": "trace gaussian_sites marginal_density fit_program",
     "_calibration": "calibration posterior_tree storage predict fit",
-    "_diagnostics": "efficient_score summary text smooth_terms worst_region check leave_group_out compare "
-    "group_bayes_factor",
+    "_diagnostics": "efficient_score summary prior_influence text smooth_terms worst_region check leave_group_out "
+    "compare group_bayes_factor",
     "_discovery": "susie candidate_columns candidate refit discover next_experiment false_reports draft_effect "
     "outliers search_path calibrate",
-    "_compensation": "operating_equation inversion expression_graph jaxpr_to_graph code_writer firmware provenance "
-    "compensator compensate_file budget",
+    "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
+    "firmware code_writer compensator compensate_file budget",
     "_fleet": "weighted_draws devices split_devices stacks closed_form fit_stack population batch_result fit_batch",
     "_plots": "style residuals search posterior",
     "_report": "result_json section figures tables sentences report",
