@@ -1,6 +1,6 @@
 """Commands for what the user takes away: compensate, export, budget, report; and how every command answers.
 
-Heavy modules load inside the commands, as in `_cli.py`, which offers these with its own.
+Heavy modules load inside the commands, as in `main.py`, which offers these with its own.
 """
 
 from __future__ import annotations
