@@ -27,8 +27,8 @@ def named(
         not layout.row_blocks
     ):  # XLA spends seconds and gigabytes on an empty array that has a place for each reading
         rows = rows[:, :, :1]
-    x, rows, v = jnp.asarray(x), jnp.asarray(rows), jnp.asarray(v)
-    values = jax.vmap(jax.vmap(one))(x, rows, v)
+    coordinates_of_phi = jnp.asarray(v)
+    values = jax.vmap(jax.vmap(one))(jnp.asarray(x), jnp.asarray(rows), coordinates_of_phi)
     found: dict[str, tuple] = {}
     coordinates: dict[str, list[str]] = {}
     for b in layout.blocks:
@@ -44,6 +44,6 @@ def named(
         found[b.name] = (dims, value, {"units": b.coefficient.unit, "effect": b.effect.name})
     for i, h in enumerate(layout.hypers):
         if h.kind != "promoted":
-            value = np.asarray(h.prior.value(v[..., i]))
+            value = np.asarray(h.prior.value(coordinates_of_phi[..., i]))
             found[h.name] = (("chain", "draw"), value, {"units": h.unit, "kind": h.kind})
     return xr.Dataset(found, coords=coordinates)

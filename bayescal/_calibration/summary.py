@@ -190,7 +190,7 @@ def _weak_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
     order = [i for i in np.argsort(-np.abs(vector)) if vector[i] ** 2 > SHARE]
     order = order or [int(np.argmax(np.abs(vector)))]
     sign = np.sign(vector[order[0]])
-    combination = _sum([(sign * round(vector[i], 2), names[i]) for i in order])
+    combination = _sum([(float(sign) * round(float(vector[i]), 2), names[i]) for i in order])
     who = " and ".join(names[i] for i in order)
     if len(order) == 1:
         words = f"{who}: these readings say nothing of it; its interval is the prior's"

@@ -96,6 +96,7 @@ def export(
 ) -> None:
     """Write the compensation for firmware: a C99 header, a Python function, or JSON."""
     from bayescal._cli.saved import compensator_from
+    from bayescal._compensation import code_writer
 
     if format_ is None and out is None:
         raise InputError("say which format: --format json, c or python")
@@ -103,7 +104,7 @@ def export(
         raise InputError(f"--format {format_!r} is not one of json, c, python")
     chosen = compensator_from(calibration, own, member)
     if out is None:
-        print(chosen.program.text(str(format_)), end="")
+        print(code_writer.as_text(chosen.program, str(format_)), end="")
         return
     print(f"written: {chosen.export(out, format_)}")
 
@@ -131,13 +132,13 @@ def budget(
 ) -> None:
     """The uncertainty budget of a compensated value (JCGM 100): who contributes how much."""
     from bayescal._cli.saved import compensator_from
-    from bayescal._compensation import budget as _budget
+    from bayescal._diagnostics import prior_influence
 
     chosen = compensator_from(calibration, own, member)
     found = bc.budget(chosen, named_numbers(at, "--at"), k=k)
     priors = None
     if prior_sensitivity and chosen.calibration is not None:
-        priors = _budget.prior_sensitivity(chosen.calibration)
+        priors = prior_influence.prior_sensitivity(chosen.calibration)
     if json_:
         more = {} if priors is None else {"prior_sensitivity": priors.to_dict("index")}
         print_result({**found.data(), **more})

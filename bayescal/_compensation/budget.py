@@ -4,10 +4,9 @@ Two tables split the same variance, correlations included:
 
 - *by coefficient*: sensitivity c = ∂value/∂θ, contribution |c|·u(θ), and the share c_i·Σ_j C_ij·c_j/u², which adds up
   to one and may be negative where correlation takes away (JCGM 100, 5.2.2);
-- *by source*: where the posterior's width comes from. With J the Jacobian of the readings, Σ their noise and D the
-  prior covariance at the fit, P = (JᵀΣ⁻¹J + D⁻¹)⁻¹ splits exactly into P·JᵀΣ⁻¹J·P, the noise of the calibration's
-  readings (Type A), and P·D⁻¹·P, a sum over the priors (Type B): the nuisance angles among them, which do not act
-  in use and yet set how well a bias is known.
+- *by source*: where the posterior's width comes from, linearised at the fit: the noise of the calibration's readings
+  (Type A) and the priors (Type B), the nuisance angles among them, which do not act in use and yet set how well a
+  bias is known.
 
 What the sampling of spreads and shapes adds to that linear split is its own row, "spreads, shapes, curvature".
 """
@@ -18,20 +17,21 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fitted import PREDICTIVE_CELLS
 from bayescal._compensation import inversion
 from bayescal._compensation.compensator import Compensator, compensator
 from bayescal._core.errors import InputError
-from bayescal._core.jit import compiled
-from bayescal._inference import laplace
-from bayescal._model.frame import Frame
-from bayescal._model.parameters import Layout
-from bayescal._readings.units import coefficient_factor, convert, needs_gravity, same_dimension
+from bayescal._core.formatting import number, table, with_error
+from bayescal._diagnostics.prior_influence import variance_by_origin
+from bayescal._readings.units import (
+    coefficient_factor,
+    convert,
+    needs_gravity,
+    same_dimension,
+    unit_label,
+)
 
 REST = "spreads, shapes, curvature"
 READINGS = "noise of the calibration's readings"
@@ -56,6 +56,11 @@ class Contribution:
     sensitivity: float
     contribution: float
     share: float
+
+    def cells(self) -> list[str]:
+        """Name, estimate, sensitivity and contribution as people read them."""
+        estimate = f"{with_error(self.value, self.uncertainty)} {unit_label(self.unit)}".strip()
+        return [self.name, estimate, number(self.sensitivity), number(self.contribution)]
 
 
 @dataclass(frozen=True)
@@ -146,11 +151,38 @@ class Budget:
         }
 
     def __str__(self) -> str:
-        from bayescal._diagnostics.text import (
-            budget_text,
-        )  # tables for people stand above this floor
-
         return budget_text(self.shown())
+
+
+def budget_text(found: Budget) -> str:
+    """Both tables of an uncertainty budget; k and the kind of each interval said."""
+    unit = unit_label(found.unit)
+    at = ", ".join(
+        f"{name} = {number(value, 4)} {unit_label(found.at_units[name])}".strip()
+        for name, value in found.at.items()
+    )
+    tail = [f"contribution {unit}".strip(), "share"]
+    reading = found.expanded_reading / found.k
+    parts = [
+        f"Uncertainty budget of {found.stimulus} at {at}",
+        table(
+            ["coefficient", "estimate", "sensitivity", *tail],
+            [[*c.cells(), f"{100 * c.share:.1f} %"] for c in found.coefficients],
+        ),
+        "Shares count correlations and add up to 100 %; one below zero takes away.",
+        table(
+            ["the same by where it comes from", "type", *tail],
+            [
+                [s.name, s.kind, number(s.contribution), f"{100 * s.share:.1f} %"]
+                for s in found.sources
+            ],
+        ),
+        f"Combined standard uncertainty {number(found.uncertainty)} {unit}; with the noise of one reading "
+        f"({number(found.noise)} {unit}): {number(reading)} {unit}.",
+        f"Expanded uncertainty (k = {found.k:g}): {number(found.expanded)} {unit}; with the noise of one reading: "
+        f"{number(found.expanded_reading)} {unit}.",
+    ]
+    return "\n\n".join(parts)
 
 
 def budget(
@@ -178,29 +210,29 @@ def budget(
         raise InputError(f"k = {k}: a coverage factor is a positive number, such as 2")
     point = _operating_point(chosen, dict(at or {}))
     found = inversion.at_point(
-        chosen.equation, chosen._inverse.reference, chosen._known.mean, point, chosen._inverse.names
+        chosen.equation,
+        chosen._inverse.reference,
+        chosen._moments.mean,
+        point,
+        chosen._inverse.names,
     )
     gradient = 0.0 - found.gradient / found.slope
-    covariance = chosen._known.covariance
+    covariance = chosen._moments.covariance
     variance = float(gradient @ covariance @ gradient)
     return Budget(
-        chosen.stimulus,
-        chosen.unit,
-        point,
-        _units_of(chosen),
-        found.expected,
-        chosen.output_unit,
-        variance**0.5,
-        chosen.noise / abs(found.slope),
-        float(k),
-        _by_coefficient(chosen, gradient, variance),
-        _by_source(chosen, gradient, variance),
-        covariance,
+        stimulus=chosen.stimulus,
+        unit=chosen.unit,
+        at=point,
+        at_units={chosen.stimulus: chosen.unit, **{i.name: i.unit for i in chosen.inputs}},
+        reading=found.expected,
+        output_unit=chosen.output_unit,
+        uncertainty=variance**0.5,
+        noise=chosen.noise / abs(found.slope),
+        k=float(k),
+        coefficients=_by_coefficient(chosen, gradient, variance),
+        sources=_by_source(chosen, gradient, variance),
+        covariance=covariance,
     )
-
-
-def _units_of(chosen: Compensator) -> dict[str, str]:
-    return {chosen.stimulus: chosen.unit, **{i.name: i.unit for i in chosen.inputs}}
 
 
 def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, float]:
@@ -223,15 +255,21 @@ def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, flo
 def _by_coefficient(
     chosen: Compensator, gradient: np.ndarray, variance: float
 ) -> tuple[Contribution, ...]:
-    known = chosen._known
-    pulled = known.covariance @ gradient
-    assert chosen.equation is not None
+    moments = chosen._moments
+    pulled = moments.covariance @ gradient
     rows = []
-    for i, entry in enumerate(chosen.equation.entries()):
-        sd, c = float(known.covariance[i, i] ** 0.5), float(gradient[i])
-        share = c * float(pulled[i]) / variance if variance > 0 else 0.0
+    for i, unknown in enumerate(chosen._equation.unknowns()):
+        sd, c = float(moments.covariance[i, i] ** 0.5), float(gradient[i])
         rows.append(
-            Contribution(entry.name, entry.unit, float(known.mean[i]), sd, c, abs(c) * sd, share)
+            Contribution(
+                name=unknown.name,
+                unit=unknown.unit,
+                value=float(moments.mean[i]),
+                uncertainty=sd,
+                sensitivity=c,
+                contribution=abs(c) * sd,
+                share=c * float(pulled[i]) / variance if variance > 0 else 0.0,
+            )
         )
     return tuple(rows)
 
@@ -240,22 +278,17 @@ def _by_source(
     chosen: Compensator, gradient: np.ndarray, variance: float
 ) -> tuple[SourceShare, ...]:
     """The split by what the calibration knew: noise, each prior, each deviation that is new in use."""
-    calibration, equation = chosen.calibration, chosen.equation
-    assert calibration is not None and equation is not None
     parts: dict[tuple[str, str], float] = {}
-    weights = np.zeros(_size(calibration))
-    places = _places(calibration)
-    for i, entry in enumerate(equation.entries()):
-        if entry.kind == "new":
-            parts[entry.name, "B"] = gradient[i] ** 2 * chosen._known.covariance[i, i]
-        elif entry.name in places:
-            place, scale = places[entry.name]
-            weights[place] += gradient[i] * scale
-    if weights.any():
-        noise, priors = _posterior_split(calibration, weights)
-        parts[READINGS, "A"] = noise
-        for name, value in priors.items():
-            parts[f"prior of {name}", "B"] = value
+    slopes: dict[str, float] = {}
+    for i, unknown in enumerate(chosen._equation.unknowns()):
+        if unknown.kind == "new":
+            parts[unknown.name, "B"] = gradient[i] ** 2 * chosen._moments.covariance[i, i]
+        else:
+            slopes[unknown.name] = float(gradient[i])
+    split = variance_by_origin(chosen._calibration, slopes)
+    if split is not None:
+        parts[READINGS, "A"] = split.readings
+        parts |= {(f"prior of {name}", "B"): value for name, value in split.priors.items()}
     rest = variance - sum(parts.values())
     rows = [
         SourceShare(name, kind, value**0.5, value / variance if variance > 0 else 0.0)
@@ -264,94 +297,3 @@ def _by_source(
     share = rest / variance if variance > 0 else 0.0
     rows.append(SourceShare(REST, "", float(np.sign(rest) * abs(rest) ** 0.5), share))
     return tuple(rows)
-
-
-def _size(calibration: Calibration) -> int:
-    return calibration.layout.size + len(calibration.layout.moving)
-
-
-def _places(calibration: Calibration) -> dict[str, tuple[int, float]]:
-    """Where an unknown in use stands in the linearised fit (x, then shapes and promoted ones), and its unit there:
-    coordinates of shapes are standard normal, so a reported unit is dvalue/dv of them."""
-    layout, v = calibration.layout, calibration.mode.v
-    found: dict[str, tuple[int, float]] = {}
-    for b in layout.x_blocks:
-        names = b.member_names(calibration.levels)
-        found |= {name: (b.start + i, 1.0) for i, name in enumerate(names)}
-    promoted = {}
-    for b in layout.blocks:
-        if b.place == "phi":
-            members = b.member_names(calibration.levels)
-            promoted |= dict(zip(b.member_names(), members, strict=True))
-    for place, i in enumerate(layout.moving):
-        h = layout.hypers[i]
-        step = 1e-6
-        slope = float((h.prior.value(v[i] + step) - h.prior.value(v[i] - step)) / (2 * step))
-        found[promoted.get(h.name, h.name)] = (layout.size + place, slope)
-    return found
-
-
-@compiled
-def _information(layout: Layout, frame: Frame, y: Array, mode: Any):
-    """Information of the readings in units of the prior; prior standard deviations; 0 where a prior is flat."""
-    null = laplace.linearised(layout, frame, y, mode)
-    scaled = null.nuisance * null.prior.sd
-    gram = layout.model.noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
-    return gram.jtj, null.prior.sd, null.prior.weight
-
-
-def _posterior_split(
-    calibration: Calibration, weights: np.ndarray
-) -> tuple[float, dict[str, float]]:
-    """Variance of weights·(x, shapes) that comes from the readings' noise, and from each prior."""
-    layout, y = calibration.layout, jnp.asarray(calibration.readings["output"])
-    found = _information(layout, calibration.frame, y, calibration.mode)
-    information, sd, weight = (np.asarray(a) for a in found)
-    try:
-        pulled = np.linalg.solve(information + np.diag(weight), weights * sd)
-    except np.linalg.LinAlgError:
-        return float("nan"), {}
-    noise = max(0.0, float(pulled @ information @ pulled))  # zero, but for rounding
-    names = [b.name for b in layout.x_blocks for _ in range(b.size)]
-    names += [layout.hypers[i].name for i in layout.moving]
-    priors: dict[str, float] = {}
-    for name, value in zip(names, weight * pulled**2, strict=True):
-        priors[name] = priors.get(name, 0.0) + float(value)
-    return noise, {n: v for n, v in priors.items() if v > 0}
-
-
-def prior_sensitivity(calibration: Calibration) -> Any:
-    """How much each posterior moves when the prior, or the likelihood, is scaled a little (ArviZ's psense).
-
-    Returns:
-        ArviZ's table: columns prior, likelihood (sensitivities; above 0.05 matters) and diagnosis; a row for each
-        unknown.
-
-    Raises:
-        InputError: no unknown has a proper prior.
-    """
-    import xarray as xr
-    from arviz_stats.psense import psense_summary  # a second that only this needs
-
-    tree = calibration.tree
-    if not len(tree["log_prior"].data_vars):
-        raise InputError("every prior is flat: there is no prior to be sensitive to")
-    likelihood, sizes = calibration.log_likelihood(), tree["posterior"].sizes
-    keep = PREDICTIVE_CELLS // max(1, sizes["chain"] * len(calibration.readings))
-    step = -(-sizes["draw"] // max(1, min(sizes["draw"], keep)))
-    priors = tree["log_prior"].to_dataset()
-    posterior = tree["posterior"].to_dataset()
-    own = [  # what is held at an estimate has no distribution to move
-        n
-        for n in posterior
-        if "reading" not in posterior[n].dims
-        and float(posterior[n].std()) > 1e-12 * abs(float(posterior[n].mean()))
-    ]
-    thinned = {
-        "posterior": posterior[own].isel(draw=slice(None, None, step)),
-        "log_prior": priors[[n for n in priors if "reading" not in priors[n].dims]].isel(
-            draw=slice(None, None, step)
-        ),
-        "log_likelihood": likelihood,
-    }
-    return psense_summary(xr.DataTree.from_dict(thinned))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ ROWS = 200_000  # compensated at a time
 
 
 @dataclass(frozen=True)
-class Door:
+class ExpectedColumns:
     """What a file to compensate must hold, as `convert_columns` asks an instrument."""
 
     name: str
@@ -44,54 +44,56 @@ class Door:
 
 
 @dataclass
-class Done:
+class CompensationSummary:
     """What was done.
 
     Attributes:
         file: written.
-        rows: compensated.
         columns: names of the two columns added.
+        rows: compensated.
         outside: name → readings outside its calibrated range.
         unsolved: readings for which the equation has no solution; their value is NaN.
-        flags: what was said at the door, each a sentence.
+        flags: input warnings, each a sentence.
     """
 
     file: Path
-    rows: int
     columns: tuple[str, str]
-    outside: dict[str, int]
-    unsolved: int
-    flags: tuple[str, ...]
+    rows: int = 0
+    outside: dict[str, int] = field(default_factory=dict)
+    unsolved: int = 0
+    flags: tuple[str, ...] = ()
 
 
 @dataclass
-class _Job:
+class _FileCompensation:
+    """One file on its way: by what it is compensated, and what has been done so far."""
+
     compensator: Compensator
-    wishes: ReadOptions
+    options: ReadOptions
     method: Method | None
     noise: bool
-    door: Door
-    done: Done
+    expected: ExpectedColumns
+    done: CompensationSummary
 
     def part(self, table: Table) -> Compensated:
         """Compensate the rows of a table by themselves."""
-        admitted = convert_columns(table, self.door, self.wishes)
+        converted = convert_columns(table, self.expected, self.options)
         if not self.done.flags:
-            self.done.flags = tuple(admitted.flags)
-        return self._take(_measurements(admitted))
+            self.done.flags = tuple(converted.flags)
+        return self._take(_measurements(converted))
 
-    def whole(self, table: Table, suffix: str) -> Compensated:
+    def whole(self, table: Table) -> Compensated:
         """Compensate all rows of a table, the past of each counting."""
-        size = 8 * table.rows * len(self.door.columns)
+        size = 8 * table.rows * len(self.expected.columns)
         if size > MAX_BYTES:
             raise InputError(
                 f"{table.file!r}: this calibration needs the past of the record, {bytes_text(size)} in memory; the "
                 f"limit is {bytes_text(MAX_BYTES)}. Split it by runs, or average it"
             )
-        admitted = convert_columns(table, self.door, self.wishes)
+        converted = convert_columns(table, self.expected, self.options)
         source = Source(table.file, table.sha256, table.rows)
         readings = assemble(
-            [table], admitted, self.door, sources=(source,), allow_one_temperature=True
+            [table], converted, self.expected, sources=(source,), allow_one_temperature=True
         )
         self.done.flags = readings.flags
         return self._take(readings)
@@ -115,7 +117,7 @@ def compensate_file(
     local_gravity: float = 9.80665,
     method: Method | None = None,
     noise: bool = True,
-) -> Done:
+) -> CompensationSummary:
     """Add `<output>_compensated` and `<output>_uncertainty` to a file of readings.
 
     Args:
@@ -138,13 +140,20 @@ def compensate_file(
         raise InputError(
             f"{out.name!r}: every column is kept as it is, so the file to write must be {suffix} like {path.name!r}"
         )
-    door = _door(compensator)
-    wishes = ReadOptions(columns or {}, units or {}, local_gravity, None)
+    expected = _expected(compensator)
+    options = ReadOptions(columns or {}, units or {}, local_gravity, None)
     with replacing_for_user(out) as partial:
         table = OPENERS[suffix](path, path.name, *(() if suffix == ".csv" else (_limit(suffix),)))
-        raw, names = _names(table, door, wishes)
-        done = Done(out, 0, names, {}, 0, ())
-        job = _Job(compensator, wishes, method, noise, door, done)
+        raw, names = _names(table, expected, options)
+        done = CompensationSummary(out, names)
+        job = _FileCompensation(
+            compensator=compensator,
+            options=options,
+            method=method,
+            noise=noise,
+            expected=expected,
+            done=done,
+        )
         {".csv": _csv, ".parquet": _parquet, ".nc": _netcdf}[suffix](job, path, partial, table, raw)
     return done
 
@@ -153,23 +162,25 @@ def _limit(suffix: str) -> int:
     return MAX_BYTES if suffix == ".nc" else 1 << 62  # Parquet is read a stretch at a time
 
 
-def _door(compensator: Compensator) -> Door:
+def _expected(compensator: Compensator) -> ExpectedColumns:
     if compensator.calibration is not None:
         instrument = compensator.calibration.model.instrument
-        return Door(instrument.name, compensator.columns, instrument.nominal_scale)
+        return ExpectedColumns(instrument.name, compensator.columns, instrument.nominal_scale)
     about = compensator.program.about
     scale = NominalScale(*about.raw) if about.raw else None
-    return Door(about.instrument, compensator.columns, scale)
+    return ExpectedColumns(about.instrument, compensator.columns, scale)
 
 
-def _names(table: Table, door: Door, wishes: ReadOptions) -> tuple[str, tuple[str, str]]:
+def _names(
+    table: Table, expected: ExpectedColumns, options: ReadOptions
+) -> tuple[str, tuple[str, str]]:
     """The output's header in the file, and the names of the columns to add.
 
     Raises:
         InputError: there is no output, or the names are taken.
     """
-    expected = {column.name: column for column in door.columns}
-    places = match(table, expected, wishes)
+    columns = {column.name: column for column in expected.columns}
+    places = match(table, columns, options)
     if "output" not in places:
         raise InputError(
             f"{table.file!r} has no column 'output' (it has: {', '.join(h.name for h in table.headers)}). If it is "
@@ -185,16 +196,16 @@ def _names(table: Table, door: Door, wishes: ReadOptions) -> tuple[str, tuple[st
     return header.raw, names
 
 
-def _measurements(admitted: ConvertedColumns) -> Measurements:
+def _measurements(converted: ConvertedColumns) -> Measurements:
     variables: dict[str, Any] = {}
-    for name, values in admitted.values.items():
-        unit = admitted.units[name]
+    for name, values in converted.values.items():
+        unit = converted.units[name]
         variables[name] = (ROW, np.asarray(values), {"units": unit} if unit else {})
     return Measurements(xr.Dataset(variables))
 
 
 def _slices(
-    job: _Job, whole: Compensated | None
+    job: _FileCompensation, whole: Compensated | None
 ) -> Callable[[Table], tuple[np.ndarray, np.ndarray]]:
     """A function that gives value and uncertainty of the next rows."""
     start = 0
@@ -211,9 +222,9 @@ def _slices(
     return take
 
 
-def _csv(job: _Job, path: Path, partial: Path, table: Table, raw: str) -> None:
+def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
     """Lines as they stand, with two fields more."""
-    whole = job.whole(table, ".csv") if job.compensator.history else None
+    whole = job.whole(table) if job.compensator.history else None
     take, unit = _slices(job, whole), job.compensator.unit
     with partial.open("wb") as target:
         for part in csv_parts(path, table.file, ROWS):
@@ -243,8 +254,8 @@ def _longer(line: bytes, fields: list[str], separator: str) -> bytes:
     return body + (separator + text.getvalue()).encode("utf-8") + end
 
 
-def _parquet(job: _Job, path: Path, partial: Path, table: Table, raw: str) -> None:
-    whole = job.whole(table, ".parquet") if job.compensator.history else None
+def _parquet(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
+    whole = job.whole(table) if job.compensator.history else None
     take, unit = _slices(job, whole), job.compensator.unit
     with pq.ParquetFile(path) as opened:
         schema = opened.schema_arrow
@@ -258,8 +269,8 @@ def _parquet(job: _Job, path: Path, partial: Path, table: Table, raw: str) -> No
             writer.write_table(pa.Table.from_arrays(columns, schema=schema))
 
 
-def _netcdf(job: _Job, path: Path, partial: Path, table: Table, raw: str) -> None:
-    found = job.whole(table, ".nc") if job.compensator.history else job.part(table)
+def _netcdf(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
+    found = job.whole(table) if job.compensator.history else job.part(table)
     with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
         dataset = opened.load()
     (dimension,) = dataset[raw].dims

@@ -5,35 +5,42 @@ From posterior draws, or by first-order propagation of mean and covariance (what
 
 from __future__ import annotations
 
-import json
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._compensation import inversion, operating_equation
-from bayescal._compensation.firmware import Input, Program, from_data, program_of
-from bayescal._compensation.provenance import about_of, input_of
+from bayescal._compensation import code_writer, inversion
+from bayescal._compensation.firmware import CompensationProgram, program_of
+from bayescal._compensation.inputs import (
+    Input,
+    gathered,
+    input_of,
+    inputs_at_fit,
+    limits,
+    outside,
+    ranges_in_words,
+    warn_outside,
+)
+from bayescal._compensation.operating_equation import (
+    OperatingEquation,
+    equation_in_use,
+    input_names,
+)
+from bayescal._compensation.posterior_moments import PosteriorMoments, posterior_moments
+from bayescal._compensation.provenance import provenance_of
 from bayescal._core.errors import InputError
-from bayescal._model.frame import Frame, build_frame
-from bayescal._readings.column import ROW, Column
+from bayescal._model.instrument import Use
+from bayescal._readings.column import Column
 from bayescal._readings.measurements import Measurements
 
 UNCERTAINTY = "output_uncertainty"
-LARGEST = 50_000_000  # bytes of an exported compensator that is read back
 Method = Literal["draws", "first order"]
-
-
-class OutsideCalibration(UserWarning):
-    """A reading was compensated outside the range in which the instrument was calibrated."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +77,9 @@ class Compensator:
     """
 
     calibration: Calibration | None
-    equation: operating_equation.InUse | None = None
+    equation: OperatingEquation | None = None
     draws: int = 400
-    loaded: Program | None = None
+    loaded: CompensationProgram | None = None
 
     def __call__(
         self,
@@ -105,19 +112,22 @@ class Compensator:
             raise InputError(
                 "a loaded compensator has no draws: use method='first order', or the calibration itself"
             )
-        given, record = self._gathered(readings, columns)
+        given, record = gathered(self.inputs, readings, columns)
         if self.calibration is None:
             value, own, inclination = self.program.run(given["output"], given)
             variance, inclination = own**2, inclination**2
         else:
-            value, variance, inclination = self._solved(given, record, method)
+            value, variance, inclination = inversion.solved(
+                self._inverse, self._moments, given, record, by_draws=method == "draws"
+            )
         if noise:
             spread = self.noise**2 + given.get(UNCERTAINTY, np.zeros(1)) ** 2
             variance = variance + inclination * spread
-        outside = self._outside(given, value)
-        if warn and outside:
-            self._warn(outside, len(value))
-        return Compensated(value, np.sqrt(variance), self.unit, outside)
+        masks = outside(self._ranges, {**given, self.stimulus: value})
+        if warn and masks:
+            told = ranges_in_words(self.inputs, self.stimulus, self.unit, self.stimulus_range)
+            warn_outside(masks, told, len(value))
+        return Compensated(value, np.sqrt(variance), self.unit, masks)
 
     # What it is.
 
@@ -147,11 +157,11 @@ class Compensator:
         """Covariates that are needed, with their calibrated ranges."""
         if self.loaded:
             return self.loaded.inputs
-        columns = self._calibration_inputs
+        values = self._inputs_at_fit
         return tuple(
-            input_of(self._calibration, self._equation, name, columns[name])
+            input_of(self._calibration, self._equation, name, values[name])
             for name in self._inverse.inputs
-            if name in columns
+            if name in values
         )
 
     @property
@@ -177,7 +187,7 @@ class Compensator:
         return tuple(found)
 
     @cached_property
-    def program(self) -> Program:
+    def program(self) -> CompensationProgram:
         """Mean, covariance and equation, as exports hold them.
 
         Raises:
@@ -185,9 +195,13 @@ class Compensator:
         """
         if self.loaded:
             return self.loaded
-        about = about_of(self._calibration, self._equation, self.stimulus_range)
         return program_of(
-            self._inverse, self._known, self.inputs, self.stimulus_range, self.noise, about
+            self._inverse,
+            self._moments,
+            self.inputs,
+            stimulus_range=self.stimulus_range,
+            noise=self.noise,
+            about=provenance_of(self._calibration, self._equation, self.stimulus_range),
         )
 
     def export(self, path: str | Path, format: str | None = None) -> Path:
@@ -197,7 +211,7 @@ class Compensator:
             ModelError: an effect cannot be exported.
             InputError: another format, or a place that cannot be written to.
         """
-        return self.program.export(path, format)
+        return code_writer.export(self.program, path, format)
 
     # How it does it.
 
@@ -207,35 +221,29 @@ class Compensator:
         return self.calibration
 
     @property
-    def _equation(self) -> operating_equation.InUse:
+    def _equation(self) -> OperatingEquation:
         assert self.equation is not None
         return self.equation
 
     @property
-    def _use(self):
+    def _use(self) -> Use:
         return self._equation.use
 
     @cached_property
     def _inverse(self) -> inversion.Inverse:
         frame = self._calibration.frame
-        names = operating_equation.input_names(self._equation, frame)
+        names = input_names(self._equation, frame)
         return inversion.Inverse(self._equation, frame.reference, tuple(names))
 
     @cached_property
-    def _known(self) -> operating_equation.Known:
-        return operating_equation.known(
+    def _moments(self) -> PosteriorMoments:
+        return posterior_moments(
             self._equation, self._calibration, self.draws, self._calibration.seed
         )
 
     @cached_property
-    def _calibration_inputs(self) -> dict[str, np.ndarray]:
-        """All inputs at the readings of the fit, lags at the mean of their time constants."""
-        frame = self._calibration.frame
-        found = {n: np.asarray(frame.columns[n]) for n in self._equation.known}
-        found |= {f"{n}_rate": np.asarray(v) for n, v in frame.rates.items()}
-        for lag in self._equation.lags:
-            found[lag.name] = np.asarray(frame.lag(jnp.asarray(lag.tau), lag.column))
-        return found
+    def _inputs_at_fit(self) -> dict[str, np.ndarray]:
+        return inputs_at_fit(self._calibration, self._equation)
 
     @cached_property
     def stimulus_range(self) -> tuple[float, float] | None:
@@ -248,108 +256,19 @@ class Compensator:
         low, high = float(readings[name].min()), float(readings[name].max())
         return (low, high) if high > low else None
 
-    def _gathered(
-        self, readings: Measurements | None, columns: Mapping[str, ArrayLike]
-    ) -> tuple[dict[str, np.ndarray], Frame | None]:
-        """Output, inputs and known uncertainties, (n,) each; and the record, where its past is needed."""
-        if readings is not None:
-            columns = {n: readings[n] for n in readings.columns if readings.unit(n)} | dict(columns)
-        if "output" not in columns:
-            raise InputError("the column 'output' is missing: give the readings to compensate")
-        arrays = {n: np.atleast_1d(np.asarray(v, dtype=float)) for n, v in columns.items()}
-        try:
-            shape = np.broadcast_shapes(*(a.shape for a in arrays.values()))
-        except ValueError:
-            shapes = ", ".join(f"{n} {a.shape}" for n, a in arrays.items())
-            raise InputError(
-                f"columns must be vectors of one length, these are: {shapes}"
-            ) from None
-        given = {n: np.broadcast_to(a, shape) for n, a in arrays.items()}
-        record = None
-        if any(i.name not in given and i.kind != "column" for i in self.inputs):
-            record = self._record(readings, given)
-            for i in self.inputs:
-                if i.name not in given and i.kind != "column":
-                    given[i.name] = _from_record(record, i)
-        for i in self.inputs:
-            if i.name not in given:
-                raise InputError(
-                    f"the column {i.name!r} [{i.unit}] is missing, which this calibration needs (there are: "
-                    f"{', '.join(sorted(arrays))}). Record it, or fit a model without the effects that need it"
-                )
-        return given, record
-
-    def _record(self, readings: Measurements | None, given: Mapping[str, np.ndarray]) -> Frame:
-        needed = [i for i in self.inputs if i.kind != "column" and i.name not in given]
-        for name in ("time", *(i.column for i in needed)):
-            if name not in given:
-                raise InputError(
-                    f"the column {name!r} is missing: {needed[0].name!r} follows from the past of a record. "
-                    f"Record it, or give {needed[0].name!r} itself"
-                )
-        if readings is None:
-            units = {i.column: "degC" for i in needed if i.kind in ("rate", "lag")} | {"time": "s"}
-            data = {n: (ROW, np.array(given[n]), {"units": u}) for n, u in units.items()}
-            readings = Measurements(xr.Dataset(data))
-        return build_frame(readings, {"run_starts": {}})
-
-    def _solved(
-        self, given: dict[str, np.ndarray], record: Frame | None, method: Method
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stimulus, variance from the calibration, and squared slope by the output."""
-        known, own = self._known, self._inverse
-        lags = [lag.name for lag in self._equation.lags] if record is not None else []
-        inputs = {i.name: jnp.asarray(given[i.name]) for i in self.inputs if i.name not in lags}
-        for name in own.names:  # of which the equation makes no use
-            if name not in inputs and name not in lags:
-                inputs[name] = jnp.zeros(len(given["output"]))
-        output = jnp.asarray(given["output"])
-        start = self._equation, own.reference, own.affine
-        if method == "draws":
-            found = inversion.over_draws(*start, jnp.asarray(known.draws), output, inputs, record)
-        else:
-            mean, covariance = jnp.asarray(known.mean), jnp.asarray(known.covariance)
-            found = inversion.first_order(*start, mean, covariance, output, inputs, record)
-        value, variance, inclination = (np.asarray(f) for f in found)
-        return value, variance, inclination
-
-    def _outside(self, given: dict[str, np.ndarray], value: np.ndarray) -> dict[str, np.ndarray]:
+    @cached_property
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        """Beyond which a reading is flagged, by input; the stimulus with them where it was varied."""
         ranges = {i.name: (i.low, i.high) for i in self.inputs}
         if self.calibration is not None:
-            for (
-                name
-            ) in self._equation.known:  # what the equation does not use was held in a range too
-                values = self._calibration_inputs[name]
+            # What the equation does not use was held in a range too.
+            for name in self._equation.known:
+                values = self._inputs_at_fit[name]
                 if name not in ("time", "elapsed") and np.ptp(values) > 0:
                     ranges.setdefault(name, (float(values.min()), float(values.max())))
-        values = dict(given)
         if self.stimulus_range:
-            low, high = self.stimulus_range
-            margin = 0.01 * (high - low)  # a reading at the end of the range scatters about it
-            ranges[self.stimulus], values[self.stimulus] = (low - margin, high + margin), value
-        found = {
-            name: (values[name] < low) | (values[name] > high)
-            for name, (low, high) in ranges.items()
-            if name in values
-        }
-        return {name: mask for name, mask in found.items() if mask.any()}
-
-    def _warn(self, outside: Mapping[str, np.ndarray], rows: int) -> None:
-        ranges = {i.name: f"{i.low:.6g} to {i.high:.6g} {i.unit}" for i in self.inputs}
-        if self.stimulus_range:
-            low, high = self.stimulus_range
-            ranges[self.stimulus] = f"{low:.6g} to {high:.6g} {self.unit}"
-        parts = [
-            f"{name} in {int(mask.sum())} of {rows} readings"
-            + (f" (calibrated: {ranges[name]})" if name in ranges else "")
-            for name, mask in outside.items()
-        ]
-        warnings.warn(
-            f"outside the calibrated range: {'; '.join(parts)}. There the result is an extrapolation, and its "
-            "uncertainty does not say by how much the equation itself may fail",
-            OutsideCalibration,
-            stacklevel=3,
-        )
+            ranges[self.stimulus] = limits(self.stimulus_range)
+        return ranges
 
 
 def compensator(
@@ -369,7 +288,7 @@ def compensator(
     """
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
-    return Compensator(calibration, operating_equation.in_use(calibration, members), draws)
+    return Compensator(calibration, equation_in_use(calibration, members), draws)
 
 
 def load_compensator(path: str | Path) -> Compensator:
@@ -378,23 +297,4 @@ def load_compensator(path: str | Path) -> Compensator:
     Raises:
         InputError: there is no such file, it is no compensator, of another version, or damaged.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"there is no file {path}: give a compensator exported as JSON")
-    if path.stat().st_size > LARGEST:
-        raise InputError(
-            f"{path.name} is larger than a compensator can be ({LARGEST / 1e6:.0f} MB)"
-        )
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path.name} is not JSON ({error}): is it a compensator?") from None
-    return Compensator(None, loaded=from_data(data, path.name))
-
-
-def _from_record(record: Frame, wanted: Input) -> np.ndarray:
-    if wanted.kind == "rate":
-        return np.asarray(record.rates[wanted.column])
-    if wanted.kind == "elapsed":
-        return np.asarray(record.elapsed)
-    return np.asarray(record.lag(jnp.asarray(wanted.tau), wanted.column))
+    return Compensator(None, loaded=code_writer.load_program(Path(path)))

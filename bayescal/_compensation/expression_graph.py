@@ -1,4 +1,4 @@
-"""An equation as a graph of scalar operations: simplified, evaluated by NumPy, printed as C99 or Python.
+"""An equation as a graph of scalar operations: simplified, and evaluated by NumPy.
 
 One table says of each operation how NumPy computes it and how C and Python write it, so that every export means
 the same. Nodes that are equal are one node.
@@ -254,48 +254,3 @@ class Graph:
 def _plain(value: Any) -> Any:
     """What JSON can hold: numbers that are none become text."""
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def python_number(value: float | bool) -> str:
-    if isinstance(value, bool) or math.isfinite(value):
-        return repr(value) if value >= 0 else f"({value!r})"
-    return "math.nan" if math.isnan(value) else "math.inf" if value > 0 else "-math.inf"
-
-
-def c_number(value: float | bool) -> str:
-    if isinstance(value, bool):
-        return "1" if value else "0"
-    if not math.isfinite(value):
-        return "(BAYESCAL_REAL)" + (
-            "NAN" if math.isnan(value) else "INFINITY" if value > 0 else "-INFINITY"
-        )
-    return f"(BAYESCAL_REAL){value!r}" if value >= 0 else f"(BAYESCAL_REAL)({value!r})"
-
-
-def lines(
-    graph: Graph, outputs: Sequence[int], names: Mapping[str, str], language: str
-) -> tuple[list[str], list[str]]:
-    """Statements, one for each operation, and the expressions of the outputs.
-
-    Args:
-        graph, outputs: what is written.
-        names: of the inputs, as the language writes them.
-        language: "c" or "python".
-    """
-    text, statements, count = {}, [], 0
-    number = c_number if language == "c" else python_number
-    for place in graph.needed(outputs):
-        node = graph.nodes[place]
-        if node.op == "const":
-            text[place] = number(node.value)  # pyright: ignore[reportArgumentType]
-        elif node.op == "input":
-            text[place] = names[str(node.value)]
-        else:
-            form = getattr(OPERATIONS[node.op], language)
-            made = form.format(*(text[a] for a in node.args))
-            kind = "int" if graph.boolean(place) else "BAYESCAL_REAL"
-            left = f"const {kind} t{count}" if language == "c" else f"t{count}"
-            statements.append(f"{left} = {made}" + (";" if language == "c" else ""))
-            text[place] = f"t{count}"
-            count += 1
-    return statements, [text[o] for o in outputs]

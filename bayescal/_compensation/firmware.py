@@ -1,6 +1,6 @@
-"""What firmware needs of a calibration, as one value; written as JSON, a C99 header or a Python function.
+"""What firmware needs of a calibration, as one value that can be run.
 
-The equation in use is traced to a graph of scalar operations (`_export_trace.py`), its derivatives with it:
+The equation in use is traced to a graph of scalar operations (`jaxpr_to_graph.py`), its derivatives with it:
 
     expected(s), slope = d expected/ds, gradient = d expected/dθ,   at θ = the posterior mean.
 
@@ -11,48 +11,26 @@ The stimulus solves expected(s) = reading: one Newton step from 0 where the equa
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._compensation.code_writer import STEPS, STIMULUS, printed
 from bayescal._compensation.expression_graph import Graph
+from bayescal._compensation.inputs import Input, limits
 from bayescal._compensation.inversion import Inverse
 from bayescal._compensation.jaxpr_to_graph import NotExportable, trace
-from bayescal._compensation.operating_equation import Entry, Known
-from bayescal._core.atomic_file import write_text
+from bayescal._compensation.operating_equation import Scalars
+from bayescal._compensation.posterior_moments import PosteriorMoments
+from bayescal._compensation.provenance import Provenance
 from bayescal._core.errors import InputError, ModelError
 
 SCHEMA, VERSION = "bayescal.compensator", 1
-FORMATS = {".h": "c", ".py": "python", ".json": "json"}
-
-
-@dataclass(frozen=True)
-class Input:
-    """A covariate that compensation needs.
-
-    Attributes:
-        name, unit, meaning: for people and firmware.
-        kind: "column"; or what is made of a record: "rate", "lag", "elapsed".
-        column: the column that it is, or is made of.
-        tau: time constant of a lag, s.
-        low, high: range in the calibration, in `unit`.
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    kind: str
-    column: str
-    low: float
-    high: float
-    tau: float | None = None
+STIMULUS = "(stimulus)"  # its name as an input of the graph
+STEPS = 20  # of Newton
 
 
 @dataclass(frozen=True)
@@ -64,36 +42,8 @@ class Unknown:
     mean: float
 
 
-@dataclass(frozen=True)
-class About:
-    """Where an export comes from and what may be done with it.
-
-    Attributes:
-        instrument: its name; title: one line.
-        stimulus, unit: what is compensated for; output_unit: of the reading.
-        effects: (name, equation) of those that act.
-        reference: constants of the bases, such as T0.
-        sources: (file, sha256) of the readings.
-        raw: how a raw output becomes the reading: unit, gain, offset; None if it is the reading.
-        notes: what to know, each a sentence.
-        made_by: program and version.
-    """
-
-    instrument: str
-    title: str
-    stimulus: str
-    unit: str
-    output_unit: str
-    effects: tuple[tuple[str, str], ...]
-    reference: dict[str, float]
-    sources: tuple[tuple[str, str], ...]
-    raw: tuple[str, float, float] | None
-    notes: tuple[str, ...]
-    made_by: str
-
-
 @dataclass(frozen=True, eq=False)
-class Program:
+class CompensationProgram:
     """A compensation by mean and covariance, to first order.
 
     Attributes:
@@ -107,7 +57,7 @@ class Program:
         graph, expected, slope, gradient: the equation, and its nodes.
     """
 
-    about: About
+    about: Provenance
     inputs: tuple[Input, ...]
     stimulus_range: tuple[float, float] | None
     unknowns: tuple[Unknown, ...]
@@ -121,11 +71,8 @@ class Program:
 
     @property
     def stimulus_limits(self) -> tuple[float, float] | None:
-        """Beyond which a compensated value is flagged: the calibrated range and a hundredth of it."""
-        if self.stimulus_range is None:
-            return None
-        low, high = self.stimulus_range
-        return low - 0.01 * (high - low), high + 0.01 * (high - low)
+        """Beyond which a compensated value is flagged."""
+        return None if self.stimulus_range is None else limits(self.stimulus_range)
 
     @property
     def factor(self) -> np.ndarray:
@@ -174,26 +121,6 @@ class Program:
         size = np.abs(np.broadcast_to(slope, target.shape))
         return s, np.sqrt(square) / size, 1 / size
 
-    def export(self, path: str | Path, format: str | None = None) -> Path:
-        """Write as .h (C99), .py (Python) or .json; beside and then renamed.
-
-        Raises:
-            InputError: another suffix or format, or a place that cannot be written to.
-        """
-        path = Path(path)
-        format = format or FORMATS.get(path.suffix.lower(), "")
-        if format not in FORMATS.values():
-            raise InputError(
-                f"a compensator cannot be written as {format or path.name!r}: choose json, c or python "
-                "(.json, .h, .py)"
-            )
-        return write_text(self.text(format), path)
-
-    def text(self, format: str) -> str:
-        if format == "json":
-            return json.dumps(self.data(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        return printed(self, format)
-
     def data(self) -> dict[str, Any]:
         """As JSON, with schema and version."""
         return {
@@ -215,7 +142,7 @@ class Program:
         }
 
 
-def from_data(data: Any, file: str) -> Program:
+def from_data(data: Any, file: str) -> CompensationProgram:
     """A program from JSON. Nothing in it is evaluated as code.
 
     Raises:
@@ -237,18 +164,20 @@ def from_data(data: Any, file: str) -> Program:
         about["notes"] = tuple(about["notes"])
         about["raw"] = tuple(about["raw"]) if about["raw"] else None
         span, graph = data["stimulus_range"], Graph.from_data(equation["operations"])
-        program = Program(
-            About(**about),
-            tuple(Input(**row) for row in data["inputs"]),
-            (float(span[0]), float(span[1])) if span else None,
-            tuple(Unknown(**row) for row in data["unknowns"]),
-            np.array(data["covariance"], dtype=float).reshape(len(data["covariance"]), -1),
-            float(data["noise"]),
-            bool(data["affine"]),
-            graph,
-            _place(equation["expected"], graph),
-            _place(equation["slope"], graph),
-            tuple(_place(p, graph) for p in equation["gradient"]),
+        program = CompensationProgram(
+            about=Provenance(**about),
+            inputs=tuple(Input(**row) for row in data["inputs"]),
+            stimulus_range=(float(span[0]), float(span[1])) if span else None,
+            unknowns=tuple(Unknown(**row) for row in data["unknowns"]),
+            covariance=np.array(data["covariance"], dtype=float).reshape(
+                len(data["covariance"]), -1
+            ),
+            noise=float(data["noise"]),
+            affine=bool(data["affine"]),
+            graph=graph,
+            expected=_place(equation["expected"], graph),
+            slope=_place(equation["slope"], graph),
+            gradient=tuple(_place(p, graph) for p in equation["gradient"]),
         )
         sizes = {len(program.unknowns), len(program.gradient), *program.covariance.shape}
         if len(sizes) > 1:
@@ -270,74 +199,75 @@ def _place(value: Any, graph: Graph) -> int:
 
 def program_of(
     inverse: Inverse,
-    known: Known,
+    moments: PosteriorMoments,
     inputs: Sequence[Input],
+    *,
     stimulus_range: tuple[float, float] | None,
     noise: float,
-    about: About,
-) -> Program:
+    about: Provenance,
+) -> CompensationProgram:
     """Trace an equation in use and its derivatives.
 
     Raises:
         ModelError: an effect is made of operations that firmware has no form of; named.
     """
-    equation, graph = inverse.equation, Graph()
-    entries, names = equation.entries(), inverse.inputs
-    theta = {e.key: jnp.asarray(m) for e, m in zip(entries, known.mean, strict=True)}
-
-    def at(s, given, theta):
-        return equation.point(theta, s, given, inverse.reference)
-
-    def all_of(s, given):
-        # Forward, because the reverse of a slice is a padding, for which there is no scalar operation.
-        expected, slope = jax.jvp(lambda s: at(s, given, theta), (s,), (jnp.ones(()),))
-        gradient = [
-            jax.jvp(
-                lambda value, key=e.key: at(s, given, {**theta, key: value}),
-                (theta[e.key],),
-                (jnp.ones(()),),
-            )[1]
-            for e in entries
-        ]
-        return expected, slope, gradient
-
+    graph, unknowns = Graph(), inverse.equation.unknowns()
+    theta = {u.key: jnp.asarray(m) for u, m in zip(unknowns, moments.mean, strict=True)}
+    names = sorted(inverse.inputs)
     ones = {n: jnp.ones(()) for n in names}
-    places = [graph.input(STIMULUS), *(graph.input(n) for n in sorted(names))]
+    places = [graph.input(STIMULUS), *(graph.input(n) for n in names)]
+    derivatives = _with_derivatives(inverse, theta)
     try:
-        expected, slope, *gradient = trace(graph, all_of, (jnp.ones(()), ones), places)
+        expected, slope, *gradient = trace(graph, derivatives, (jnp.ones(()), ones), places)
     except NotExportable as error:
         raise ModelError(_blame(inverse, theta, str(error))) from None
     acting = [i for i, node in enumerate(gradient) if graph.value(node) != 0]
     small, moved = graph.part([expected, slope, *(gradient[i] for i in acting)])
     needed = {n.value for n in small.nodes if n.op == "input"}
-    affine = graph.input(STIMULUS) not in graph.needed([slope])
-    return Program(
-        about,
-        tuple(i for i in inputs if i.name in needed),
-        stimulus_range,
-        tuple(_unknown(entries[i], known.mean[i]) for i in acting),
-        known.covariance[np.ix_(acting, acting)],
-        noise,
-        affine,
-        small,
-        moved[0],
-        moved[1],
-        tuple(moved[2:]),
+    return CompensationProgram(
+        about=about,
+        inputs=tuple(i for i in inputs if i.name in needed),
+        stimulus_range=stimulus_range,
+        unknowns=tuple(
+            Unknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i])) for i in acting
+        ),
+        covariance=moments.covariance[np.ix_(acting, acting)],
+        noise=noise,
+        affine=graph.input(STIMULUS) not in graph.needed([slope]),
+        graph=small,
+        expected=moved[0],
+        slope=moved[1],
+        gradient=tuple(moved[2:]),
     )
 
 
-def _unknown(entry: Entry, mean: float) -> Unknown:
-    return Unknown(entry.name, entry.unit, float(mean))
+def _with_derivatives(inverse: Inverse, theta: Scalars) -> Callable[..., Any]:
+    """A function of stimulus and inputs: expected output, its slope, its gradient by each unknown."""
+
+    def at(s, given, theta):
+        return inverse.equation.point(theta, s, given, inverse.reference)
+
+    def expected_slope_gradient(s, given):
+        # Forward, because the reverse of a slice is a padding, for which there is no scalar operation.
+        one = jnp.ones(())
+        expected, slope = jax.jvp(lambda s: at(s, given, theta), (s,), (one,))
+        gradient = [
+            jax.jvp(lambda v, key=key: at(s, given, {**theta, key: v}), (value,), (one,))[1]
+            for key, value in theta.items()
+        ]
+        return expected, slope, gradient
+
+    return expected_slope_gradient
 
 
-def _blame(inverse: Inverse, theta: dict[str, Any], reason: str) -> str:
+def _blame(inverse: Inverse, theta: Scalars, reason: str) -> str:
     """Which effect cannot be exported, and what to do."""
     equation = inverse.equation
     ones = {n: jnp.ones(()) for n in inverse.names}
     for effect in dict.fromkeys(b.effect for b in equation.blocks):
 
         def basis(s, given, effect=effect):
-            frame = equation._frame(s, given, inverse.reference)
+            frame = equation.one_reading(s, given, inverse.reference)
             shapes = {x.name: theta.get(effect.shape_name(x), jnp.ones(())) for x in effect.shapes}
             return [effect.evaluate(frame, shapes)[0, i] for i in range(len(effect.coefficients))]
 

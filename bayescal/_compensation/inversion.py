@@ -17,7 +17,8 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._compensation.operating_equation import InUse, Scalars
+from bayescal._compensation.operating_equation import OperatingEquation, Scalars
+from bayescal._compensation.posterior_moments import PosteriorMoments
 from bayescal._core.jit import compiled
 from bayescal._model import forward
 from bayescal._model.frame import Frame
@@ -45,7 +46,7 @@ class Inverse:
         names: all inputs that there could be.
     """
 
-    equation: InUse
+    equation: OperatingEquation
     reference: Scalars
     names: tuple[str, ...]
 
@@ -65,7 +66,7 @@ class Inverse:
         return not live(lambda s: jax.grad(self._at(theta, inputs))(s), jnp.ones(()))[0]
 
     def _zeros(self) -> tuple[Scalars, Scalars]:
-        theta = {e.key: jnp.ones(()) for e in self.equation.entries()}
+        theta = {u.key: jnp.ones(()) for u in self.equation.unknowns()}
         return theta, {n: jnp.ones(()) for n in self.names}
 
     def _at(self, theta: Scalars, inputs: Scalars):
@@ -73,7 +74,7 @@ class Inverse:
 
 
 @compiled
-def over_draws(equation: InUse, reference, affine: bool, theta, output, inputs, record):
+def over_draws(equation: OperatingEquation, reference, affine: bool, theta, output, inputs, record):
     """Mean and variance of the stimulus over draws of θ, and the mean square of its slope, (n,) each."""
 
     def add(state, one):
@@ -92,7 +93,7 @@ def over_draws(equation: InUse, reference, affine: bool, theta, output, inputs, 
 
 @compiled
 def first_order(
-    equation: InUse, reference, affine: bool, theta, covariance, output, inputs, record
+    equation: OperatingEquation, reference, affine: bool, theta, covariance, output, inputs, record
 ):
     """Stimulus at θ, its variance by first-order propagation, and its squared slope by the output, (n,) each."""
     own = _with_lags(equation, theta, inputs, record)
@@ -108,11 +109,13 @@ def first_order(
     return found, jnp.einsum("ni,ij,nj->n", gradient, covariance, gradient), inclination**-2
 
 
-def _named(equation: InUse, theta: Float[Array, "p"]) -> Scalars:
-    return {e.key: theta[i] for i, e in enumerate(equation.entries())}
+def _named(equation: OperatingEquation, theta: Float[Array, "p"]) -> Scalars:
+    return {u.key: theta[i] for i, u in enumerate(equation.unknowns())}
 
 
-def _with_lags(equation: InUse, theta, inputs: Scalars, record: Frame | None) -> Scalars:
+def _with_lags(
+    equation: OperatingEquation, theta, inputs: Scalars, record: Frame | None
+) -> Scalars:
     """The inputs with the lags of a record, for the time constants in θ."""
     if record is None:
         return inputs
@@ -124,7 +127,7 @@ def _with_lags(equation: InUse, theta, inputs: Scalars, record: Frame | None) ->
     return found
 
 
-def _invert(equation: InUse, reference, affine: bool, theta, output, inputs):
+def _invert(equation: OperatingEquation, reference, affine: bool, theta, output, inputs):
     """Stimulus and the slope of the output by it, reading by reading; NaN where Newton finds none."""
     named = _named(equation, theta)
 
@@ -145,12 +148,56 @@ def _invert(equation: InUse, reference, affine: bool, theta, output, inputs):
     return jax.vmap(one)(output, inputs)
 
 
+def solved(
+    inverse: Inverse,
+    moments: PosteriorMoments,
+    given: Mapping[str, np.ndarray],
+    record: Frame | None,
+    *,
+    by_draws: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Stimulus, its variance from the calibration, and its squared slope by the output, (n,) each.
+
+    Args:
+        inverse, moments: the equation, and what the posterior says of θ.
+        given: output and inputs by name, (n,) each.
+        record: that lags follow from; None where they are given.
+        by_draws: over draws of θ; else to first order.
+    """
+    equation = inverse.equation
+    lags = [] if record is None else [lag.name for lag in equation.lags]
+    output = jnp.asarray(given["output"])
+    unused = jnp.zeros(len(given["output"]))
+    inputs = {
+        name: jnp.asarray(given[name]) if name in inverse.inputs else unused
+        for name in inverse.names
+        if name not in lags
+    }
+    start = equation, inverse.reference, inverse.affine
+    if by_draws:
+        found = over_draws(*start, jnp.asarray(moments.draws), output, inputs, record)
+    else:
+        mean, covariance = jnp.asarray(moments.mean), jnp.asarray(moments.covariance)
+        found = first_order(*start, mean, covariance, output, inputs, record)
+    value, variance, inclination = (np.asarray(f) for f in found)
+    return value, variance, inclination
+
+
 def noise_variance(calibration: Calibration) -> float:
     """Mean over the posterior of the variance of one reading's noise, output unit squared."""
     _, _, v = calibration.draws(2000)
     layout = calibration.layout
     one = jnp.zeros(1)
-    frame = Frame({}, {}, {}, {}, {}, one.astype(int), one, {})
+    frame = Frame(
+        columns={},
+        labels={},
+        rates={},
+        codes={},
+        reference={},
+        order=one.astype(int),
+        step=one,
+        record={},
+    )
 
     def variance(v):
         return layout.model.noise.variance(forward.hyper_values(layout, v), frame)[0]
@@ -167,7 +214,7 @@ class AtPoint(NamedTuple):
 
 
 def at_point(
-    equation: InUse,
+    equation: OperatingEquation,
     reference: Scalars,
     mean: np.ndarray,
     point: Mapping[str, float],

@@ -1,4 +1,4 @@
-"""A calibrated instrument in use: one reading's equation, what it needs, and what is known of it.
+"""A calibrated instrument in use: the equation of one reading, and what it needs.
 
 In use there is no test rig: slots that `Use.slots` leaves out do not act, and every run, cell or (unless it is
 named) device is a new one, whose deviation is drawn from its spread. What is left is one function of numbers,
@@ -22,12 +22,12 @@ from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError, ModelError
+from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Use
 from bayescal._model.parameters import CoefficientBlock, Layout, member_name
 
-OUTPUT = "output"
-NOT_INPUTS = (OUTPUT, "output_uncertainty", "temperature_point")
+NOT_INPUTS = ("output", "output_uncertainty", "temperature_point")
 Scalars = dict[str, Float[Array, ""]]
 
 
@@ -47,7 +47,7 @@ class Lag(NamedTuple):
     name: str
 
 
-class _UseFrame(Frame):
+class OneReading(Frame):
     """One reading as a frame; lags come from outside, in the order in which bases ask for them."""
 
     lags: tuple[Float[Array, "n"], ...] = ()
@@ -60,38 +60,34 @@ class _UseFrame(Frame):
         return given + (self.record[name] - self.columns[name])
 
 
-class Entry(NamedTuple):
+class UnknownInUse(NamedTuple):
     """One unknown that acts in use.
 
     Attributes:
         name: of the coefficient or shape; "(new run)" beside it for a deviation not measured.
         key: under which the equation finds it.
         unit: in which it is reported.
-        effect: that it belongs to.
         kind: "coefficient", "shape", or "new" for one drawn anew in use.
     """
 
     name: str
     key: str
     unit: str
-    effect: str
     kind: str
 
 
-class InUse(eqx.Module):
+class OperatingEquation(eqx.Module):
     """The measurement equation of a bound model for one reading in use. It has no arrays.
 
     Attributes:
-        layout: the model.
+        layout: the model, with one member of every group: that which is in use.
         members: (group, member) chosen by name, such as ("device", "A17"); others are new.
-        levels: (group, members known to the fit).
         known: numeric columns and rates of the readings of the fit.
         lags: what the equation asks of the past.
     """
 
     layout: Layout
     members: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    levels: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True)
     known: tuple[str, ...] = eqx.field(static=True)
     lags: tuple[Lag, ...] = eqx.field(static=True, default=())
 
@@ -108,7 +104,8 @@ class InUse(eqx.Module):
         acting = self.use.slots or tuple(own)
         return tuple(b for b in self.layout.blocks if b.slot in acting or b.slot not in own)
 
-    def entries(self) -> tuple[Entry, ...]:
+    def unknowns(self) -> tuple[UnknownInUse, ...]:
+        """What the equation is a function of beside stimulus and inputs, effect by effect."""
         fixed, found, seen = dict(self.layout.model.fixed), [], []
         for b in self.blocks:
             if b.effect.name not in seen:
@@ -116,7 +113,7 @@ class InUse(eqx.Module):
                 for shape in b.effect.shapes:
                     name = b.effect.shape_name(shape)
                     if name not in fixed:
-                        found.append(Entry(name, name, shape.unit, b.effect.name, "shape"))
+                        found.append(UnknownInUse(name, name, shape.unit, "shape"))
             if b.place == "fixed":
                 continue
             name, kind, per = b.name, "coefficient", b.coefficient.per
@@ -124,7 +121,7 @@ class InUse(eqx.Module):
                 member = dict(self.members).get(per)
                 name = member_name(b.name, member or "new " + per)
                 kind = "new" if member is None else kind
-            found.append(Entry(name, b.name, b.coefficient.unit, b.effect.name, kind))
+            found.append(UnknownInUse(name, b.name, b.coefficient.unit, kind))
         return tuple(found)
 
     def point(
@@ -138,20 +135,18 @@ class InUse(eqx.Module):
             inputs: by name, in fixed units.
             reference: constants of the bases.
         """
-        theta = {**{name: jnp.asarray(value) for name, value in self.layout.model.fixed}, **theta}
-        frame = self._frame(stimulus, inputs, reference)
-        instrument = self.layout.model.instrument
-        slots = {s.name: jnp.zeros(1) for s in instrument.slots}
-        for name, shift in self._sums(theta, frame, correcting=True).items():
-            frame = frame.with_column(name, frame[name] + shift)
-        slots |= self._sums(theta, frame, correcting=False)
+        frame = self.one_reading(stimulus, inputs, reference)
+        slots, corrected = self._composed(theta, frame)
         if self.use.equation is None:
-            found = instrument.response(slots, frame)
+            found = self.layout.model.instrument.response(slots, corrected)
         else:
-            found = self.use.equation(jnp.reshape(stimulus, (1,)), slots, frame)
+            found = self.use.equation(jnp.reshape(stimulus, (1,)), slots, corrected)
         return jnp.reshape(found, ())
 
-    def _frame(self, stimulus, inputs: Scalars, reference: Scalars) -> _UseFrame:
+    def one_reading(
+        self, stimulus: Float[Array, ""], inputs: Scalars, reference: Scalars
+    ) -> OneReading:
+        """One reading as bases see it; arguments as of `point`."""
         one = {name: jnp.reshape(value, (1,)) for name, value in inputs.items()}
         columns = {n: one[n] for n in self.known if n in one}
         columns[self.use.stimulus] = jnp.reshape(stimulus, (1,))
@@ -160,28 +155,40 @@ class InUse(eqx.Module):
             for n, v in one.items()
             if n.endswith("_rate") and n not in columns
         }
-        labels = {f"{group}={member}": jnp.ones(1) for group, member in self.members}
-        lags = tuple(one[lag.name] for lag in self.lags)
-        still = jnp.zeros(1, int), -jnp.ones(1)
-        groups: list[str] = ["run", "cell", "axis", "device"]
-        codes = dict.fromkeys(groups, -jnp.ones(1, int))
-        return _UseFrame(columns, labels, rates, codes, reference, *still, dict(columns), lags, [])
+        return OneReading(
+            columns=columns,
+            labels={f"{group}={member}": jnp.ones(1) for group, member in self.members},
+            rates=rates,
+            codes={group: jnp.zeros(1, int) for group, _ in self.layout.counts},
+            reference=reference,
+            order=jnp.zeros(1, int),
+            step=-jnp.ones(1),
+            record=dict(columns),
+            lags=tuple(one[lag.name] for lag in self.lags),
+        )
 
-    def _sums(self, theta: Scalars, frame: Frame, correcting: bool) -> Scalars:
+    def asked_of_the_past(
+        self, theta: Scalars, inputs: Scalars, reference: Scalars
+    ) -> list[tuple[str, Any]]:
+        """The (column, time constant) of every lag that a basis asks for, in order."""
+        frame = self.one_reading(jnp.zeros(()), inputs, reference)
+        self._composed(theta, frame)
+        return frame.asked
+
+    def _composed(self, theta: Scalars, frame: OneReading) -> tuple[forward.Values, Frame]:
+        """Slots and corrected readings; corrections of columns that do not exist in use are left out."""
+        fixed = {name: jnp.asarray(value) for name, value in self.layout.model.fixed}
+        known = {**fixed, **theta}
         own = [s.name for s in self.layout.model.instrument.slots]
-        sums, basis = {}, None
-        for b in self.blocks:
-            if (b.slot not in own) != correcting or (correcting and b.slot not in frame.columns):
-                continue
-            if basis is None or basis[0] is not b.effect:
-                shapes = {s.name: theta[b.effect.shape_name(s)] for s in b.effect.shapes}
-                basis = (b.effect, b.effect.evaluate(frame, shapes))
-            value = theta[b.name] if b.place != "fixed" else b.value
-            sums[b.slot] = sums.get(b.slot, 0.0) + basis[1][:, b.index] * b.factor * value
-        return sums
+        acting = [b for b in self.blocks if b.slot in own or b.slot in frame.columns]
+        values = {b.name: jnp.reshape(known[b.name], (1,)) for b in acting}
+        slots, corrected, _ = forward.compose(self.layout, frame, values, known, {}, acting)
+        return slots, corrected
 
 
-def in_use(calibration: Calibration, members: Mapping[str, str] | None = None) -> InUse:
+def equation_in_use(
+    calibration: Calibration, members: Mapping[str, str] | None = None
+) -> OperatingEquation:
     """A calibrated model in use.
 
     Raises:
@@ -205,28 +212,27 @@ def in_use(calibration: Calibration, members: Mapping[str, str] | None = None) -
     frame = calibration.frame
     not_inputs = (*NOT_INPUTS, instrument.use.stimulus)
     known = tuple(sorted(n for n in frame.columns if n not in not_inputs))
-    found = InUse(
-        calibration.layout, tuple(sorted(members.items())), tuple(calibration.levels.items()), known
+    one_each = tuple((group, 1) for group, _ in calibration.layout.counts)
+    found = OperatingEquation(
+        layout=replace(calibration.layout, counts=one_each),
+        members=tuple(sorted(members.items())),
+        known=known,
     )
     return replace(found, lags=_lags(found, calibration))
 
 
-def _lags(found: InUse, calibration: Calibration) -> tuple[Lag, ...]:
+def _lags(found: OperatingEquation, calibration: Calibration) -> tuple[Lag, ...]:
     """Ask the equation once, at the posterior mean, which lags it needs."""
     theta = {
-        e.key: jnp.asarray(m)
-        for e, m in zip(found.entries(), _means(found, calibration), strict=True)
+        u.key: jnp.asarray(m)
+        for u, m in zip(found.unknowns(), _means(found, calibration), strict=True)
     }
-    fixed = {name: jnp.asarray(value) for name, value in calibration.model.fixed}
     inputs = {n: jnp.ones(()) for n in input_names(found, calibration.frame)}
-    frame = found._frame(jnp.zeros(()), inputs, calibration.frame.reference)
-    for correcting in (True, False):
-        found._sums({**fixed, **theta}, frame, correcting)
     lags: list[Lag] = []
-    for column, tau in frame.asked:
+    for column, tau in found.asked_of_the_past(theta, inputs, calibration.frame.reference):
         tau = float(tau)
         shape = next(
-            (e.key for e in found.entries() if e.kind == "shape" and float(theta[e.key]) == tau),
+            (u.key for u in found.unknowns() if u.kind == "shape" and float(theta[u.key]) == tau),
             None,
         )
         same = sum(lag.column == column for lag in lags)
@@ -234,74 +240,32 @@ def _lags(found: InUse, calibration: Calibration) -> tuple[Lag, ...]:
     return tuple(lags)
 
 
-def input_names(found: InUse, frame: Frame) -> list[str]:
-    return [*found.known, *(f"{n}_rate" for n in frame.rates), *(lag.name for lag in found.lags)]
-
-
-def _samples(found: InUse, calibration: Calibration, entry: Entry) -> np.ndarray:
-    """Draws of one entry that the posterior knows."""
-    values = calibration.samples(entry.key)
-    if values.ndim == 1:
-        return values
-    per = next(b.coefficient.per for b in found.blocks if b.name == entry.key)
-    assert per is not None
-    return values[:, calibration.levels[per].index(dict(found.members)[per])]
-
-
-def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np.ndarray:
-    """Draws of the standard deviation from which a new member is taken."""
-    c, fixed = block.coefficient, dict(calibration.model.fixed)
-    if c.spread is None:
-        return np.full(draws, c.size)
-    if block.spread_name in fixed:
-        return np.full(draws, fixed[block.spread_name])
-    return calibration.samples(block.spread_name)
-
-
-def _means(found: InUse, calibration: Calibration) -> list[float]:
-    blocks = {b.name: b for b in found.blocks}
+def input_names(equation: OperatingEquation, frame: Frame) -> list[str]:
+    """Every input that there could be."""
     return [
-        blocks[e.key].coefficient.mean
-        if e.kind == "new"
-        else float(_samples(found, calibration, e).mean())
-        for e in found.entries()
+        *equation.known,
+        *(f"{n}_rate" for n in frame.rates),
+        *(lag.name for lag in equation.lags),
     ]
 
 
-class Known(NamedTuple):
-    """What the posterior says of θ: draws (d, p), mean (p,), covariance (p, p), reported units."""
+def samples_in_use(
+    equation: OperatingEquation, calibration: Calibration, unknown: UnknownInUse
+) -> np.ndarray:
+    """Draws of one unknown in use that the posterior knows, (d,), reported unit."""
+    values = calibration.samples(unknown.key)
+    if values.ndim == 1:
+        return values
+    per = next(b.coefficient.per for b in equation.blocks if b.name == unknown.key)
+    assert per is not None
+    return values[:, calibration.levels[per].index(dict(equation.members)[per])]
 
-    draws: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
 
-
-def known(found: InUse, calibration: Calibration, draws: int, seed: int = 0) -> Known:
-    """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all.
-
-    A deviation that is new in use is independent of everything measured: its draws are standardised, so that
-    they move no mean.
-    """
-    entries, blocks = found.entries(), {b.name: b for b in found.blocks}
-    size = calibration.posterior.sizes
-    total = size["chain"] * size["draw"]
-    random = np.random.default_rng(seed)
-    step = max(1, -(-total // draws))
-    values, mean, extra = np.zeros((total, len(entries))), np.zeros(len(entries)), {}
-    thin = values[::step].copy()
-    for i, e in enumerate(entries):
-        if e.kind == "new":
-            block = blocks[e.key]
-            spread, centre = _spread(calibration, block, total), block.coefficient.mean
-            normal = random.standard_normal(len(thin))
-            normal = (normal - normal.mean()) / (normal.std() or 1.0)
-            mean[i], extra[i] = centre, float(np.mean(spread**2))
-            thin[:, i] = centre + spread[::step] * normal
-        else:
-            values[:, i] = _samples(found, calibration, e)
-            mean[i] = values[:, i].mean()
-            thin[:, i] = values[::step, i]
-    covariance = np.atleast_2d(np.cov(values.T)) if len(entries) else np.zeros((0, 0))
-    for i, variance in extra.items():
-        covariance[i, i] = variance
-    return Known(thin, mean, covariance)
+def _means(equation: OperatingEquation, calibration: Calibration) -> list[float]:
+    blocks = {b.name: b for b in equation.blocks}
+    return [
+        blocks[u.key].coefficient.mean
+        if u.kind == "new"
+        else float(samples_in_use(equation, calibration, u).mean())
+        for u in equation.unknowns()
+    ]

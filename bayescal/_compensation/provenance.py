@@ -1,51 +1,53 @@
-"""What an export says of itself: where it comes from, what it needs, what to know."""
+"""What an export says of itself: where it comes from, and what to know."""
 
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._compensation.firmware import About, Input
-from bayescal._compensation.operating_equation import InUse
-from bayescal._model.frame import RATE_WINDOW
+from bayescal._compensation.operating_equation import OperatingEquation
+from bayescal._core.version import __version__
 from bayescal._readings.measurements import Measurements
 
 
-def input_of(calibration: Calibration, equation: InUse, name: str, values: np.ndarray) -> Input:
-    """One input of the equation, as people and firmware are told of it; `values` are those of the fit."""
-    span = float(values.min()), float(values.max())
-    for lag in equation.lags:
-        if lag.name == name:
-            meaning = (
-                f"lag of {lag.column} behind the thermometer, L, 0 at the start; dt after the last "
-                f"reading, x = dt/{lag.tau!r} s: L = exp(-x)*L + expm1(-x)/x*(change of {lag.column})"
-            )
-            return Input(name, "delta_degC", meaning, "lag", lag.column, *span, lag.tau)
-    column = name.removesuffix("_rate")
-    if name not in equation.known:
-        meaning = (
-            f"rate of {column}: least-squares slope over the last {RATE_WINDOW:g} s (or the last two "
-            "readings, if these are further apart), 0 at the start"
-        )
-        return Input(name, "degC/s", meaning, "rate", column, *span)
-    if name == "elapsed":
-        return Input(
-            name, "s", "time since the start (of the run, of power)", "elapsed", "time", *span
-        )
-    own = {c.name: c.meaning for c in calibration.model.instrument.columns}
-    meaning = "of the same origin as in the calibration" if name == "time" else own.get(name, "")
-    return Input(name, calibration.readings.unit(name) or "1", meaning, "column", name, *span)
+@dataclass(frozen=True)
+class Provenance:
+    """Where an export comes from and what may be done with it.
+
+    Attributes:
+        instrument: its name; title: one line.
+        stimulus, unit: what is compensated for; output_unit: of the reading.
+        effects: (name, equation) of those that act.
+        reference: constants of the bases, such as T0.
+        sources: (file, sha256) of the readings.
+        raw: how a raw output becomes the reading: unit, gain, offset; None if it is the reading.
+        notes: what to know, each a sentence.
+        made_by: program and version.
+    """
+
+    instrument: str
+    title: str
+    stimulus: str
+    unit: str
+    output_unit: str
+    effects: tuple[tuple[str, str], ...]
+    reference: dict[str, float]
+    sources: tuple[tuple[str, str], ...]
+    raw: tuple[str, float, float] | None
+    notes: tuple[str, ...]
+    made_by: str
 
 
-def about_of(
-    calibration: Calibration, equation: InUse, stimulus_range: tuple[float, float] | None
-) -> About:
+def provenance_of(
+    calibration: Calibration,
+    equation: OperatingEquation,
+    stimulus_range: tuple[float, float] | None,
+) -> Provenance:
     """What an export says of itself."""
-    from bayescal._core.version import __version__
-
     instrument, use = calibration.model.instrument, equation.use
     acting = dict.fromkeys(b.effect for b in equation.blocks)
     scale = instrument.nominal_scale
@@ -55,27 +57,28 @@ def about_of(
         for k, v in calibration.reference.items()
         if not isinstance(v, dict) and not k.endswith(("_low", "_high"))
     }
-    return About(
-        instrument.name,
-        instrument.title,
-        use.stimulus,
-        use.unit,
-        calibration.unit,
-        tuple((e.name, e.equation) for e in acting),
-        reference,
-        sources or (("arrays", _digest(calibration.readings)),),
-        (scale.unit, scale.gain, scale.offset) if scale else None,
-        tuple(_notes(calibration, equation, stimulus_range)),
-        f"bayescal {__version__}",
+    return Provenance(
+        instrument=instrument.name,
+        title=instrument.title,
+        stimulus=use.stimulus,
+        unit=use.unit,
+        output_unit=calibration.unit,
+        effects=tuple((e.name, e.equation) for e in acting),
+        reference=reference,
+        sources=sources or (("arrays", _digest(calibration.readings)),),
+        raw=(scale.unit, scale.gain, scale.offset) if scale else None,
+        notes=tuple(_notes(calibration, equation, stimulus_range)),
+        made_by=f"bayescal {__version__}",
     )
 
 
 def _notes(
-    calibration: Calibration, equation: InUse, stimulus_range: tuple[float, float] | None
+    calibration: Calibration,
+    equation: OperatingEquation,
+    stimulus_range: tuple[float, float] | None,
 ) -> list[str]:
     notes = []
-    entries = equation.entries()
-    new = [e.name for e in entries if e.kind == "new"]
+    new = [u.name for u in equation.unknowns() if u.kind == "new"]
     if new:
         notes.append(
             f"Taken as new in use, with the spread that the calibration found: {', '.join(new)}."

@@ -13,6 +13,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
+import jax.core
 
 MANY = 30_000  # numbers handed to a function, above which computing counts for more than compiling
 ALWAYS = {"xla_cpu_use_fusion_emitters": False}
@@ -44,11 +45,15 @@ class compiled(Generic[P, R]):
 
     @cached_property
     def _quick(self) -> Callable[P, R]:
-        return eqx.filter_jit(self.function, compiler_options=known(QUICK))
+        return eqx.filter_jit(self.function, **_options(QUICK))
 
     @cached_property
     def _thorough(self) -> Callable[P, R]:
-        return eqx.filter_jit(self.function, compiler_options=known(ALWAYS))
+        return eqx.filter_jit(self.function, **_options(ALWAYS))
+
+
+def _options(options: dict[str, Any]) -> dict[str, Any]:
+    return {"compiler_options": known(options)}
 
 
 def known(options: dict[str, Any]) -> dict[str, Any]:

@@ -74,7 +74,9 @@ def weak(columns: np.ndarray, exact: np.ndarray, limit: float) -> np.ndarray:
 
 def _small(columns: np.ndarray) -> np.ndarray:
     """A square matrix with the same singular values and right vectors."""
-    return np.linalg.qr(columns, mode="r") if len(columns) > columns.shape[1] else columns
+    return (
+        np.asarray(np.linalg.qr(columns, mode="r")) if len(columns) > columns.shape[1] else columns
+    )
 
 
 def _without(space: np.ndarray, others: np.ndarray) -> np.ndarray:

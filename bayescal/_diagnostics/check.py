@@ -170,7 +170,7 @@ def _spread_with(
     found = {}
     for block in covariates:
         if not block.levels:
-            p = float(stats.spearmanr(np.abs(standardised), block.values).pvalue)
+            p = float(np.asarray(stats.spearmanr(np.abs(standardised), block.values))[1])
             if p < SIGNIFICANT:
                 found[block.name] = p
     return found

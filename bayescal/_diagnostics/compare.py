@@ -10,6 +10,7 @@ import textwrap
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -201,7 +202,7 @@ def _error(differences: np.ndarray) -> float:
 
 def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
     """Expected log predictive density of each reading left out, by PSIS, and the largest Pareto k."""
-    from arviz_stats import loo  # a second that only a comparison needs
+    import arviz_stats  # a second that only a comparison needs
 
     tree = xr.DataTree.from_dict(
         {
@@ -213,7 +214,7 @@ def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
         warnings.simplefilter(
             "ignore", UserWarning
         )  # high Pareto k: said in our own words, by model
-        found = loo(tree, pointwise=True)
+        found: Any = arviz_stats.loo(tree, pointwise=True)  # pyright: ignore[reportPrivateImportUsage]
     return np.asarray(found.elpd_i).ravel(), float(np.max(np.asarray(found.pareto_k)))
 
 

@@ -51,11 +51,9 @@ def _score(layout: Layout, frame: Frame, y: Array, mode, columns: Float[Array, "
     gram = layout.model.noise.gram(stacked, line.residual, line.extra, line.hyper, frame)
     inner = gram.jtj[:q, :q] + jnp.diag(line.prior.weight)
     cross, own = gram.jtj[:q, q:], gram.jtj[q:, q:]
-    solved = (
-        jnp.linalg.solve(inner, jnp.concatenate([cross, gram.jtr[:q, None]], axis=1)) if q else 0.0
-    )
     if q == 0:
         return gram.jtr, own, jnp.diag(own)
+    solved = jnp.linalg.solve(inner, jnp.concatenate([cross, gram.jtr[:q, None]], axis=1))
     u = gram.jtr[q:] - cross.T @ solved[:, -1]
     return u, own - cross.T @ solved[:, :-1], jnp.diag(own)
 

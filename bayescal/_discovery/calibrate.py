@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.evidence import laplace_evidence
@@ -222,7 +223,7 @@ class _Loop:
         if not (steps > 0).any():
             return None
         span = float(np.max(np.asarray(frame.columns["elapsed"])))
-        return model.with_noise(over_record(model.noise, steps[steps > 0], span))
+        return model.with_noise(over_record(model.noise, jnp.asarray(steps[steps > 0]), span))
 
     def _gain(self, step: Step, wide: Model) -> float:
         """Log evidence that correlated noise gains over white for a step's model."""

@@ -96,7 +96,7 @@ def judge(
     first, unit = candidate_columns.reported(effect)
     grid = _grid(columns, score, index)
     log_weight = grid.log_weight + grid.log_factors
-    total = float(logsumexp(log_weight))
+    total = float(np.asarray(logsumexp(log_weight)))
     share = np.exp(log_weight - total)
     top = int(np.argmax(share))
     sizes = [
@@ -252,7 +252,9 @@ def given(
             updated.append(c)
             continue
         grid = _grid(columns, after, index)
-        updated.append(replace(c, conditional=float(logsumexp(grid.log_weight + grid.log_factors))))
+        updated.append(
+            replace(c, conditional=float(np.asarray(logsumexp(grid.log_weight + grid.log_factors))))
+        )
     return updated
 
 

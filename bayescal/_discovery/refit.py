@@ -126,7 +126,7 @@ def nothing_after(
     """
     factors = [_weighed(c, c.log_bayes_factor) for c in judged]
     refit = [_weighed(c, verified.get(c.effect, c.log_bayes_factor or 0.0)) for c in judged]
-    change = float(logsumexp(refit) - logsumexp(factors))
+    change = float(np.asarray(logsumexp(refit)) - np.asarray(logsumexp(factors)))
     log_odds = np.log1p(-by_score) - np.log(max(by_score, 1e-300)) + change
     return float(1 / (1 + np.exp(np.clip(log_odds, -700, 700))))
 
@@ -154,8 +154,10 @@ def after_refit(
         else c
         for c in judged
     ]
-    total = logsumexp([_weighed(c, c.log_bayes_factor) for c in updated])
-    among = logsumexp([_weighed(c, c.log_bayes_factor) for c in updated if c.effect in verified])
+    total = np.asarray(logsumexp([_weighed(c, c.log_bayes_factor) for c in updated]))
+    among = np.asarray(
+        logsumexp([_weighed(c, c.log_bayes_factor) for c in updated if c.effect in verified])
+    )
     by_score = sum(c.probability or 0.0 for c in judged if c.effect in verified)
     mass = min(1.0, max(by_score, (1 - nothing) * float(np.exp(among - total))))
     return [

@@ -100,7 +100,9 @@ def prior_of(layout: Layout, hyper: composition.Values, flat: Float[Array, "p"])
     )
 
 
-def condition(gram: Gram, size: int, prior: Prior, at: Float[Array, "p"]) -> Conditional:
+def condition(
+    gram: Gram, size: int | Float[Array, ""], prior: Prior, at: Float[Array, "p"]
+) -> Conditional:
     """Integrate x out.
 
     Args:

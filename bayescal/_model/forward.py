@@ -1,6 +1,6 @@
 """One composition, four readings of it: expected output and Jacobian, log density, simulation.
 
-(The fourth, the NumPyro program, stands in `_nuts.py`, because only there NumPyro is needed.)
+(The fourth, the NumPyro program, stands in `_inference/nuts.py`, because only there NumPyro is needed.)
 
 Everything here is a pure JAX function of a `Layout` (static), a `Frame`, and values. Each reading's output
 depends on that reading's own slots alone, so one forward derivative per slot gives the whole Jacobian.
@@ -8,6 +8,7 @@ depends on that reading's own slots alone, so one forward derivative per slot gi
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -112,15 +113,11 @@ def _members(block: CoefficientBlock, frame: Frame) -> Float[Array, "n m"]:
 
 
 def _columns(
-    layout: Layout, frame: Frame, hyper: Values, correcting: bool
+    blocks: Iterable[CoefficientBlock], frame: Frame, hyper: Values
 ) -> list[tuple[CoefficientBlock, Array]]:
-    """The basis column of each block, in slot units per reported unit; either those that correct columns,
-    which see the record, or the others, which see the corrected columns."""
+    """The basis column of each block, in slot units per reported unit."""
     found, matrix = [], None
-    slots = {s.name for s in layout.model.instrument.slots}
-    for b in layout.blocks:
-        if (b.slot not in slots) != correcting:
-            continue
+    for b in blocks:
         if matrix is None or matrix[0] is not b.effect:
             matrix = (b.effect, b.effect.evaluate(frame, _shapes(b.effect, hyper)))
         found.append((b, matrix[1][:, b.index] * b.factor))
@@ -143,27 +140,38 @@ def _sums(
     return sums
 
 
-def _respond(layout: Layout, frame: Frame, values: Values, hyper: Values, push: dict[str, Array]):
-    """Expected output with `push` added to slots; also the basis columns at that point."""
-    zero = jnp.zeros(frame.size)
-    correcting = _columns(layout, frame, hyper, correcting=True)
+def compose(
+    layout: Layout,
+    frame: Frame,
+    values: Values,
+    hyper: Values,
+    push: Values,
+    blocks: Sequence[CoefficientBlock] | None = None,
+) -> tuple[Values, Frame, list[tuple[CoefficientBlock, Array]]]:
+    """What the response is taken of: each slot's sum with `push` added, and the corrected readings; basis columns too.
+
+    Blocks that correct a column see the record, the others the corrected columns. All blocks act, or `blocks`.
+    """
+    acting = layout.blocks if blocks is None else blocks
+    slots, zero = [s.name for s in layout.model.instrument.slots], jnp.zeros(frame.size)
+    correcting = _columns((b for b in acting if b.slot not in slots), frame, hyper)
     corrections = _sums(correcting, values, frame)
     corrected = frame
-    slots = [s.name for s in layout.model.instrument.slots]
-    for name in {*corrections, *(p for p in push if p not in slots)}:
+    for name in dict.fromkeys((*corrections, *(p for p in push if p not in slots))):
         shifted = frame[name] + corrections.get(name, zero) + push.get(name, zero)
         corrected = corrected.with_column(name, shifted)
-    others = _columns(layout, corrected, hyper, correcting=False)
+    others = _columns((b for b in acting if b.slot in slots), corrected, hyper)
     sums = _sums(others, values, frame)
     filled = {name: sums.get(name, zero) + push.get(name, zero) for name in slots}
-    return layout.model.instrument.response(filled, corrected), (correcting, others)
+    return filled, corrected, [*correcting, *others]
 
 
 def mean(
     layout: Layout, frame: Frame, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
 ) -> Float[Array, "n"]:
     """Expected output, output unit."""
-    return _respond(layout, frame, coefficients(layout, x, rows, hyper), hyper, {})[0]
+    slots, corrected, _ = compose(layout, frame, coefficients(layout, x, rows, hyper), hyper, {})
+    return layout.model.instrument.response(slots, corrected)
 
 
 def slot_derivatives(
@@ -173,7 +181,8 @@ def slot_derivatives(
     zero, one = jnp.zeros(frame.size), jnp.ones(frame.size)
 
     def respond(push):
-        return _respond(layout, frame, values, hyper, push)[0]
+        filled, corrected, _ = compose(layout, frame, values, hyper, push)
+        return layout.model.instrument.response(filled, corrected)
 
     start = dict.fromkeys(slots, zero)
     return {s: jax.jvp(respond, (start,), ({**start, s: one},))[1] for s in slots}
@@ -184,8 +193,9 @@ def linearise(
 ) -> Linearised:
     """Expected output and Jacobian at a point, output unit per reported unit."""
     values = coefficients(layout, x, rows, hyper)
-    output, (correcting, others) = _respond(layout, frame, values, hyper, {})
-    terms = {b.name: column for b, column in (*correcting, *others)}
+    filled, corrected, columns = compose(layout, frame, values, hyper, {})
+    output = layout.model.instrument.response(filled, corrected)
+    terms = {b.name: column for b, column in columns}
     free = [b for b in layout.blocks if b.place in ("x", "row")]
     slopes = slot_derivatives(layout, frame, values, hyper, tuple(sorted({b.slot for b in free})))
     in_x, in_rows = [jnp.zeros((frame.size, 0))], [jnp.zeros((frame.size, 0))]

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
@@ -23,7 +22,7 @@ from bayescal._readings.unit_registry import ANY
 from bayescal._readings.units import coefficient_factor, same_dimension
 
 Slots = Mapping[str, Float[Array, "n"]]
-Columns = Mapping[str, ArrayLike]
+Columns = Mapping[str, Any]  # arrays by name, as a simulator gives them
 
 
 class Slot(eqx.Module):

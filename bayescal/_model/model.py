@@ -157,9 +157,9 @@ class Model(eqx.Module):
                     )
 
 
-def baseline(instrument: Instrument) -> Model:
+def baseline(self: Instrument) -> Model:
     """The instrument with its baseline effects and noise law."""
-    return Model(instrument, instrument.effects, instrument.noise)
+    return Model(self, self.effects, self.noise)
 
 
 Instrument.baseline = baseline  # a model has an instrument, which therefore cannot import models

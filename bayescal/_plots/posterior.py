@@ -69,14 +69,14 @@ def coefficients(
         },
     )
     figure = _taken(made)
-    for name in data:
+    for name in map(str, data):
         ax = made.viz["plot"][name].item()
         draws = data[name].values.ravel()
         low, high = np.quantile(draws, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2])
         ax.plot([low, high], [0, 0], color=ORANGE, lw=4, solid_capstyle="butt", zorder=3)
         ax.plot(draws.mean(), 0, "o", color=RED, ms=5, zorder=4)
         ax.set_xlabel(axis_label("", data[name].attrs["units"]).strip(), fontsize=9)
-        ax.set_title(plain(str(name)), fontsize=9)
+        ax.set_title(plain(name), fontsize=9)
         ax.locator_params(axis="x", nbins=4)
         ax.tick_params(labelsize=8)
     return figure

@@ -6,7 +6,7 @@ Both are drawn from results, or from what `result.json` says of them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -34,6 +34,29 @@ MOST = 12  # candidates
 KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
 
 
+class _StepError(NamedTuple):
+    """What the picture of a trail shows of one step; errors rms, in `unit`, None where there is none."""
+
+    title: str
+    fitted: float
+    left_out: float | None
+    held_out: float | None
+    noise_floor: float
+    unit: str
+
+
+def _of_data(step: Mapping[str, Any]) -> _StepError:
+    """From a step as result.json has it."""
+    return _StepError(
+        title=step["title"],
+        fitted=step["rmse"],
+        left_out=(step["leave_one_group_out"] or {}).get("rmse"),
+        held_out=step["holdout_rmse"],
+        noise_floor=step["noise_floor"],
+        unit=step["unit"],
+    )
+
+
 def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
     """The error of each step, with the fall from the step before, and the noise floor.
 
@@ -41,13 +64,14 @@ def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
         found: a trail, or what its result.json holds.
         ax: where to draw; a figure of its own if not given.
     """
-    steps = [s.errors() for s in found.steps] if isinstance(found, Trail) else found["steps"]
+    told = [s.errors() for s in found.steps] if isinstance(found, Trail) else found["steps"]
+    steps = [_of_data(step) for step in told]
     figure = new_figure(5.6, 0.75 + 1.0 * len(steps)) if ax is None else ax.figure
     ax = figure.subplots() if ax is None else ax
     series = [
-        ("fitted readings", [s["rmse"] for s in steps], BLUE),
-        ("left-out groups", [(s["leave_one_group_out"] or {}).get("rmse") for s in steps], ORANGE),
-        ("kept-apart readings", [s["holdout_rmse"] for s in steps], GREEN),
+        ("fitted readings", [s.fitted for s in steps], BLUE),
+        ("left-out groups", [s.left_out for s in steps], ORANGE),
+        ("kept-apart readings", [s.held_out for s in steps], GREEN),
     ]
     series = [s for s in series if any(v is not None for v in s[1])]
     largest = max(v for _, values, _ in series for v in values if v is not None)
@@ -60,22 +84,22 @@ def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
             if np.isfinite(value):
                 ax.text(value + 0.01 * largest, y, number(value), va="center", fontsize=7.5)
     for i, step in enumerate(steps):
-        ax.text(0, i - 0.03, f" {i}  {plain(step['title'])}{_fall(steps, i)}", va="bottom")
-    floor = steps[-1]["noise_floor"]
+        ax.text(0, i - 0.03, f" {i}  {plain(step.title)}{_fall(steps, i)}", va="bottom")
+    floor = steps[-1].noise_floor
     ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"noise floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
-    ax.set_xlabel(axis_label("rms error", steps[-1]["unit"]))
+    ax.set_xlabel(axis_label("rms error", steps[-1].unit))
     where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.26 / (0.3 + 0.4 * len(steps)))}
     ax.legend(frameon=False, fontsize=8, ncols=2, **where)
     open_sides(ax)
     return figure
 
 
-def _fall(steps: list[dict[str, Any]], i: int) -> str:
+def _fall(steps: list[_StepError], i: int) -> str:
     """How much smaller the error of the fitted readings is than one step before."""
-    if i == 0 or not steps[i - 1]["rmse"]:
+    if i == 0 or not steps[i - 1].fitted:
         return ""
-    return f"   ({100 * (steps[i]['rmse'] / steps[i - 1]['rmse'] - 1):+.0f} %)".replace("-", "−")
+    return f"   ({100 * (steps[i].fitted / steps[i - 1].fitted - 1):+.0f} %)".replace("-", "−")
 
 
 def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
@@ -90,7 +114,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     )
     tested = [c for c in everyone if c["log_bayes_factor"] is not None]
     ranked = sorted(
-        (c for c in tested if not _quiet(c)),
+        (c for c in tested if not is_quiet(c)),
         key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]),
     )
     shown = ranked[-MOST:]
@@ -122,8 +146,8 @@ def _ticks(low: float, high: float) -> list[float]:
     return [-p for p in powers[::-1] if -p >= low * 1.2] + [0.0, *up]
 
 
-def _quiet(c: Mapping[str, Any]) -> bool:
-    """An unknown dependence without evidence is not worth a bar."""
+def is_quiet(c: Mapping[str, Any]) -> bool:
+    """An unknown dependence without evidence is not worth a bar, nor a line."""
     return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
 
 

@@ -17,7 +17,7 @@ from bayescal._core.errors import BayescalError, InputError
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._discovery.search_path import Trail
 from bayescal._model.effect import Effect
-from bayescal._model.placeholder import covariate_in
+from bayescal._plots.search import is_quiet
 from bayescal._readings.units import unit_label
 from bayescal._report import figures, sentences, tables
 from bayescal._report.section import Chapter, chapters, taken
@@ -155,11 +155,6 @@ def _discovery(
     """What was missing from one step."""
     title = data["steps"][found["step"]]["title"]
     tested = [c for c in found["candidates"] if c["kind"] != "not testable"]
-    quiet = [c for c in tested if covariate_in(c["effect"]) and c["kind"] in (None, "not visible")]
-    reasons: dict[str, list[str]] = {}
-    for c in found["candidates"]:
-        if c["kind"] == "not testable":
-            reasons.setdefault(c["reason"], []).append(c["effect"])
     alike = {
         frozenset((c["effect"], *c["indistinguishable_from"]))
         for c in tested
@@ -172,9 +167,9 @@ def _discovery(
         "nothing": found["nothing_missing_probability"],
         "sets": found["sets"],
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
-        "rows": [_candidate(c) for c in tested if c not in quiet][:MANY],
+        "rows": [_candidate(c) for c in tested if not is_quiet(c)][:MANY],
         "alike": sorted(", ".join(sorted(g)) for g in groups),
-        "not_testable": reasons,
+        "not_testable": sentences.not_tested(found["candidates"]),
         "picture": pictures.missing(found, title),
     }
 
@@ -187,13 +182,11 @@ def _candidate(c: dict[str, Any]) -> dict[str, Any]:
         "factor": "–" if c["log_bayes_factor"] is None else f"{c['log_bayes_factor']:z.1f}",
         "refit": c["source"] == "refit",
         "size": f"{with_error(c['size'] or 0.0, c['size_sd'] or 0.0)} {unit}".strip(),
-        "detectable": "–" if c["minimum_detectable"] is None else _detectable(c),
+        "detectable": "–"
+        if c["minimum_detectable"] is None
+        else tables.measured(c["minimum_detectable"], c["unit"], 2),
         "kind": c["kind"] or "",
     }
-
-
-def _detectable(c: dict[str, Any]) -> str:
-    return tables.measured(c["minimum_detectable"], c["unit"], 2)
 
 
 def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
@@ -209,14 +202,9 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
 def _budget_rows(found: Budget | None) -> list[dict[str, str]]:
     if found is None:
         return []
+    head = ("name", "estimate", "sensitivity", "contribution", "share")
     return [
-        {
-            "name": c.name,
-            "estimate": f"{with_error(c.value, c.uncertainty)} {unit_label(c.unit)}".strip(),
-            "sensitivity": number(c.sensitivity),
-            "contribution": number(c.contribution),
-            "share": f"{100 * c.share:z.1f} %",
-        }
+        dict(zip(head, (*c.cells(), f"{100 * c.share:z.1f} %"), strict=True))
         for c in found.coefficients[:MANY]
     ]
 

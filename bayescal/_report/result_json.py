@@ -107,13 +107,13 @@ def _groups(readings: Measurements) -> dict[str, Any]:
 def step_data(step: Step) -> dict[str, Any]:
     calibration = step.calibration
     evidence = calibration.log_evidence
-    noise = {
+    drawn = {
         n: float(calibration.samples(n).mean())
-        for n in calibration.posterior
-        if str(n).startswith("noise.")
+        for n in map(str, calibration.posterior)
+        if n.startswith("noise.")
     }
     held = {k: v for k, v in calibration.model.fixed if k.startswith("noise.")}
-    noise = {**noise, **held}
+    noise = {**drawn, **held}
     return {
         "effects": list(calibration.model.names),
         "added": step.added,
@@ -126,16 +126,7 @@ def step_data(step: Step) -> dict[str, Any]:
             "correlated": noise.get("noise.correlated"),
             "tau": noise.get("noise.correlated.time"),
         },
-        "verdict": {
-            "ok": calibration.verdict.ok,
-            "reasons": list(calibration.verdict.reasons),
-            "notes": list(calibration.verdict.notes),
-            "sampler": calibration.verdict.sampler,
-            "pareto_k": calibration.verdict.pareto_k,
-            "ess": calibration.verdict.ess,
-            "r_hat": calibration.verdict.r_hat,
-            "divergences": calibration.verdict.divergences,
-        },
+        "verdict": vars(calibration.verdict),
     }
 
 

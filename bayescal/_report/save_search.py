@@ -13,14 +13,14 @@ from bayescal._discovery.search_path import Trail
 from bayescal._report.result_json import result, write_json
 
 
-def save_search(trail: Trail, folder: Path) -> None:
+def save_search(self: Trail, folder: Path) -> None:
     """Write result.json, calibration.nc (of the last step) and loop.png to an existing folder."""
     from bayescal._plots.search import loop  # Matplotlib only where a picture is written
     from bayescal._plots.style import save
 
-    write_json(result(trail), Path(folder) / "result.json")
-    trail.final.calibration.save(Path(folder) / "calibration.nc")
-    save(loop(trail), Path(folder) / "loop.png")
+    write_json(result(self), Path(folder) / "result.json")
+    self.final.calibration.save(Path(folder) / "calibration.nc")
+    save(loop(self), Path(folder) / "loop.png")
 
 
 Trail.save = save_search

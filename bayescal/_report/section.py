@@ -80,7 +80,9 @@ def of_trail(trail: Trail, titles: list[str] | None = None) -> Chapter:
         more = [n for n in step["effects"] if n not in before]
         step |= {"title": title, "added": more[0] if len(more) == 1 else None}
     first, final = trail.steps[0], trail.final
-    return Chapter(final.calibration, final.check, data, first.calibration, first.check)
+    return Chapter(
+        final.calibration, final.check, data, first=first.calibration, first_check=first.check
+    )
 
 
 def of_folder(
@@ -98,7 +100,7 @@ def of_folder(
             "wrote, or a saved calibration (…nc)"
         )
     data = _read_result(folder / RESULT)
-    calibration = load(folder / CALIBRATION, effects=effects, instruments=instruments)
+    calibration = load(folder / CALIBRATION, effects=tuple(effects), instruments=tuple(instruments))
     _refuse_strangers(folder, data, calibration)
     picture = folder / PICTURE
     drawn = picture.read_bytes() if picture.is_file() else b""
@@ -167,16 +169,16 @@ def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) 
         checked = check(c)
         steps.append(
             Step(
-                c,
-                None,
-                (),
-                predict(c).rmse,
-                float(np.sqrt(np.mean(checked.residuals**2))),
-                None,
-                leave_one_group_out(c),
-                noise_floor(c),
-                checked,
-                discover(c, effects=(*own, *effects)) if c.verdict.ok else None,
+                calibration=c,
+                added=None,
+                dropped=(),
+                rmse=predict(c).rmse,
+                rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
+                holdout_rmse=None,
+                left_out=leave_one_group_out(c),
+                noise_floor=noise_floor(c),
+                check=checked,
+                discovery=discover(c, effects=(*own, *effects)) if c.verdict.ok else None,
             )
         )
     return Trail(tuple(steps), gate(steps[-1]), None)

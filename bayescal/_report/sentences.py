@@ -7,7 +7,7 @@ from typing import Any
 
 from bayescal._core.formatting import probability
 from bayescal._diagnostics.evidence_scale import STRONG
-from bayescal._model.placeholder import covariate_in
+from bayescal._plots.search import is_quiet
 from bayescal._readings.units import unit_label
 from bayescal._report.section import Chapter
 from bayescal._report.tables import READ, UNUSED, measured, ranges
@@ -59,16 +59,11 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
             "untested."
         )
     last = last_discovery(chapter)
-    by_reason: dict[str, list[str]] = {}
-    blind = []
-    for candidate in last["candidates"] if last else []:
-        if candidate["kind"] == "not testable":
-            by_reason.setdefault(candidate["reason"], []).append(candidate["effect"])
-        elif candidate["kind"] == "not visible" and not covariate_in(candidate["effect"]):
-            blind.append(candidate["effect"])
+    candidates = last["candidates"] if last else []
+    blind = [c["effect"] for c in candidates if c["kind"] == "not visible" and not is_quiet(c)]
     not_for += [
         f"Where {_or(names)} matters: it was not tested ({reason})."
-        for reason, names in by_reason.items()
+        for reason, names in not_tested(candidates).items()
     ]
     if blind:
         not_for.append(f"Where {_or(blind)} matters: this experiment cannot see it.")
@@ -78,6 +73,15 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
             f"As it stands for one new member of a group: each brings its own deviation ({', '.join(new)})."
         )
     return not_for
+
+
+def not_tested(candidates: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Reason → the effects that it kept from being tested."""
+    found: dict[str, list[str]] = {}
+    for c in candidates:
+        if c["kind"] == "not testable":
+            found.setdefault(c["reason"], []).append(c["effect"])
+    return found
 
 
 def _or(names: list[str]) -> str:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._compensation.budget import READINGS, prior_sensitivity
+from bayescal._compensation.budget import READINGS
+from bayescal._diagnostics.prior_influence import prior_sensitivity
 from tests.support import bent_sensor
 
 

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._compensation.compensator import OutsideCalibration
+from bayescal._compensation.inputs import OutsideCalibration
 from bayescal_models import mems_gyro, still_sensor
 from benchmarks.accuracy.coverage import collect
 from benchmarks.instruments import compensation as campaigns
 from tests.support import bent_sensor
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::bayescal._compensation.compensator.OutsideCalibration"
-)
+pytestmark = pytest.mark.filterwarnings("ignore::bayescal._compensation.inputs.OutsideCalibration")
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +76,7 @@ def test_a_new_run_brings_its_spread(gyro) -> None:
     (known,) = [r for r in bent_sensor.gyro().levels["run"] if r == "1"]
     same = bc.compensator(bent_sensor.gyro(), members={"run": known})
     assert same.equation is not None
-    names = [e.name for e in same.equation.entries()]
+    names = [e.name for e in same.equation.unknowns()]
     assert "bias.run(1)" in names and "bias.run(new run)" not in names
 
 

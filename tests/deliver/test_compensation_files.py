@@ -17,9 +17,7 @@ from bayescal_models import mems_gyro
 from tests.support import bent_sensor
 from tests.support.command_line import run
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::bayescal._compensation.compensator.OutsideCalibration"
-)
+pytestmark = pytest.mark.filterwarnings("ignore::bayescal._compensation.inputs.OutsideCalibration")
 TEXT = (
     b"\xef\xbb\xbf# logged by hand\r\nnote;when;board [degC];gyro x [deg/s]\r\n"
     b'"a;b";1;40.5;25.25\r\n\r\nsecond;2;1.0e2;-7.5\r\nthird;3;55;0'

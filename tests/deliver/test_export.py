@@ -11,18 +11,17 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._compensation.code_writer import as_text
 from bayescal._compensation.expression_graph import Graph
 from bayescal._compensation.firmware import program_of
 from bayescal._compensation.inversion import Inverse
-from bayescal._compensation.operating_equation import known
+from bayescal._compensation.posterior_moments import posterior_moments
 from bayescal_models import inclinometer
 from tests.support import bent_sensor
 from tests.support.export_check import needs_compiler, run_header
 
 ROWS = 10_000
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::bayescal._compensation.compensator.OutsideCalibration"
-)
+pytestmark = pytest.mark.filterwarnings("ignore::bayescal._compensation.inputs.OutsideCalibration")
 
 
 def tilted() -> bc.Compensator:
@@ -114,7 +113,7 @@ def test_the_header_flags_each_input_outside_its_range(compensator, rows, tmp_pa
 
 
 def test_the_header_says_units_ranges_and_what_to_know(compensator) -> None:
-    text = compensator.program.text("c")
+    text = as_text(compensator.program, "c")
     text.encode("ascii")
     for i in compensator.inputs:
         assert f"{i.name}: {i.low:.9g} to {i.high:.9g} {i.unit}" in text
@@ -126,7 +125,7 @@ def test_the_header_says_units_ranges_and_what_to_know(compensator) -> None:
 
 
 def test_the_python_function_agrees_and_needs_nothing(compensator, rows) -> None:
-    text = compensator.program.text("python")
+    text = as_text(compensator.program, "python")
     assert [line for line in text.splitlines() if "import" in line.split()] == ["import math"]
     space: dict = {}
     exec(compile(text, "exported.py", "exec"), space)
@@ -190,14 +189,15 @@ def test_an_effect_that_firmware_cannot_compute_is_named() -> None:
     )
     layout = replace(compensator.equation.layout, model=bent_sensor.gyro().model + sorting)
     equation = replace(compensator.equation, layout=layout)
-    mean = np.zeros(len(equation.entries()))
-    made = known(compensator.equation, compensator.calibration, 10)._replace(mean=mean)
+    mean = np.zeros(len(equation.unknowns()))
+    made = posterior_moments(compensator.equation, compensator.calibration, 10)._replace(mean=mean)
     frame = compensator.calibration.frame
     inverse = Inverse(equation, frame.reference, tuple(equation.known))
+    about = compensator.program.about
     with pytest.raises(
         bc.ModelError, match=r"effect 'bias.sorted' cannot be exported: the operation 'sort'"
     ):
-        program_of(inverse, made, compensator.inputs, None, 0.1, compensator.program.about)
+        program_of(inverse, made, compensator.inputs, stimulus_range=None, noise=0.1, about=about)
 
 
 def test_a_graph_writes_nothing_that_comes_to_nothing() -> None:

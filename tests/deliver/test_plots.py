@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 import bayescal as bc
 from bayescal._report.result_json import result
@@ -75,7 +76,8 @@ def test_a_trail_is_drawn_alike_from_its_result() -> None:
         (bc.plot.trail(found), bc.plot.trail(result(found))),
         (bc.plot.missing(found.steps[0].discovery), bc.plot.missing(result(found)["missing"][0])),
     ):
-        widths = [[p.get_width() for p in f.axes[0].patches] for f in (drawn, again)]
+        bars = [[p for p in f.axes[0].patches if isinstance(p, Rectangle)] for f in (drawn, again)]
+        widths = [[p.get_width() for p in own] for own in bars]
         assert widths[0] == pytest.approx(widths[1])
 
 

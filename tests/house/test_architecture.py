@@ -33,12 +33,12 @@ ROOMS = {
     "nuts_chains trust least_squares marginal nuts",
     "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",
     "_calibration": "named_draws fitted posterior_tree storage summary calibration predict fit evidence",
-    "_diagnostics": "text evidence_scale group_bayes_factor efficient_score noise_floor smooth_terms worst_region "
-    "check_result check leave_group_out compare",
+    "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_floor smooth_terms "
+    "worst_region check_result check leave_group_out compare",
     "_discovery": "susie candidate_columns candidate discovery refit discover next_experiment false_reports "
     "draft_effect outliers search_path calibrate",
-    "_compensation": "operating_equation inversion expression_graph jaxpr_to_graph code_writer firmware provenance "
-    "compensator compensate_file budget",
+    "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
+    "firmware code_writer compensator compensate_file budget",
     "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack population "
     "device_result batch_result partial_pooling fit_batch",
     "_plots": "style residuals search posterior",
