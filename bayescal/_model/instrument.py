@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from bayescal._model.model import Model
 
 Slots = Mapping[str, Float[Array, "n"]]
-Columns = Mapping[str, ArrayLike]
+Columns = Mapping[str, Any]  # arrays by name
 UNKNOWN = re.compile(r"unknown\((.+)\)")
 FORMS = {"time, jump": jump, "time, cycle": cycle}  # of unknown functions, beside the smooth one
 
@@ -80,8 +79,6 @@ class Instrument(eqx.Module):
         candidates: further effects that `discover` considers.
         noise: law of the baseline.
         nominal_scale: how raw outputs (V, Hz) become input units.
-        known_noise: name and standard deviation (output unit) of contributions known before any fit, or a
-            function of a temperature slope (output unit per °C) that gives them.
         structures: further models to compare, by name.
         simulator: `simulator(effects, seed=…, **options)` gives the columns of a simulated campaign, by name; one
             that is not the instrument's own carries its unit as a file's header does, `humidity [%]`. `simulate`
@@ -105,7 +102,6 @@ class Instrument(eqx.Module):
     candidates: tuple[Effect, ...] = ()
     noise: Noise = eqx.field(default_factory=White)
     nominal_scale: NominalScale | None = eqx.field(static=True, default=None)
-    known_noise: Callable[[float], dict[str, float]] | None = eqx.field(static=True, default=None)
     structures: tuple[tuple[str, Callable[[], Model]], ...] = eqx.field(static=True, default=())
     simulator: Callable[..., Columns] | None = eqx.field(static=True, default=None)
     experiments: tuple[tuple[str, Callable[[], Columns]], ...] = eqx.field(static=True, default=())
