@@ -91,15 +91,10 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
 def _compare_fixed(
     calibration: Calibration, residual: np.ndarray, noise: float, free: float
 ) -> FixedComparison:
-    known = calibration.model.instrument.known_noise
-    slope = 0.0
-    if calibration.readings.has("temperature"):
-        t = calibration.readings["temperature"]
-        slope = float(np.polyfit(t, calibration.readings["output"], 1)[0]) if np.ptp(t) > 0 else 0.0
     return FixedComparison(
         noise,
         free,
-        known(slope) if known else {},
+        known_noise(calibration),
         float(residual.mean()),
         float(residual.min()),
         float(residual.max()),
@@ -107,6 +102,22 @@ def _compare_fixed(
         int((residual > 0).sum()),
         residual.size,
     )
+
+
+def known_noise(calibration: Calibration) -> dict[str, float]:
+    """Standard deviations known before any fit, output unit, by name: the output's own, and what the uncertainty of
+    another column makes of the slope that the output has over it."""
+    readings = calibration.readings
+    output = readings[readings.output]
+    found = {}
+    for column in sorted(calibration.model.instrument.columns, key=lambda c: c.name != "output"):
+        if not (column.known and readings.has(column.name)):
+            continue
+        slope, values = 1.0, readings[column.name]
+        if column.name != "output":
+            slope = float(np.polyfit(values, output, 1)[0]) if np.ptp(values) > 0 else 0.0
+        found |= {name: sd * abs(slope) for name, sd in column.known}
+    return found
 
 
 def covariates_of(calibration: Calibration) -> list[smooth_terms.Covariate]:

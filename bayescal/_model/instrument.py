@@ -68,8 +68,6 @@ class Instrument(eqx.Module):
         candidates: further effects that `discover` considers.
         noise: law of the baseline.
         nominal_scale: how raw outputs (V, Hz) become input units.
-        known_noise: name and standard deviation (output unit) of contributions known before any fit, or a
-            function of a temperature slope (output unit per °C) that gives them.
         structures: further models to compare, by name, and what makes each.
         simulator: `simulator(effects, seed=…, **options)` gives the columns of a simulated campaign, by name; one
             that is not the instrument's own carries its unit as a file's header does, `humidity [%]`. `simulate`
@@ -93,7 +91,6 @@ class Instrument(eqx.Module):
     candidates: tuple[Effect, ...] = ()
     noise: Noise = eqx.field(default_factory=White)
     nominal_scale: NominalScale | None = eqx.field(static=True, default=None)
-    known_noise: Callable[[float], dict[str, float]] | None = eqx.field(static=True, default=None)
     structures: tuple[tuple[str, Callable[[], Any]], ...] = eqx.field(static=True, default=())
     simulator: Callable[..., Columns] | None = eqx.field(static=True, default=None)
     experiments: tuple[tuple[str, Callable[[], Columns]], ...] = eqx.field(static=True, default=())

@@ -33,6 +33,8 @@ class Column:
         high: greatest plausible value, in `unit`.
         allowed: the labels that are known; empty allows any.
         also: further names under which files hold it.
+        known: standard uncertainties of a reading that are known before any fit, in `unit`, by
+            name, such as that of a converter's step.
     """
 
     name: str
@@ -44,13 +46,15 @@ class Column:
     high: float | None = None
     allowed: tuple[str, ...] = ()
     also: tuple[str, ...] = ()
+    known: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a column that contradicts itself.
 
         Raises:
             InputError: the name is taken or empty, labels are allowed of a number, limits are set
-                on a label or the wrong way round, any unit has a default.
+                on a label or the wrong way round, any unit has a default, an uncertainty has no unit
+                or is not positive.
         """
         if not self.name.strip() or self.name in TAKEN:
             raise InputError(f"a column cannot be called {self.name!r}: choose a name of its own")
@@ -64,6 +68,13 @@ class Column:
             raise InputError(
                 f"column {self.name!r} may be in any unit: its default {self.default!r} has none"
             )
+        if self.known and self.unit in (None, ANY):
+            raise InputError(
+                f"column {self.name!r} has no unit that known uncertainties could have"
+            )
+        for name, value in self.known:
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"column {self.name!r}: {name} {value} must be a positive number")
         if self.low is not None and self.high is not None and not self.low < self.high:
             raise InputError(
                 f"column {self.name!r}: low {self.low:g} is not below high {self.high:g}"

@@ -65,6 +65,7 @@ def test_the_instrument_is_where_it_is_looked_for(case: Case) -> None:
     offered = project["entry-points"]["bayescal.instruments"]
     assert offered[case.name] == f"bayescal_models.{case.name}:INSTRUMENT"
     assert case.offered.name == case.name
+    assert case.offered.simulator is not None
     shown = inspect.signature(case.module.simulate).parameters
     assert list(shown) == list(inspect.signature(case.offered.simulator).parameters)
     assert case.model.instrument.name == case.name

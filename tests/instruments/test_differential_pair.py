@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 import bayescal as bc
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair import criteria
+from bayescal_models.differential_pair.devices import devices_from
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.judgement import judge
 from bayescal_models.differential_pair.selection import CRITERIA
@@ -206,7 +208,7 @@ def test_the_documents_ratio_needs_a_mean_and_takes_offsets_for_environment() ->
     assert abs(criteria.document_ratio(records + [[0], [300.0]], 1)[0, 0] - 1.5) > 0.2
 
 
-def columns(**changed) -> dict[str, np.ndarray]:
+def columns(**changed) -> dict[str, Any]:
     """Two records, as a file would have them."""
     given = {
         "device": np.repeat(["a", "b"], 10),
@@ -245,7 +247,7 @@ DRAWN = {
 def test_readings_that_make_no_pairs_are_refused(changed, said: str) -> None:
     readings = bc.Measurements.from_arrays(dp.INSTRUMENT, **columns(**changed))
     with pytest.raises(bc.InputError, match=said):
-        dp.devices.devices_from(DRAWN, readings)
+        devices_from(DRAWN, readings)
 
 
 def test_other_refusals_say_what_is_possible() -> None:

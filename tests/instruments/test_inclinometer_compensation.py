@@ -134,7 +134,7 @@ def test_what_no_body_and_no_calibration_has_is_refused(lines, table) -> None:
     with pytest.raises(bc.InputError, match=r"no axis 'z'; it has: x, y"):
         inclinometer.compensate(lines, 0.1, 0.1, axes=("x", "z"))
     with pytest.raises(bc.InputError, match=r'choose "exact" or "document"'):
-        inclinometer.compensate(lines, 0.1, 0.1, law="magic")
+        inclinometer.compensate(lines, 0.1, 0.1, law="magic")  # pyright: ignore[reportArgumentType]
     with pytest.raises(bc.InputError, match="vectors of one length"):
         inclinometer.compensate(lines, [0.1, 0.2], [0.1])
     with pytest.raises(bc.InputError, match=r"reading 2 of axis 'y' is 30 rad.*np\.deg2rad"):

@@ -108,7 +108,7 @@ def test_plausible_sizes_grow_with_the_record_and_say_so() -> None:
         for c in (30.0, 300.0)
     )
     one, ten = (dict(still_sensor.INSTRUMENT.for_readings(r).settings) for r in (small, large))
-    assert ten["size"] / one["size"] == pytest.approx(10, rel=0.05)
+    assert float(ten["size"]) / float(one["size"]) == pytest.approx(10, rel=0.05)
     assert one["span"] == ten["span"] == pytest.approx(38, abs=2)
     # 150 °C in 40 minutes, less what the chamber's air rounds off.
     assert one["pace"] == pytest.approx(3.7, abs=0.3)

@@ -252,6 +252,12 @@ def test_some_of_the_readings_can_be_chosen(grouped):
         grouped.select(np.zeros(5, dtype=bool))
 
 
+def test_a_further_column_may_carry_its_unit_as_in_a_file():
+    m = Measurements.from_arrays(SCALE, **{"output": [1.0, 2.0], "humidity [%]": [45.0, 50.0]})
+    assert m.unit("humidity") == "1"
+    np.testing.assert_allclose(m["humidity"], [0.45, 0.5])
+
+
 def test_readings_describe_themselves(grouped):
     assert repr(grouped) == (
         "<5 readings of the given arrays: run, temperature_point [degC], output [ug]>"
@@ -270,6 +276,8 @@ def test_readings_describe_themselves(grouped):
         ({"name": "x", "unit": "V", "allowed": ("a",)}, "it has no allowed labels"),
         ({"name": "x", "unit": None, "low": 1.0}, "is a label: it has no low and high"),
         ({"name": "x", "unit": "V", "low": 1.0, "high": 0.0}, "low 1 is not below high 0"),
+        ({"name": "x", "unit": None, "known": (("step", 1.0),)}, "known uncertainties could have"),
+        ({"name": "x", "unit": "V", "known": (("step", 0.0),)}, "step 0.0 must be a positive"),
     ],
 )
 def test_a_column_that_contradicts_itself_is_refused(column, message):

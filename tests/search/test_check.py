@@ -63,3 +63,20 @@ def test_false_reports_are_counted(readings) -> None:
     assert f"{rate.reported} of 10" in str(rate)
     with pytest.raises(bc.InputError, match="ask for 1 or more"):
         bc.false_reports(first, 0)
+
+
+def test_noise_known_beforehand_stands_beside_a_published_line() -> None:
+    table = bc.read(mems_gyro.TABLE, mems_gyro.INSTRUMENT)
+    line = {"bias.constant": 19.80, "bias.temperature": 0.041}  # source 1, as printed
+    found = bc.check(bc.fit(MODEL.fix(line), table, FAST, reference={"T0": 0.0}, strict=False))
+    slope = np.polyfit(table["temperature"], table["output"], 1)[0]
+    step = 1 / 0.83e-3 / np.sqrt(12)  # V as °/s, uniform
+    assert found.fixed is not None
+    assert found.fixed.known == pytest.approx(
+        {
+            "converter step": 0.0311e-3 * step,
+            "rounding of the voltage": 0.1e-3 * step,
+            "thermometer": 0.5 / np.sqrt(3) * slope,
+        }
+    )
+    assert "(converter step 0.011, rounding of the voltage 0.035, thermometer 0.015)" in str(found)

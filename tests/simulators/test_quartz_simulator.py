@@ -75,7 +75,7 @@ def test_circuit_and_head_follow_the_chamber_and_each_other() -> None:
 
 
 def test_a_body_follows_a_ramp_behind_by_its_time_constant() -> None:
-    ramp = 0.02 * GRID * np.arange(2000)  # 0.02 °C/s
+    ramp = 0.02 * GRID * np.arange(2000, dtype=np.float64)  # 0.02 °C/s
     assert ramp[-1] - body(ramp, 300.0)[-1] == pytest.approx(0.02 * 300.0, rel=1e-6)
 
 

@@ -43,27 +43,33 @@ def _response(slots, r):
     return slots["bias"] + (1 + slots["scale"]) * rate
 
 
-def _known_noise(slope: float) -> dict[str, float]:
-    """Standard deviations known before any fit, °/s, for a bias that changes by `slope` °/s per °C."""
-    return {
-        "converter step": CONVERTER_STEP / math.sqrt(12),
-        "rounding of the voltage": VOLTAGE_STEP / math.sqrt(12),
-        "thermometer": effects.THERMOMETER_SD * abs(slope),
-    }
-
-
 INSTRUMENT = bc.Instrument(
     name="mems_gyro",
     title="MEMS gyroscope: zero-rate drift over temperature",
     columns=(
         bc.Column("run", None, "label of the run", required=False),
         bc.Column("time", "s", "one origin over all runs", required=False),
-        bc.Column("temperature", "degC", "ambient thermometer", low=-273.15, high=400.0),
+        bc.Column(
+            "temperature",
+            "degC",
+            "ambient thermometer",
+            low=-273.15,
+            high=400.0,
+            known=(("thermometer", effects.THERMOMETER_SD),),
+        ),
         bc.Column(
             "board_temperature", "degC", "electronics", required=False, low=-273.15, high=400.0
         ),
         bc.Column("rate_input", "deg/s", "rate of the table about the input axis", required=False),
-        bc.Column("output", "deg/s", "output, or V with the nominal scale"),
+        bc.Column(
+            "output",
+            "deg/s",
+            "output, or V with the nominal scale",
+            known=(
+                ("converter step", CONVERTER_STEP / math.sqrt(12)),
+                ("rounding of the voltage", VOLTAGE_STEP / math.sqrt(12)),
+            ),
+        ),
     ),
     slots=(
         bc.Slot("bias", "deg/s", "zero-rate output"),
@@ -85,7 +91,6 @@ INSTRUMENT = bc.Instrument(
     ),
     noise=bc.White(bc.HalfCauchy(0.1)),
     nominal_scale=bc.NominalScale("V", gain=SENSITIVITY, offset=1.2),
-    known_noise=_known_noise,
     structures=(
         ("line", lambda: INSTRUMENT.baseline()),
         ("quadratic", lambda: INSTRUMENT.baseline() + QUADRATIC),
