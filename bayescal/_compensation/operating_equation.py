@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError, ModelError
-from bayescal._model.frame import Frame
+from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.instrument import Use
 from bayescal._model.parameters import CoefficientBlock, Layout, member_name
 
@@ -163,8 +163,7 @@ class InUse(eqx.Module):
         labels = {f"{group}={member}": jnp.ones(1) for group, member in self.members}
         lags = tuple(one[lag.name] for lag in self.lags)
         still = jnp.zeros(1, int), -jnp.ones(1)
-        groups: list[str] = ["run", "cell", "axis", "device"]
-        codes = dict.fromkeys(groups, -jnp.ones(1, int))
+        codes: dict[str, Array] = dict.fromkeys(GROUPS, -jnp.ones(1, int))
         return _UseFrame(columns, labels, rates, codes, reference, *still, dict(columns), lags, [])
 
     def _sums(self, theta: Scalars, frame: Frame, correcting: bool) -> Scalars:

@@ -18,6 +18,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
+from bayescal._inference.trust import K_HAT
 
 SAME_CURVE = (
     0.15  # largest difference, in noise standard deviations, of curves that count as the same
@@ -204,7 +205,7 @@ def _warnings(rows: list[Row], groups: int, grouped: bool) -> list[str]:
                 f"Only {groups} groups: the error over groups is itself uncertain; no test is made."
             )
     for row in rows:
-        if row.pareto_k > 0.7:
+        if row.pareto_k > K_HAT:
             said.append(
                 f"{row.name!r}: Pareto k up to {row.pareto_k:.2f}, so its pointwise leave-one-out is not "
                 "reliable."

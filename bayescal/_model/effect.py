@@ -45,7 +45,7 @@ class Effect(eqx.Module):
 
     name: str = eqx.field(static=True)
     slot: str = eqx.field(static=True)
-    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"]] = eqx.field(static=True)
+    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float] = eqx.field(static=True)
     coefficients: tuple[Coefficient, ...]
     shapes: tuple[Shape, ...] = ()
     columns: tuple[str, ...] = eqx.field(static=True, default=())
