@@ -21,6 +21,7 @@ from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, table
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut, leave_one_group_out
+from bayescal._inference.trust import K_HAT
 from bayescal._readings.units import unit_label
 
 SAME_CURVE = (
@@ -250,7 +251,7 @@ def _warnings(rows: list[Row], groups: int, grouped: bool) -> list[str]:
                 f"Only {groups} groups: the error over groups is itself uncertain; no test is made."
             )
     for row in rows:
-        if row.pareto_k > 0.7:
+        if row.pareto_k > K_HAT:
             said.append(
                 f"{row.name!r}: Pareto k up to {row.pareto_k:.2f}, so its pointwise leave-one-out is not "
                 "reliable."

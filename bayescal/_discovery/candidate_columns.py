@@ -82,10 +82,10 @@ def lay_out(calibration: Calibration, effects: Sequence[Effect]) -> Columns:
         spreads = _spread_grid(effect)
         stack = [(np.asarray(columns), size) for columns, size in stack]
         weight = 1 / (len(grid) * len(spreads))
-        for (i, shape), spread in product(enumerate(grid), spreads):
+        for (i, shape), own in product(enumerate(grid), spreads):
             parts = [
-                columns[i] * (size if spread is None or c.spread is None else spread)
-                for (columns, size), c in zip(stack, effect.coefficients, strict=True)
+                columns[i] * (size if spread is None else spread)
+                for (columns, size), spread in zip(stack, own, strict=True)
             ]
             block = np.concatenate(parts, axis=1)
             at = tuple(range(width, width + block.shape[1]))
@@ -93,6 +93,7 @@ def lay_out(calibration: Calibration, effects: Sequence[Effect]) -> Columns:
             matrix.append(block)
             items.append(Item(candidate, weight, at))
             named = {s.name: float(v) for s, v in zip(effect.shapes, shape, strict=True)}
+            spread = next((spread for spread in own if spread is not None), None)
             amplitude = named[effect.measure] if effect.measure else spread
             points.append(GridPoint(named, amplitude, spread is not None, at))
     rows = len(calibration.readings)
@@ -160,14 +161,19 @@ def _shape_grid(effect: Effect) -> np.ndarray:
     )
 
 
-def _spread_grid(effect: Effect) -> list[float | None]:
-    """Values of a learned spread, equally probable under its prior; None where there is none."""
-    spreads = [c.spread for c in effect.coefficients if c.spread is not None]
-    if not spreads:
-        return [None]
+def _spread_grid(effect: Effect) -> list[tuple[float | None, ...]]:
+    """Learned spreads of an effect's coefficients, each in its own unit, equally probable under their priors.
+
+    One entry for each coefficient, None where it has no learned spread. Those of one effect move together.
+    """
+    if all(c.spread is None for c in effect.coefficients):
+        return [(None,) * len(effect.coefficients)]
     levels = (np.arange(SPREAD_POINTS) + 0.5) / SPREAD_POINTS
     # A half-normal's quantile; the other spread priors are treated as if of the same scale.
-    return [float(spreads[0].scale * ndtri(0.5 + 0.5 * q)) for q in levels]
+    return [
+        tuple(None if c.spread is None else float(c.spread.scale * z) for c in effect.coefficients)
+        for z in ndtri(0.5 + 0.5 * levels)
+    ]
 
 
 def reported(effect: Effect) -> tuple[Coefficient, str]:

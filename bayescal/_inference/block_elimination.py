@@ -65,7 +65,7 @@ def arrow_of(layout: Layout) -> Arrow | None:
     return Arrow(tuple(map(tuple, members.tolist())), tuple(border.tolist()))
 
 
-class Blocks(eqx.Module):
+class ArrowMatrix(eqx.Module):
     """The parts of a symmetric matrix (p, p) that an arrow has; times a vector with `@`."""
 
     arrow: Arrow = eqx.field(static=True)
@@ -81,10 +81,10 @@ class Blocks(eqx.Module):
         )
 
 
-def cut(arrow: Arrow, matrix: Float[Array, "p p"]) -> Blocks:
+def cut(arrow: Arrow, matrix: Float[Array, "p p"]) -> ArrowMatrix:
     """The arrow's parts of a matrix."""
     at, border = arrow.members, arrow.border
-    return Blocks(
+    return ArrowMatrix(
         arrow,
         matrix[at[:, :, None], at[:, None, :]],
         matrix[at[:, :, None], border],
@@ -92,7 +92,7 @@ def cut(arrow: Arrow, matrix: Float[Array, "p p"]) -> Blocks:
     )
 
 
-class Factor(eqx.Module):
+class ArrowFactor(eqx.Module):
     """L of LLᵀ, members before the border. It acts on vectors in the order of x."""
 
     arrow: Arrow = eqx.field(static=True)
@@ -119,7 +119,7 @@ class Factor(eqx.Module):
         return self.arrow.joined(own, shared)
 
 
-def factor(matrix: Blocks, scale: Float[Array, "p"], weight: Float[Array, "p"]) -> Factor:
+def factor(matrix: ArrowMatrix, scale: Float[Array, "p"], weight: Float[Array, "p"]) -> ArrowFactor:
     """Factor of diag(scale)·matrix·diag(scale) + diag(weight)."""
     arrow = matrix.arrow
     own, shared = scale[arrow.members], scale[arrow.border]
@@ -129,7 +129,7 @@ def factor(matrix: Blocks, scale: Float[Array, "p"], weight: Float[Array, "p"]) 
     cross = _solve(chol, own[:, :, None] * matrix.cross * shared)
     border = shared[:, None] * matrix.border * shared + jnp.diag(weight[arrow.border])
     border = border - jnp.einsum("mib,mic->bc", cross, cross)
-    return Factor(arrow, chol, cross, jnp.linalg.cholesky(border))
+    return ArrowFactor(arrow, chol, cross, jnp.linalg.cholesky(border))
 
 
 def _solve(chol: Float[Array, "m k k"], right: Array, trans: int = 0) -> Array:

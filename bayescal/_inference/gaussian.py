@@ -44,7 +44,7 @@ class Point(NamedTuple):
     rows: Float[Array, "n k"]
 
 
-class Dense(NamedTuple):
+class DenseFactor(NamedTuple):
     """A lower Cholesky factor."""
 
     chol: Float[Array, "p p"]
@@ -69,7 +69,7 @@ class Conditional(NamedTuple):
     log_marginal: Float[Array, ""]
     shift: Float[Array, "p"]
     sd: Float[Array, "p"]
-    factor: Dense | block_elimination.Factor
+    factor: DenseFactor | block_elimination.ArrowFactor
     u: Float[Array, "p"]
 
     @property
@@ -115,11 +115,11 @@ def condition(
     pulled = gram.jtj @ offset
     jtr = gram.jtr - pulled
     rtr = gram.rtr - offset @ (2 * gram.jtr - pulled)
-    if isinstance(gram.jtj, block_elimination.Blocks):
+    if isinstance(gram.jtj, block_elimination.ArrowMatrix):
         factor = block_elimination.factor(gram.jtj, prior.sd, prior.weight)
     else:
         precision = prior.sd[:, None] * gram.jtj * prior.sd + jnp.diag(prior.weight)
-        factor = Dense(jnp.linalg.cholesky(precision))
+        factor = DenseFactor(jnp.linalg.cholesky(precision))
     u = factor.forward(prior.sd * jtr)
     rest = rtr - u @ u
     flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
@@ -164,7 +164,7 @@ def condition_white(
     volume = logdet + 2 * jnp.sum(jnp.log(jnp.diag(root)))
     log_marginal = flat_volume - 0.5 * (len(residual) * jnp.log(2 * jnp.pi) + volume + rest**2)
     return Conditional(
-        log_marginal=log_marginal, shift=at + offset, sd=prior.sd, factor=Dense(root.T), u=u
+        log_marginal=log_marginal, shift=at + offset, sd=prior.sd, factor=DenseFactor(root.T), u=u
     )
 
 

@@ -17,6 +17,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.summary import summary
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
+from bayescal._model.frame import GROUPS
 from bayescal._plots.style import (
     BLUE,
     GREY,
@@ -95,9 +96,7 @@ def members(calibration: Calibration, name: str) -> Figure:
     from arviz_plots import plot_forest
 
     posterior = calibration.posterior
-    grouped = [
-        n for n in map(str, posterior) if set(posterior[n].dims) & {"run", "cell", "axis", "device"}
-    ]
+    grouped = [n for n in map(str, posterior) if set(posterior[n].dims) & set(GROUPS)]
     if name not in grouped:
         raise InputError(
             f"{name!r} has no value for each member of a group; these have: {', '.join(grouped) or 'none'}"

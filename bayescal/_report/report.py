@@ -17,6 +17,7 @@ from bayescal._core.errors import BayescalError, InputError
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._discovery.search_path import Trail
 from bayescal._model.effect import Effect
+from bayescal._model.frame import GROUPS
 from bayescal._plots.search import is_quiet
 from bayescal._readings.units import unit_label
 from bayescal._report import figures, sentences, tables
@@ -131,7 +132,7 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
 
 def _groups(data: dict[str, Any]) -> str:
     """How many runs, cells, axes and devices, where there are several."""
-    counted = [(k, data["readings"]["groups"].get(k, 0)) for k in ("run", "cell", "axis", "device")]
+    counted = [(k, data["readings"]["groups"].get(k, 0)) for k in GROUPS]
     plural = {"axis": "axes"}
     return ", ".join(f"{n} {plural.get(k, k + 's')}" for k, n in counted if n > 1)
 

@@ -16,6 +16,7 @@ from bayescal._diagnostics.leave_group_out import groups_of
 from bayescal._discovery.discovery import Discovery
 from bayescal._discovery.next_experiment import NextExperiment
 from bayescal._discovery.search_path import Step, Trail
+from bayescal._model.frame import GROUPS
 from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.result/1"
@@ -96,7 +97,7 @@ def _source(readings: Measurements) -> dict[str, Any]:
 
 def _groups(readings: Measurements) -> dict[str, Any]:
     kind, members, _ = groups_of(readings)
-    counted = {g: len(readings.groups(g)[0]) for g in ("run", "cell", "axis", "device")}
+    counted = {g: len(readings.groups(g)[0]) for g in GROUPS}
     return {
         **{k: n for k, n in counted.items() if n},
         "left_out": kind,

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arviz_stats.base import array_stats
+from arviz_stats.base.array import array_stats
 from scipy import stats
 from scipy.integrate import quad
 
@@ -42,7 +42,7 @@ def effective(c: bc.Calibration, name: str) -> float:
         assert c.verdict.ess is not None
         return 1 / (1 / c.verdict.ess + 1 / len(c.samples(name)))  # weighted, then resampled
     draws = c.tree["posterior"][name].values
-    return float(array_stats.ess(draws, chain_axis=0, draw_axis=1, method="mean"))
+    return float(np.asarray(array_stats.ess(draws, chain_axis=0, draw_axis=1, method="mean")))
 
 
 def assert_agree(one: bc.Calibration, other: bc.Calibration, *names: str) -> None:
@@ -184,12 +184,15 @@ def direct_log_evidence(data: bc.Measurements) -> float:
     """log p(y) of the baseline: a multivariate normal given the noise, integrated over it by quadrature."""
     t = data["temperature"] - np.round(data["temperature"].mean())
     X = np.stack([np.ones_like(t), t], axis=1)
-    D = np.diag([e.coefficients[0].prior.sd ** 2 for e in INSTRUMENT.effects])
-    prior = stats.halfcauchy(scale=INSTRUMENT.noise.scale.scale)
+    D = np.diag([e.coefficients[0].size ** 2 for e in INSTRUMENT.effects])
+    noise = INSTRUMENT.noise
+    assert isinstance(noise, bc.White) and isinstance(noise.scale, bc.HalfCauchy)
+    width = noise.scale.scale
 
     def density(s: float) -> float:
-        normal = stats.multivariate_normal(np.zeros(len(t)), s**2 * np.eye(len(t)) + X @ D @ X.T)
-        return normal.logpdf(data["output"]) + prior.logpdf(s)
+        covariance = s**2 * np.eye(len(t)) + X @ D @ X.T
+        normal = stats.multivariate_normal(cov=covariance)  # pyright: ignore[reportArgumentType]  # typed as a number
+        return float(normal.logpdf(data["output"]) + stats.halfcauchy.logpdf(s, scale=width))
 
     top = density(0.107)
     near = quad(lambda s: np.exp(density(s) - top), 0.03, 0.5, limit=200, epsabs=1e-10)[0]
@@ -262,5 +265,5 @@ def test_pointwise_likelihood_is_that_of_scipy(marginal, table) -> None:
     mean = (
         draws["bias.constant"].values[..., None] + draws["bias.temperature"].values[..., None] * t
     )
-    exact = stats.norm(mean, draws["noise.white"].values[..., None]).logpdf(table["output"])
+    exact = stats.norm.logpdf(table["output"], mean, draws["noise.white"].values[..., None])
     np.testing.assert_allclose(found["output"], exact, rtol=1e-9, atol=1e-9)

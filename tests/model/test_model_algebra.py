@@ -48,14 +48,14 @@ def test_adding_twice_is_refused_and_says_how_to_replace() -> None:
     with pytest.raises(
         bc.ModelError, match=r"'bias.temperature' is in the model already .*model - 'bias"
     ):
-        BASELINE + "bias.temperature"
+        _ = BASELINE + "bias.temperature"
 
 
 def test_taking_away_what_is_not_there_is_refused() -> None:
     with pytest.raises(
         bc.ModelError, match=r"'bias.drift' is not in the model; it has: bias.constant, "
     ):
-        BASELINE - "bias.drift"
+        _ = BASELINE - "bias.drift"
     with pytest.raises(bc.ModelError, match=r"'bias.drift' is not in the model"):
         BASELINE.effect("bias.drift")
 
@@ -64,7 +64,7 @@ def test_an_unknown_effect_is_refused_with_the_known_ones() -> None:
     with pytest.raises(
         bc.ModelError, match=r"knows no effect 'bias.moon'; it knows bias.constant, .*--effects"
     ):
-        BASELINE + "bias.moon"
+        _ = BASELINE + "bias.moon"
 
 
 def test_an_unknown_slot_is_refused_with_the_known_ones() -> None:
@@ -72,9 +72,9 @@ def test_an_unknown_slot_is_refused_with_the_known_ones() -> None:
     with pytest.raises(
         bc.ModelError, match=r"has no slot 'tilt'; an effect can add to bias, scale"
     ):
-        BASELINE + lost
+        _ = BASELINE + lost
     with pytest.raises(bc.ModelError, match=r"has no slot 'output'"):
-        BASELINE + effects.constant("output", 1.0, "deg/s", source="none")
+        _ = BASELINE + effects.constant("output", 1.0, "deg/s", source="none")
 
 
 # Effects themselves.
