@@ -1,84 +1,84 @@
 """The public names, each listed once. `lazy_loader` reads this file when `bayescal` is imported."""
 
-# the loop: read, fit, see where it fails, find what is missing, compare, all of it at once
-# what a model is made of
-from . import effects as effects
-from . import plot as plot
-
-# results
-from ._calibration.calibration import Calibration as Calibration
-from ._calibration.calibration import Verdict as Verdict
+# the loop: read, fit, see where it fails, find what is missing, compare; all of it at once
+from ._readings.read import read as read
 from ._calibration.fit import fit as fit
 from ._calibration.fit import load as load
 from ._calibration.predict import predict as predict
-from ._compensation.budget import Budget as Budget
-from ._compensation.budget import budget as budget
-from ._compensation.compensator import Compensator as Compensator
+from ._diagnostics.check import check as check
+from ._diagnostics.compare import compare as compare
+from ._discovery.discover import discover as discover
+from ._report.save_search import calibrate as calibrate
+
+# beside the loop: which test to run next, how often a search reports what is not there, an effect's draft
+from ._discovery.next_experiment import next_experiment as next_experiment
+from ._discovery.false_reports import false_reports as false_reports
+from ._discovery.draft_effect import shape_of as shape_of
+from ._discovery.draft_effect import template as template
 
 # what leaves: the compensation, its budget, pictures, the report to sign
 from ._compensation.compensator import compensator as compensator
 from ._compensation.compensator import load_compensator as load_compensator
+from ._compensation.budget import budget as budget
+from ._report.report import report as report
+from . import plot as plot
+
+# what a model is made of
+from ._model.model import Instrument as Instrument  # with `baseline`, which model.py attaches
+from ._model.instrument import Slot as Slot
+from ._model.instrument import Use as Use
+from ._model.model import Model as Model
+from ._model.effect import Effect as Effect
+from ._model.coefficient import Coefficient as Coefficient
+from ._model.coefficient import Shape as Shape
+from ._model.frame import Frame as Frame
+from ._readings.column import Column as Column
+from ._readings.column import NominalScale as NominalScale
+from ._readings.measurements import Measurements as Measurements
+
+# noise laws and priors
+from ._model.noise import Noise as Noise
+from ._model.noise import White as White
+from ._model.noise import OrnsteinUhlenbeck as OrnsteinUhlenbeck
+from ._model.noise import StudentT as StudentT
+from ._model.noise import Quantised as Quantised
+from ._model.prior import Flat as Flat
+from ._model.prior import Normal as Normal
+from ._model.prior import HalfNormal as HalfNormal
+from ._model.prior import HalfCauchy as HalfCauchy
+
+# methods of fitting
+from ._inference.marginal import Marginal as Marginal
+from ._inference.least_squares import LeastSquares as LeastSquares
+from ._inference.nuts import NUTS as NUTS
+
+# results
+from ._calibration.calibration import Calibration as Calibration
+from ._inference.method import Verdict as Verdict
+from ._diagnostics.check_result import Check as Check
+from ._diagnostics.compare import Comparison as Comparison
+from ._discovery.discovery import Discovery as Discovery
+from ._report.save_search import Trail as Trail  # with `save`, which save_search.py attaches
+from ._discovery.next_experiment import NextExperiment as NextExperiment
+from ._discovery.false_reports import FalseReports as FalseReports
+from ._compensation.compensator import Compensator as Compensator
+from ._compensation.budget import Budget as Budget
+from ._numpyro.program_fit import ProgramFit as ProgramFit
+
+# many devices at once
+from ._fleet.fit_batch import fit_batch as fit_batch
+from ._fleet.split_devices import split_devices as split_devices
+from ._fleet.devices import Devices as Devices
+from ._fleet.weighted_draws import weighted_draws as weighted_draws
+from ._fleet.weighted_draws import Batch as Batch
+from ._fleet.batch_result import BatchResult as BatchResult
+from ._fleet.batch_result import load_batch as load_batch
 
 # refusals
 from ._core.errors import BayescalError as BayescalError
 from ._core.errors import InputError as InputError
 from ._core.errors import ModelError as ModelError
 from ._core.errors import NotConverged as NotConverged
-from ._diagnostics.check import Check as Check
-from ._diagnostics.check import check as check
-from ._diagnostics.compare import Comparison as Comparison
-from ._diagnostics.compare import compare as compare
-from ._discovery.calibrate import calibrate as calibrate
-from ._discovery.discover import Discovery as Discovery
-from ._discovery.discover import discover as discover
-from ._discovery.draft_effect import shape_of as shape_of
-from ._discovery.draft_effect import template as template
-from ._discovery.false_reports import FalseReports as FalseReports
-from ._discovery.false_reports import false_reports as false_reports
-from ._discovery.next_experiment import NextExperiment as NextExperiment
-
-# beside the loop: which test to run next, how often a search reports what is not there, an effect's draft
-from ._discovery.next_experiment import next_experiment as next_experiment
-from ._discovery.search_path import Trail as Trail
-from ._fleet.batch_result import BatchResult as BatchResult
-from ._fleet.batch_result import load_batch as load_batch
-from ._fleet.devices import Devices as Devices
-
-# many devices at once
-from ._fleet.fit_batch import fit_batch as fit_batch
-from ._fleet.split_devices import split_devices as split_devices
-from ._fleet.weighted_draws import Batch as Batch
-from ._fleet.weighted_draws import weighted_draws as weighted_draws
-from ._inference.least_squares import LeastSquares as LeastSquares
-
-# methods of fitting
-from ._inference.marginal import Marginal as Marginal
-from ._inference.nuts import NUTS as NUTS
-from ._model.coefficient import Coefficient as Coefficient
-from ._model.coefficient import Shape as Shape
-from ._model.effect import Effect as Effect
-from ._model.frame import Frame as Frame
-from ._model.instrument import Instrument as Instrument
-from ._model.instrument import Slot as Slot
-from ._model.instrument import Use as Use
-from ._model.model import Model as Model
-
-# noise laws and priors
-from ._model.noise import Noise as Noise
-from ._model.noise import OrnsteinUhlenbeck as OrnsteinUhlenbeck
-from ._model.noise import Quantised as Quantised
-from ._model.noise import StudentT as StudentT
-from ._model.noise import White as White
-from ._model.prior import Flat as Flat
-from ._model.prior import HalfCauchy as HalfCauchy
-from ._model.prior import HalfNormal as HalfNormal
-from ._model.prior import Normal as Normal
-from ._numpyro.fit_program import ProgramFit as ProgramFit
-from ._readings.measurements import Column as Column
-from ._readings.measurements import Measurements as Measurements
-from ._readings.measurements import NominalScale as NominalScale
-from ._readings.read import read as read
-from ._report.report import report as report
 
 __version__: str
 __all__: list[str]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -10,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.storage import load_calibration
 from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._inference.checkpoint import fingerprint, keeping
@@ -17,14 +19,13 @@ from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, kept_outcome
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of
+from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import bind
 from bayescal._readings.measurements import Measurements
 
 if TYPE_CHECKING:
-    from bayescal._numpyro.fit_program import ProgramFit
-
-GROUPS = ("run", "cell", "axis", "device")
+    from bayescal._numpyro.program_fit import ProgramFit
 
 
 @overload
@@ -92,38 +93,48 @@ def fit(
     spare_memory_maps()
     method = Marginal() if method is None else method
     model.require(readings)
-    own = reference_of(readings)
-    strange = sorted(set(reference or {}) - set(own))
-    if strange:
-        raise InputError(
-            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: {', '.join(own)}"
-        )
-    reference = {**own, **(reference or {})}
+    reference = _reference(readings, reference)
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference)
     y = frame["output"]
     with keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)):
         outcome = kept_outcome(layout, lambda: method.run(layout, frame, y, seed))
     calibration = Calibration(
-        model,
-        readings,
-        outcome.draws,
-        outcome.verdict,
-        method.name,
-        seed,
-        reference,
-        levels,
-        outcome.layout,
-        jax.tree.map(jnp.asarray, outcome.mode),
-        outcome.log_evidence,
+        model=model,
+        readings=readings,
+        joint=outcome.draws,
+        verdict=outcome.verdict,
+        method=method.name,
+        seed=seed,
+        reference=reference,
+        levels=levels,
+        layout=outcome.layout,
+        mode=jax.tree.map(jnp.asarray, outcome.mode),
+        log_evidence=outcome.log_evidence,
     )
-    if strict and not outcome.verdict.ok:
+    if strict:
+        _refuse_unconverged(calibration)
+    return calibration
+
+
+def _refuse_unconverged(calibration: Calibration) -> None:
+    if not calibration.verdict.ok:
         raise NotConverged(
-            f"The fit of {', '.join(model.names)} to {readings.file} did not converge: "
-            f"{' '.join(outcome.verdict.reasons)} (strict=False returns it all the same.)",
+            f"The fit of {', '.join(calibration.model.names)} to {calibration.readings.file} did not converge: "
+            f"{' '.join(calibration.verdict.reasons)} (strict=False returns it all the same.)",
             calibration,
         )
-    return calibration
+
+
+def _reference(readings: Measurements, asked: Reference | None) -> Reference:
+    """Constants of the bases: the readings' own, but for those that are asked for."""
+    own = reference_of(readings)
+    strange = sorted(set(asked or {}) - set(own))
+    if strange:
+        raise InputError(
+            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: {', '.join(own)}"
+        )
+    return {**own, **(asked or {})}
 
 
 def _fit_program(model, readings, method, seed, strict, reference, checkpoint) -> ProgramFit:
@@ -144,49 +155,18 @@ def _fit_program(model, readings, method, seed, strict, reference, checkpoint) -
     return fit_program(model, readings, method, seed=seed, strict=strict)
 
 
-def bind(model: Model, readings: Measurements) -> tuple[Layout, dict[str, tuple[str, ...]]]:
-    """The model's layout for these readings, and the members of each group.
-
-    Raises:
-        ModelError: fewer readings than flat coefficients, or a group effect without its group.
-    """
-    levels = {group: readings.groups(group)[0] for group in GROUPS}
-    counts = {**{g: len(names) for g, names in levels.items()}, "reading": len(readings)}
-    layout = Layout(model, tuple(counts.items()))
-    flat = sum(b.size for b in layout.x_blocks if b.coefficient.flat)
-    if len(readings) <= flat:
-        raise ModelError(
-            f"{readings.file} has {len(readings)} readings for {flat} coefficients with a flat prior: "
-            "measure more, take effects out, or give them a Normal prior"
-        )
-    if not model.noise.independent and layout.row_blocks:
-        raise ModelError(
-            f"Effect {layout.row_blocks[0].effect.name!r} has one coefficient for each reading, which is not "
-            f"combined with {model.noise.law} noise: take the effect out, or use White() noise"
-        )
-    if not model.noise.independent and not readings.has("time"):
-        raise ModelError(
-            f"{model.noise.law} noise needs the column 'time', which {readings.file} lacks: record it, or use "
-            "White() noise"
-        )
-    for b in layout.blocks:
-        if b.size == 0:
-            raise ModelError(
-                f"Effect {b.effect.name!r} has one coefficient for each {b.coefficient.per}, and "
-                f"{readings.file} has none: name them in a column, or take the effect out"
-            )
-    return layout, levels
-
-
-def load(path: str | Path, *, effects: Sequence[Effect] = ()) -> Calibration:
+def load(
+    path: str | Path, *, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
+) -> Calibration:
     """Read a saved calibration.
 
-    Its effects are resolved by name against the installed instruments and `effects`; nothing in the file is
-    evaluated.
+    Its instrument and effects are resolved by name against what is installed, `instruments` and `effects`; nothing in
+    the file is evaluated.
 
     Raises:
         InputError: not a calibration, another version, or an effect that is not installed.
     """
-    from bayescal._calibration.storage import load_calibration
-
-    return load_calibration(Path(path), effects)
+    found, tree = load_calibration(Path(path), effects, instruments)
+    calibration = Calibration(**{f.name: getattr(found, f.name) for f in fields(found)})
+    vars(calibration)["tree"] = tree  # as it was saved, not made again
+    return calibration

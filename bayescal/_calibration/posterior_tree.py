@@ -1,27 +1,26 @@
-"""Names and units put to draws: the ArviZ DataTree of a calibration."""
+"""The ArviZ DataTree of a calibration: its draws, priors, replicated readings and data."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from bayescal._calibration.calibration import PREDICTIVE_CELLS, Calibration, Draws, flat
+from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat
+from bayescal._calibration.named_draws import named
 from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
+from bayescal._inference.method import Draws
 from bayescal._model import forward
 from bayescal._model.frame import Frame
-from bayescal._model.parameters import Block, Layout
+from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._readings.measurements import Measurements
 
 PRIOR_DRAWS = 1000
-Levels = Mapping[str, tuple[str, ...]]
 
 
-def build_tree(calibration: Calibration) -> xr.DataTree:
+def build_tree(calibration: Fitted) -> xr.DataTree:
     """All groups of a calibration's tree.
 
     `draws` beside ArviZ's own groups holds the same joint draws as plain vectors x, rows and v, from which
@@ -54,40 +53,6 @@ def build_tree(calibration: Calibration) -> xr.DataTree:
     if prior is not None:
         groups["prior"] = named(layout, levels, *prior)
     return xr.DataTree.from_dict(groups)
-
-
-def named(
-    layout: Layout, levels: Levels, x: np.ndarray, rows: np.ndarray, v: np.ndarray
-) -> xr.Dataset:
-    """Draws (chains, draws, …) as one variable per unknown, in its reported unit."""
-
-    def one(x, rows, v):
-        return forward.coefficients(layout, x, rows, forward.hyper_values(layout, v))
-
-    if (
-        not layout.row_blocks
-    ):  # XLA spends seconds and gigabytes on an empty array that has a place for each reading
-        rows = rows[:, :, :1]
-    x, rows, v = jnp.asarray(x), jnp.asarray(rows), jnp.asarray(v)
-    values = jax.vmap(jax.vmap(one))(x, rows, v)
-    found: dict[str, tuple] = {}
-    coordinates: dict[str, list[str]] = {}
-    for b in layout.blocks:
-        if b.place == "fixed":
-            continue
-        value, dims = np.asarray(values[b.name]), ("chain", "draw")
-        if b.coefficient.per is None:
-            value = value[..., 0]
-        else:
-            dims = (*dims, b.coefficient.per)
-            if b.coefficient.per != "reading":
-                coordinates[b.coefficient.per] = list(levels[b.coefficient.per])
-        found[b.name] = (dims, value, {"units": b.coefficient.unit, "effect": b.effect.name})
-    for i, h in enumerate(layout.hypers):
-        if h.kind != "promoted":
-            value = np.asarray(h.prior.value(v[..., i]))
-            found[h.name] = (("chain", "draw"), value, {"units": h.unit, "kind": h.kind})
-    return xr.Dataset(found, coords=coordinates)
 
 
 def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Dataset:
@@ -155,5 +120,5 @@ def _prior_draws(layout: Layout, frame: Frame, seed: int) -> tuple | None:
     return tuple(np.asarray(a)[None] for a in _draw_priors(layout, frame, keys))
 
 
-def block_of(layout: Layout, name: str) -> Block | None:
+def block_of(layout: Layout, name: str) -> CoefficientBlock | None:
     return next((b for b in layout.blocks if b.name == name), None)

@@ -6,10 +6,8 @@ The file names its instrument and effects; they are resolved against what is ins
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +15,22 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from bayescal._calibration.calibration import Calibration, Draws, Verdict
+from bayescal._calibration.fitted import Fitted
+from bayescal._core.atomic_file import replacing
 from bayescal._core.errors import InputError
 from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
+from bayescal._inference.method import Draws, Verdict
 from bayescal._model import noise as _noise
 from bayescal._model.effect import Effect
-from bayescal._model.instrument import UNKNOWN, Instrument
+from bayescal._model.installed import installed_instruments
+from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
+from bayescal._model.placeholder import covariate_in
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal
-from bayescal._readings.measurements import Measurements, Source
+from bayescal._readings.column import Source
+from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.calibration/1"
 _NOISES = {
@@ -37,16 +40,8 @@ _NOISES = {
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal)}
 
 
-def installed_instruments() -> dict[str, Instrument]:
-    """Instruments offered through the entry-point group `bayescal.instruments`, by name."""
-    return {
-        e.name: e.load()
-        for e in sorted(entry_points(group="bayescal.instruments"), key=lambda e: e.name)
-    }
-
-
-def save(calibration: Calibration, path: Path) -> Path:
-    """Write a calibration to NetCDF.
+def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
+    """Write a calibration and its tree to NetCDF.
 
     Raises:
         InputError: the folder does not exist or cannot be written.
@@ -58,19 +53,15 @@ def save(calibration: Calibration, path: Path) -> Path:
         raise InputError(
             f"There is no folder {path.parent} to write {path.name!r} to: make it first"
         )
-    tree = calibration.tree.copy()
+    tree = tree.copy()
     tree["mode"] = xr.DataTree(_mode_dataset(calibration.mode))
     tree.attrs["bayescal"] = json.dumps(_description(calibration))
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        tree.to_netcdf(beside, engine="h5netcdf")
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with replacing(path) as partial:
+        tree.to_netcdf(partial, engine="h5netcdf")
     return path
 
 
-def _description(c: Calibration) -> dict[str, Any]:
+def _description(c: Fitted) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "instrument": c.model.instrument.name,
@@ -138,8 +129,8 @@ _MODE_FIELDS = ("v", "covariance", "log_density", "log_evidence", "change", "fla
 
 def load_calibration(
     path: Path, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
-) -> Calibration:
-    """Read a calibration back; see `bayescal.load`."""
+) -> tuple[Fitted, xr.DataTree]:
+    """Read a calibration and its tree back; see `bayescal.load`."""
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     try:
@@ -162,23 +153,22 @@ def load_calibration(
     del tree["mode"]
     verdict = described["verdict"]
     evidence = described["log_evidence"]
-    calibration = Calibration(
-        model,
-        readings,
-        _draws_from(tree),
-        Verdict(
+    found = Fitted(
+        model=model,
+        readings=readings,
+        joint=_draws_from(tree),
+        verdict=Verdict(
             **{**verdict, "reasons": tuple(verdict["reasons"]), "notes": tuple(verdict["notes"])}
         ),
-        described["method"],
-        described["seed"],
-        described["reference"],
-        {k: tuple(v) for k, v in described["levels"].items()},
-        layout,
-        mode,
-        None if evidence is None else (evidence[0], evidence[1]),
+        method=described["method"],
+        seed=described["seed"],
+        reference=described["reference"],
+        levels={k: tuple(v) for k, v in described["levels"].items()},
+        layout=layout,
+        mode=mode,
+        log_evidence=None if evidence is None else (evidence[0], evidence[1]),
     )
-    vars(calibration)["tree"] = tree  # as it was saved, not made again
-    return calibration
+    return found, tree
 
 
 def _draws_from(tree: xr.DataTree) -> Draws:
@@ -239,8 +229,8 @@ def _model_from(path: Path, described, readings: Measurements, effects, instrume
         e.name: e for e in (*structural, *instrument.effects, *instrument.candidates, *effects)
     }
     for n in described["effects"]:
-        if n not in catalogue and (unknown := UNKNOWN.fullmatch(n)):
-            catalogue[n] = instrument.unknown(unknown[1])
+        if n not in catalogue and (covariate := covariate_in(n)):
+            catalogue[n] = instrument.unknown(covariate)
     missing = [n for n in described["effects"] if n not in catalogue]
     if missing:
         raise InputError(

@@ -1,43 +1,30 @@
-"""Commands for what the user takes away: compensate, export, budget, report; and how every command answers.
+"""Commands for what the user takes away: compensate, export, budget, report.
 
-Heavy modules load inside the commands, as in `_cli.py`, which offers these with its own.
+Heavy modules load inside the commands.
 """
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 import bayescal as bc
 from bayescal._cli import options
+from bayescal._cli.console import exit_unless, print_notes, print_result
+from bayescal._cli.options import ColumnOptions, OwnParts, named_numbers, with_groups
 from bayescal._core.errors import InputError
 
-GRAVITY = 9.80665  # m/s², standard gravity
-
 commands = typer.Typer()
-
-
-def say(answer: Any) -> None:
-    """Data as JSON, anything else as the text that it prints as."""
-    if isinstance(answer, dict | list):
-        answer = json.dumps(answer, indent=2, ensure_ascii=False, allow_nan=False)
-    print(answer)
-
-
-def leave(ok: bool, why: str) -> None:
-    if not ok:
-        print(f"bayescal: not to be trusted as it is: {why}", file=sys.stderr)
-        raise typer.Exit(1)
 
 
 @commands.command(
     epilog="Example: bayescal compensate result/calibration.nc flight.csv --out done.csv"
 )
+@with_groups
 def compensate(
+    *,
     calibration: Annotated[
         Path,
         typer.Argument(help="A saved calibration (.nc), or its JSON export.", show_default=False),
@@ -59,46 +46,43 @@ def compensate(
         bool, typer.Option("--without-noise", help="Leave the noise of each reading out.")
     ] = False,
     member: options.Members = None,
-    columns: options.Columns = None,
-    unit: options.Units = None,
-    local_gravity: options.Gravity = GRAVITY,
-    effects_file: options.OwnEffects = None,
-    instrument: options.OwnInstrument = None,
+    columns: ColumnOptions,
+    own: OwnParts,
     json_: options.Json = False,
 ) -> None:
     """Turn readings back into what was measured, with standard uncertainty: two columns more."""
-    from bayescal._cli import arguments
+    from bayescal._cli.saved import compensator_from
     from bayescal._compensation.compensate_file import compensate_file
 
-    chosen = arguments.compensator_from(calibration, effects_file, instrument, member)
+    chosen = compensator_from(calibration, own, member)
     done = compensate_file(
         chosen,
         file,
         out,
-        columns=arguments.pairs(columns, "--columns"),
-        units=arguments.pairs(unit, "--unit"),
-        local_gravity=local_gravity,
+        **columns.for_read(),
         method="first order" if first_order else None,
         noise=not without_noise,
     )
-    for flag in done.flags:
-        print(f"bayescal: note: {flag}", file=sys.stderr)
-    for name, count in done.outside.items():
-        print(
-            f"bayescal: note: {name} is outside its calibrated range in {count} of {done.rows} readings: "
-            "an extrapolation there",
-            file=sys.stderr,
-        )
+    print_notes(done.flags)
+    print_notes(
+        f"{name} is outside its calibrated range in {count} of {done.rows} readings: an "
+        "extrapolation there"
+        for name, count in done.outside.items()
+    )
     text = (
         f"{out}: {done.rows} readings, columns {' and '.join(done.columns)} [{chosen.unit}] added"
     )
     said = {"file": str(out), "rows": done.rows, "columns": list(done.columns), "unit": chosen.unit}
-    say({**said, "outside": done.outside, "unsolved": done.unsolved} if json_ else text)
-    leave(done.unsolved == 0, f"{done.unsolved} readings have no solution and are written as nan")
+    print_result({**said, "outside": done.outside, "unsolved": done.unsolved} if json_ else text)
+    exit_unless(
+        done.unsolved == 0, f"{done.unsolved} readings have no solution and are written as nan"
+    )
 
 
 @commands.command(epilog="Example: bayescal export result/calibration.nc --format c --out gyro.h")
+@with_groups
 def export(
+    *,
     calibration: options.Saved,
     format_: Annotated[
         str | None, typer.Option("--format", help="json, c or python; else by the suffix of --out.")
@@ -108,17 +92,16 @@ def export(
         typer.Option("--out", "-o", help="File to write; standard output if not given."),
     ] = None,
     member: options.Members = None,
-    effects_file: options.OwnEffects = None,
-    instrument: options.OwnInstrument = None,
+    own: OwnParts,
 ) -> None:
     """Write the compensation for firmware: a C99 header, a Python function, or JSON."""
-    from bayescal._cli import arguments
+    from bayescal._cli.saved import compensator_from
 
     if format_ is None and out is None:
         raise InputError("say which format: --format json, c or python")
     if format_ not in (None, "json", "c", "python"):
         raise InputError(f"--format {format_!r} is not one of json, c, python")
-    chosen = arguments.compensator_from(calibration, effects_file, instrument, member)
+    chosen = compensator_from(calibration, own, member)
     if out is None:
         print(chosen.program.text(str(format_)), end="")
         return
@@ -126,7 +109,9 @@ def export(
 
 
 @commands.command(epilog="Example: bayescal budget result/calibration.nc --at temperature=60")
+@with_groups
 def budget(
+    *,
     calibration: options.Saved,
     at: Annotated[
         list[str] | None,
@@ -141,30 +126,31 @@ def budget(
         bool, typer.Option("--prior-sensitivity", help="Also how much the priors matter (psense).")
     ] = False,
     member: options.Members = None,
-    effects_file: options.OwnEffects = None,
-    instrument: options.OwnInstrument = None,
+    own: OwnParts,
     json_: options.Json = False,
 ) -> None:
     """The uncertainty budget of a compensated value (JCGM 100): who contributes how much."""
-    from bayescal._cli import arguments
+    from bayescal._cli.saved import compensator_from
     from bayescal._compensation import budget as _budget
 
-    chosen = arguments.compensator_from(calibration, effects_file, instrument, member)
-    found = bc.budget(chosen, arguments.numbers(at, "--at"), k=k)
+    chosen = compensator_from(calibration, own, member)
+    found = bc.budget(chosen, named_numbers(at, "--at"), k=k)
     priors = None
     if prior_sensitivity and chosen.calibration is not None:
         priors = _budget.prior_sensitivity(chosen.calibration)
     if json_:
         more = {} if priors is None else {"prior_sensitivity": priors.to_dict("index")}
-        say({**found.data(), **more})
+        print_result({**found.data(), **more})
         return
-    say(found)
+    print_result(found)
     if priors is not None:
         print(f"\nPrior sensitivity (above 0.05 it matters):\n{priors}")
 
 
 @commands.command(epilog="Example: bayescal report result -o report.html")
+@with_groups
 def report(
+    *,
     calibrations: Annotated[
         list[Path],
         typer.Argument(
@@ -176,15 +162,14 @@ def report(
         "report.html"
     ),
     title: Annotated[str, typer.Option("--title", help="Of the report.")] = "",
-    effects_file: options.OwnEffects = None,
-    instrument: options.OwnInstrument = None,
+    own: OwnParts,
     json_: options.Json = False,
 ) -> None:
     """Write the report to sign: one HTML file that needs nothing else."""
-    from bayescal._cli import arguments
+    from bayescal._cli.saved import chapters_from
 
-    given = arguments.chapters_from(calibrations, effects_file, instrument)
+    given = chapters_from(calibrations, own)
     written = bc.report(given, out, title=title)
     reasons = [reason for c in given for reason in c.data["verdict"]["reasons"]]
-    say({"file": str(written), "chapters": len(given)} if json_ else f"written: {written}")
-    leave(all(c.data["verdict"]["ok"] for c in given), " ".join(reasons))
+    print_result({"file": str(written), "chapters": len(given)} if json_ else f"written: {written}")
+    exit_unless(all(c.data["verdict"]["ok"] for c in given), " ".join(reasons))

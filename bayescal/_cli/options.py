@@ -1,15 +1,86 @@
-"""Options that several commands share. Light: `bayescal --help` reads them."""
+"""Options that several commands share, one by one and in groups. Light: `bayescal --help` reads them.
+
+A group is a data class of options. `with_groups` shows typer its fields in place of a command's
+parameter of that class, so that each group is said once.
+"""
 
 from __future__ import annotations
 
+import functools
+import inspect
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from bayescal._core.errors import InputError
+from bayescal._readings.unit_registry import STANDARD_GRAVITY
+
+METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
+
+
+def named_values(given: list[str] | None, option: str) -> dict[str, str]:
+    """name=value options as a dictionary.
+
+    Raises:
+        InputError: one is not of that form.
+    """
+    values = {}
+    for one in given or []:
+        name, equals, value = one.partition("=")
+        if not (name and equals and value):
+            raise InputError(f"{option} {one!r} is not of the form name=value")
+        values[name.strip()] = value.strip()
+    return values
+
+
+def named_numbers(given: list[str] | None, option: str) -> dict[str, float]:
+    """name=number options as a dictionary.
+
+    Raises:
+        InputError: one is not of that form, or its number is none or not finite.
+    """
+    numbers = {}
+    for name, value in named_values(given, option).items():
+        try:
+            numbers[name] = float(value)
+        except ValueError:
+            raise InputError(f"{option} {name}={value}: {value!r} is not a number") from None
+        if not math.isfinite(numbers[name]):
+            raise InputError(f"{option} {name}={value}: give a finite number")
+    return numbers
+
+
+def _refuse_missing(files: list[Path] | None) -> list[Path] | None:
+    """Refuse files that are not there before an instrument loads, which takes seconds.
+
+    Raises:
+        InputError: a file is not there; the words are those of `read`.
+    """
+    if files and not all(map(os.path.isfile, files)):
+        from bayescal._readings.read import check_files
+
+        check_files(files)
+    return files
+
+
+def _refuse_unknown_method(name: str) -> str:
+    if name not in METHODS:
+        raise InputError(f"--method {name!r} is not one of {', '.join(METHODS)}")
+    return name
+
+
 Files = Annotated[
     list[Path],
-    typer.Argument(help="CSV, Parquet or NetCDF files of readings.", show_default=False),
+    typer.Argument(
+        help="CSV, Parquet or NetCDF files of readings.",
+        show_default=False,
+        callback=_refuse_missing,
+    ),
 ]
 Saved = Annotated[Path, typer.Argument(help="A saved calibration (.nc).", show_default=False)]
 Name = Annotated[
@@ -70,7 +141,16 @@ Members = Annotated[
     list[str] | None,
     typer.Option("--member", help="device=A17: which device is used; repeat for more."),
 ]
-MethodName = Annotated[str, typer.Option("--method", help="marginal, least-squares or nuts.")]
+MethodName = Annotated[
+    str,
+    typer.Option(
+        "--method", help="marginal, least-squares or nuts.", callback=_refuse_unknown_method
+    ),
+]
+BatchMethod = Annotated[
+    str,
+    typer.Option("--method", help="least-squares or marginal.", callback=_refuse_unknown_method),
+]
 MostEffects = Annotated[
     int, typer.Option("--max-effects", min=1, help="Most effects that may be missing.")
 ]
@@ -96,7 +176,10 @@ Hidden = Annotated[
 NoiseLaw = Annotated[str, typer.Option(help="white, student_t or ornstein_uhlenbeck.")]
 Holdout = Annotated[
     list[Path] | None,
-    typer.Option(help="Readings kept apart, only read after the last step; repeat for more."),
+    typer.Option(
+        help="Readings kept apart, only read after the last step; repeat for more.",
+        callback=_refuse_missing,
+    ),
 ]
 KeepSpikes = Annotated[
     bool, typer.Option("--keep-spikes", help="Keep single readings far from both neighbours.")
@@ -104,3 +187,63 @@ KeepSpikes = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
 Folder = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+
+
+@dataclass(frozen=True)
+class ColumnOptions:
+    """How the columns of the files are to be understood."""
+
+    columns: Columns = None
+    unit: Units = None
+    local_gravity: Gravity = STANDARD_GRAVITY
+
+    def for_read(self) -> dict[str, Any]:
+        """As the arguments of `read` that they are."""
+        return {
+            "columns": named_values(self.columns, "--columns"),
+            "units": named_values(self.unit, "--unit"),
+            "local_gravity": self.local_gravity,
+        }
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """Which model of an instrument: its structure, effects added, coefficients fixed, constants of the bases."""
+
+    fix: Fix = None
+    reference: Ref = None
+    add: Add = None
+    structure: Structure = None
+    effects_file: OwnEffects = None
+
+
+@dataclass(frozen=True)
+class OwnParts:
+    """What a saved calibration needs that is not installed: effects and an instrument of the user's own."""
+
+    effects_file: OwnEffects = None
+    instrument: OwnInstrument = None
+
+
+def with_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """The command as typer is to see it: each option of a group in place of the group."""
+    declared = inspect.signature(command, eval_str=True).parameters
+    groups: dict[str, Any] = {
+        n: p.annotation for n, p in declared.items() if is_dataclass(p.annotation)
+    }
+
+    @functools.wraps(command)
+    def run(**values: Any) -> None:
+        for name, group in groups.items():
+            values[name] = group(**{f.name: values.pop(f.name) for f in fields(group)})
+        command(**values)
+
+    seen: list[inspect.Parameter] = []
+    for name, parameter in declared.items():
+        of_group: Mapping[str, inspect.Parameter] = (
+            inspect.signature(groups[name], eval_str=True).parameters if name in groups else {}
+        )
+        seen += of_group.values() or [parameter]
+    keyword = inspect.Parameter.KEYWORD_ONLY  # a required option may then follow others
+    run.__signature__ = inspect.Signature([p.replace(kind=keyword) for p in seen])  # pyright: ignore[reportAttributeAccessIssue]
+    return run

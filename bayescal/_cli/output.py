@@ -1,24 +1,28 @@
-"""What a command answers: as text where a result does not print itself, and as plain JSON data."""
+"""Results of commands: text where a result does not print itself, plain JSON data, a file of predictions."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.predict import Prediction
+from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.formatting import WIDTH, number, table
-from bayescal._diagnostics.check import Check
+from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.compare import Comparison
-from bayescal._diagnostics.summary import null_directions, summary
+from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._discovery.calibrate import Trail
 from bayescal._discovery.draft_effect import template
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
+from bayescal._readings.measurements import Measurements
 from bayescal._readings.units import unit_label
 from bayescal._report.result_json import clean
-
-UNEXPLAINED = 3.0  # log Bayes factor from which structure in the residuals is worth a sentence
 
 Kinds = Mapping[str, Sequence[Effect]]
 
@@ -77,28 +81,28 @@ def effects_data(kinds: Kinds) -> list[dict[str, Any]]:
     ]
 
 
-def fit_data(found: Calibration) -> dict[str, Any]:
-    coefficients, spreads = summary(found)
+def fit_data(calibration: Calibration) -> dict[str, Any]:
+    coefficients, spreads = summary(calibration)
     data = {
         "coefficients": coefficients,
         "spreads": spreads,
-        "reference": found.reference,
-        "fixed": dict(found.model.fixed),
-        "log_evidence": found.log_evidence,
-        "verdict": vars(found.verdict),
-        "identifiability": {"null_directions": null_directions(found)},
+        "reference": calibration.reference,
+        "fixed": dict(calibration.model.fixed),
+        "log_evidence": calibration.log_evidence,
+        "verdict": vars(calibration.verdict),
+        "identifiability": {"null_directions": null_directions(calibration)},
     }
     return clean(data)
 
 
-def comparison_data(found: Comparison) -> dict[str, Any]:
+def comparison_data(comparison: Comparison) -> dict[str, Any]:
     data = {
-        "rows": [vars(row) for row in found.rows],
-        "group": found.group,
-        "groups": found.groups,
-        "unit": found.unit,
-        "chosen_by": found.chosen_by,
-        "warnings": found.warnings,
+        "rows": [vars(row) for row in comparison.rows],
+        "group": comparison.group,
+        "groups": comparison.groups,
+        "unit": comparison.unit,
+        "chosen_by": comparison.chosen_by,
+        "warnings": comparison.warnings,
     }
     return clean(data)
 
@@ -116,7 +120,7 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
     lines = []
     for e in check.entries:
         open_ = e.against not in used and calibration.readings.has(e.against)
-        if open_ and e.log_bayes_factor > UNEXPLAINED:
+        if open_ and e.log_bayes_factor > STRONG:
             size = f"{abs(e.worst.size):.2g} {unit_label(check.unit)}"
             lines.append(
                 f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "
@@ -127,8 +131,8 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
     return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
 
 
-def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
-    """The loop from its first model to its last."""
+def loop_text(trail: Trail, own: Sequence[Effect] = ()) -> str:
+    """`calibrate` from its first model to its last."""
     final = trail.final
     parts = [f"WHERE THE FIRST MODEL FAILS\n\n{trail.steps[0].check}"]
     for i, step in enumerate(trail.steps):
@@ -137,7 +141,7 @@ def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
         parts.append(f"WHAT IS MISSING FROM STEP {i} ({step.title})\n\n{said}")
     unexplained = unexplained_text(final.calibration, final.check, own)
     parts += [unexplained] if unexplained else []
-    for name in (e.name for e in final.calibration.model.effects if e.measure is not None):
+    for name in (e.name for e in final.calibration.model.effects if e.is_placeholder):
         draft = template(final.calibration, name)
         parts.append(
             f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"
@@ -148,3 +152,18 @@ def story(trail: Trail, own: Sequence[Effect] = ()) -> str:
         parts.append(textwrap.fill(f"undecided: {trail.other_path}", WIDTH))
     parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))
     return "\n\n".join(parts)
+
+
+def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
+    """The readings with columns predicted, predicted_uncertainty and residual beside them.
+
+    Raises:
+        InputError: the file type is not known or the folder is not there.
+    """
+    unit = {"units": readings.unit("output")}
+    added = {
+        "predicted": ("reading", np.asarray(prediction.mean), unit),
+        "predicted_uncertainty": ("reading", np.asarray(prediction.sd), unit),
+        "residual": ("reading", np.asarray(prediction.residual), unit),
+    }
+    Measurements(data=readings.data.assign(added), sources=readings.sources).write(path)

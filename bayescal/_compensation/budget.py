@@ -22,12 +22,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from bayescal._calibration.calibration import PREDICTIVE_CELLS, Calibration
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fitted import PREDICTIVE_CELLS
 from bayescal._compensation import inversion
 from bayescal._compensation.compensator import Compensator, compensator
 from bayescal._core.errors import InputError
 from bayescal._core.jit import compiled
-from bayescal._diagnostics import efficient_score
+from bayescal._inference import laplace
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 from bayescal._readings.units import coefficient_factor, convert, needs_gravity, same_dimension
@@ -265,12 +266,8 @@ def _by_source(
     return tuple(rows)
 
 
-def _moving(layout: Layout) -> list[int]:
-    return [i for i, h in enumerate(layout.hypers) if h.moves]
-
-
 def _size(calibration: Calibration) -> int:
-    return calibration.layout.size + len(_moving(calibration.layout))
+    return calibration.layout.size + len(calibration.layout.moving)
 
 
 def _places(calibration: Calibration) -> dict[str, tuple[int, float]]:
@@ -279,18 +276,14 @@ def _places(calibration: Calibration) -> dict[str, tuple[int, float]]:
     layout, v = calibration.layout, calibration.mode.v
     found: dict[str, tuple[int, float]] = {}
     for b in layout.x_blocks:
-        per = b.coefficient.per
-        names = [b.name] if per is None else [f"{b.name}({m})" for m in calibration.levels[per]]
+        names = b.member_names(calibration.levels)
         found |= {name: (b.start + i, 1.0) for i, name in enumerate(names)}
     promoted = {}
     for b in layout.blocks:
         if b.place == "phi":
-            per = b.coefficient.per
-            members = (
-                [b.name] if per is None else [f"{b.name}({m})" for m in calibration.levels[per]]
-            )
+            members = b.member_names(calibration.levels)
             promoted |= dict(zip(b.member_names(), members, strict=True))
-    for place, i in enumerate(_moving(layout)):
+    for place, i in enumerate(layout.moving):
         h = layout.hypers[i]
         step = 1e-6
         slope = float((h.prior.value(v[i] + step) - h.prior.value(v[i] - step)) / (2 * step))
@@ -301,7 +294,7 @@ def _places(calibration: Calibration) -> dict[str, tuple[int, float]]:
 @compiled
 def _information(layout: Layout, frame: Frame, y: Array, mode: Any):
     """Information of the readings in units of the prior; prior standard deviations; 0 where a prior is flat."""
-    null = efficient_score.null_model(layout, frame, y, mode)
+    null = laplace.linearised(layout, frame, y, mode)
     scaled = null.nuisance * null.prior.sd
     gram = layout.model.noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
     return gram.jtj, null.prior.sd, null.prior.weight
@@ -320,7 +313,7 @@ def _posterior_split(
         return float("nan"), {}
     noise = max(0.0, float(pulled @ information @ pulled))  # zero, but for rounding
     names = [b.name for b in layout.x_blocks for _ in range(b.size)]
-    names += [layout.hypers[i].name for i in _moving(layout)]
+    names += [layout.hypers[i].name for i in layout.moving]
     priors: dict[str, float] = {}
     for name, value in zip(names, weight * pulled**2, strict=True):
         priors[name] = priors.get(name, 0.0) + float(value)

@@ -19,16 +19,16 @@ import pyarrow.parquet as pq
 import xarray as xr
 
 from bayescal._compensation.compensator import Compensated, Compensator, Method
+from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
-from bayescal._readings.column import Admitted, Column, NominalScale, Source
-from bayescal._readings.column_conversion import admit
-from bayescal._readings.column_matching import Wishes, match
+from bayescal._readings.column import ROW, Column, NominalScale, Source
+from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
+from bayescal._readings.column_matching import ReadOptions, match
 from bayescal._readings.csv_reader import csv_parts, open_csv
-from bayescal._readings.measurements import ROW, Measurements, assemble
+from bayescal._readings.measurements import Measurements, assemble
 from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet, parquet_parts
 from bayescal._readings.raw_table import Table, bytes_text
 from bayescal._readings.read import MAX_BYTES
-from bayescal._readings.write import beside
 
 OPENERS = {".csv": open_csv, ".parquet": open_parquet, ".nc": open_netcdf}
 ROWS = 200_000  # compensated at a time
@@ -36,7 +36,7 @@ ROWS = 200_000  # compensated at a time
 
 @dataclass(frozen=True)
 class Door:
-    """What a file to compensate must hold, as `admit` asks an instrument."""
+    """What a file to compensate must hold, as `convert_columns` asks an instrument."""
 
     name: str
     columns: tuple[Column, ...]
@@ -67,7 +67,7 @@ class Done:
 @dataclass
 class _Job:
     compensator: Compensator
-    wishes: Wishes
+    wishes: ReadOptions
     method: Method | None
     noise: bool
     door: Door
@@ -75,7 +75,7 @@ class _Job:
 
     def part(self, table: Table) -> Compensated:
         """Compensate the rows of a table by themselves."""
-        admitted = admit(table, self.door, self.wishes)
+        admitted = convert_columns(table, self.door, self.wishes)
         if not self.done.flags:
             self.done.flags = tuple(admitted.flags)
         return self._take(_measurements(admitted))
@@ -88,9 +88,11 @@ class _Job:
                 f"{table.file!r}: this calibration needs the past of the record, {bytes_text(size)} in memory; the "
                 f"limit is {bytes_text(MAX_BYTES)}. Split it by runs, or average it"
             )
-        admitted = admit(table, self.door, self.wishes)
+        admitted = convert_columns(table, self.door, self.wishes)
         source = Source(table.file, table.sha256, table.rows)
-        readings = assemble([table], admitted, self.door, (source,), allow_one_temperature=True)
+        readings = assemble(
+            [table], admitted, self.door, sources=(source,), allow_one_temperature=True
+        )
         self.done.flags = readings.flags
         return self._take(readings)
 
@@ -137,8 +139,8 @@ def compensate_file(
             f"{out.name!r}: every column is kept as it is, so the file to write must be {suffix} like {path.name!r}"
         )
     door = _door(compensator)
-    wishes = Wishes(columns or {}, units or {}, local_gravity, None)
-    with beside(out) as partial:
+    wishes = ReadOptions(columns or {}, units or {}, local_gravity, None)
+    with replacing_for_user(out) as partial:
         table = OPENERS[suffix](path, path.name, *(() if suffix == ".csv" else (_limit(suffix),)))
         raw, names = _names(table, door, wishes)
         done = Done(out, 0, names, {}, 0, ())
@@ -160,7 +162,7 @@ def _door(compensator: Compensator) -> Door:
     return Door(about.instrument, compensator.columns, scale)
 
 
-def _names(table: Table, door: Door, wishes: Wishes) -> tuple[str, tuple[str, str]]:
+def _names(table: Table, door: Door, wishes: ReadOptions) -> tuple[str, tuple[str, str]]:
     """The output's header in the file, and the names of the columns to add.
 
     Raises:
@@ -183,7 +185,7 @@ def _names(table: Table, door: Door, wishes: Wishes) -> tuple[str, tuple[str, st
     return header.raw, names
 
 
-def _measurements(admitted: Admitted) -> Measurements:
+def _measurements(admitted: ConvertedColumns) -> Measurements:
     variables: dict[str, Any] = {}
     for name, values in admitted.values.items():
         unit = admitted.units[name]

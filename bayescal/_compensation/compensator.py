@@ -24,8 +24,8 @@ from bayescal._compensation.firmware import Input, Program, from_data, program_o
 from bayescal._compensation.provenance import about_of, input_of
 from bayescal._core.errors import InputError
 from bayescal._model.frame import Frame, build_frame
-from bayescal._readings.column import Column
-from bayescal._readings.measurements import ROW, Measurements
+from bayescal._readings.column import ROW, Column
+from bayescal._readings.measurements import Measurements
 
 UNCERTAINTY = "output_uncertainty"
 LARGEST = 50_000_000  # bytes of an exported compensator that is read back

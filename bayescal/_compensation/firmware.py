@@ -26,8 +26,8 @@ from bayescal._compensation.expression_graph import Graph
 from bayescal._compensation.inversion import Inverse
 from bayescal._compensation.jaxpr_to_graph import NotExportable, trace
 from bayescal._compensation.operating_equation import Entry, Known
+from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError, ModelError
-from bayescal._readings.write import write_text
 
 SCHEMA, VERSION = "bayescal.compensator", 1
 FORMATS = {".h": "c", ".py": "python", ".json": "json"}

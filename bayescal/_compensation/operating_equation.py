@@ -24,7 +24,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError, ModelError
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Use
-from bayescal._model.parameters import Block, Layout
+from bayescal._model.parameters import CoefficientBlock, Layout, member_name
 
 OUTPUT = "output"
 NOT_INPUTS = (OUTPUT, "output_uncertainty", "temperature_point")
@@ -102,7 +102,7 @@ class InUse(eqx.Module):
         return use
 
     @property
-    def blocks(self) -> tuple[Block, ...]:
+    def blocks(self) -> tuple[CoefficientBlock, ...]:
         """Coefficients that act in use."""
         own = [s.name for s in self.layout.model.instrument.slots]
         acting = self.use.slots or tuple(own)
@@ -122,7 +122,7 @@ class InUse(eqx.Module):
             name, kind, per = b.name, "coefficient", b.coefficient.per
             if per is not None:
                 member = dict(self.members).get(per)
-                name = f"{b.name}({member or 'new ' + per})"
+                name = member_name(b.name, member or "new " + per)
                 kind = "new" if member is None else kind
             found.append(Entry(name, b.name, b.coefficient.unit, b.effect.name, kind))
         return tuple(found)
@@ -248,7 +248,7 @@ def _samples(found: InUse, calibration: Calibration, entry: Entry) -> np.ndarray
     return values[:, calibration.levels[per].index(dict(found.members)[per])]
 
 
-def _spread(calibration: Calibration, block: Block, draws: int) -> np.ndarray:
+def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np.ndarray:
     """Draws of the standard deviation from which a new member is taken."""
     c, fixed = block.coefficient, dict(calibration.model.fixed)
     if c.spread is None:

@@ -66,7 +66,7 @@ def least_squares(
         return Fitted(start, jnp.asarray(True), jnp.asarray(0))
     scale = jnp.ones_like(start) if scale is None else scale
     own = None if table is None else lambda z: table(scale * z) * jnp.append(scale, 1.0)
-    solver = LevenbergMarquardt(steps, own)
+    solver = LevenbergMarquardt(steps=steps, table=own)
     found = optx.least_squares(
         lambda z, _: residuals(scale * z),
         solver,
@@ -77,6 +77,14 @@ def least_squares(
     return Fitted(
         scale * found.value, found.result == optx.RESULTS.successful, found.stats["num_steps"]
     )
+
+
+class _Evaluated(NamedTuple):
+    """A point that was tried."""
+
+    cost: Float[Array, ""]  # Σ r²
+    upper: Float[Array, "p p1"]  # R beside Qᵀr, of J = QR; of zeros where anything is not finite
+    finite: Bool[Array, ""]
 
 
 class _State(eqx.Module):
@@ -114,32 +122,45 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     norm: Callable[[Any], Array] = optx.max_norm
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
-        no, zero = jnp.asarray(False), jnp.zeros(())
-        upper = jnp.zeros((y.size, y.size + 1))
-        none = jnp.asarray(0)
-        return _State(y, y, ~no, zero, upper, 0 * y, zero, zero, zero, no, none, none, no, no)
+        no, zero, none = jnp.asarray(False), jnp.zeros(()), jnp.asarray(0)
+        return _State(
+            start=y,
+            trial=y,
+            fresh=~no,
+            cost=zero,
+            upper=jnp.zeros((y.size, y.size + 1)),
+            weight=0 * y,
+            damping=zero,
+            growth=zero,
+            predicted=zero,
+            polishing=no,
+            attempt=none,
+            count=none,
+            done=no,
+            success=no,
+        )
 
-    def step(self, fn, y, args, options, state: _State, tags):
-        size = y.size
+    def _evaluated(self, fn, args, trial: Float[Array, "p"]) -> _Evaluated:
+        """Residuals and Jacobian at a point, as their factors."""
         if self.table is None:
-            residual, slope = jax.linearize(lambda z: fn(z, args)[0], state.trial)
-            table = jnp.column_stack([jax.vmap(slope, out_axes=1)(jnp.eye(size)), residual])
+            residual, slope = jax.linearize(lambda z: fn(z, args)[0], trial)
+            table = jnp.column_stack([jax.vmap(slope, out_axes=1)(jnp.eye(trial.size)), residual])
         else:
-            table = self.table(state.trial)
+            table = self.table(trial)
             residual = table[:, -1]
         finite = jnp.all(jnp.isfinite(table))
-        upper = _triangle(jnp.where(finite, table, 0.0))
-        cost = residual @ residual
-        gain = (state.cost - cost) / state.predicted
-        lower = jnp.where(state.polishing, _inside(upper) < 0.8 * _inside(state.upper), gain > 1e-4)
-        accept = finite & (state.fresh | lower)
-        upper = jnp.where(accept, upper, state.upper)
-        cost = jnp.where(accept, cost, state.cost)
+        return _Evaluated(residual @ residual, _triangle(jnp.where(finite, table, 0.0)), finite)
+
+    def step(self, fn, y, args, options, state: _State, tags):
+        new = self._evaluated(fn, args, state.trial)
+        gain = (state.cost - new.cost) / state.predicted
+        nearer = _inside(new.upper) < 0.8 * _inside(state.upper)
+        accept = new.finite & (state.fresh | jnp.where(state.polishing, nearer, gain > 1e-4))
+        upper = jnp.where(accept, new.upper, state.upper)
+        cost = jnp.where(accept, new.cost, state.cost)
         y = jnp.where(accept, state.trial, y)
 
-        columns = jnp.sqrt(jnp.sum(upper[:, :size] ** 2, axis=0))
-        columns = jnp.where(state.attempt == 0, columns, jnp.max(columns))
-        weight = jnp.maximum(jnp.maximum(columns, state.weight), 1e-150)
+        weight = _weight(upper, state)
         factor = jnp.where(accept, jnp.maximum(1 / 3, 1 - (2 * gain - 1) ** 3), state.growth)
         first = jnp.where(state.attempt == 0, *FIRST_DAMPING)
         damping = jnp.where(state.fresh, first, state.damping * factor)
@@ -149,9 +170,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         polishing = state.polishing | stalled | (inside <= NEAR**2 * cost)
         # A polishing step too is damped by rounding's worth, where nothing determines a direction.
         used = jnp.where(polishing, 1e-31, damping + 1e-31)
-        rows = jnp.column_stack([jnp.diag(jnp.sqrt(used) * weight), jnp.zeros(size)])
-        damped = _triangle(jnp.concatenate([upper, rows]))
-        step = -solve_triangular(damped[:, :size], damped[:, size])
+        step, damped = _damped_step(upper, used, weight)
 
         ended = (state.polishing | state.fresh) & ~accept
         rests = jnp.all(jnp.abs(step) <= 1e-9 * jnp.abs(y))
@@ -160,26 +179,23 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         success = ended & regular & ((inside <= GOOD**2 * cost) | rests) & ~state.fresh
         done = success | (ended & (state.attempt == TRIES - 1))
         again = ended & ~done
-        return (
-            y,
-            _State(
-                state.start,
-                jnp.where(again, state.start, y + step),
-                again,
-                cost,
-                upper,
-                jnp.where(again, 0.0, weight),
-                damping,
-                jnp.where(accept, 2.0, 2 * state.growth),
-                _inside(damped) + used * jnp.sum((weight * step) ** 2),
-                polishing & ~again,
-                state.attempt + again,
-                jnp.where(again, 0, state.count + 1),
-                done,
-                success,
-            ),
-            None,
+        state = _State(
+            start=state.start,
+            trial=jnp.where(again, state.start, y + step),
+            fresh=again,
+            cost=cost,
+            upper=upper,
+            weight=jnp.where(again, 0.0, weight),
+            damping=damping,
+            growth=jnp.where(accept, 2.0, 2 * state.growth),
+            predicted=_inside(damped) + used * jnp.sum((weight * step) ** 2),
+            polishing=polishing & ~again,
+            attempt=state.attempt + again,
+            count=jnp.where(again, 0, state.count + 1),
+            done=done,
+            success=success,
         )
+        return y, state, None
 
     def terminate(self, fn, y, args, options, state: _State, tags):
         failed = state.done & ~state.success
@@ -190,6 +206,22 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         return y, aux, {}
+
+
+def _weight(upper: Float[Array, "p p1"], state: _State) -> Float[Array, "p"]:
+    """The largest norm that each column has had in this try; in the second try, of all columns."""
+    norms = jnp.sqrt(jnp.sum(upper[:, :-1] ** 2, axis=0))
+    norms = jnp.where(state.attempt == 0, norms, jnp.max(norms))
+    return jnp.maximum(jnp.maximum(norms, state.weight), 1e-150)
+
+
+def _damped_step(
+    upper: Float[Array, "p p1"], damping: Float[Array, ""], weight: Float[Array, "p"]
+) -> tuple[Float[Array, "p"], Float[Array, "p p1"]]:
+    """The step that minimises |R·s + Qᵀr|² + damping·|weight·s|², and the factors that it came from."""
+    rows = jnp.column_stack([jnp.diag(jnp.sqrt(damping) * weight), jnp.zeros(weight.size)])
+    damped = _triangle(jnp.concatenate([upper, rows]))
+    return -solve_triangular(damped[:, :-1], damped[:, -1]), damped
 
 
 def _triangle(table: Float[Array, "n p1"]) -> Float[Array, "p p1"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import combinations
 
 import jax.numpy as jnp
@@ -10,101 +10,20 @@ import numpy as np
 from scipy import stats
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fit import GROUPS, fit
+from bayescal._calibration.fit import fit
 from bayescal._diagnostics import efficient_score, smooth_terms
-from bayescal._diagnostics.worst_region import Region, worst_regions
+from bayescal._diagnostics.check_result import Check, Entry, FixedComparison, Pair
+from bayescal._diagnostics.evidence_scale import STRONG
+from bayescal._diagnostics.worst_region import worst_regions
+from bayescal._inference import laplace
 from bayescal._inference.least_squares import LeastSquares
+from bayescal._model.frame import GROUPS
 
 ALIKE = 0.95  # rank correlation from which two covariates are taken for one
 DUOS = 15  # pairs of covariates, at most
 MEMBERS = 64  # of a group that is looked at member by member, at most
 OUTLIER = 4.0  # leave-one-out standard deviations
-MEAN_IS_OFF = 3.0  # log Bayes factor of structure from which the scatter is not judged
 SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One covariate, or group of readings (`by_group`): a run, a cell, an axis, a device."""
-
-    against: str
-    log_bayes_factor: float
-    worst: Region
-    by_group: bool = False
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Two covariates: evidence that the residuals depend on them in a way that is no sum of one of each."""
-
-    against: tuple[str, str]
-    log_bayes_factor: float
-
-
-@dataclass(frozen=True)
-class FixedComparison:
-    """Residuals of a model with fixed coefficients, and the noise that they are judged against, output unit.
-
-    Attributes:
-        noise: standard deviation used as the measure.
-        free_fit: noise of the same model with its coefficients set free.
-        known: contributions known before any fit, by name.
-        mean, low, high, rms: of the residuals.
-        positive, count: residuals above zero, and all of them.
-    """
-
-    noise: float
-    free_fit: float
-    known: dict[str, float]
-    mean: float
-    low: float
-    high: float
-    rms: float
-    positive: int
-    count: int
-
-    @property
-    def wrong(self) -> bool:
-        """Whether the fixed coefficients leave clearly more than the noise of the same model set free."""
-        return self.rms > 2 * self.noise
-
-
-@dataclass(frozen=True)
-class Check:
-    """Where a model fails.
-
-    Attributes:
-        entries: a covariate each, the strongest evidence first.
-        pairs: of covariates, likewise.
-        unit: of the output.
-        rms: of the residuals, output unit.
-        noise: standard deviation that they are judged against.
-        autocorrelation: (lag-1 coefficient within runs, its z).
-        spread_with: covariates with which the scatter changes, and the p-value of each.
-        outliers: (row, leave-one-out standard deviations).
-        pit_p: p-value of uniform leave-one-out probability integral transforms.
-        fixed: only for models with fixed coefficients.
-        residuals: (n,), output unit.
-    """
-
-    entries: tuple[Entry, ...]
-    pairs: tuple[Pair, ...]
-    unit: str
-    rms: float
-    noise: float
-    autocorrelation: tuple[float, float]
-    spread_with: dict[str, float]
-    outliers: tuple[tuple[int, float], ...]
-    pit_p: float
-    fixed: FixedComparison | None
-    residuals: np.ndarray = field(repr=False)
-
-    def __str__(self) -> str:
-        from bayescal._diagnostics.text import (
-            check_text,
-        )  # tables for people stand above this floor
-
-        return check_text(self)
 
 
 def check(calibration: Calibration) -> Check:
@@ -138,7 +57,7 @@ def check(calibration: Calibration) -> Check:
         noise,
         autocorrelation(judged, white),
         # Where the mean is off, so is the size of the residuals: scatter is judged only where it is not.
-        _spread_with(covariates, white) if max(factors, default=0.0) < MEAN_IS_OFF else {},
+        _spread_with(covariates, white) if max(factors, default=0.0) < STRONG else {},
         tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
         float(stats.kstest(stats.norm.cdf(loo), "uniform").pvalue),
         None if free_noise is None else _compare_fixed(calibration, residual, noise, free_noise),
@@ -190,7 +109,7 @@ def _compare_fixed(
     )
 
 
-def covariates_of(calibration: Calibration) -> list[smooth_terms.Block]:
+def covariates_of(calibration: Calibration) -> list[smooth_terms.Covariate]:
     """Everything recorded or derived that residuals can be laid against."""
     readings, frame = calibration.readings, calibration.frame
     found = []
@@ -217,8 +136,8 @@ def covariates_of(calibration: Calibration) -> list[smooth_terms.Block]:
 
 
 def _duos(
-    covariates: list[smooth_terms.Block],
-) -> list[tuple[smooth_terms.Block, smooth_terms.Block]]:
+    covariates: list[smooth_terms.Covariate],
+) -> list[tuple[smooth_terms.Covariate, smooth_terms.Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
     varied = [b for b in covariates if not b.levels]
     rank = {b.name: stats.rankdata(b.values) for b in varied}
@@ -245,7 +164,7 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
 
 
 def _spread_with(
-    covariates: list[smooth_terms.Block], standardised: np.ndarray
+    covariates: list[smooth_terms.Covariate], standardised: np.ndarray
 ) -> dict[str, float]:
     """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
     found = {}
@@ -265,7 +184,7 @@ def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
     if not calibration.model.noise.independent:
         return white
     y = jnp.asarray(calibration.readings["output"])
-    null = efficient_score.null_model(calibration.layout, calibration.frame, y, calibration.mode)
+    null = laplace.linearised(calibration.layout, calibration.frame, y, calibration.mode)
     noise = calibration.model.noise.variance(null.hyper, calibration.frame) + null.extra
     scaled = np.asarray(null.nuisance * null.prior.sd) / np.sqrt(np.asarray(noise))[:, None]
     inner = scaled.T @ scaled + np.diag(np.asarray(null.prior.weight))

@@ -6,6 +6,7 @@ Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao e
 
 from __future__ import annotations
 
+import textwrap
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +18,9 @@ from scipy.optimize import minimize
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
-from bayescal._diagnostics.leave_group_out import leave_one_group_out
+from bayescal._core.formatting import WIDTH, number, table
+from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut, leave_one_group_out
+from bayescal._readings.units import unit_label
 
 SAME_CURVE = (
     0.15  # largest difference, in noise standard deviations, of curves that count as the same
@@ -75,11 +78,34 @@ class Comparison:
     warnings: tuple[str, ...]
 
     def __str__(self) -> str:
-        from bayescal._diagnostics.text import (
-            comparison_text,
-        )  # tables for people stand above this floor
-
         return comparison_text(self)
+
+
+def comparison_text(found: Comparison) -> str:
+    """Models side by side, the best first."""
+    unit = unit_label(found.unit)
+    grouped = found.chosen_by == "left-out groups"
+    head = ["model", f"rmse [{unit}]"]
+    head += [f"left-out {found.group}", "score", "difference"] if grouped else []
+    head += ["LOO", "difference", "log evidence", "weight"]
+    rows = []
+    for r in found.rows:
+        cells = [r.name, number(r.rmse)]
+        if grouped:
+            score = "–" if r.group_score is None else f"{r.group_score:.1f}"
+            cells += [number(r.group_rmse), score, _gap(r.group_difference, r.group_error)]
+        evidence = "null" if r.log_evidence is None else f"{r.log_evidence:.1f}"
+        loo = _gap(r.loo_difference, r.loo_error)
+        rows.append([*cells, f"{r.loo:.1f}", loo, evidence, f"{r.weight:.2f}"])
+    count = f" ({found.groups} of them)" if grouped else ""
+    lines = [table(head, rows), f"chosen by {found.chosen_by}{count}"]
+    return "\n".join([*lines, *(textwrap.fill(w, WIDTH) for w in found.warnings)])
+
+
+def _gap(value: float | None, error: float | None) -> str:
+    if value is None or error is None or (value == 0 and error == 0):
+        return "0" if value == 0 else "–"
+    return f"{value:.1f} ± {error:.1f}"
 
 
 def compare(calibrations: Mapping[str, Calibration]) -> Comparison:
@@ -91,6 +117,36 @@ def compare(calibrations: Mapping[str, Calibration]) -> Comparison:
     Raises:
         InputError: fewer than two, or fits of different readings.
     """
+    names = list(calibrations)
+    _refuse_different_readings(calibrations)
+    loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
+    folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
+    grouped = all(f is not None for f in folds.values())
+    fold = next((f for f in folds.values() if f is not None), None)
+    best_loo = loo[max(names, key=lambda n: loo[n][0].sum())][0]
+    left_out = [f for f in folds.values() if f is not None]
+    best_fold = max(left_out, key=lambda f: f.log_score.sum()) if grouped else None
+    weights = stacking(np.stack([loo[n][0] for n in names], axis=1))
+    rows = [
+        _row(name, calibrations[name], loo[name], best_loo, folds[name], best_fold, float(weight))
+        for name, weight in zip(names, weights, strict=True)
+    ]
+    rows.sort(key=lambda r: -(r.group_score if grouped and r.group_score is not None else r.loo))
+    first = calibrations[names[0]]
+    return Comparison(
+        rows=tuple(rows),
+        group=fold.group if fold else "reading",
+        groups=fold.count if fold else len(first.readings),
+        unit=first.unit,
+        chosen_by="left-out groups" if grouped else "pointwise leave-one-out",
+        warnings=(
+            *_warnings(rows, fold.count if fold else 0, grouped),
+            *_alike(calibrations),
+        ),
+    )
+
+
+def _refuse_different_readings(calibrations: Mapping[str, Calibration]) -> None:
     names = list(calibrations)
     if len(names) < 2:
         raise InputError(f"compare needs at least two calibrations, not {len(names)}")
@@ -104,44 +160,33 @@ def compare(calibrations: Mapping[str, Calibration]) -> Comparison:
                 f"{names[0]!r} and {name!r} were fitted to different readings "
                 f"({first.readings.file}, {calibrations[name].readings.file}): fit both to the same"
             )
-    loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
-    folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
-    grouped = all(f is not None for f in folds.values())
-    any_fold = next((f for f in folds.values() if f is not None), None)
-    best_loo = max(names, key=lambda n: loo[n][0].sum())
-    best_group = max(names, key=lambda n: folds[n].log_score.sum()) if grouped else None
-    weights = stacking(np.stack([loo[n][0] for n in names], axis=1))
-    rows = []
-    for name, weight in zip(names, weights, strict=True):
-        c, (points, k) = calibrations[name], loo[name]
-        difference = points - loo[best_loo][0]
-        fold, best = folds[name], folds[best_group] if best_group else None
-        gap = fold.log_score - best.log_score if fold and best else None
-        rows.append(
-            Row(
-                name,
-                c.model.names,
-                predict(c).rmse,
-                float(fold.log_score.sum()) if fold else None,
-                None if gap is None else float(gap.sum()),
-                None if gap is None else _error(gap),
-                fold.rmse if fold else None,
-                float(points.sum()),
-                float(difference.sum()),
-                _error(difference),
-                k,
-                c.log_evidence[0] if c.log_evidence else None,
-                float(weight),
-            )
-        )
-    rows.sort(key=lambda r: -(r.group_score if grouped and r.group_score is not None else r.loo))
-    return Comparison(
-        tuple(rows),
-        any_fold.group if any_fold else "reading",
-        any_fold.count if any_fold else len(first.readings),
-        first.unit,
-        "left-out groups" if grouped else "pointwise leave-one-out",
-        (*_warnings(rows, any_fold.count if any_fold else 0, grouped), *_alike(calibrations)),
+
+
+def _row(
+    name: str,
+    calibration: Calibration,
+    loo: tuple[np.ndarray, float],
+    best_loo: np.ndarray,
+    fold: LeaveOneGroupOut | None,
+    best_fold: LeaveOneGroupOut | None,
+    weight: float,
+) -> Row:
+    points, pareto_k = loo
+    gap = fold.log_score - best_fold.log_score if fold and best_fold else None
+    return Row(
+        name=name,
+        effects=calibration.model.names,
+        rmse=predict(calibration).rmse,
+        group_score=float(fold.log_score.sum()) if fold else None,
+        group_difference=None if gap is None else float(gap.sum()),
+        group_error=None if gap is None else _error(gap),
+        group_rmse=fold.rmse if fold else None,
+        loo=float(points.sum()),
+        loo_difference=float((points - best_loo).sum()),
+        loo_error=_error(points - best_loo),
+        pareto_k=pareto_k,
+        log_evidence=calibration.log_evidence[0] if calibration.log_evidence else None,
+        weight=weight,
     )
 
 

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.jit import compiled
-from bayescal._inference import gaussian
-from bayescal._model import forward
+from bayescal._inference.laplace import linearised
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
@@ -45,52 +43,13 @@ class Score(NamedTuple):
         return Score(self.u - cross.T @ pull[:, -1], left, self.before)
 
 
-class Null(NamedTuple):
-    """The fitted model as a linear one: residual at the prior mean, and all nuisance columns."""
-
-    residual: Float[Array, "n"]
-    nuisance: Float[Array, "n q"]
-    prior: gaussian.Prior
-    extra: Float[Array, "n"]
-    hyper: forward.Values
-
-
-def null_model(layout: Layout, frame: Frame, y: Float[Array, "n"], mode) -> Null:
-    """Linearise the fitted model; shapes and promoted coefficients are nuisances too."""
-    hyper = forward.hyper_values(layout, mode.v)
-    point = mode.point
-    line = forward.linearise(layout, frame, point.x, point.rows, hyper)
-    moving = [i for i, h in enumerate(layout.hypers) if h.moves]
-    nuisance, prior = line.jacobian, gaussian.prior_of(layout, hyper, mode.flat)
-    at = point.x
-    if moving:
-        places = jnp.asarray(moving)
-
-        def output(w):
-            values = forward.hyper_values(layout, mode.v.at[places].set(w))
-            return forward.mean(layout, frame, point.x, point.rows, values)
-
-        nuisance = jnp.concatenate([nuisance, jax.jacfwd(output)(mode.v[places])], axis=1)
-        ones = jnp.ones(len(moving))
-        prior = gaussian.Prior(
-            jnp.concatenate([prior.mean, 0 * ones]),
-            jnp.concatenate([prior.sd, ones]),
-            jnp.concatenate([prior.weight, ones]),
-        )
-        at = jnp.concatenate([at, mode.v[places]])
-    back = jnp.sum(line.rows * point.rows, axis=1)
-    offset = jnp.where(prior.weight > 0, prior.mean - at, 0.0)
-    residual = y - line.mean + back - nuisance @ offset
-    return Null(residual, nuisance, prior, gaussian.row_variance(layout, line), hyper)
-
-
 @compiled
 def _score(layout: Layout, frame: Frame, y: Array, mode, columns: Float[Array, "n m"]):
-    null = null_model(layout, frame, y, mode)
-    q = null.nuisance.shape[1]
-    stacked = jnp.concatenate([null.nuisance * null.prior.sd, columns], axis=1)
-    gram = layout.model.noise.gram(stacked, null.residual, null.extra, null.hyper, frame)
-    inner = gram.jtj[:q, :q] + jnp.diag(null.prior.weight)
+    line = linearised(layout, frame, y, mode)
+    q = line.nuisance.shape[1]
+    stacked = jnp.concatenate([line.nuisance * line.prior.sd, columns], axis=1)
+    gram = layout.model.noise.gram(stacked, line.residual, line.extra, line.hyper, frame)
+    inner = gram.jtj[:q, :q] + jnp.diag(line.prior.weight)
     cross, own = gram.jtj[:q, q:], gram.jtj[q:, q:]
     solved = (
         jnp.linalg.solve(inner, jnp.concatenate([cross, gram.jtr[:q, None]], axis=1)) if q else 0.0
@@ -111,17 +70,17 @@ def score(calibration: Calibration, columns: np.ndarray) -> Score:
 
 @compiled
 def _residuals(layout: Layout, frame: Frame, y: Array, mode):
-    null = null_model(layout, frame, y, mode)
+    line = linearised(layout, frame, y, mode)
     noise = layout.model.noise
-    q = null.nuisance.shape[1]
-    scaled = null.nuisance * null.prior.sd
-    gram = noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
+    q = line.nuisance.shape[1]
+    scaled = line.nuisance * line.prior.sd
+    gram = noise.gram(scaled, line.residual, line.extra, line.hyper, frame)
     fitted = jnp.zeros(frame.size)
     if q:
-        fitted = scaled @ jnp.linalg.solve(gram.jtj + jnp.diag(null.prior.weight), gram.jtr)
-    residual = null.residual - fitted
-    white, _ = noise.whiten(residual[:, None], null.extra, null.hyper, frame)
-    sd = jnp.sqrt(noise.variance(null.hyper, frame) + null.extra)
+        fitted = scaled @ jnp.linalg.solve(gram.jtj + jnp.diag(line.prior.weight), gram.jtr)
+    residual = line.residual - fitted
+    white, _ = noise.whiten(residual[:, None], line.extra, line.hyper, frame)
+    sd = jnp.sqrt(noise.variance(line.hyper, frame) + line.extra)
     return residual, white[:, 0], sd
 
 
@@ -143,8 +102,8 @@ def residuals(calibration: Calibration) -> Residuals:
 
 @compiled
 def _projections(layout: Layout, frame: Frame, y: Array, mode, residual: Array, columns: Array):
-    null = null_model(layout, frame, y, mode)
-    gram = layout.model.noise.gram(columns, residual, null.extra, null.hyper, frame)
+    line = linearised(layout, frame, y, mode)
+    gram = layout.model.noise.gram(columns, residual, line.extra, line.hyper, frame)
     return gram.jtr, gram.jtj
 
 

@@ -44,7 +44,7 @@ class _Binned:
 
 
 def worst_regions(
-    calibration: Calibration, covariates: list[smooth_terms.Block], residual: np.ndarray
+    calibration: Calibration, covariates: list[smooth_terms.Covariate], residual: np.ndarray
 ) -> list[Region]:
     """For each covariate the stretch of neighbouring bins whose mean residual is worst against its uncertainty.
 
@@ -81,7 +81,7 @@ def worst_regions(
     ]
 
 
-def _cut(index: int, block: smooth_terms.Block, own: np.ndarray, group: str | None) -> _Binned:
+def _cut(index: int, block: smooth_terms.Covariate, own: np.ndarray, group: str | None) -> _Binned:
     values = block.values[own]
     distinct = np.unique(values)
     bins = np.full(len(block.values), -1)
@@ -95,7 +95,9 @@ def _cut(index: int, block: smooth_terms.Block, own: np.ndarray, group: str | No
     return _Binned(index, group, bins, count, longest)
 
 
-def _worst(cut: _Binned, block: smooth_terms.Block, pull: np.ndarray, weight: np.ndarray) -> Region:
+def _worst(
+    cut: _Binned, block: smooth_terms.Covariate, pull: np.ndarray, weight: np.ndarray
+) -> Region:
     best = (0.0, 0.0, 0, 1)
     for i in range(cut.count):
         for j in range(i + 1, min(i + cut.longest, cut.count) + 1):

@@ -8,21 +8,23 @@ from itertools import pairwise
 
 import numpy as np
 
+from bayescal._calibration.evidence import laplace_evidence
 from bayescal._calibration.fit import fit
 from bayescal._calibration.predict import predict
 from bayescal._core.progress import stage
 from bayescal._diagnostics.check import check
+from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
+from bayescal._diagnostics.noise_floor import noise_floor
 from bayescal._discovery.discover import discover
 from bayescal._discovery.outliers import without_spikes
-from bayescal._discovery.refit import laplace_evidence
-from bayescal._discovery.search_path import NEARLY, OtherPath, Step, Trail, gate, noise_floor
+from bayescal._discovery.search_path import OtherPath, Step, Trail, gate
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of
-from bayescal._model.instrument import free_curve
 from bayescal._model.model import Model
 from bayescal._model.noise import White, over_record
+from bayescal._model.placeholder import free_curve
 from bayescal._readings.measurements import Measurements
 
 WIDER = 1.0  # log evidence that correlated noise must gain over white before it is believed
@@ -164,7 +166,7 @@ class _Loop:
             best = laplace_evidence(model, calibration)
             for name in earlier:
                 without = laplace_evidence(model - name, calibration)
-                if without >= best + (NEARLY if free_curve(newest) and not free_curve(name) else 0):
+                if without >= best + (STRONG if free_curve(newest) and not free_curve(name) else 0):
                     model, best = model - name, without
                     dropped.append(name)
         return model, tuple(dropped)
@@ -238,7 +240,7 @@ def _wrong_turn(steps: list[Step]) -> tuple[int, str] | None:
     Returns:
         The step after which it was, and the function; None if there is none.
     """
-    end = _evidence(steps[-1]) + NEARLY
+    end = _evidence(steps[-1]) + STRONG
     for i, (step, following) in enumerate(pairwise(steps)):
         if step.discovery is None or following.added is None or i + 2 == len(steps):
             continue
@@ -262,7 +264,7 @@ def _other_path(
     """
     here, there = (tuple(s.added for s in steps if s.added) for steps in (chosen, other))
     same = noise == chosen[-1].calibration.model.noise.law and set(here) == set(there)
-    if same or behind < -NEARLY:
+    if same or behind < -STRONG:
         return None
     return OtherPath(noise, there, behind)
 

@@ -11,6 +11,7 @@ from scipy.stats import chi2, norm
 
 from bayescal._diagnostics import efficient_score
 from bayescal._discovery import candidate_columns, susie
+from bayescal._model.placeholder import covariate_in
 
 FINDING = 0.05  # P(nothing is missing) at or below which an effect is reported as found
 POWER = 0.80
@@ -60,7 +61,7 @@ class Candidate:
     @property
     def unknown(self) -> bool:
         """Whether it is an unknown function of a covariate rather than an effect with a name."""
-        return self.effect.startswith("unknown(")
+        return covariate_in(self.effect) is not None
 
 
 @dataclass(frozen=True)

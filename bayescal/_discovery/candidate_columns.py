@@ -113,7 +113,7 @@ def columns_at(
 
 def prior_shares(effects: Sequence[Effect]) -> np.ndarray:
     """Equal shares for named effects, and a small one for all unknown dependences together."""
-    unknown = np.array([e.measure is not None for e in effects])
+    unknown = np.array([e.is_placeholder for e in effects])
     if unknown.all() or not unknown.any():
         return np.full(len(effects), 1 / len(effects))
     return np.where(unknown, UNKNOWN_SHARE / unknown.sum(), (1 - UNKNOWN_SHARE) / (~unknown).sum())

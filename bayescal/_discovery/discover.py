@@ -7,7 +7,7 @@ missing" has probability one half; the leading sets are then verified by refitti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,52 +18,16 @@ from bayescal._discovery import candidate as judgement
 from bayescal._discovery import candidate_columns as candidates
 from bayescal._discovery import refit, susie
 from bayescal._discovery.candidate import FINDING, Candidate
+from bayescal._discovery.discovery import Discovery, Found
 from bayescal._discovery.refit import LEAD
 from bayescal._model.effect import Effect
 from bayescal._model.frame import derived
-from bayescal._model.instrument import FORMS, free_curve
 from bayescal._model.model import testable
+from bayescal._model.placeholder import FORMS, free_curve
 
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 VISIBLE = 0.01  # share of the information left after the nuisances, below which a plausible size must still be seen
 HOPELESS = 10.0  # plausible sizes that an effect would need to be found, above which this experiment cannot see it
-
-
-@dataclass(frozen=True)
-class Found:
-    """One of these effects is missing; the readings cannot tell which."""
-
-    effects: tuple[str, ...]
-    probability: float
-
-
-@dataclass(frozen=True)
-class Discovery:
-    """The answer to "which effect is missing?".
-
-    Attributes:
-        nothing_missing: probability that none of the candidates is.
-        sets: findings, the most probable first.
-        candidates: every candidate, the most probable first.
-        best: the effects to add, so that `model + discovery.best` is the next model; empty for none.
-        verified: log Bayes factor by refit, of each effect refitted.
-        rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
-            with those that come nearest; without a set, the leads.
-    """
-
-    nothing_missing: float
-    sets: tuple[Found, ...]
-    candidates: tuple[Candidate, ...]
-    best: tuple[Effect, ...]
-    verified: dict[str, float]
-    rivals: tuple[Effect, ...] = ()
-
-    def __str__(self) -> str:
-        from bayescal._diagnostics.text import (
-            discovery_text,
-        )  # tables for people stand above this floor
-
-        return discovery_text(self)
 
 
 def discover(
@@ -81,18 +45,7 @@ def discover(
         max_effects: most effects that may be missing at once.
         verify: refit the leading set's members and demand that their evidence agrees.
     """
-    model, readings = calibration.model, calibration.readings
-    known = {e.name: e for e in (*model.instrument.candidates, *model.instrument.effects, *effects)}
-    for effect in unknowns(calibration):
-        known.setdefault(effect.name, effect)
-    open_ = [e for n, e in known.items() if n not in model.names]
-    reasons = {e.name: testable(e, readings) for e in open_}
-    tested = [e for e in open_ if reasons[e.name] is None]
-    shut = [
-        Candidate(n, kind="not testable", reason=r)
-        for n, r in reasons.items()
-        if r is not None and known[n].measure is None
-    ]
+    known, tested, shut = _candidates_of(calibration, effects)
     if not tested:
         return Discovery(1.0, (), tuple(shut), (), {})
     with stage("looking for missing effects"):
@@ -106,10 +59,8 @@ def discover(
             rows=max_effects,
             candidate_prior=columns.prior,
         )
-        judged = [
-            judgement.judge(columns, score, i, float(found.inclusion[i]))
-            for i in range(len(tested))
-        ]
+        shares = [float(share) for share in found.inclusion]
+        judged = [judgement.judge(columns, score, i, share) for i, share in enumerate(shares)]
         judged = judgement.name_aliases(judged, columns, score, found)
     sets = tuple(Found(tuple(tested[m].name for m in s.members), s.probability) for s in found.sets)
     learned = any(h.kind == "spread" for h in calibration.layout.hypers)
@@ -121,15 +72,16 @@ def discover(
         nothing = refit.nothing_after(judged, verified, nothing)
         judged = refit.after_refit(judged, verified, nothing)
         sets = (Found(refit.members(judged, verified), 1 - nothing), *sets[1:])
-        if nothing <= FINDING and known[sets[0].effects[0]].measure is not None:
+        if nothing <= FINDING and known[sets[0].effects[0]].is_placeholder:
             together = _together(columns, score, max_effects)
             leaders = [known[s.effects[0]] for s in together]
             share = refit.share_of(calibration, leaders, judged, verified)
-            sets, judged = _named(sets, together, share, judged, verified, len(readings))
+            sets, judged = _named(
+                sets, together, share, judged, verified, len(calibration.readings)
+            )
     if nothing <= FINDING and sets:
         best = (_first(sets[0], known),)
-        names = [e.name for e in tested]
-        judged = judgement.given(judged, columns, score, names.index(best[0].name))
+        judged = judgement.given(judged, columns, score, tested.index(best[0]))
     else:
         sets = ()
     in_sets = {name for s in sets for name in s.effects}
@@ -138,6 +90,24 @@ def discover(
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     rivals = tuple(known[name] for name in _rivals(sets, ranked))
     return Discovery(nothing, sets, (*ranked, *shut), best, verified, rivals)
+
+
+def _candidates_of(
+    calibration: Calibration, effects: Sequence[Effect]
+) -> tuple[dict[str, Effect], list[Effect], list[Candidate]]:
+    """All effects by name; those to test; and those that these readings cannot test, each with the reason."""
+    model, readings = calibration.model, calibration.readings
+    known = {e.name: e for e in (*model.instrument.candidates, *model.instrument.effects, *effects)}
+    for effect in unknowns(calibration):
+        known.setdefault(effect.name, effect)
+    reasons = {n: testable(e, readings) for n, e in known.items() if n not in model.names}
+    tested = [known[n] for n, reason in reasons.items() if reason is None]
+    shut = [
+        Candidate(n, kind="not testable", reason=reason)
+        for n, reason in reasons.items()
+        if reason is not None and not known[n].is_placeholder
+    ]
+    return known, tested, shut
 
 
 def _named(
@@ -171,7 +141,7 @@ def _together(
     columns: candidates.Columns, score: efficient_score.Score, max_effects: int
 ) -> tuple[Found, ...]:
     """What named effects together would explain: an unknown function can imitate a sum of several of them."""
-    named = [i for i, e in enumerate(columns.effects) if e.measure is None]
+    named = [i for i, e in enumerate(columns.effects) if not e.is_placeholder]
     place = {candidate: i for i, candidate in enumerate(named)}
     if not named:
         return ()
@@ -192,7 +162,7 @@ def _together(
 def _first(found: Found, known: dict[str, Effect]) -> Effect:
     """What to add of a set: its likeliest effect that has a name, if any has one; a placeholder comes last."""
     effects = [known[name] for name in found.effects]
-    return next((e for e in effects if e.measure is None), effects[0])
+    return next((e for e in effects if not e.is_placeholder), effects[0])
 
 
 def _rivals(sets: tuple[Found, ...], ranked: Sequence[Candidate]) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import ModelError
 from bayescal._model.frame import derived
-from bayescal._model.instrument import FORMS
+from bayescal._model.placeholder import FORMS
 
 ENOUGH = 0.97  # share of the shape's variance from which a simple curve will do
 POINTS = 101
@@ -56,7 +56,7 @@ def shape_of(calibration: Calibration, name: str) -> Shape:
         ModelError: the model has no unknown dependence of that name.
     """
     effect = calibration.model.effect(name)
-    if effect.measure is None:
+    if not effect.is_placeholder:
         raise ModelError(
             f"{name!r} is a named effect, not an unknown dependence: it has a form of its own"
         )

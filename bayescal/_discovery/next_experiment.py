@@ -20,8 +20,10 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
+from bayescal._core.formatting import table
 from bayescal._core.jit import compiled
 from bayescal._core.progress import stage
+from bayescal._diagnostics.evidence_scale import VERY_STRONG
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model import forward
 from bayescal._model.effect import Effect
@@ -66,11 +68,24 @@ class NextExperiment:
     experiments: tuple[Experiment, ...]
 
     def __str__(self) -> str:
-        from bayescal._diagnostics.text import (
-            experiment_text,
-        )  # tables for people stand above this floor
-
         return experiment_text(self)
+
+
+def experiment_text(found: NextExperiment) -> str:
+    """Feasible experiments, the most telling first."""
+    rows = []
+    for e in found.experiments:
+        (truth, rival), least = min(e.expected.items(), key=lambda item: item[1])
+        rows.append([e.name, f"{least:.1f}", f"{truth} against {rival}"])
+    lines = [
+        f"to tell apart: {', '.join(found.members)}",
+        table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
+    ]
+    if found.experiments[0].worst < VERY_STRONG:
+        lines.append(
+            f"None of these is expected to tell them apart (a log Bayes factor of {VERY_STRONG:g} would)."
+        )
+    return "\n".join(lines)
 
 
 def next_experiment(
@@ -96,7 +111,10 @@ def next_experiment(
             f"next_experiment needs two effects or more to tell apart, not {len(chosen)}"
         )
     plans = (
-        {name: make() for name, make in instrument.experiments}
+        {
+            name: Measurements.from_arrays(instrument, **record())
+            for name, record in instrument.experiments
+        }
         if experiments is None
         else dict(experiments)
     )

@@ -9,19 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import expit, logsumexp
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fit import bind
+from bayescal._calibration.evidence import laplace_evidence
 from bayescal._core.progress import stage
 from bayescal._discovery import susie
 from bayescal._discovery.candidate import Candidate
-from bayescal._inference.laplace import compiled_mode
 from bayescal._model.effect import Effect
-from bayescal._model.frame import build_frame
-from bayescal._model.model import Model
 
 LEAD = 1.0  # log Bayes factor from which an effect that is not a finding is a lead
 RIVAL = (
@@ -31,17 +27,6 @@ RIVAL = (
 HALF = 0.5  # of its log Bayes factor,
 MOST = 0.9  # or of its variance
 VERIFIED = 4  # candidates that are refitted: the leading set's members, then other leads
-
-
-def laplace_evidence(model: Model, calibration: Calibration) -> float:
-    """Log evidence of a model on a calibration's readings, by Laplace."""
-    model.require(calibration.readings)
-    layout, _ = bind(model, calibration.readings)
-    extra = [n for n in calibration.layout.promoted if n in model.unknowns]
-    layout = layout.promote(*extra)
-    frame = build_frame(calibration.readings, calibration.reference)
-    y = jnp.asarray(calibration.readings["output"])
-    return float(compiled_mode(layout, frame, y).log_evidence)
 
 
 def leading(

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._diagnostics.check import Check
-from bayescal._diagnostics.efficient_score import residuals
+from bayescal._core.formatting import number, probability, table
+from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
-from bayescal._discovery.discover import Discovery
+from bayescal._discovery.discovery import Discovery
 from bayescal._readings.measurements import Measurements
+from bayescal._readings.units import unit_label
 
-NEARLY = 3.0  # log Bayes factor, odds of twenty, within which the end of another path is named
 AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
 NOTICEABLE = 0.1  # if the coefficient itself is above this
 
@@ -56,6 +55,21 @@ class Step:
             return self.noise_changed or "baseline"
         dropped = f" (drops {', '.join(self.dropped)})" if self.dropped else ""
         return f"+ {self.added}{dropped}"
+
+    def errors(self) -> dict[str, Any]:
+        """Title and errors as plain data, output unit: what result.json says of them, and what pictures show."""
+        left_out = self.left_out
+        return {
+            "title": self.title,
+            "rmse": self.rmse,
+            "rmse_fitted": self.rmse_fitted,
+            "unit": self.calibration.unit,
+            "holdout_rmse": self.holdout_rmse,
+            "leave_one_group_out": None
+            if left_out is None
+            else {"group": left_out.group, "n": left_out.count, "rmse": left_out.rmse},
+            "noise_floor": self.noise_floor,
+        }
 
 
 @dataclass(frozen=True)
@@ -114,21 +128,38 @@ class Trail:
     def ok(self) -> bool:
         return self.gate.ok and self.final.calibration.verdict.ok
 
-    def save(self, folder: Path) -> None:
-        """Write result.json, calibration.nc (of the last step) and loop.png to an existing folder."""
-        from bayescal._report.result_json import result, write_json
-        from bayescal.plot import loop, save  # matplotlib only where a picture is written
+    if TYPE_CHECKING:
 
-        write_json(result(self), Path(folder) / "result.json")
-        self.final.calibration.save(Path(folder) / "calibration.nc")
-        save(loop(self), Path(folder) / "loop.png")
+        def save(self, folder: Path) -> None:
+            """Write result.json, calibration.nc (of the last step) and loop.png; `save_search` attaches it."""
 
     def __str__(self) -> str:
-        from bayescal._diagnostics.text import (
-            trail_text,
-        )  # tables for people stand above this floor
-
         return trail_text(self)
+
+
+def trail_text(trail: Trail) -> str:
+    """The error, step by step."""
+    unit = unit_label(trail.final.calibration.unit)
+    head = [
+        *("step", f"rmse [{unit}]", "left-out", "held-out", "noise", "floor"),
+        *("log evidence", "nothing missing"),
+    ]
+    rows = []
+    for i, s in enumerate(trail.steps):
+        evidence = s.calibration.log_evidence
+        rows.append(
+            [
+                f"{i} {s.title}",
+                number(s.rmse),
+                number(s.left_out.rmse if s.left_out else None),
+                number(s.holdout_rmse),
+                number(s.check.noise),
+                number(s.noise_floor),
+                "–" if evidence is None else f"{evidence[0]:z.1f}",
+                probability(s.discovery.nothing_missing if s.discovery else None),
+            ]
+        )
+    return table(head, rows)
 
 
 def gate(step: Step) -> Gate:
@@ -151,25 +182,3 @@ def gate(step: Step) -> Gate:
             "time or something is missing that no candidate describes.",
         )
     return Gate(True, "converged; neighbouring residuals are not correlated")
-
-
-def noise_floor(calibration: Calibration) -> float:
-    """Noise that no model of smooth effects could remove, output unit.
-
-    From each residual against the mean of its two neighbours (in time within a run; in temperature where there
-    is no time), as in a von Neumann ratio: what varies slowly cancels.
-    """
-    residual = residuals(calibration).raw
-    frame, readings = calibration.frame, calibration.readings
-    if readings.has("time"):
-        order, linked = np.asarray(frame.order), np.asarray(frame.step) > 0
-    else:
-        key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
-        order, linked = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
-        linked[0] = False
-    r = residual[order]
-    inner = linked[1:-1] & linked[2:]
-    bend = (r[1:-1] - 0.5 * (r[:-2] + r[2:]))[inner]
-    if bend.size < 3:
-        return float(np.sqrt(np.mean(residual**2)))
-    return float(np.sqrt(np.mean(bend**2) / 1.5))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,85 +14,15 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
+from bayescal._fleet.device_result import BatchPart, DeviceResult
 from bayescal._fleet.population import Population
-from bayescal._readings.write import beside
 
 SCHEMA = "bayescal.batch/1"
 SHOWN = 10  # devices that are named in print when they cannot be trusted
 COLUMNS = ("device", "coefficient", "mean", "sd", "unit", "ok", "reason")
 POPULATION = ("coefficient", "mean", "mean_sd", "spread", "spread_sd", "unit")
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Devices that have the same unknowns.
-
-    Attributes:
-        devices: their places in the batch.
-        names, units: of the unknowns.
-        mean: (b, q), in these units.
-        covariance: (b, q, q); NaN for what is held at its estimate (noise and spreads, by least squares).
-    """
-
-    devices: np.ndarray
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    mean: np.ndarray
-    covariance: np.ndarray
-
-    @property
-    def sd(self) -> np.ndarray:
-        """Standard uncertainties, (b, q)."""
-        variance = np.diagonal(self.covariance, axis1=1, axis2=2)
-        return np.sqrt(np.where(variance >= 0, variance, np.nan))
-
-
-@dataclass(frozen=True, eq=False)
-class DeviceResult:
-    """One device of a batch.
-
-    Attributes:
-        device: its name.
-        ok: whether to trust it.
-        reason: why not: a refusal, or what the fit did not reach; empty if nothing.
-        names, units: of its unknowns; none if it was refused.
-        mean: (q,), in these units.
-        covariance: (q, q).
-    """
-
-    device: str
-    ok: bool
-    reason: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    mean: np.ndarray
-    covariance: np.ndarray
-
-    @property
-    def sd(self) -> np.ndarray:
-        """Standard uncertainties, (q,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def __getitem__(self, name: str) -> tuple[float, float]:
-        """Mean and standard uncertainty of one unknown.
-
-        Raises:
-            InputError: nothing is called so.
-        """
-        if name not in self.names:
-            raise InputError(
-                f"device {self.device!r} has no unknown {name!r}; it has: {', '.join(self.names) or 'none'}"
-                f"{' (' + self.reason + ')' if self.reason else ''}"
-            )
-        i = self.names.index(name)
-        return float(self.mean[i]), float(self.sd[i])
-
-    def __str__(self) -> str:
-        head = f"device {self.device}: {'ok' if self.ok else self.reason}"
-        known = [("" if np.isnan(s) else f" ± {s:.2g}") for s in self.sd]
-        rows = zip(self.names, self.mean, known, self.units, strict=True)
-        return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +41,7 @@ class BatchResult:
     devices: tuple[str, ...]
     ok: np.ndarray
     reasons: tuple[str, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[BatchPart, ...]
     population: Population | None
     about: dict[str, Any]
 
@@ -143,13 +73,16 @@ class BatchResult:
             shown = ", ".join(self.devices[:5])
             raise InputError(f"there is no device {device!r} among the {len(self)}: {shown} …")
         at %= len(self)
-        name, ok, reason = self.devices[at], bool(self.ok[at]), self.reasons[at]
+        found = partial(DeviceResult, self.devices[at], bool(self.ok[at]), self.reasons[at])
         if at not in self._where:
-            return DeviceResult(name, ok, reason, (), (), np.zeros(0), np.zeros((0, 0)))
+            return found(names=(), units=(), mean=np.zeros(0), covariance=np.zeros((0, 0)))
         p, i = self._where[at]
         part = self.parts[p]
-        return DeviceResult(
-            name, ok, reason, part.names, part.units, part.mean[i], part.covariance[i]
+        return found(
+            names=part.names,
+            units=part.units,
+            mean=part.mean[i],
+            covariance=part.covariance[i],
         )
 
     def table(self) -> pd.DataFrame:
@@ -215,7 +148,7 @@ class BatchResult:
             else pa.array(long[f.name].to_numpy(np.float64), type=f.type)  # NaN stays NaN
             for f in fields
         ]
-        with beside(path) as partial:
+        with replacing_for_user(path) as partial:
             pq.write_table(pa.Table.from_arrays(columns, schema=schema), partial)
         return path
 
@@ -287,16 +220,24 @@ def load_batch(path: str | Path) -> BatchResult:
     for (own, units), devices in alike.items():
         rows = starts[devices][:, None] + np.arange(len(own))
         covariance = np.stack([np.stack(list(columns["covariance"][r])) for r in rows])
-        parts.append(Part(np.array(devices), own, units, columns["mean"][rows], covariance))
+        parts.append(
+            BatchPart(
+                devices=np.array(devices),
+                names=own,
+                units=units,
+                mean=columns["mean"][rows],
+                covariance=covariance,
+            )
+        )
     population = None
     if told is not None:
         frame = pd.DataFrame(told.pop("table"), columns=list(POPULATION))
         population = Population(frame, **told)
     return BatchResult(
-        tuple(map(str, names)),
-        columns["ok"][starts].astype(bool),
-        tuple(columns["reason"][starts]),
-        tuple(parts),
-        population,
-        about,
+        devices=tuple(map(str, names)),
+        ok=columns["ok"][starts].astype(bool),
+        reasons=tuple(columns["reason"][starts]),
+        parts=tuple(parts),
+        population=population,
+        about=about,
     )

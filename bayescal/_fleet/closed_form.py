@@ -36,7 +36,7 @@ LEAST = 1e-24  # share of the readings' variance, below which the noise counts a
 NOISE = "noise.white"
 
 
-class Line(NamedTuple):
+class ClosedFormFit(NamedTuple):
     """What least squares finds of one device: x̂, its covariance, σ, and whether all of it was determined."""
 
     x: Float[Array, "p"]
@@ -56,11 +56,11 @@ def applies(layout: Layout, frame: Frame) -> bool:
         and layout.size > 0
         and not layout.row_blocks
         and UNCERTAINTY not in frame.columns
-        and not sampled_products.bends(layout, frame)
+        and not sampled_products.is_nonlinear(layout, frame)
     )
 
 
-class _Parts(NamedTuple):
+class _Reduced(NamedTuple):
     """What the readings of one device come down to."""
 
     scale: Float[Array, "p"]
@@ -75,7 +75,7 @@ class _Parts(NamedTuple):
 @compiled
 def solve(
     layout: Layout, frames: Frame, ys: Float[Array, "b n"], real: Float[Array, "b n"]
-) -> Line:
+) -> ClosedFormFit:
     """All devices of a stack."""
     parts = jax.vmap(lambda *device: _reduced(layout, *device))(frames, ys, real)
     if NOISE in dict(layout.model.fixed):
@@ -92,7 +92,9 @@ def _order(layout: Layout) -> tuple[np.ndarray, int]:
     return np.concatenate([np.flatnonzero(flat), np.flatnonzero(~flat)]), int(flat.sum())
 
 
-def _reduced(layout: Layout, frame: Frame, y: Float[Array, "n"], real: Float[Array, "n"]) -> _Parts:
+def _reduced(
+    layout: Layout, frame: Frame, y: Float[Array, "n"], real: Float[Array, "n"]
+) -> _Reduced:
     point, (places, f) = start_point(layout, frame), _order(layout)
     hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
     line = forward.linearise(layout, frame, point.x, point.rows, hyper)
@@ -101,10 +103,18 @@ def _reduced(layout: Layout, frame: Frame, y: Float[Array, "n"], real: Float[Arr
     table = jnp.column_stack([(line.jacobian * scale)[:, places], y - line.mean])
     upper, p = _triangle(table * real[:, None]), layout.size
     u, d, vt = jnp.linalg.svd(upper[f:p, f:p])
-    return _Parts(scale, point.x, upper, d, vt, u.T @ upper[f:p, p], jnp.sum(real) - f)
+    return _Reduced(
+        scale=scale,
+        centre=point.x,
+        upper=upper,
+        d=d,
+        vt=vt,
+        c=u.T @ upper[f:p, p],
+        count=jnp.sum(real) - f,
+    )
 
 
-def _placed(layout: Layout, own: _Parts, variance: Float[Array, ""]) -> Line:
+def _placed(layout: Layout, own: _Reduced, variance: Float[Array, ""]) -> ClosedFormFit:
     """x̂ and its covariance given the noise."""
     (places, f), p, d2 = _order(layout), layout.size, own.d**2
     z = own.vt.T @ (own.d * own.c / (variance + d2))
@@ -124,12 +134,12 @@ def _placed(layout: Layout, own: _Parts, variance: Float[Array, ""]) -> Line:
     # Flat columns have length one: a diagonal of R near zero is a direction that nothing determines.
     determined = jnp.all(jnp.abs(jnp.diag(left)) > 1e-10) & jnp.all(jnp.isfinite(value))
     rest = own.upper[p, p] ** 2
-    return Line(
-        own.centre + own.scale * value,
-        own.scale[:, None] * covariance * own.scale,
-        jnp.sqrt(variance),
-        determined,
-        rest > LEAST * jnp.sum(own.upper[:, p] ** 2),
+    return ClosedFormFit(
+        x=own.centre + own.scale * value,
+        covariance=own.scale[:, None] * covariance * own.scale,
+        noise=jnp.sqrt(variance),
+        determined=determined,
+        scatter=rest > LEAST * jnp.sum(own.upper[:, p] ** 2),
     )
 
 

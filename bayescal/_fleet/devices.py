@@ -13,14 +13,14 @@ import numpy as np
 import xarray as xr
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import Source
-from bayescal._readings.measurements import ROW, Measurements
+from bayescal._readings.column import ROW, Source
+from bayescal._readings.measurements import Measurements
 
 DEVICE = "device"
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class DeviceBlock:
     """Devices whose readings have the same columns, one after the other.
 
     Attributes:
@@ -79,7 +79,7 @@ class Devices:
     """
 
     names: tuple[str, ...]
-    blocks: tuple[Block, ...]
+    blocks: tuple[DeviceBlock, ...]
     refused: dict[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -109,7 +109,7 @@ class Devices:
         return f"<{rows} readings of {len(self)} devices, {len(self.refused)} of them refused>"
 
 
-def without(block: Block, bad: Mapping[int, str]) -> Block:
+def without(block: DeviceBlock, bad: Mapping[int, str]) -> DeviceBlock:
     """A block without some of its devices."""
     if not bad:
         return block
@@ -142,7 +142,13 @@ def gathered(
     for (columns, output), members in alike.items():
         values = {n: np.concatenate([given[i][n] for i in members]) for n, _ in columns}
         ends = np.cumsum([len(given[i]) for i in members])
-        block = Block(tuple(names[i] for i in members), ends, values, dict(columns), output)
+        block = DeviceBlock(
+            names=tuple(names[i] for i in members),
+            ends=ends,
+            values=values,
+            units=dict(columns),
+            output=output,
+        )
         bad = _not_finite(block)
         refused |= {block.names[i]: why for i, why in bad.items()}
         if len(bad) < len(members):
@@ -155,7 +161,7 @@ def _label(one: Measurements, index: int) -> str:
     return levels[0] if len(levels) == 1 else str(index + 1)
 
 
-def _not_finite(block: Block) -> dict[int, str]:
+def _not_finite(block: DeviceBlock) -> dict[int, str]:
     """Devices with a number that is none (arrays made by hand are not checked at any door)."""
     bad: dict[int, str] = {}
     for name, values in block.values.items():

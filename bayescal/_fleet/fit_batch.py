@@ -11,16 +11,18 @@ import numpy as np
 from bayescal._core.errors import BayescalError, InputError, ModelError
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._fleet import fit_stack
-from bayescal._fleet.batch_result import BatchResult, Part
-from bayescal._fleet.devices import Block, Devices, gathered
-from bayescal._fleet.fit_stack import Found
-from bayescal._fleet.population import FEWEST, Population, Spread, chosen, pool
+from bayescal._fleet.batch_result import BatchResult
+from bayescal._fleet.device_result import BatchPart
+from bayescal._fleet.devices import DeviceBlock, Devices, gathered
+from bayescal._fleet.fit_stack import StackFit
+from bayescal._fleet.partial_pooling import pooled
+from bayescal._fleet.population import Named, Spread, chosen
 from bayescal._fleet.split_devices import split_devices
-from bayescal._fleet.stacks import Refusal, Stack, stacks
+from bayescal._fleet.stacks import DeviceStack, Refusal, stacks
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
-from bayescal._model.frame import Reference
+from bayescal._model.frame import Reference, reference_name
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 from bayescal._readings.measurements import Measurements
@@ -94,18 +96,9 @@ def fit_batch(
     reference = dict(reference or {})
     if named:
         reference = {**_common(devices), **reference}
-    refused, run = dict(devices.refused), _Run(model, mapped, seed, chunk, reference)
-    wrong: list[BayescalError] = []
-    for block in devices.blocks:
-        try:
-            model.require(block.measurements(0))
-            run.add(block)
-        except BayescalError as error:  # a column is missing, of all its devices
-            wrong.append(error)
-            refused |= {name: str(error) for name in block.names}
-    if wrong and len(wrong) == len(devices.blocks):
-        raise wrong[0]
-    return run.result(devices.names, {**refused, **run.refused}, named)
+    run = _BatchRun(model, mapped, seed=seed, chunk=chunk, reference=reference)
+    run.fit(devices)
+    return run.result(devices.names, named)
 
 
 def _mappable(model: Model, method: Method) -> LeastSquares | Marginal:
@@ -156,18 +149,23 @@ def _common(devices: Devices) -> dict[str, float | dict[str, float]]:
         for name, unit in block.units.items():
             if unit == "degC" and name != "temperature_point":
                 sums.setdefault(name, []).append(block.values[name])
-    names = {"temperature": "T0", "lab_temperature": "L0"}
     return {
-        names.get(name, f"{name}_0"): float(np.round(np.mean(np.concatenate(values))))
+        reference_name(name): float(np.round(np.mean(np.concatenate(values))))
         for name, values in sums.items()
     }
 
 
-class _Run:
+class _BatchRun:
     """Fits as they come in."""
 
     def __init__(
-        self, model: Model, method: LeastSquares | Marginal, seed: int, chunk: int, reference: Any
+        self,
+        model: Model,
+        method: LeastSquares | Marginal,
+        *,
+        seed: int,
+        chunk: int,
+        reference: Reference,
     ) -> None:
         self.model, self.method, self.seed, self.chunk = model, method, seed, chunk
         self.reference = reference
@@ -177,7 +175,25 @@ class _Run:
         self.ways: dict[str, bool] = {}
         self.found: dict[tuple[tuple[str, str], ...], list[tuple]] = {}
 
-    def add(self, block: Block) -> None:
+    def fit(self, devices: Devices) -> None:
+        """Fit every device that can be fitted.
+
+        Raises:
+            BayescalError: no block can be used; what is said of the first.
+        """
+        self.refused |= devices.refused
+        wrong: list[BayescalError] = []
+        for block in devices.blocks:
+            try:
+                self.model.require(block.measurements(0))
+                self._add(block)
+            except BayescalError as error:  # a column is missing, of all its devices
+                wrong.append(error)
+                self.refused = dict.fromkeys(block.names, str(error)) | self.refused
+        if wrong and len(wrong) == len(devices.blocks):
+            raise wrong[0]
+
+    def _add(self, block: DeviceBlock) -> None:
         masked = self._masked(block)
         for stack in stacks(self.model, block, self.reference, masked, self.chunk):
             if isinstance(stack, Refusal):
@@ -186,14 +202,14 @@ class _Run:
             layout, way = Layout(self.model, stack.counts), self._straight(stack)
             self._keep(block, stack, fit_stack.solve(layout, stack, self.method, self.seed, way))
 
-    def _masked(self, block: Block) -> bool:
+    def _masked(self, block: DeviceBlock) -> bool:
         """Whether padded readings cost nothing: on the quick way, which leaves them out."""
         for stack in stacks(self.model, block, self.reference, False, 1):
-            if isinstance(stack, Stack):
+            if isinstance(stack, DeviceStack):
                 return self._straight(stack)
         return False
 
-    def _straight(self, stack: Stack) -> bool:
+    def _straight(self, stack: DeviceStack) -> bool:
         """Whether the quick way is open, asked once for groups of these sizes and columns of these names."""
         kind = (dict(stack.counts) | {"reading": 0}, sorted(stack.frame.columns))
         if str(kind) not in self.ways:
@@ -201,7 +217,7 @@ class _Run:
             self.ways[str(kind)] = fit_stack.straight(layout, stack, self.method)
         return self.ways[str(kind)]
 
-    def _keep(self, block: Block, stack: Stack, made: Found) -> None:
+    def _keep(self, block: DeviceBlock, stack: DeviceStack, made: StackFit) -> None:
         self.notes |= dict.fromkeys(made.notes)
         alike: dict[tuple, list[int]] = {}
         if _grouped(made.layout):  # then unknowns are called after the members, each device's own
@@ -215,7 +231,9 @@ class _Run:
             )
             self.reasons |= dict(zip(names, (made.reasons[i] for i in members), strict=True))
 
-    def result(self, devices: tuple[str, ...], refused: dict[str, str], named) -> BatchResult:
+    def result(self, devices: tuple[str, ...], named: Named) -> BatchResult:
+        """Everything that was found, in the order of the devices; pooled over those of `named`, if any."""
+        refused = self.refused
         places = {name: i for i, name in enumerate(devices)}
         parts = []
         for own, pieces in self.found.items():
@@ -224,7 +242,11 @@ class _Run:
             mean = np.concatenate([m for _, m, _ in pieces])[order]
             covariance = np.concatenate([c for _, _, c in pieces])[order]
             names, units = zip(*own, strict=True) if own else ((), ())
-            parts.append(Part(at[order], names, units, mean, covariance))
+            parts.append(
+                BatchPart(
+                    devices=at[order], names=names, units=units, mean=mean, covariance=covariance
+                )
+            )
         if not parts and refused:
             first = next(iter(refused.items()))
             raise InputError(
@@ -232,9 +254,9 @@ class _Run:
             )
         reasons = [refused.get(name) or self.reasons.get(name, "") for name in devices]
         ok = np.array([not reason for reason in reasons])
-        pooled = None
+        population = None
         if named:
-            parts, pooled = _pooled(parts, ok, named, self.seed)
+            parts, population = pooled(parts, ok, named, self.seed)
         about = {
             "instrument": self.model.instrument.name,
             "effects": list(self.model.names),
@@ -244,57 +266,15 @@ class _Run:
             "reference": {k: v for k, v in self.reference.items() if not isinstance(v, dict)},
             "notes": list(self.notes),
         }
-        return BatchResult(devices, ok, tuple(reasons), tuple(parts), pooled, about)
+        return BatchResult(
+            devices=devices,
+            ok=ok,
+            reasons=tuple(reasons),
+            parts=tuple(parts),
+            population=population,
+            about=about,
+        )
 
 
 def _grouped(layout: Layout) -> bool:
     return any(b.coefficient.per not in (None, "reading") for b in layout.blocks)
-
-
-def _pooled(parts: list[Part], ok: np.ndarray, named, seed: int) -> tuple[list[Part], Population]:
-    """Learn the population from all devices that can be trusted, and put it to each of them.
-
-    Raises:
-        ModelError: fewer than three of them.
-    """
-    good = [ok[part.devices] for part in parts]
-    if (count := int(sum(g.sum() for g in good))) < FEWEST:
-        raise ModelError(
-            f"a population is learned from at least {FEWEST} devices that converge; here {count} did"
-        )
-    # Of unknowns that differ from part to part, the named ones alone take part; the others of a part follow there.
-    own = [_named_in(part, named) for part in parts]
-    mean = np.concatenate([p.mean[g][:, i] for p, g, i in zip(parts, good, own, strict=True)])
-    covariance = np.concatenate(
-        [p.covariance[g][:, i[:, None], i] for p, g, i in zip(parts, good, own, strict=True)]
-    )
-    learned = pool(mean, covariance, named, seed)
-    changed, begin = [], 0
-    for part, g, i in zip(parts, good, own, strict=True):
-        some = slice(begin, begin + int(g.sum()))
-        begin = some.stop
-        new_mean, new_covariance = part.mean.copy(), part.covariance.copy()
-        moved = _follow(part, g, i, learned.mean[some], learned.covariance[some])
-        new_mean[g], new_covariance[g] = moved
-        changed.append(Part(part.devices, part.names, part.units, new_mean, new_covariance))
-    return changed, learned.population
-
-
-def _named_in(part: Part, named) -> np.ndarray:
-    return np.array([part.names.index(name) for name in named])
-
-
-def _follow(
-    part: Part, good: np.ndarray, of: np.ndarray, mean: np.ndarray, covariance: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """All unknowns of some devices, where the named ones have a new mean and covariance: by regression on them."""
-    old_mean, old = part.mean[good], part.covariance[good]
-    moving = np.isfinite(np.diagonal(old, axis1=1, axis2=2)).all(axis=0)
-    rest = np.flatnonzero(moving)
-    inner = old[:, of[:, None], of]
-    gain = old[:, rest[:, None], of] @ np.linalg.inv(inner)
-    new_mean, new = old_mean.copy(), old.copy()
-    new_mean[:, rest] += np.einsum("bqk,bk->bq", gain, mean - old_mean[:, of])
-    change = gain @ (covariance - inner) @ np.swapaxes(gain, 1, 2)
-    new[:, rest[:, None], rest] += change
-    return new_mean, new

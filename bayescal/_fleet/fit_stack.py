@@ -10,23 +10,23 @@ import numpy as np
 
 from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
+from bayescal._core.weights import smoothed
 from bayescal._fleet import closed_form
-from bayescal._fleet.stacks import Stack, weighed
-from bayescal._inference import importance_sampling, least_squares, sampled_products
+from bayescal._fleet.stacks import DeviceStack, weighed
+from bayescal._inference import importance_sampling, least_squares, sampled_products, trust
 from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.marginal import ENOUGH, K_HAT, Marginal, smoothed, worth
+from bayescal._inference.marginal import Marginal
 from bayescal._model import forward
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Layout, Levels
 
 TOGETHER = 64  # devices that a program of many readings or proposals holds at once
-SINGULAR = "The curvature is singular: some direction is not determined by readings or priors."
 NO_SCATTER = (
     "The readings leave no scatter about the model, so that the noise cannot be told: too few readings for the "
     "coefficients, or made without noise."
 )
 
 
-class Found(NamedTuple):
+class StackFit(NamedTuple):
     """Of the devices of one stack, every unknown in its reported unit.
 
     Attributes:
@@ -42,29 +42,22 @@ class Found(NamedTuple):
     mean: np.ndarray
     covariance: np.ndarray
     reasons: list[str]
-    pareto_k: np.ndarray | None
-    notes: tuple[str, ...]
+    pareto_k: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
 
-def unknowns(layout: Layout, levels: dict[str, tuple[str, ...]]) -> list[tuple[str, str]]:
-    """(name, unit) of every unknown but those of single readings, in the order of `Found.mean`."""
+def unknowns(layout: Layout, levels: Levels) -> list[tuple[str, str]]:
+    """(name, unit) of every unknown but those of single readings, in the order of `StackFit.mean`."""
     found = []
     for b in layout.blocks:
-        per = b.coefficient.per
-        if b.place == "fixed" or per == "reading":
-            continue
-        members = [b.name] if per is None else [f"{b.name}({m})" for m in levels[per]]
-        found += [(name, b.coefficient.unit) for name in members]
+        if b.place not in ("fixed", "row"):
+            found += [(name, b.coefficient.unit) for name in b.member_names(levels)]
     return found + [(h.name, h.unit) for h in layout.hypers if h.kind != "promoted"]
 
 
-def coefficient_count(layout: Layout) -> int:
-    return sum(b.size for b in layout.blocks if b.place not in ("fixed", "row"))
-
-
 def solve(
-    layout: Layout, stack: Stack, method: LeastSquares | Marginal, seed: int, straight: bool
-) -> Found:
+    layout: Layout, stack: DeviceStack, method: LeastSquares | Marginal, seed: int, straight: bool
+) -> StackFit:
     """Fit every device of a stack by itself; `straight` says that least squares may go the quick way."""
     few = len(stack.devices)
     stack = _filled(stack)
@@ -83,12 +76,12 @@ def solve(
     )
 
 
-def straight(layout: Layout, stack: Stack, method: LeastSquares | Marginal) -> bool:
+def straight(layout: Layout, stack: DeviceStack, method: LeastSquares | Marginal) -> bool:
     """Whether the quick way through least squares is open to devices like these."""
     return isinstance(method, LeastSquares) and closed_form.applies(layout, _first(stack.frame))
 
 
-def _filled(stack: Stack) -> Stack:
+def _filled(stack: DeviceStack) -> DeviceStack:
     """A few devices more, the last one repeated, so that few programs are compiled: at most an eighth above 64."""
     few = len(stack.devices)
     step = max(64, 1 << max((few - 1).bit_length() - 4, 0))
@@ -96,13 +89,11 @@ def _filled(stack: Stack) -> Stack:
     if many == few:
         return stack
     pick = np.minimum(np.arange(many), few - 1)
-    return Stack(
-        stack.devices[pick],
-        jax.tree.map(lambda a: np.asarray(a)[pick], stack.frame),
-        stack.y[pick],
-        stack.real[pick],
-        stack.counts,
-        stack.levels,
+    return stack._replace(
+        devices=stack.devices[pick],
+        frame=jax.tree.map(lambda a: np.asarray(a)[pick], stack.frame),
+        y=stack.y[pick],
+        real=stack.real[pick],
     )
 
 
@@ -110,7 +101,7 @@ def _first(frames):
     return jax.tree.map(lambda a: jnp.asarray(a[0]), frames)
 
 
-def _quick(layout: Layout, stack: Stack) -> Found:
+def _quick(layout: Layout, stack: DeviceStack) -> StackFit:
     line = jax.tree.map(
         np.asarray, closed_form.solve(layout, stack.frame, *map(jnp.asarray, (stack.y, stack.real)))
     )
@@ -121,8 +112,8 @@ def _quick(layout: Layout, stack: Stack) -> Found:
     for i in np.flatnonzero(~line.scatter) if not fixed else ():
         reasons[i] = NO_SCATTER
     for i in np.flatnonzero(~line.determined):
-        reasons[i] = SINGULAR
-    return Found(layout, mean, covariance, reasons, None, ())
+        reasons[i] = trust.SINGULAR
+    return StackFit(layout, mean, covariance, reasons)
 
 
 def _widened(covariance: np.ndarray, size: int) -> np.ndarray:
@@ -144,18 +135,18 @@ def _ordinary_batch(layout: Layout, frames, ys, full_hessian: bool):
         found = least_squares.solve(layout, frame, y, full_hessian)
         hyper = forward.hyper_values(layout, found.mode.v)
         values = jnp.stack([hyper[h.name] for h in layout.hypers] or [jnp.zeros(())])
-        stretch = [
+        slopes = [
             jax.grad(lambda v, h=layout.hypers[i]: h.prior.value(v))(found.mode.v[i])
             for i in places
         ]
-        stretch = jnp.concatenate([jnp.ones(layout.size), jnp.asarray(stretch, dtype=float)])
-        covariance = stretch[:, None] * found.covariance * stretch
+        slopes = jnp.concatenate([jnp.ones(layout.size), jnp.asarray(slopes, dtype=float)])
+        covariance = slopes[:, None] * found.covariance * slopes
         return found.mode.point.x, values[: len(layout.hypers)], covariance, found.converged
 
     return over(one, (frames, ys), TOGETHER)
 
 
-def _ordinary(layout: Layout, stack: Stack, method: LeastSquares) -> Found:
+def _ordinary(layout: Layout, stack: DeviceStack, method: LeastSquares) -> StackFit:
     """`LeastSquares` itself, mapped over the devices."""
     _, places = least_squares.split_hypers(layout)
     hessian = method.curvature == "hessian"
@@ -167,14 +158,14 @@ def _ordinary(layout: Layout, stack: Stack, method: LeastSquares) -> Found:
     covariance[:, at[:, None], at] = own
     reasons = [""] * len(mean)
     for i in np.flatnonzero(~converged):
-        reasons[i] = "Levenberg–Marquardt stopped before its tolerance was met."
+        reasons[i] = trust.NOT_CONVERGED
     for i in np.flatnonzero(~np.all(np.isfinite(own), axis=(1, 2)) | ~np.isfinite(mean).all(1)):
-        reasons[i] = SINGULAR
+        reasons[i] = trust.SINGULAR
     notes = (
         "Shapes have the standard uncertainty of their coordinate times its slope; noise and spreads are held at "
         "their restricted-likelihood estimates.",
     )
-    return Found(layout, mean, covariance, reasons, None, notes if places else ())
+    return StackFit(layout, mean, covariance, reasons, notes=notes if places else ())
 
 
 @compiled
@@ -194,7 +185,7 @@ def _values(layout: Layout, x, rows, v, weights):
     return mean, (weights[:, None] * apart).T @ apart
 
 
-def _sampled(layout: Layout, stack: Stack, method: Marginal, seed: int) -> Found:
+def _sampled(layout: Layout, stack: DeviceStack, method: Marginal, seed: int) -> StackFit:
     """`Marginal` by importance sampling; where its weights fail, the verdict says so."""
     frames, first = weighed(stack), _first(stack.frame)
     layout, notes = sampled_products.choose(layout, first, jnp.asarray(stack.y[0]), method.promote)
@@ -218,7 +209,14 @@ def _sampled(layout: Layout, stack: Stack, method: Marginal, seed: int) -> Found
             covariance.append(np.asarray(own[1]))
             k_hats.append(k_hat)
             reasons.append(_why_not(mean[-1], k_hat, weights))
-    return Found(layout, np.stack(mean), np.stack(covariance), reasons, np.array(k_hats), notes)
+    return StackFit(
+        layout,
+        np.stack(mean),
+        np.stack(covariance),
+        reasons,
+        pareto_k=np.array(k_hats),
+        notes=notes,
+    )
 
 
 def _weights(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
@@ -229,10 +227,10 @@ def _weights(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _why_not(mean: np.ndarray, k_hat: float, weights: np.ndarray) -> str:
     if not np.all(np.isfinite(mean)):
-        return SINGULAR
-    if k_hat > K_HAT or worth(weights) < ENOUGH:
+        return trust.SINGULAR
+    if why := trust.unevenness(weights, k_hat):
         return (
-            f"Importance weights were uneven (k̂ = {k_hat:.2f}, {worth(weights):.0f} effective draws): fit this "
-            "device by bc.fit, which goes over to NUTS."
+            f"Importance weights were uneven ({why}): fit this device by bc.fit, which goes over to "
+            "NUTS."
         )
     return ""

@@ -36,7 +36,8 @@ from scipy.special import gammaln
 
 from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
-from bayescal._inference.marginal import K_HAT, smoothed, worth
+from bayescal._core.weights import smoothed
+from bayescal._inference import trust
 from bayescal._model.coefficient import Coefficient
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
@@ -44,11 +45,13 @@ from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
 FEWEST = 3  # devices from which a spread can be learned
 DRAWS = 2000  # of τ, fewer for many devices: their posterior is narrow
 CELLS = 1_000_000  # draws × devices at most
+ENOUGH = 50  # effective draws of τ, from which its mean and spread are known well enough
 FREEDOM = 5.0  # of the Student-t that τ's logarithms are proposed from
 DEFENCE = 0.1  # share of proposals from the prior
 TOGETHER = 16  # draws evaluated at once
 
 Spread = HalfNormal | HalfCauchy | Flat
+Named = Mapping[str, tuple[Coefficient, Spread]]  # a population's coefficients by name
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,7 @@ def chosen(
 def pool(
     mean: Float[np.ndarray, "b k"],
     covariance: Float[np.ndarray, "b k k"],
-    named: Mapping[str, tuple[Coefficient, Spread]],
+    named: Named,
     seed: int,
 ) -> Pooled:
     """Learn the population, and each device's named coefficients anew under it.
@@ -132,9 +135,9 @@ def pool(
     told = own - np.diag(weight)
     pull = np.einsum("bij,bj->bi", own, mean / size) - weight * prior_mean / size
     spreads = [spread for _, spread in named.values()]
-    step = _Step(told, pull, weight, prior_mean / size, size, spreads)
-    draws, weights, k_hat = _draws_of_spread(step, seed)
-    found = step.moments(draws, weights)
+    density = _SpreadDensity(told, pull, weight, prior_mean / size, size=size, spreads=spreads)
+    draws, weights, k_hat = _draws_of_spread(density, seed)
+    found = density.moments(draws, weights)
     table = pd.DataFrame(
         {
             "coefficient": list(named),
@@ -145,14 +148,14 @@ def pool(
             "unit": [c.unit for c in parts],
         }
     )
-    effective = worth(weights)
-    ok = k_hat <= K_HAT and effective >= 50
-    reason = (
-        ""
-        if ok
-        else f"weights of the spreads were uneven (k̂ = {k_hat:.2f}, {effective:.0f} effective draws)"
+    why = trust.unevenness(weights, k_hat, enough=ENOUGH)
+    population = Population(
+        table=table,
+        ok=not why,
+        reason=f"weights of the spreads were uneven ({why})" if why else "",
+        devices=len(mean),
+        pareto_k=k_hat,
     )
-    population = Population(table, ok, reason, len(mean), k_hat)
     return Pooled(found.devices * size, found.covariances * units, population)
 
 
@@ -165,7 +168,7 @@ class _Moments(NamedTuple):
     covariances: np.ndarray  # (b, k, k)
 
 
-class _Step:
+class _SpreadDensity:
     """The density of log τ, and the devices given it. Everything in units of the plausible sizes."""
 
     def __init__(self, told, pull, weight, prior_mean, size, spreads: list[Spread]) -> None:
@@ -237,48 +240,50 @@ class _Step:
         made = summed(jnp.asarray(draws), jnp.asarray(weights))
         mean, mean2, device, second, spread, spread2 = (np.asarray(a) for a in made)
         return _Moments(
-            np.asarray(about) + mean,
-            np.sqrt(np.maximum(mean2 - mean**2, 0)),
-            spread,
-            np.sqrt(np.maximum(spread2 - spread**2, 0)),
-            np.asarray(devices) + device,
-            second - device[:, :, None] * device[:, None, :],
+            mean=np.asarray(about) + mean,
+            mean_sd=np.sqrt(np.maximum(mean2 - mean**2, 0)),
+            spread=spread,
+            spread_sd=np.sqrt(np.maximum(spread2 - spread**2, 0)),
+            devices=np.asarray(devices) + device,
+            covariances=second - device[:, :, None] * device[:, None, :],
         )
 
 
-def _draws_of_spread(step: _Step, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
+def _draws_of_spread(density: _SpreadDensity, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Draws of the logarithms of τ, with smoothed weights and k̂."""
-    slope = jax.jit(jax.value_and_grad(lambda v: -step.log_density(v)))
+    slope = jax.jit(jax.value_and_grad(lambda v: -density.log_density(v)))
 
     def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
         value, gradient = slope(v)
         return float(value), np.asarray(gradient)
 
-    starts = [np.full(step.size, v) for v in (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)]
+    starts = [np.full(density.size, v) for v in (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)]
     start = min(starts, key=lambda v: np.nan_to_num(negative(v)[0], nan=np.inf))
     best = minimize(negative, start, jac=True, method="BFGS").x
-    shifts = 1e-4 * np.eye(step.size)
+    shifts = 1e-4 * np.eye(density.size)
     curvature = [(negative(best + s)[1] - negative(best - s)[1]) / 2e-4 for s in shifts]
     curvature = np.array(curvature)
     values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
     # A spread that the devices do not show has a flat logarithm: no wider than a few units, its prior's width.
     root = vectors / np.sqrt(np.maximum(values, 0.1))
-    count = int(np.clip(CELLS // max(1, len(step.pull)), 200, DRAWS))
+    count = int(np.clip(CELLS // max(1, len(density.pull)), 200, DRAWS))
     random = np.random.default_rng(seed)
-    normal = random.standard_normal((count, step.size))
+    normal = random.standard_normal((count, density.size))
     heavy = np.sqrt(FREEDOM / random.chisquare(FREEDOM, (count, 1)))
     v = best + 1.1 * (normal * heavy) @ root.T
-    proper = not any(isinstance(s, Flat) for s in step.spreads)
+    proper = not any(isinstance(s, Flat) for s in density.spreads)
     if proper:
-        keys = jax.random.split(jax.random.key(seed), (step.size, count))
-        far = [jax.vmap(s.sample)(k) for s, k in zip(step.spreads, keys, strict=True)]
+        keys = jax.random.split(jax.random.key(seed), (density.size, count))
+        far = [jax.vmap(s.sample)(k) for s, k in zip(density.spreads, keys, strict=True)]
         pick = random.random((count, 1)) < DEFENCE
         v = np.where(pick, np.stack([np.asarray(f) for f in far], axis=1), v)
     log_proposal = _log_t(v, best, 1.1 * root)
     if proper:
-        prior = np.asarray(jax.vmap(step.log_prior)(jnp.asarray(v)))
+        prior = np.asarray(jax.vmap(density.log_prior)(jnp.asarray(v)))
         log_proposal = np.logaddexp(np.log1p(-DEFENCE) + log_proposal, np.log(DEFENCE) + prior)
-    log_density = np.asarray(jax.jit(lambda v: over(step.log_density, v, TOGETHER))(jnp.asarray(v)))
+    log_density = np.asarray(
+        jax.jit(lambda v: over(density.log_density, v, TOGETHER))(jnp.asarray(v))
+    )
     log_weight = np.where(np.isfinite(log_density), log_density, -1e300) - log_proposal
     weights, k_hat = smoothed(log_weight)
     return v, weights, k_hat

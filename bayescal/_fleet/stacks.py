@@ -8,18 +8,26 @@ and counts nothing.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._calibration.fit import GROUPS, bind
 from bayescal._core.errors import BayescalError
-from bayescal._fleet.devices import DEVICE, Block
-from bayescal._model.frame import Frame, Reference, build_frame, reference_name, reference_of
+from bayescal._fleet.devices import DEVICE, DeviceBlock
+from bayescal._model.frame import (
+    GROUPS,
+    Frame,
+    Reference,
+    build_frame,
+    reference_name,
+    reference_of,
+)
 from bayescal._model.model import Model
 from bayescal._model.noise import UNCERTAINTY
+from bayescal._model.parameters import bind
 
 EXACT = 3  # so many different numbers of readings have a program each; more are padded to a common ladder
 STEP = 1.25  # from one rung of the ladder to the next
@@ -28,7 +36,7 @@ NOTHING = 1e140  # standard uncertainty of a padded reading, in the output's uni
 POINT = "temperature_point"
 
 
-class Stack(NamedTuple):
+class DeviceStack(NamedTuple):
     """Devices of one shape.
 
     Attributes:
@@ -48,6 +56,16 @@ class Stack(NamedTuple):
     levels: list[dict[str, tuple[str, ...]]]
 
 
+class _Single(NamedTuple):
+    """A device that waits for others of its shape; as in `DeviceStack`."""
+
+    device: int
+    frame: Frame
+    y: np.ndarray
+    counts: tuple[tuple[str, int], ...]
+    levels: dict[str, tuple[str, ...]]
+
+
 class Refusal(NamedTuple):
     """A device of the block that cannot be fitted, and why."""
 
@@ -55,15 +73,15 @@ class Refusal(NamedTuple):
     reason: str
 
 
-def plain(block: Block) -> bool:
+def plain(block: DeviceBlock) -> bool:
     """Whether the frames need nothing but the numbers: no time, no groups, no labels."""
     labels = {name for name, unit in block.units.items() if unit is None}
     return labels <= {DEVICE} and not {"time", POINT} & set(block.values)
 
 
 def stacks(
-    model: Model, block: Block, reference: Reference, padded: bool, most: int
-) -> Iterator[Stack | Refusal]:
+    model: Model, block: DeviceBlock, reference: Reference, padded: bool, most: int
+) -> Iterator[DeviceStack | Refusal]:
     """The devices of a block by shape, at most so many at once; or a device that is refused.
 
     Args:
@@ -82,16 +100,16 @@ def stacks(
             at_once = max(1, min(most, NUMBERS // rung))
             yield from _plain_stacks(model, block, members, rung, reference, at_once)
         return
-    waiting: dict[tuple, list] = {}
+    waiting: dict[tuple, list[_Single]] = {}
     for i in range(len(block.names)):
         try:
             made = _single(model, block, i, reference)
         except BayescalError as error:
             yield Refusal(i, str(error))
             continue
-        kind = (str(jax.tree.map(jnp.shape, made[1])), made[3])
+        kind = (str(jax.tree.map(jnp.shape, made.frame)), made.counts)
         waiting.setdefault(kind, []).append(made)
-        if len(waiting[kind]) >= min(most, NUMBERS // max(1, len(made[2]))):
+        if len(waiting[kind]) >= min(most, NUMBERS // max(1, len(made.y))):
             yield _joined(waiting.pop(kind))
     for rest in waiting.values():
         yield _joined(rest)
@@ -105,29 +123,36 @@ def _rung(count: int) -> int:
     return rung
 
 
-def _single(model: Model, block: Block, index: int, reference: Reference) -> tuple:
+def _single(model: Model, block: DeviceBlock, index: int, reference: Reference) -> _Single:
     readings = block.measurements(index)
     layout, levels = bind(model, readings)
     frame = build_frame(readings, {**reference_of(readings), **reference})
     frame = jax.tree.map(np.asarray, frame)
-    return index, frame, readings["output"], layout.counts, levels
+    return _Single(
+        device=index, frame=frame, y=readings["output"], counts=layout.counts, levels=levels
+    )
 
 
-def _joined(made: list[tuple]) -> Stack:
-    y = np.stack([m[2] for m in made])
-    return Stack(
-        np.array([m[0] for m in made]),
-        jax.tree.map(lambda *a: np.stack(a), *(m[1] for m in made)),
-        y,
-        np.ones_like(y),
-        made[0][3],
-        [m[4] for m in made],
+def _joined(made: list[_Single]) -> DeviceStack:
+    y = np.stack([m.y for m in made])
+    return DeviceStack(
+        devices=np.array([m.device for m in made]),
+        frame=jax.tree.map(lambda *a: np.stack(a), *(m.frame for m in made)),
+        y=y,
+        real=np.ones_like(y),
+        counts=made[0].counts,
+        levels=[m.levels for m in made],
     )
 
 
 def _plain_stacks(
-    model: Model, block: Block, members: np.ndarray, rung: int, reference: Reference, most: int
-) -> Iterator[Stack | Refusal]:
+    model: Model,
+    block: DeviceBlock,
+    members: np.ndarray,
+    rung: int,
+    reference: Reference,
+    most: int,
+) -> Iterator[DeviceStack | Refusal]:
     few = members[block.counts[members] == block.counts[members].min()]
     try:
         bind(model, block.measurements(int(few[0])))
@@ -150,27 +175,29 @@ def _plain_stacks(
             if not isinstance(v, dict)
         }
         shape = real.shape
-        codes = {g: np.full(shape, -1 if g == "cell" else 0) for g in ("cell", *GROUPS)}
-        frame = Frame(
-            columns,  # pyright: ignore[reportArgumentType]  # NumPy arrays, until they are fitted
-            {},
-            {},
-            codes,  # pyright: ignore[reportArgumentType]
-            scalars,  # pyright: ignore[reportArgumentType]
-            np.broadcast_to(np.arange(rung), shape),  # pyright: ignore[reportArgumentType]
-            -np.ones(shape),  # pyright: ignore[reportArgumentType]
-            dict(columns),  # pyright: ignore[reportArgumentType]
+        codes = {g: np.full(shape, -1 if g == "cell" else 0) for g in GROUPS}
+        frame = Frame(  # NumPy arrays, until they are fitted
+            columns=columns,  # pyright: ignore[reportArgumentType]
+            labels={},
+            rates={},
+            codes=codes,  # pyright: ignore[reportArgumentType]
+            reference=scalars,  # pyright: ignore[reportArgumentType]
+            order=np.broadcast_to(np.arange(rung), shape),  # pyright: ignore[reportArgumentType]
+            step=-np.ones(shape),  # pyright: ignore[reportArgumentType]
+            record=dict(columns),  # pyright: ignore[reportArgumentType]
         )
         levels = {g: () if g == "cell" else ("1",) for g in GROUPS}
         own = [
             {**levels, DEVICE: (block.names[i],)} if DEVICE in block.values else levels
             for i in some
         ]
-        yield Stack(some, frame, columns["output"], real, counts, own)
+        yield DeviceStack(
+            devices=some, frame=frame, y=columns["output"], real=real, counts=counts, levels=own
+        )
 
 
 def _matrices(
-    block: Block, some: np.ndarray, rung: int
+    block: DeviceBlock, some: np.ndarray, rung: int
 ) -> tuple[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray]]:
     """Columns (b, rung), which readings are real, and the reference constants of each device."""
     counts = block.counts[some]
@@ -190,20 +217,11 @@ def _matrices(
     return columns, real, scalars
 
 
-def weighed(stack: Stack) -> Frame:
+def weighed(stack: DeviceStack) -> Frame:
     """The frame, padded readings of no weight: their known uncertainty is beyond all measure."""
     if np.all(stack.real == 1):
         return stack.frame
     columns = dict(stack.frame.columns)
     known = np.asarray(columns.get(UNCERTAINTY, np.zeros_like(stack.y)))
     columns[UNCERTAINTY] = np.where(stack.real == 1, known, NOTHING)  # pyright: ignore
-    return Frame(
-        columns,
-        stack.frame.labels,
-        stack.frame.rates,
-        stack.frame.codes,
-        stack.frame.reference,
-        stack.frame.order,
-        stack.frame.step,
-        stack.frame.record,
-    )
+    return replace(stack.frame, columns=columns)

@@ -12,15 +12,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._calibration.fit import bind
 from bayescal._calibration.posterior_tree import named
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.weights import smoothed
 from bayescal._inference import importance_sampling, sampled_products
 from bayescal._inference.laplace import Mode
-from bayescal._inference.marginal import Marginal, smoothed
+from bayescal._inference.marginal import Marginal
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Layout, bind
 from bayescal._readings.measurements import Measurements
 
 
@@ -100,13 +100,13 @@ def weighted_draws(
     )
     k_hat = np.array([smoothed(np.asarray(w))[1] for w in found.log_weight])
     return Batch(
-        layout,
-        bound[0][1],
-        np.asarray(found.log_weight),
-        np.asarray(found.x),
-        np.asarray(found.rows),
-        np.asarray(found.v),
-        jax.tree.map(np.asarray, found.mode),
-        np.asarray(found.log_evidence),
-        k_hat,
+        layout=layout,
+        levels=bound[0][1],
+        log_weight=np.asarray(found.log_weight),
+        x=np.asarray(found.x),
+        rows=np.asarray(found.rows),
+        v=np.asarray(found.v),
+        mode=jax.tree.map(np.asarray, found.mode),
+        log_evidence=np.asarray(found.log_evidence),
+        pareto_k=k_hat,
     )

@@ -31,10 +31,10 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
-from bayescal._readings.write import beside
 
 SCHEMA = "bayescal.checkpoint/1"
 PAUSE = 1.0  # s between writes of unfinished chains; every other piece is written at once
@@ -82,7 +82,7 @@ class Checkpoint:
         }
         data = xr.Dataset(variables, attrs={"bayescal": json.dumps(head)})
         plain = {name: {"_FillValue": None} for name in variables}
-        with beside(self.path) as partial:
+        with replacing_for_user(self.path) as partial:
             data.to_netcdf(partial, engine="h5netcdf", encoding=plain)
             _to_disk(partial)
         _to_disk(self.path.parent)

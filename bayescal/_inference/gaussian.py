@@ -81,7 +81,7 @@ class Conditional(NamedTuple):
         return self.shift + self.sd * self.factor.back(self.u + normal)
 
     @property
-    def stretch(self) -> Float[Array, ""]:
+    def log_jacobian(self) -> Float[Array, ""]:
         """Log volume of the map from standard normal numbers to x."""
         return jnp.sum(jnp.log(self.sd)) - self.factor.log_diagonal
 
@@ -126,7 +126,9 @@ def condition(gram: Gram, size: int, prior: Prior, at: Float[Array, "p"]) -> Con
     )
     # A sum of squares that came out negative has no digits left (noise far below any residual): no density there.
     log_marginal = jnp.where(rest > 0, log_marginal, -jnp.inf)
-    return Conditional(log_marginal, at + offset, prior.sd, factor, u)
+    return Conditional(
+        log_marginal=log_marginal, shift=at + offset, sd=prior.sd, factor=factor, u=u
+    )
 
 
 def condition_white(
@@ -159,7 +161,9 @@ def condition_white(
     flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
     volume = logdet + 2 * jnp.sum(jnp.log(jnp.diag(root)))
     log_marginal = flat_volume - 0.5 * (len(residual) * jnp.log(2 * jnp.pi) + volume + rest**2)
-    return Conditional(log_marginal, at + offset, prior.sd, Dense(root.T), u)
+    return Conditional(
+        log_marginal=log_marginal, shift=at + offset, sd=prior.sd, factor=Dense(root.T), u=u
+    )
 
 
 def whitener(
@@ -191,8 +195,7 @@ def whitener(
 
 def needs_one_pass(layout: Layout, frame: Frame) -> bool:
     """Whether products over the readings can be computed once: J does not move with φ, and one variance."""
-    moving = any(h.moves for h in layout.hypers)
-    return not moving and not layout.row_blocks and layout.model.noise.constant(frame)
+    return not layout.moving and not layout.row_blocks and layout.model.noise.constant(frame)
 
 
 def gram_function(layout: Layout, frame: Frame, y: Float[Array, "n"], point: Point):
@@ -215,7 +218,7 @@ def gram_function(layout: Layout, frame: Frame, y: Float[Array, "n"], point: Poi
         j = line.jacobian
         return shaped(Gram(j.T @ j, j.T @ r, r @ r, jnp.zeros(())))
 
-    moving = [i for i, h in enumerate(layout.hypers) if h.moves]
+    moving = layout.moving
     once = not layout.row_blocks and noise.constant(frame)
     if not once or not _interpolates(layout, moving):
         return lambda hyper, v: products(hyper, white=False)

@@ -37,7 +37,7 @@ PRIOR = 0.2  # share of proposals from the prior, so that no weight exceeds like
 BATCH = 256  # proposals evaluated at once, to bound memory
 
 
-class Weighted(NamedTuple):
+class WeightedDraws(NamedTuple):
     """Joint draws with their log weights (not normalised, not smoothed)."""
 
     mode: laplace.Mode
@@ -139,7 +139,7 @@ def sample(
     key: Array,
     proposals: int,
     rounds: int,
-) -> Weighted:
+) -> WeightedDraws:
     """Adapt, then sample. Traceable as a whole, so that it can be mapped over data sets."""
     density = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)
     adapt_key, draw_key, place_key = jax.random.split(key, 3)
@@ -163,7 +163,16 @@ def sample(
     evidence = logsumexp(log_weight) - jnp.log(proposals)
     relative = jnp.exp(log_weight - evidence)
     error = jnp.std(relative) / jnp.sqrt(proposals)
-    return Weighted(mode, x, rows, v, log_weight, log_weight_phi, evidence, error)
+    return WeightedDraws(
+        mode=mode,
+        x=x,
+        rows=rows,
+        v=v,
+        log_weight=log_weight,
+        log_weight_phi=log_weight_phi,
+        log_evidence=evidence,
+        log_evidence_error=error,
+    )
 
 
 sample_jit = compiled(sample, many=0)  # thousands of proposals
@@ -172,7 +181,7 @@ sample_jit = compiled(sample, many=0)  # thousands of proposals
 @partial(compiled, many=0)
 def sample_batch(
     layout: Layout, frames: Frame, ys: Float[Array, "b n"], keys: Array, proposals: int, rounds: int
-) -> Weighted:
+) -> WeightedDraws:
     """Mode and `sample` over data sets of one shape, in one compiled program."""
 
     def one(frame, y, key):
@@ -213,7 +222,7 @@ def draw_coefficients(layout, frame, y, point, v, found: gaussian.Conditional, k
     hyper = forward.hyper_values(layout, v)
     k1, k2 = jax.random.split(key)
     normal = jax.random.normal(k1, found.u.shape)
-    x, stretch, rows = found.place(normal), found.stretch, point.rows
+    x, log_jacobian, rows = found.place(normal), found.log_jacobian, point.rows
     squares = jnp.sum(normal**2)
     if layout.row_blocks:
         line = forward.linearise(layout, frame, point.x, point.rows, hyper)
@@ -222,9 +231,9 @@ def draw_coefficients(layout, frame, y, point, v, found: gaussian.Conditional, k
         variance = layout.model.noise.variance(hyper, frame)
         own = jax.random.normal(k2, point.rows.shape)
         rows, volume = gaussian.draw_rows(layout, line, y - straight + back, variance, own)
-        stretch, squares = stretch + volume, squares + jnp.sum(own**2)
+        log_jacobian, squares = log_jacobian + volume, squares + jnp.sum(own**2)
     size = normal.size + rows.size
-    log_drawn = -0.5 * (squares + size * jnp.log(2 * jnp.pi)) - stretch
+    log_drawn = -0.5 * (squares + size * jnp.log(2 * jnp.pi)) - log_jacobian
     true = jnp.sum(forward.log_likelihood(layout, frame, y, x, rows, hyper))
     prior = forward.log_prior_x(layout, x, rows, hyper)
     return x, rows, true + prior - log_drawn - found.log_marginal
@@ -234,7 +243,9 @@ def _around_mode(mode: laplace.Mode) -> _Proposal:
     dim = mode.v.shape[0]
     chol = jnp.linalg.cholesky(mode.covariance) if dim else mode.covariance
     centre = jnp.broadcast_to(mode.v, (KERNELS, dim))
-    return _Proposal(centre, chol, mode.v, WIDE * chol, jnp.asarray(0.4))
+    return _Proposal(
+        centre=centre, chol=chol, middle=mode.v, wide=WIDE * chol, share=jnp.asarray(0.4)
+    )
 
 
 def _match(mode: laplace.Mode, v: Array, log_weight: Array) -> _Proposal:
@@ -253,4 +264,6 @@ def _match(mode: laplace.Mode, v: Array, log_weight: Array) -> _Proposal:
     ladder = (jnp.arange(KERNELS) + 0.5) / KERNELS
     pick = jnp.minimum(jnp.searchsorted(jnp.cumsum(weight), ladder), weight.size - 1)
     wide = WIDE * jnp.linalg.cholesky(mode.covariance)
-    return _Proposal(v[pick], KERNEL * chol, mode.v, wide, jnp.asarray(0.1))
+    return _Proposal(
+        centre=v[pick], chol=KERNEL * chol, middle=mode.v, wide=wide, share=jnp.asarray(0.1)
+    )

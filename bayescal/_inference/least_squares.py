@@ -7,26 +7,27 @@ divided by the degrees of freedom that the coefficients leave.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from bayescal._calibration.calibration import Draws, Verdict
 from bayescal._core.jit import compiled
 from bayescal._core.levenberg_marquardt import least_squares
 from bayescal._core.progress import stage
-from bayescal._inference import gaussian, laplace
-from bayescal._inference.method import Method, Outcome
+from bayescal._inference import gaussian, laplace, trust
+from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict, by_chain
 from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
-CHAINS = 4
 STILL = 1e-6  # standard deviations: a further step smaller than this is none
+RESTS = 1e-9  # change of φ's coordinates in a round, below which it rests
+ROUNDS = 30  # at most
 
 
 class Solution(NamedTuple):
@@ -54,13 +55,8 @@ class LeastSquares(Method):
             mode = laplace.compiled_mode(layout, frame, y)
             made = refine(layout, frame, y, mode, self.curvature == "hessian")
             found = jax.tree.map(np.asarray, made)
-        reasons = []
-        if not bool(found.converged):
-            reasons.append("Levenberg–Marquardt stopped before its tolerance was met.")
-        if not np.all(np.isfinite(found.covariance)):
-            reasons.append(
-                "The curvature is singular: some direction is not determined by readings or priors."
-            )
+        reasons = [] if found.converged else [trust.NOT_CONVERGED]
+        reasons += [] if np.all(np.isfinite(found.covariance)) else [trust.SINGULAR]
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
         notes = [
             f"Covariance is the {kind} Laplace approximation; noise and spreads by restricted likelihood, "
@@ -71,10 +67,13 @@ class LeastSquares(Method):
                 f"{layout.model.noise.law} noise was taken as Gaussian of the same variance: "
                 "use Marginal() for its own likelihood."
             )
-        draws = _gaussian_draws(layout, found, self.draws, seed)
-        verdict = Verdict(not reasons, tuple(reasons), tuple(notes), "least squares")
-        evidence = None if layout.improper else (float(found.mode.log_evidence), None)
-        return Outcome(layout, draws, found.mode, verdict, evidence)
+        return Outcome(
+            layout=layout,
+            draws=_gaussian_draws(layout, found, self.draws, seed),
+            mode=found.mode,
+            verdict=Verdict(not reasons, tuple(reasons), tuple(notes), "least squares"),
+            log_evidence=None if layout.improper else (float(found.mode.log_evidence), None),
+        )
 
 
 def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:
@@ -83,9 +82,7 @@ def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:
     An unknown function's amplitude and length are neither: fitted together with the function, the amplitude would run
     away and its coefficients to zero. They stay where the marginal likelihood has its maximum.
     """
-    kinds = [h.kind for h in layout.hypers]
-    scales = [i for i, k in enumerate(kinds) if k in ("noise", "spread")]
-    return scales, [i for i, k in enumerate(kinds) if k in ("shape", "promoted")]
+    return layout.positions("noise", "spread"), layout.positions("shape", "promoted")
 
 
 def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool) -> Solution:
@@ -98,47 +95,79 @@ def refine(
     layout: Layout, frame: Frame, y: Float[Array, "n"], mode: laplace.Mode, full_hessian: bool
 ) -> Solution:
     """From the mode: (x, shapes) by least squares and scales by restricted likelihood in turn, until both rest."""
-    scales, places = split_hypers(layout)
-    scale_at, place_at = jnp.asarray(scales, int), jnp.asarray(places, int)
-    rows, noise = mode.point.rows, layout.model.noise
-    prior_weight = jnp.concatenate([forward.prior_weight(layout), jnp.ones(len(places))])
+    fit = _Refinement(layout, frame, y, mode)
+    theta, v, converged = fit.at_rest()
+    found = fit.conditional(theta, v)(v)
+    # Started at the optimum, Levenberg–Marquardt may refuse every step for its rounding and report failure:
+    # what counts is whether a Gauss–Newton step would still move anything.
+    sd = jnp.sqrt(jnp.diag(found.covariance))
+    still = jnp.max(jnp.abs(found.mean - theta) / sd, initial=0.0) < STILL
+    covariance = jnp.linalg.inv(fit.hessian(theta, v)) if full_hessian else found.covariance
+    point = gaussian.Point(theta[: layout.size], mode.point.rows)
+    return Solution(mode._replace(point=point, v=v), covariance, converged | still)
 
-    def joined(v):
-        hyper = forward.hyper_values(layout, v)
-        p = gaussian.prior_of(layout, hyper, mode.flat)
-        pad = len(places)
+
+class _Refinement(NamedTuple):
+    """One fit. θ = (x, w) with w the coordinates of shapes and promoted coefficients; v are the coordinates of all φ.
+
+    In v the entries of w may be older than those in θ, which count.
+    """
+
+    layout: Layout
+    frame: Frame
+    y: Float[Array, "n"]
+    mode: laplace.Mode
+
+    @property
+    def scales(self) -> Int[Array, "s"]:
+        """Where in φ the noise and the spreads stand."""
+        return jnp.asarray(split_hypers(self.layout)[0], int)
+
+    @property
+    def places(self) -> Int[Array, "w"]:
+        """Where in φ the entries of w stand."""
+        return jnp.asarray(split_hypers(self.layout)[1], int)
+
+    def prior(self, v: Float[Array, "d"]) -> gaussian.Prior:
+        """Of θ: that of x given φ, and the standard normal one of w."""
+        own = gaussian.prior_of(self.layout, forward.hyper_values(self.layout, v), self.mode.flat)
+        further = self.places.size
         return gaussian.Prior(
-            jnp.concatenate([p.mean, jnp.zeros(pad)]),
-            jnp.concatenate([p.sd, jnp.ones(pad)]),
-            prior_weight,
+            jnp.concatenate([own.mean, jnp.zeros(further)]),
+            jnp.concatenate([own.sd, jnp.ones(further)]),
+            jnp.concatenate([own.weight, jnp.ones(further)]),
         )
 
-    def output(theta, v):
+    def table(
+        self, theta: Float[Array, "q"], v: Float[Array, "d"]
+    ) -> tuple[Float[Array, "n q1"], Float[Array, "n"]]:
+        """Slopes by θ beside what the expected output leaves, and the variance that the rows add."""
+        layout, frame, rows = self.layout, self.frame, self.mode.point.rows
         x, w = theta[: layout.size], theta[layout.size :]
-        hyper = forward.hyper_values(layout, v.at[place_at].set(w))
-        return forward.mean(layout, frame, x, rows, hyper)
 
-    def table_at(theta, v):
-        """Slopes of (x, shapes) beside what the expected output leaves, and the variance that the rows add."""
-        x, w = theta[: layout.size], theta[layout.size :]
-        hyper = forward.hyper_values(layout, v.at[place_at].set(w))
-        line = forward.linearise(layout, frame, x, rows, hyper)
+        def values(w: Float[Array, "w"]) -> forward.Values:
+            return forward.hyper_values(layout, v.at[self.places].set(w))
+
+        line = forward.linearise(layout, frame, x, rows, values(w))
         slopes = line.jacobian
-        if places:
-            bent = jax.jacfwd(lambda w: output(jnp.concatenate([x, w]), v))(w)
-            slopes = jnp.column_stack([slopes, bent])
-        rest = y - line.mean + jnp.sum(line.rows * rows, axis=1)
+        if w.size:
+            by_w = jax.jacfwd(lambda w: forward.mean(layout, frame, x, rows, values(w)))(w)
+            slopes = jnp.column_stack([slopes, by_w])
+        rest = self.y - line.mean + jnp.sum(line.rows * rows, axis=1)
         return jnp.column_stack([slopes, rest]), gaussian.row_variance(layout, line)
 
-    def fit_places(theta, v):
-        prior = joined(v)
+    def fit_theta(
+        self, theta: Float[Array, "q"], v: Float[Array, "d"]
+    ) -> tuple[Float[Array, "q"], Bool[Array, ""]]:
+        """θ by least squares of the whitened residuals and the prior's, given the scales in v."""
+        prior = self.prior(v)
         centre = jnp.where(prior.weight > 0, prior.mean, theta)
         size = jnp.append(-prior.sd, 1.0)
-        hyper, extra = forward.hyper_values(layout, v), table_at(theta, v)[1]
+        hyper, extra = forward.hyper_values(self.layout, v), self.table(theta, v)[1]
 
-        def table(z):
-            at = centre + prior.sd * z
-            white, _ = gaussian.whitener(layout, frame, table_at(at, v)[0], extra)(hyper)
+        def table(z: Float[Array, "q"]) -> Float[Array, "m q1"]:
+            at = self.table(centre + prior.sd * z, v)[0]
+            white, _ = gaussian.whitener(self.layout, self.frame, at, extra)(hyper)
             own = jnp.column_stack([jnp.diag(prior.weight), prior.weight * z])
             return jnp.concatenate([white * size, own])
 
@@ -146,70 +175,70 @@ def refine(
         found = least_squares(lambda z: table(z)[:, -1], start, table=table)
         return centre + prior.sd * found.value, found.converged
 
-    def conditional_at(theta, v):
-        table, extra = table_at(theta, v)
-        whiten = gaussian.whitener(layout, frame, table, extra)
+    def conditional(
+        self, theta: Float[Array, "q"], v: Float[Array, "d"]
+    ) -> Callable[[Float[Array, "d"]], gaussian.Conditional]:
+        """A function of φ's coordinates: θ integrated out of the model linearised here."""
+        table, extra = self.table(theta, v)
+        whiten = gaussian.whitener(self.layout, self.frame, table, extra)
 
-        def conditional(v) -> gaussian.Conditional:
-            white, logdet = whiten(forward.hyper_values(layout, v))
-            return gaussian.condition_white(white[:, :-1], white[:, -1], logdet, joined(v), theta)
+        def given(v: Float[Array, "d"]) -> gaussian.Conditional:
+            white, logdet = whiten(forward.hyper_values(self.layout, v))
+            return gaussian.condition_white(
+                white[:, :-1], white[:, -1], logdet, prior=self.prior(v), at=theta
+            )
 
-        return conditional
+        return given
 
-    def restricted(theta, v):
-        conditional = conditional_at(theta, v)
-
-        def negative(s, _):
-            full = v.at[scale_at].set(s)
-            found = conditional(full)
-            prior = [
-                h.prior.log_density(full[i])
-                for i, h in enumerate(layout.hypers)
-                if h.kind == "spread"
-            ]
-            return -(found.log_marginal + sum(prior, jnp.zeros(())))
-
-        if not scales:
+    def fit_scales(self, theta: Float[Array, "q"], v: Float[Array, "d"]) -> Float[Array, "d"]:
+        """v with its scales where the restricted likelihood, times the prior of the spreads, is greatest."""
+        if not self.scales.size:
             return v
+        conditional = self.conditional(theta, v)
+        spreads = [(i, self.layout.hypers[i].prior) for i in self.layout.positions("spread")]
+
+        def negative(scales, _):
+            moved = v.at[self.scales].set(scales)
+            prior = [p.log_density(moved[i]) for i, p in spreads]
+            return -(conditional(moved).log_marginal + sum(prior, jnp.zeros(())))
+
         solver = optx.BFGS(rtol=1e-11, atol=1e-11)
-        best = optx.minimise(negative, solver, v[scale_at], max_steps=256, throw=False).value
-        return v.at[scale_at].set(best)
+        best = optx.minimise(negative, solver, v[self.scales], max_steps=256, throw=False)
+        return v.at[self.scales].set(best.value)
 
-    def one_round(state):
-        theta, v, _, _, count = state
-        new, converged = fit_places(theta, v)
-        new_v = restricted(new, v.at[place_at].set(new[layout.size :]))
-        change = jnp.max(jnp.abs(new_v - v), initial=0.0)
-        return new, new_v, change, converged, count + 1
+    def at_rest(self) -> tuple[Float[Array, "q"], Float[Array, "d"], Bool[Array, ""]]:
+        """θ and v after rounds of both until the scales rest, and whether the last fit of θ converged."""
 
-    def going(state):
-        return (state[2] > 1e-9) & (state[4] < 30)
+        def one_round(state):
+            theta, v, _, _, count = state
+            new, converged = self.fit_theta(theta, v)
+            new_v = self.fit_scales(new, v.at[self.places].set(new[self.layout.size :]))
+            change = jnp.max(jnp.abs(new_v - v), initial=0.0)
+            return new, new_v, change, converged, count + 1
 
-    # Where JᵀJ has no Cholesky factor the mode is NaN; from the prior's centre, QR may find it.
-    x = jnp.where(jnp.isfinite(mode.point.x), mode.point.x, forward.prior_mean(layout))
-    start = jnp.where(jnp.isfinite(mode.v), mode.v, 0.0)
-    theta = jnp.concatenate([x, start[place_at]])
-    state = (theta, start, jnp.asarray(jnp.inf), jnp.asarray(False), jnp.asarray(0))
-    theta, v, _, converged, _ = jax.lax.while_loop(going, one_round, state)
+        def going(state):
+            return (state[2] > RESTS) & (state[4] < ROUNDS)
 
-    found = conditional_at(theta, v)(v)
-    covariance = found.covariance
-    # Started at the optimum, Levenberg–Marquardt may refuse every step for its rounding and report failure:
-    # what counts is whether a Gauss–Newton step would still move anything.
-    still = jnp.max(jnp.abs(found.mean - theta) / jnp.sqrt(jnp.diag(covariance)), initial=0.0)
-    converged = converged | (still < STILL)
-    if full_hessian:
-        prior = joined(v)
+        # Where JᵀJ has no Cholesky factor the mode is NaN; from the prior's centre, QR may find it.
+        found = self.mode
+        x = jnp.where(jnp.isfinite(found.point.x), found.point.x, forward.prior_mean(self.layout))
+        v = jnp.where(jnp.isfinite(found.v), found.v, 0.0)
+        theta = jnp.concatenate([x, v[self.places]])
+        state = (theta, v, jnp.asarray(jnp.inf), jnp.asarray(False), jnp.asarray(0))
+        theta, v, _, converged, _ = jax.lax.while_loop(going, one_round, state)
+        return theta, v, converged
+
+    def hessian(self, theta: Float[Array, "q"], v: Float[Array, "d"]) -> Float[Array, "q q"]:
+        """Curvature of the negative log density of θ, second derivatives of the expected output included."""
+        prior, hyper = self.prior(v), forward.hyper_values(self.layout, v)
 
         def negative_log(theta):
-            bent, extra = table_at(theta, v)
-            r, _ = noise.whiten(bent[:, -1:], extra, forward.hyper_values(layout, v), frame)
+            table, extra = self.table(theta, v)
+            r, _ = self.layout.model.noise.whiten(table[:, -1:], extra, hyper, self.frame)
             z = (theta - prior.mean) / prior.sd
             return 0.5 * (jnp.sum(r**2) + jnp.sum(prior.weight * z**2))
 
-        covariance = jnp.linalg.inv(jax.hessian(negative_log)(theta))
-    point = gaussian.Point(theta[: layout.size], rows)
-    return Solution(mode._replace(point=point, v=v), covariance, converged)
+        return jax.hessian(negative_log)(theta)
 
 
 def _gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Draws:
@@ -230,11 +259,7 @@ def _gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> D
     v = np.tile(found.mode.v, (count, 1)).copy()  # of an empty v, tile gives a view
     v[:, places] = theta[:, layout.size :]
     rows = np.broadcast_to(found.mode.point.rows, (count, *found.mode.point.rows.shape))
-
-    def shaped(a: np.ndarray) -> np.ndarray:
-        return a.reshape(CHAINS, len(a) // CHAINS, *a.shape[1:])
-
-    return Draws(shaped(theta[:, : layout.size]), shaped(rows), shaped(v))
+    return Draws(by_chain(theta[:, : layout.size]), by_chain(rows), by_chain(v))
 
 
 def _exact_moments(normal: np.ndarray) -> np.ndarray:

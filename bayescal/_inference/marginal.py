@@ -8,29 +8,28 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayescal._calibration.calibration import Draws, Verdict
 from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
 from bayescal._core.progress import stage
+from bayescal._core.weights import effective_size, resample, smoothed
 from bayescal._inference import (
     checkpoint,
+    gaussian,
     importance_sampling,
     laplace,
     nuts_chains,
     sampled_products,
+    trust,
 )
-from bayescal._inference import gaussian as linear
-from bayescal._inference.method import MODE, Method, Outcome
+from bayescal._inference.method import CHAINS, MODE, Draws, Method, Outcome, by_chain
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
-K_HAT = 0.7  # above it, importance weights are not to be trusted (Vehtari et al. 2024)
-# Where the model bends, coefficients are proposed with a Gaussian's tails, thinner than those that they may have;
-# k̂ then shows too little: at 0.6 to 0.7, standard deviations came out up to a third too small, below 0.5 right.
-K_BENT = 0.5
-BENT = 0.3  # standard deviation of the log weights by bending, from which on that counts
-ENOUGH = 400  # effective draws, below which chains are run instead
-CHAINS = 4
+TOO_NONLINEAR = "The model bends too much for its linear form ({}): exact NUTS."
+WEIGHTED = importance_sampling.WeightedDraws._make([MODE, *range(7)])  # for its structure alone
+NEARLY_EVEN = (
+    0.98  # effective sample size as a share of the draws, from which they stay as they are
+)
 
 
 class Marginal(Method):
@@ -42,7 +41,7 @@ class Marginal(Method):
             many readings.
         rounds: of adaptation.
         sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7 (0.5, if the model
-            bends) or the weights are worth less than 400 draws; "nuts" for NUTS on φ.
+            is nonlinear) or the effective sample size is below 400; "nuts" for NUTS on φ.
         promote: names of coefficients to sample with φ because their product with another unknown matters;
             None chooses them by the size of the second-order term.
     """
@@ -68,7 +67,7 @@ class Marginal(Method):
             proposals = self.proposals or _proposals(layout, frame)
             found = checkpoint.once(
                 "weighted draws",
-                importance_sampling.Weighted(MODE, *range(7)),  # pyright: ignore  # its structure alone
+                WEIGHTED,
                 lambda: importance_sampling.sample_jit(
                     layout, frame, y, mode, key, proposals, self.rounds
                 ),
@@ -76,16 +75,16 @@ class Marginal(Method):
             found = jax.tree.map(np.asarray, found)
         weights, k_hat = smoothed(found.log_weight)
         of_phi, k_phi = smoothed(found.log_weight_phi)
-        limit = _limit(found.log_weight - found.log_weight_phi, of_phi)
-        if k_hat <= limit and worth(weights) >= ENOUGH:
+        limit = trust.largest_k_hat(found.log_weight - found.log_weight_phi, of_phi)
+        why_not = trust.unevenness(weights, k_hat, limit=limit)
+        if not why_not:
             return self._from_weights(layout, found, weights, k_hat, notes, seed)
-        if k_phi > K_HAT or worth(of_phi) < ENOUGH:
-            why = f"k̂ = {k_phi:.2f}, {worth(of_phi):.0f} effective draws"
+        if why := trust.unevenness(of_phi, k_phi):
             notes = (*notes, f"Importance weights of φ were uneven ({why}): NUTS on φ instead.")
             return self._nuts_on_phi(layout, frame, y, key, notes)
-        why = f"k̂ = {k_hat:.2f}, {worth(weights):.0f} effective draws"
-        notes = (*notes, f"The model bends too much for its linear form ({why}): exact NUTS.")
-        return self._exact(layout, frame, y, key, found.mode, notes)
+        return self._exact(
+            layout, frame, y, key, found.mode, (*notes, TOO_NONLINEAR.format(why_not))
+        )
 
     def _promoted(self, layout, frame, y) -> tuple[Layout, tuple[str, ...]]:
         def choose():
@@ -96,18 +95,17 @@ class Marginal(Method):
         return Layout(layout.model, layout.counts, tuple(promoted)), tuple(notes)
 
     def _from_weights(self, layout, found, weights, k_hat, notes, seed) -> Outcome:
-        effective = worth(weights)
-        # Never more draws than the weights are worth: repeated draws would pass for information.
+        effective = effective_size(weights)
+        # Never more draws than the effective sample size: repeated draws would pass for information.
         count = CHAINS * max(1, int(min(self.draws, effective)) // CHAINS)
         pick = resample(weights, count, seed)
-        shaped = [by_chain(a[pick]) for a in (found.x, found.rows, found.v)]
-        reasons = _mode_reasons(found.mode)
-        verdict = Verdict(
-            not reasons, tuple(reasons), notes, "importance sampling", float(k_hat), effective
-        )
         evidence = (float(found.log_evidence), float(found.log_evidence_error))
         return Outcome(
-            layout, Draws(*shaped), found.mode, verdict, None if layout.improper else evidence
+            layout=layout,
+            draws=_by_chain(found.x[pick], found.rows[pick], found.v[pick]),
+            mode=found.mode,
+            verdict=trust.weights_verdict(weights, k_hat, notes, found.mode),
+            log_evidence=None if layout.improper else evidence,
         )
 
     def _nuts_on_phi(self, layout, frame, y, key, notes) -> Outcome:
@@ -128,18 +126,21 @@ class Marginal(Method):
             flat = ran.draws.reshape(-1, ran.draws.shape[-1])
             x, rows, correction = _draw_back(layout, frame, y, mode, flat, k2)
         weights, k_hat = smoothed(np.asarray(correction))
-        limit = _limit(np.asarray(correction), np.full(len(weights), 1 / len(weights)))
-        if k_hat > limit or worth(weights) < min(ENOUGH, 0.5 * len(weights)):
-            why = f"k̂ = {k_hat:.2f}, {worth(weights):.0f} effective draws"
-            notes = (*notes, f"The model bends too much for its linear form ({why}): exact NUTS.")
-            return self._exact(layout, frame, y, key, mode, notes)
+        even = np.full(len(weights), 1 / len(weights))
+        limit = trust.largest_k_hat(np.asarray(correction), even)
+        enough = min(trust.ENOUGH, 0.5 * len(weights))
+        if why := trust.unevenness(weights, k_hat, limit=limit, enough=enough):
+            return self._exact(layout, frame, y, key, mode, (*notes, TOO_NONLINEAR.format(why)))
         pick = slice(None)
-        if worth(weights) < 0.98 * len(weights):
-            pick = _resample_within(weights)
-        shaped = [by_chain(np.asarray(a)[pick]) for a in (x, rows, flat)]
-        verdict = chain_verdict(ran, mode, "NUTS on φ", notes, float(k_hat))
-        evidence = (float(mode.log_evidence), None)
-        return Outcome(layout, Draws(*shaped), mode, verdict, None if layout.improper else evidence)
+        if effective_size(weights) < NEARLY_EVEN * len(weights):
+            pick = resample(weights, weights.size, 0)
+        return Outcome(
+            layout=layout,
+            draws=_by_chain(*(np.asarray(a)[pick] for a in (x, rows, flat))),
+            mode=mode,
+            verdict=trust.chain_verdict(ran, "NUTS on φ", notes, k_hat),
+            log_evidence=None if layout.improper else (float(mode.log_evidence), None),
+        )
 
     def _exact(self, layout, frame, y, key, mode, notes) -> Outcome:
         log_density, unpack, start, covariance = nuts_chains.whitened(layout, frame, y, mode)
@@ -157,15 +158,22 @@ class Marginal(Method):
             )
             place = jax.jit(lambda q: over(lambda one: unpack(one)[:3], q, 64))
             x, rows, v = place(ran.draws.reshape(-1, start.size))
-        shaped = [by_chain(np.asarray(a)) for a in (x, rows, v)]
-        verdict = chain_verdict(ran, mode, "NUTS on whitened unknowns", notes, None)
-        gaussian = layout.model.noise.gaussian and not layout.improper
-        evidence = (float(mode.log_evidence), None) if gaussian else None
-        return Outcome(layout, Draws(*shaped), mode, verdict, evidence)
+        known = layout.model.noise.gaussian and not layout.improper
+        return Outcome(
+            layout=layout,
+            draws=_by_chain(x, rows, v),
+            mode=mode,
+            verdict=trust.chain_verdict(ran, "NUTS on whitened unknowns", notes),
+            log_evidence=(float(mode.log_evidence), None) if known else None,
+        )
+
+
+def _by_chain(x, rows, v) -> Draws:
+    return Draws(x=by_chain(x), rows=by_chain(rows), v=by_chain(v))
 
 
 def _proposals(layout: Layout, frame: Frame) -> int:
-    return 2048 if frame.size > 1000 and not linear.needs_one_pass(layout, frame) else 8192
+    return 2048 if frame.size > 1000 and not gaussian.needs_one_pass(layout, frame) else 8192
 
 
 @compiled
@@ -183,70 +191,3 @@ def _draw_back(layout, frame, y, mode, v, key):
 def kept_mode(layout: Layout, frame: Frame, y: Array) -> laplace.Mode:
     """The mode, from the fit's checkpoint where it is there."""
     return checkpoint.once("mode", MODE, lambda: laplace.compiled_mode(layout, frame, y))
-
-
-def smoothed(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
-    """Pareto-smoothed weights, summing to one, and k̂, by ArviZ."""
-    from arviz_stats.base import array_stats  # half a second that only sampling needs
-
-    if np.ptp(log_weight) < 1e-9:
-        return np.full(log_weight.size, 1 / log_weight.size), 0.0
-    values, k_hat = array_stats.psislw(-np.asarray(log_weight, dtype=float))
-    # psislw takes log likelihood and smooths its inverse: hence the sign.
-    weights = np.exp(values - np.max(values))
-    return weights / weights.sum(), float(k_hat)
-
-
-def _limit(correction: np.ndarray, weights: np.ndarray) -> float:
-    """The largest k̂ that is trusted, given what bending adds to the log weights of draws of φ."""
-    correction = np.clip(correction, -1e3, 1e3)
-    mean = weights @ correction
-    return K_BENT if weights @ (correction - mean) ** 2 > BENT**2 else K_HAT
-
-
-def worth(weights: np.ndarray) -> float:
-    """How many independent draws these weights are worth (Kish)."""
-    return float(1 / np.sum(weights**2))
-
-
-def resample(weights: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """Systematic resampling, then shuffled so that draws stand in no order."""
-    random = np.random.default_rng(seed)
-    ladder = (np.arange(count) + random.random()) / count
-    pick = np.searchsorted(np.cumsum(weights) / np.sum(weights), ladder)
-    return random.permutation(np.minimum(pick, weights.size - 1))
-
-
-def _resample_within(weights: np.ndarray) -> np.ndarray:
-    return resample(weights, weights.size, 0)
-
-
-def by_chain(values: np.ndarray) -> np.ndarray:
-    return values.reshape(CHAINS, len(values) // CHAINS, *values.shape[1:])
-
-
-def _mode_reasons(mode: laplace.Mode) -> list[str]:
-    reasons = []
-    if not np.isfinite(mode.change) or mode.change > 0.05:
-        reasons.append(
-            f"The mode was still moving by {float(mode.change):.2g} standard deviations "
-            "when the optimiser stopped."
-        )
-    return reasons
-
-
-def chain_verdict(ran, mode, sampler: str, notes: tuple[str, ...], k_hat: float | None) -> Verdict:
-    """R-hat, effective size and divergences of chains, in words."""
-    from arviz_stats.base import array_stats  # as above
-
-    draws = np.moveaxis(np.asarray(ran.draws), -1, 0)
-    r_hat = max(float(array_stats.rhat(d, chain_axis=0, draw_axis=1)) for d in draws)
-    ess = min(float(array_stats.ess(d, chain_axis=0, draw_axis=1)) for d in draws)
-    reasons = []
-    if not r_hat <= 1.02:
-        reasons.append(f"Chains disagree (R-hat {r_hat:.3f}): run longer, or give tighter priors.")
-    if ess < 200:
-        reasons.append(f"Only {ess:.0f} effective draws: run longer.")
-    if ran.divergences > 0.005 * draws[0].size:
-        reasons.append(f"{ran.divergences} divergent transitions: the posterior has a corner.")
-    return Verdict(not reasons, tuple(reasons), notes, sampler, k_hat, ess, r_hat, ran.divergences)

@@ -4,22 +4,68 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import ClassVar
 
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
-from bayescal._calibration.calibration import Draws, Verdict
 from bayescal._inference import checkpoint
 from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
-MODE = Mode(Point(0, 0), *range(7))  # pyright: ignore[reportArgumentType]  # for its structure alone
+CHAINS = 4  # that draws are dealt into, so that what reads chains can read independent draws too
+MODE = Mode._make([Point._make((0, 0)), *range(7)])  # for its structure alone
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether to trust a fit, and why not.
+
+    Attributes:
+        ok: nothing below stands against it.
+        reasons: what stands against it, each a sentence.
+        notes: how it was done and what to know, each a sentence.
+        sampler: what produced the draws.
+        pareto_k: Pareto k̂ of the joint weights; None for chains.
+        ess: smallest effective sample size over the unknowns.
+        r_hat: largest R-hat; None for independent draws.
+        divergences: of NUTS.
+    """
+
+    ok: bool
+    reasons: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    sampler: str = ""
+    pareto_k: float | None = None
+    ess: float | None = None
+    r_hat: float | None = None
+    divergences: int | None = None
+
+    def __str__(self) -> str:
+        head = "converged" if self.ok else "NOT converged: " + " ".join(self.reasons)
+        return " ".join([f"{head} ({self.sampler}).", *self.notes])
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Equally weighted joint draws, chains × draws each, as a method gives them."""
+
+    x: np.ndarray
+    rows: np.ndarray
+    v: np.ndarray
+    stats: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def by_chain(values: ArrayLike) -> np.ndarray:
+    """Draws, as many as make `CHAINS` equal parts, as (chains, draws, …)."""
+    values = np.asarray(values)
+    return values.reshape(CHAINS, len(values) // CHAINS, *values.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -60,11 +106,11 @@ def kept_outcome(layout: Layout, run: Callable[[], Outcome]) -> Outcome:
     words = {name: tuple(verdict[name]) for name in ("reasons", "notes")}
     evidence = told["log_evidence"]
     return Outcome(
-        Layout(layout.model, layout.counts, tuple(told["promoted"])),
-        Draws(x, rows, v, stats),  # pyright: ignore[reportArgumentType]
-        mode,
-        Verdict(**{**verdict, **words}),
-        None if evidence is None else (evidence[0], evidence[1]),
+        layout=Layout(layout.model, layout.counts, tuple(told["promoted"])),
+        draws=Draws(x, rows, v, stats),  # pyright: ignore[reportArgumentType]
+        mode=mode,
+        verdict=Verdict(**{**verdict, **words}),
+        log_evidence=None if evidence is None else (evidence[0], evidence[1]),
     )
 
 

@@ -10,11 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayescal._calibration.calibration import Draws
 from bayescal._core.progress import stage
-from bayescal._inference import laplace, marginal
-from bayescal._inference import nuts_chains as chains
-from bayescal._inference.method import Method, Outcome
+from bayescal._inference import laplace, nuts_chains, trust
+from bayescal._inference.method import Draws, Method, Outcome
 from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
@@ -38,18 +36,38 @@ class NUTS(Method):
 
     def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
         layout = Layout(layout.model, layout.counts)
-        found, sites = sampled(program(layout, frame), (y,), self, seed, self.dense)
+        found, sites = sampled(
+            program(layout, frame),
+            (y,),
+            warmup=self.warmup,
+            draws=self.draws,
+            chains=self.chains,
+            dense=self.dense,
+            seed=seed,
+        )
         x, rows, v = (np.asarray(sites[k]) for k in ("x", "rows", "v"))
         mode = jax.tree.map(np.asarray, laplace.compiled_mode(layout, frame, y))
         joint = np.concatenate([x, v], axis=2)
-        ran = chains.Chains(jnp.asarray(joint), found.divergences, found.steps)
-        verdict = marginal.chain_verdict(ran, mode, "NUTS", (), None)
-        return Outcome(layout, Draws(x, rows, v), mode, verdict, None)
+        ran = nuts_chains.Chains(jnp.asarray(joint), found.divergences, found.steps)
+        return Outcome(
+            layout=layout,
+            draws=Draws(x, rows, v),
+            mode=mode,
+            verdict=trust.chain_verdict(ran, "NUTS", ()),
+            log_evidence=None,
+        )
 
 
 def sampled(
-    model: Callable, arguments: tuple, method: NUTS, seed: int, dense: bool
-) -> tuple[chains.Iterated, dict[str, Array]]:
+    model: Callable,
+    arguments: tuple,
+    *,
+    warmup: int,
+    draws: int,
+    chains: int,
+    dense: bool,
+    seed: int,
+) -> tuple[nuts_chains.Iterated, dict[str, Array]]:
     """NumPyro's NUTS on every unknown of a program: what it ran, and every site by name, (chains, draws, …)."""
     import numpyro.infer as infer  # half a second that only these chains need
 
@@ -60,14 +78,14 @@ def sampled(
         init_strategy=infer.init_to_median(num_samples=50),
     )
     with stage("NUTS on every unknown"):
-        found = chains.iterate(
+        found = nuts_chains.iterate(
             kernel,
             jax.random.key(seed),
             arguments,
             None,
-            warmup=method.warmup,
-            draws=method.draws,
-            chains=method.chains,
+            warmup=warmup,
+            draws=draws,
+            chains=chains,
             name="NUTS",
         )
         place = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn(arguments, {}))))
@@ -120,7 +138,7 @@ def program(layout: Layout, frame: Frame) -> Callable:
             e = numpyro.sample(
                 "rows.standard", dist.Normal(0.0, 1.0).expand(rows.shape).to_event(2)
             )
-            rows = e * forward.row_sd(layout)
+            rows = jnp.asarray(e) * forward.row_sd(layout)
         numpyro.deterministic("x", x)
         numpyro.deterministic("rows", rows)
         numpyro.deterministic("v", v)

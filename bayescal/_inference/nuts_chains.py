@@ -100,25 +100,8 @@ def iterate(
     state = kernel.init(
         jax.random.split(key, chains), warmup, begin, model_args=arguments, model_kwargs={}
     )
-
-    @partial(jax.jit, compiler_options=known(ALWAYS))
-    def block(state, count):
-        def one(i, carried):
-            state, kept = carried
-            state = kernel.sample(state, arguments, {})
-            new = (state.z, state.diverging, state.num_steps)
-            return state, jax.tree.map(lambda a, b: a.at[i].set(b), kept, new)
-
-        kept = jax.tree.map(
-            lambda a: jnp.zeros((BLOCK, *a.shape), a.dtype),
-            (state.z, state.diverging, state.num_steps),
-        )
-        return jax.lax.fori_loop(0, count, one, (state, kept))
-
-    found = jax.tree.map(
-        lambda a: np.zeros((draws, *a.shape), a.dtype),
-        (state.z, state.diverging, state.num_steps),
-    )
+    block = _block_of(kernel, arguments)
+    found = jax.tree.map(lambda a: np.zeros((draws, *a.shape), a.dtype), _kept(state))
     store, done = checkpoint.current(), 0
     if store is not None and name in store.arrays:
         done = int(store.notes[name])
@@ -142,6 +125,28 @@ def iterate(
     return Iterated(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
 
 
+def _kept(state: Any) -> tuple:
+    """What is kept of the sampler's state at an iteration."""
+    return state.z, state.diverging, state.num_steps
+
+
+def _block_of(kernel: Any, arguments: tuple) -> Callable:
+    """At most `BLOCK` iterations as one compiled program: from a state and their number to the state, and to what
+    is kept of each."""
+
+    @partial(jax.jit, compiler_options=known(ALWAYS))
+    def block(state, count):
+        def one(i, carried):
+            state, kept = carried
+            state = kernel.sample(state, arguments, {})
+            return state, jax.tree.map(lambda a, b: a.at[i].set(b), kept, _kept(state))
+
+        kept = jax.tree.map(lambda a: jnp.zeros((BLOCK, *a.shape), a.dtype), _kept(state))
+        return jax.lax.fori_loop(0, count, one, (state, kept))
+
+    return block
+
+
 def whitened(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode):
     """The exact log density of (v, z, e), and the map from them to (x, rows, v)."""
     density = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)
@@ -153,7 +158,7 @@ def whitened(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode):
         hyper = forward.hyper_values(layout, v)
         found = density(v)[1]
         x = found.place(z)
-        stretch = found.stretch
+        log_jacobian = found.log_jacobian
         rows = mode.point.rows
         if layout.row_blocks:
             line = forward.linearise(layout, frame, mode.point.x, mode.point.rows, hyper)
@@ -161,14 +166,14 @@ def whitened(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode):
             rest = y - line.mean - line.jacobian @ (x - mode.point.x) + back
             variance = noise.variance(hyper, frame)
             rows, volume = gaussian.draw_rows(layout, line, rest, variance, e)
-            stretch = stretch + volume
-        return x, rows, v, hyper, stretch
+            log_jacobian = log_jacobian + volume
+        return x, rows, v, hyper, log_jacobian
 
     def log_density(q: Float[Array, "dim"]) -> Float[Array, ""]:
-        x, rows, v, hyper, stretch = unpack(q)
+        x, rows, v, hyper, log_jacobian = unpack(q)
         likelihood = jnp.sum(forward.log_likelihood(layout, frame, y, x, rows, hyper))
         prior = forward.log_prior_x(layout, x, rows, hyper)
-        return likelihood + prior + forward.hyper_log_prior(layout, v) + stretch
+        return likelihood + prior + forward.hyper_log_prior(layout, v) + log_jacobian
 
     dim = d + p + int(np.prod(shape))
     start = jnp.concatenate([mode.v, jnp.zeros(dim - d)])

@@ -18,7 +18,7 @@ from bayescal._core.jit import compiled
 from bayescal._inference import laplace
 from bayescal._model import forward
 from bayescal._model.frame import Frame
-from bayescal._model.parameters import Block, Layout
+from bayescal._model.parameters import CoefficientBlock, Layout
 
 THRESHOLD = 0.3  # root-sum-square over the readings, noise standard deviations
 MOST = 6  # entries of φ that promotion may add
@@ -41,7 +41,7 @@ def choose(
                     f"promote: nothing that could be promoted is called {name!r}; there is: {', '.join(known)}"
                 )
         return layout.promote(*asked), ()
-    if not bends(layout, frame):
+    if not is_nonlinear(layout, frame):
         return layout, ()
     notes: tuple[str, ...] = ()
     while True:
@@ -74,14 +74,14 @@ def choose(
             f"{'the' if several else 'its'} product with other unknowns amounts to {strength[best]:.2g} noise "
             "standard deviations.",
         )
-        if not bends(layout, frame):
+        if not is_nonlinear(layout, frame):
             return layout, notes
 
 
 def _with_its_parts(
-    candidates: list[Block], strength: list[float], best: int, free: int
-) -> list[Block]:
-    """A coefficient with the other parts of its effect in the same slot, which bend with it, where all fit in φ."""
+    candidates: list[CoefficientBlock], strength: list[float], best: int, free: int
+) -> list[CoefficientBlock]:
+    """A coefficient with the other parts of its effect in the same slot, nonlinear with it, where all fit in φ."""
     one = candidates[best]
     parts = [
         b
@@ -91,15 +91,15 @@ def _with_its_parts(
     return parts if sum(b.size for b in parts) <= free else [one]
 
 
-def bends(layout: Layout, frame: Frame) -> bool:
+def is_nonlinear(layout: Layout, frame: Frame) -> bool:
     """Whether the expected output is anything but affine in the coefficients, tried at random points."""
     if not layout.size:
         return False
-    return bool(_bend(layout, frame) > 1e-9)
+    return bool(_nonlinearity(layout, frame) > 1e-9)
 
 
 @compiled
-def _bend(layout: Layout, frame: Frame) -> Float[Array, ""]:
+def _nonlinearity(layout: Layout, frame: Frame) -> Float[Array, ""]:
     keys = jax.random.split(jax.random.key(1), 3)
     hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
     sd = forward.prior_sd(layout, hyper)

@@ -45,7 +45,7 @@ class Effect(eqx.Module):
 
     name: str = eqx.field(static=True)
     slot: str = eqx.field(static=True)
-    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"]] = eqx.field(static=True)
+    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float] = eqx.field(static=True)
     coefficients: tuple[Coefficient, ...]
     shapes: tuple[Shape, ...] = ()
     columns: tuple[str, ...] = eqx.field(static=True, default=())
@@ -73,6 +73,11 @@ class Effect(eqx.Module):
                 f"effect {self.name!r}: its basis must take the readings and then its shapes "
                 f"{[s.name for s in self.shapes]} by name; it takes {list(taken)}"
             )
+
+    @property
+    def is_placeholder(self) -> bool:
+        """Whether it stands for what no named effect describes: sized by an amplitude, not by a coefficient."""
+        return self.measure is not None
 
     def coefficient_name(self, index: int) -> str:
         part = self.coefficients[index].part

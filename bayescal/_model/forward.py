@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
-from bayescal._model.parameters import Block, Layout
+from bayescal._model.parameters import CoefficientBlock, Layout
 
 Values = dict[str, Float[Array, "..."]]
 
@@ -104,7 +104,7 @@ def _shapes(effect: Effect, hyper: Values) -> Values:
     return {s.name: hyper[effect.shape_name(s)] for s in effect.shapes}
 
 
-def _members(block: Block, frame: Frame) -> Float[Array, "n m"]:
+def _members(block: CoefficientBlock, frame: Frame) -> Float[Array, "n m"]:
     """Which member of its group each reading belongs to, as an indicator matrix."""
     per = block.coefficient.per
     assert per is not None
@@ -113,7 +113,7 @@ def _members(block: Block, frame: Frame) -> Float[Array, "n m"]:
 
 def _columns(
     layout: Layout, frame: Frame, hyper: Values, correcting: bool
-) -> list[tuple[Block, Array]]:
+) -> list[tuple[CoefficientBlock, Array]]:
     """The basis column of each block, in slot units per reported unit; either those that correct columns,
     which see the record, or the others, which see the corrected columns."""
     found, matrix = [], None
@@ -127,7 +127,9 @@ def _columns(
     return found
 
 
-def _sums(terms: list[tuple[Block, Array]], values: Values, frame: Frame) -> dict[str, Array]:
+def _sums(
+    terms: list[tuple[CoefficientBlock, Array]], values: Values, frame: Frame
+) -> dict[str, Array]:
     sums: dict[str, Array] = {}
     for b, column in terms:
         value = values[b.name]
@@ -280,7 +282,7 @@ def draw_readings(
 
 
 def effect_slope(
-    layout: Layout, frame: Frame, values: Values, hyper: Values, block: Block
+    layout: Layout, frame: Frame, values: Values, hyper: Values, block: CoefficientBlock
 ) -> Float[Array, "n"]:
     """∂μ by one member's coefficient of a block, as if every reading belonged to that member."""
     slope = slot_derivatives(layout, frame, values, hyper, (block.slot,))[block.slot]

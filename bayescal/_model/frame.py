@@ -20,7 +20,7 @@ from bayescal._readings.measurements import Measurements
 
 configure_jax()
 
-GROUPS = ("run", "axis", "device")  # columns of text that coefficients may be given per member of
+GROUPS = ("run", "cell", "axis", "device")  # whose members coefficients may be given one of each
 RATE_WINDOW = 60.0  # s, of the causal least-squares slope
 GAP = 10.0  # windows without a reading, after which nothing is known of the rate
 Reference = dict[str, float | dict[str, float]]
@@ -204,40 +204,48 @@ def build_frame(
     rates: dict[str, Array] = {}
     order, step = np.arange(len(readings)), -np.ones(len(readings))
     if readings.has("time"):
-        time = readings["time"]
-        names, codes = run_codes(readings)
-        starts = reference["run_starts"]
-        assert isinstance(starts, dict)
-        own = {name: float(np.min(time[codes == i])) for i, name in enumerate(names)}
-        start = np.array(
-            [starts.get(n, own[n]) if starts.get(n, own[n]) <= own[n] else own[n] for n in names]
-        )
-        columns["elapsed"] = jnp.asarray(time - start[codes])
+        time, (names, codes) = readings["time"], run_codes(readings)
+        columns["elapsed"] = jnp.asarray(time - _run_starts(time, names, codes, reference)[codes])
         order, step = _sequence(time, codes)
-        for name in readings.columns:
-            if readings.unit(name) == "degC" and name != "temperature_point":
-                rates[name] = jnp.asarray(causal_slope(time, readings[name], order, step))
-    group_codes = {}
-    for group in ("cell", *GROUPS):
-        own_levels, own_codes = readings.groups(group)
-        if levels is not None:
-            known = {level: i for i, level in enumerate(levels.get(group, ()))}
-            table = np.array([known.get(level, -1) for level in own_levels] + [-1])
-            own_codes = table[own_codes]
-        members = own_levels if levels is None else levels.get(group, ())
-        fitting = np.min_scalar_type(-len(members) - 1)  # of four for each reading, most are zeros
-        group_codes[group] = jnp.asarray(own_codes, dtype=fitting)
-    scalars = {k: jnp.asarray(v) for k, v in reference.items() if not isinstance(v, dict)}
+        rates = {
+            name: jnp.asarray(causal_slope(time, readings[name], order, step))
+            for name in readings.columns
+            if readings.unit(name) == "degC" and name != "temperature_point"
+        }
     return Frame(
-        columns,
-        labels,
-        rates,
-        group_codes,
-        scalars,
-        jnp.asarray(order, dtype=jnp.int32),
-        jnp.asarray(step),
-        dict(columns),
+        columns=columns,
+        labels=labels,
+        rates=rates,
+        codes={group: _member_codes(readings, group, levels) for group in GROUPS},
+        reference={k: jnp.asarray(v) for k, v in reference.items() if not isinstance(v, dict)},
+        order=jnp.asarray(order, dtype=jnp.int32),
+        step=jnp.asarray(step),
+        record=dict(columns),
     )
+
+
+def _run_starts(
+    time: np.ndarray, names: tuple[str, ...], codes: np.ndarray, reference: Reference
+) -> np.ndarray:
+    """When each run began, s: as stored at the fit, or its own first reading where that came earlier."""
+    stored = reference["run_starts"]
+    assert isinstance(stored, dict)
+    first = [float(np.min(time[codes == i])) for i in range(len(names))]
+    return np.array([min(stored.get(n, own), own) for n, own in zip(names, first, strict=True)])
+
+
+def _member_codes(
+    readings: Measurements, group: str, levels: Mapping[str, tuple[str, ...]] | None
+) -> Int[Array, "n"]:
+    """Each reading's member of a group, as it was numbered at the fit."""
+    members, codes = readings.groups(group)
+    if levels is not None:
+        fitted = levels.get(group, ())
+        known = {level: i for i, level in enumerate(fitted)}
+        codes = np.array([known.get(level, -1) for level in members] + [-1])[codes]
+        members = fitted
+    fitting = np.min_scalar_type(-len(members) - 1)  # of four for each reading, most are zeros
+    return jnp.asarray(codes, dtype=fitting)
 
 
 def causal_slope(

@@ -5,35 +5,25 @@ Instruments are not subclasses. A new one is a set of columns, slots and one fun
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.noise import Noise, White
-from bayescal._readings.measurements import Column, Measurements, NominalScale
-from bayescal._readings.units import ANY, coefficient_factor, same_dimension
-from bayescal.effects.unknown import unknown
-from bayescal.effects.unknown_in_time import cycle, jump
-
-if TYPE_CHECKING:
-    from bayescal._model.model import Model
+from bayescal._model.placeholder import covariate_in, placeholder
+from bayescal._readings.column import Column, NominalScale
+from bayescal._readings.measurements import Measurements
+from bayescal._readings.unit_registry import ANY
+from bayescal._readings.units import coefficient_factor, same_dimension
 
 Slots = Mapping[str, Float[Array, "n"]]
-UNKNOWN = re.compile(r"unknown\((.+)\)")
-FORMS = {"time, jump": jump, "time, cycle": cycle}  # of unknown functions, beside the smooth one
-
-
-def free_curve(name: str) -> bool:
-    """Whether an effect follows any smooth curve, and so can stand in for others; a law or a form in time cannot."""
-    found = UNKNOWN.fullmatch(name)
-    return found is not None and found[1] not in FORMS
+Columns = Mapping[str, ArrayLike]
 
 
 class Slot(eqx.Module):
@@ -81,13 +71,12 @@ class Instrument(eqx.Module):
         nominal_scale: how raw outputs (V, Hz) become input units.
         known_noise: name and standard deviation (output unit) of contributions known before any fit, or a
             function of a temperature slope (output unit per °C) that gives them.
-        structures: further models to compare, by name.
-        simulate: `simulate(effects, seed=…, **options)` gives measurements of a simulated campaign.
-        experiments: feasible changes of the campaign, in words, and what each would record: `next_experiment` ranks
-            them.
-        demo: writes a demonstration to a folder, under a seed.
-        pairs: of an instrument whose devices are chosen in pairs: `pairs(calibration, criterion=…)` gives a table
-            that prints itself and has `data()`, plain JSON.
+        structures: further models to compare, by name, and what makes each.
+        simulator: `simulator(effects, seed=…, **options)` gives the columns of a simulated campaign, by name; one
+            that is not the instrument's own carries its unit as a file's header does, `humidity [%]`. `simulate`
+            makes readings of them.
+        experiments: feasible changes of the campaign, in words, and the columns that each would record:
+            `next_experiment` ranks them.
         use: which quantity the calibrated instrument measures; None where no single reading tells it.
         source: document that the equations come from.
         tailor: of an instrument whose output may be anything: `tailor(readings, **settings)` gives the
@@ -106,13 +95,9 @@ class Instrument(eqx.Module):
     noise: Noise = eqx.field(default_factory=White)
     nominal_scale: NominalScale | None = eqx.field(static=True, default=None)
     known_noise: Callable[[float], dict[str, float]] | None = eqx.field(static=True, default=None)
-    structures: tuple[tuple[str, Callable[[], Model]], ...] = eqx.field(static=True, default=())
-    simulate: Callable[..., Any] | None = eqx.field(static=True, default=None)
-    experiments: tuple[tuple[str, Callable[[], Measurements]], ...] = eqx.field(
-        static=True, default=()
-    )
-    demo: Callable[[Path, int], None] | None = eqx.field(static=True, default=None)
-    pairs: Callable[..., Any] | None = eqx.field(static=True, default=None)
+    structures: tuple[tuple[str, Callable[[], Any]], ...] = eqx.field(static=True, default=())
+    simulator: Callable[..., Columns] | None = eqx.field(static=True, default=None)
+    experiments: tuple[tuple[str, Callable[[], Columns]], ...] = eqx.field(static=True, default=())
     use: Use | None = None
     source: str = eqx.field(static=True, default="")
     tailor: Callable[..., Instrument] | None = eqx.field(static=True, default=None)
@@ -135,11 +120,28 @@ class Instrument(eqx.Module):
         """The instrument tailored to readings, where it has to be; else the same."""
         return self if self.tailor is None else self.tailor(readings)
 
-    def baseline(self) -> Model:
-        """The instrument with its baseline effects and noise law."""
-        from bayescal._model.model import Model  # here, because a model is made of an instrument
+    def simulate(
+        self, effects: Mapping[str, float] | None = None, *, seed: int, **options: Any
+    ) -> Measurements:
+        """Readings of a simulated campaign with effects hidden in it.
 
-        return Model(self, self.effects, self.noise)
+        Args:
+            effects: canonical name → true size, in the unit of the effect's coefficient.
+            seed: of every random number.
+            options: of the instrument's own simulator, such as its campaign.
+
+        Raises:
+            ModelError: the instrument has no simulator.
+            ValueError: what its simulator refuses, such as an unknown effect.
+        """
+        if self.simulator is None:
+            raise ModelError(f"instrument {self.name!r} has no simulator")
+        return Measurements.from_arrays(self, **self.simulator(effects, seed=seed, **options))
+
+    if TYPE_CHECKING:
+
+        def baseline(self) -> Any:
+            """The instrument's `Model` with its baseline effects and noise law; `model.py` attaches it."""
 
     @property
     def unit(self) -> str:
@@ -185,8 +187,8 @@ class Instrument(eqx.Module):
         for effect in (*self.effects, *self.candidates):
             if effect.name == name:
                 return effect
-        if found := UNKNOWN.fullmatch(name):
-            return self.unknown(found[1])
+        if covariate := covariate_in(name):
+            return self.unknown(covariate)
         raise ModelError(
             f"instrument {self.name!r} knows no effect {name!r}; it knows "
             f"{', '.join(e.name for e in (*self.effects, *self.candidates))}. "
@@ -221,7 +223,4 @@ class Instrument(eqx.Module):
         ]
         noise = getattr(getattr(self.noise, "scale", None), "scale", 1.0)
         low, high = min(sizes, default=noise) / 3, max(sizes, default=noise) * 3
-        form = ", ".join(part.strip() for part in covariate.split(","))
-        if form in FORMS:
-            return FORMS[form](slot.name, low, high, slot.unit)
-        return unknown(covariate, slot.name, low, high, slot.unit)
+        return placeholder(covariate, slot.name, low, high, slot.unit)

@@ -11,8 +11,8 @@ from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise import Noise
-from bayescal._readings import units
 from bayescal._readings.measurements import Measurements
+from bayescal._readings.unit_registry import ANY
 
 
 class Model(eqx.Module):
@@ -137,7 +137,7 @@ class Model(eqx.Module):
             ModelError: the output has another unit, or a column is missing.
         """
         own, unit = self.instrument.unit, readings.unit(readings.output)
-        if own == units.ANY:
+        if own == ANY:
             raise ModelError(
                 f"Instrument {self.instrument.name!r} takes its unit and plausible sizes from readings: compose "
                 "the model of instrument.for_readings(readings)"
@@ -155,6 +155,14 @@ class Model(eqx.Module):
                         f"(it has: {', '.join(readings.columns)}). Record it, or take the effect out: "
                         f"model - {effect.name!r}"
                     )
+
+
+def baseline(instrument: Instrument) -> Model:
+    """The instrument with its baseline effects and noise law."""
+    return Model(instrument, instrument.effects, instrument.noise)
+
+
+Instrument.baseline = baseline  # a model has an instrument, which therefore cannot import models
 
 
 def _unknowns(effect: Effect) -> list[str]:

@@ -133,14 +133,14 @@ class White(Noise):
 
 
 class OrnsteinUhlenbeck(Noise):
-    """White noise and a slow wander within each run: an Ornstein–Uhlenbeck process of unknown size and time.
+    """White noise and correlated (Ornstein–Uhlenbeck) noise of unknown size and time within each run.
 
     Runs are independent. Solves are linear in the readings (tinygp's quasi-separable solver).
 
     Attributes:
         shortest, longest: 95 % of the prior of the correlation time, s; `over_record` takes them from a record.
         scale: prior of the white part's standard deviation, output unit.
-        correlated: prior of the wander's standard deviation, output unit.
+        correlated: prior of the correlated part's standard deviation, output unit.
     """
 
     shortest: float = eqx.field(static=True)
@@ -204,7 +204,7 @@ class OrnsteinUhlenbeck(Noise):
 
 
 def over_record(white: White, steps: Float[Array, "n"], span: float) -> OrnsteinUhlenbeck:
-    """White noise widened by a wander whose correlation time the record can tell: from one step to its span.
+    """White noise beside correlated noise whose correlation time the record can tell: from one step to its span.
 
     Args:
         white: whose prior is kept, for both parts.

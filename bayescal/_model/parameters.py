@@ -8,25 +8,43 @@ unknown matters. Each entry of φ has a coordinate v on the whole line.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import equinox as eqx
 
+from bayescal._core.errors import ModelError
 from bayescal._model.coefficient import Coefficient
 from bayescal._model.effect import Effect
+from bayescal._model.frame import GROUPS
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
 from bayescal._readings import units
+from bayescal._readings.measurements import Measurements
 
+HyperKind = Literal["noise", "spread", "shape", "process", "promoted"]
+MOVING: tuple[HyperKind, ...] = (
+    "shape",
+    "process",
+    "promoted",
+)  # the output's Jacobian depends on them
 _NOISE_UNITS = {
     "noise.freedom": "1",
     "noise.correlated.time": "s",
 }  # the others: that of the output
 
 
+Levels = Mapping[str, Sequence[str]]  # the members of each group
+
+
+def member_name(name: str, member: object) -> str:
+    """What one member's coefficient is called, everywhere."""
+    return f"{name}({member})"
+
+
 @dataclass(frozen=True)
-class Block:
+class CoefficientBlock:
     """One coefficient of the model, with all its group members."""
 
     effect: Effect
@@ -47,11 +65,13 @@ class Block:
     def spread_name(self) -> str:
         return f"{self.name}.spread"
 
-    def member_names(self) -> list[str]:
-        """Names of its entries in φ, when it is promoted."""
-        if self.coefficient.per is None:
+    def member_names(self, levels: Levels | None = None) -> list[str]:
+        """Names of its entries, each after its member; by their number, as in φ, where no levels are given."""
+        per = self.coefficient.per
+        if per is None:
             return [self.name]
-        return [f"{self.name}({i})" for i in range(self.size)]
+        members = range(self.size) if levels is None else levels[per]
+        return [member_name(self.name, member) for member in members]
 
 
 @dataclass(frozen=True)
@@ -61,12 +81,7 @@ class Hyper:
     name: str
     unit: str
     prior: Positive | Normal | FlatLine
-    kind: Literal["noise", "spread", "shape", "process", "promoted"]
-
-    @property
-    def moves(self) -> bool:
-        """Whether the expected output's Jacobian depends on it."""
-        return self.kind in ("shape", "process", "promoted")
+    kind: HyperKind
 
 
 class Layout(eqx.Module):
@@ -83,7 +98,7 @@ class Layout(eqx.Module):
     promoted: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
-    def blocks(self) -> tuple[Block, ...]:
+    def blocks(self) -> tuple[CoefficientBlock, ...]:
         counts, fixed = dict(self.counts), dict(self.model.fixed)
         blocks, start = [], 0
         for effect in self.model.effects:
@@ -100,27 +115,27 @@ class Layout(eqx.Module):
                     place = "phi"
                 factor = units.coefficient_factor(coefficient.unit, slot.unit)
                 blocks.append(
-                    Block(
-                        effect,
-                        index,
-                        name,
-                        slot.name,
-                        size,
-                        factor,
-                        place,
-                        start,
-                        fixed.get(name, 0.0),
+                    CoefficientBlock(
+                        effect=effect,
+                        index=index,
+                        name=name,
+                        slot=slot.name,
+                        size=size,
+                        factor=factor,
+                        place=place,
+                        start=start,
+                        value=fixed.get(name, 0.0),
                     )
                 )
                 start += size if place == "x" else 0
         return tuple(blocks)
 
     @property
-    def x_blocks(self) -> tuple[Block, ...]:
+    def x_blocks(self) -> tuple[CoefficientBlock, ...]:
         return tuple(b for b in self.blocks if b.place == "x")
 
     @property
-    def row_blocks(self) -> tuple[Block, ...]:
+    def row_blocks(self) -> tuple[CoefficientBlock, ...]:
         return tuple(b for b in self.blocks if b.place == "row")
 
     @property
@@ -146,7 +161,7 @@ class Layout(eqx.Module):
                     )
                 )
         for effect in self.model.effects:
-            kind = "shape" if effect.measure is None else "process"
+            kind = "process" if effect.is_placeholder else "shape"
             for shape in effect.shapes:
                 found.append(Hyper(effect.shape_name(shape), shape.unit, shape.prior, kind))
         for block in self.blocks:
@@ -158,6 +173,15 @@ class Layout(eqx.Module):
                     for name in block.member_names()
                 ]
         return tuple(h for h in found if h.name not in fixed)
+
+    def positions(self, *kinds: HyperKind) -> list[int]:
+        """Where in φ the entries of these kinds stand."""
+        return [i for i, h in enumerate(self.hypers) if h.kind in kinds]
+
+    @property
+    def moving(self) -> list[int]:
+        """Where in φ the entries stand that the expected output's Jacobian depends on."""
+        return self.positions(*MOVING)
 
     def promote(self, *names: str) -> Layout:
         return Layout(self.model, self.counts, (*self.promoted, *names))
@@ -174,3 +198,37 @@ def _promoted_prior(coefficient: Coefficient) -> Normal | FlatLine:
     if coefficient.spread is not None:
         return Normal(0.0, 1.0)  # in units of its learned spread
     return FlatLine(coefficient.size) if coefficient.flat else coefficient.prior  # pyright: ignore
+
+
+def bind(model: Model, readings: Measurements) -> tuple[Layout, dict[str, tuple[str, ...]]]:
+    """The model's layout for these readings, and the members of each group.
+
+    Raises:
+        ModelError: fewer readings than flat coefficients, or a group effect without its group.
+    """
+    levels = {group: readings.groups(group)[0] for group in GROUPS}
+    counts = {**{g: len(names) for g, names in levels.items()}, "reading": len(readings)}
+    layout = Layout(model, tuple(counts.items()))
+    flat = sum(b.size for b in layout.x_blocks if b.coefficient.flat)
+    if len(readings) <= flat:
+        raise ModelError(
+            f"{readings.file} has {len(readings)} readings for {flat} coefficients with a flat prior: "
+            "measure more, take effects out, or give them a Normal prior"
+        )
+    if not model.noise.independent and layout.row_blocks:
+        raise ModelError(
+            f"Effect {layout.row_blocks[0].effect.name!r} has one coefficient for each reading, which is not "
+            f"combined with {model.noise.law} noise: take the effect out, or use White() noise"
+        )
+    if not model.noise.independent and not readings.has("time"):
+        raise ModelError(
+            f"{model.noise.law} noise needs the column 'time', which {readings.file} lacks: record it, or use "
+            "White() noise"
+        )
+    for b in layout.blocks:
+        if b.size == 0:
+            raise ModelError(
+                f"Effect {b.effect.name!r} has one coefficient for each {b.coefficient.per}, and "
+                f"{readings.file} has none: name them in a column, or take the effect out"
+            )
+    return layout, levels

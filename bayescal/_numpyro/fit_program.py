@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -10,95 +9,30 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
-from arviz_base import from_dict
 
-from bayescal._calibration.calibration import Verdict
-from bayescal._core.errors import InputError, ModelError, NotConverged
-from bayescal._core.formatting import WIDTH, table, with_error
+from bayescal._core.errors import ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._core.progress import stage
-from bayescal._inference import nuts_chains
-from bayescal._inference.marginal import (
-    CHAINS,
-    ENOUGH,
-    K_HAT,
-    Marginal,
-    by_chain,
-    chain_verdict,
-    resample,
-    smoothed,
-    worth,
-)
-from bayescal._inference.method import Method
+from bayescal._core.weights import effective_size, resample, smoothed
+from bayescal._inference import nuts_chains, trust
+from bayescal._inference.marginal import Marginal
+from bayescal._inference.method import CHAINS, Method, Verdict, by_chain
 from bayescal._inference.nuts import NUTS, sampled
 from bayescal._numpyro import marginal_density
 from bayescal._numpyro.gaussian_sites import Split, split
-from bayescal._numpyro.trace import Program, draw_trace, survey
+from bayescal._numpyro.program_fit import ProgramFit, tree_of
+from bayescal._numpyro.survey import survey
+from bayescal._numpyro.trace import TracedProgram, draw_trace
 
 WIDE = 30  # coordinates, above which importance sampling is not tried
 MANY = 1000  # readings that cost anew at each proposal, above which fewer are made
-BEND = 0.01  # root mean square of what the Gaussian form leaves out of the log density, below which draws stand
-ROWS = 40  # lines of a printed table
-BENT = (
+MOST_LEFT_OUT = (
+    0.01  # of the log density by the Gaussian form, root mean square, below which draws stand
+)
+NOT_GAUSSIAN = (
     "The density is Gaussian at the points that were tried, but not where the readings point to: "
     "NumPyro's NUTS on every unknown."
 )
-
-
-@dataclass(frozen=True, eq=False)
-class ProgramFit:
-    """The result of fitting a NumPyro program.
-
-    Attributes:
-        name: of the program.
-        tree: ArviZ DataTree: posterior (every unknown and every `numpyro.deterministic`), observed_data. Axes that
-            belong to a plate carry its name.
-        verdict: whether to trust it, and what was done.
-        method: name of the method.
-        seed: of every random number.
-        log_evidence: (value, Monte-Carlo error or None); None where a prior is improper or all was sampled.
-        marginalised: sites that were integrated out in closed form.
-        sampled: the other unknowns.
-    """
-
-    name: str
-    tree: xr.DataTree
-    verdict: Verdict
-    method: str
-    seed: int
-    log_evidence: tuple[float, float | None] | None
-    marginalised: tuple[str, ...]
-    sampled: tuple[str, ...]
-
-    def samples(self, name: str) -> np.ndarray:
-        """All draws of one site, (draws, …) with the shape that the program gives it.
-
-        Raises:
-            InputError: nothing is called so.
-        """
-        posterior = self.tree["posterior"].to_dataset()
-        if name not in posterior.data_vars:
-            known = ", ".join(map(str, posterior.data_vars))
-            raise InputError(f"no site of {self.name!r} is called {name!r}; there are: {known}")
-        values = posterior[name].values
-        return values.reshape(-1, *values.shape[2:])
-
-    def __str__(self) -> str:
-        rows = []
-        for name in (*self.marginalised, *self.sampled):
-            draws = self.samples(name)
-            for place in np.ndindex(draws.shape[1:]):
-                one = draws[(slice(None), *place)]
-                low, high = np.quantile(one, [0.025, 0.975])
-                entry = f"{name}[{', '.join(map(str, place))}]" if place else name
-                value = with_error(float(one.mean()), float(one.std()))
-                rows.append([entry, value, f"{low:.4g} to {high:.4g}"])
-        head = ["unknown", "mean ± standard uncertainty", "95 % credible interval"]
-        lines = [table(head, rows[:ROWS])]
-        if len(rows) > ROWS:
-            lines.append(f"… and {len(rows) - ROWS} more, by samples(name)")
-        return "\n".join([*lines, textwrap.fill(str(self.verdict), WIDTH)])
 
 
 @dataclass(frozen=True)
@@ -136,14 +70,14 @@ def fit_program(
         drawn = _plain(divided, method, seed, _why_plain(divided, method))
     whole = drawn.verdict.sampler == "NUTS"
     fitted = ProgramFit(
-        program.name,
-        _tree(program, drawn.values, observed),
-        drawn.verdict,
-        method.name,
-        seed,
-        None if program.improper else drawn.log_evidence,
-        () if whole else tuple(s.name for s in divided.inside),
-        tuple(s.name for s in (program.latent if whole else divided.outside)),
+        name=program.name,
+        tree=tree_of(program, drawn.values, observed),
+        verdict=drawn.verdict,
+        method=method.name,
+        seed=seed,
+        log_evidence=None if program.improper else drawn.log_evidence,
+        marginalised=() if whole else tuple(s.name for s in divided.inside),
+        sampled=tuple(s.name for s in (program.latent if whole else divided.outside)),
     )
     if strict and not drawn.verdict.ok:
         raise NotConverged(
@@ -154,7 +88,7 @@ def fit_program(
     return fitted
 
 
-def _observed(program: Program) -> dict[str, np.ndarray]:
+def _observed(program: TracedProgram) -> dict[str, np.ndarray]:
     """Values of the observed sites, checked."""
 
     def values(key):
@@ -203,17 +137,15 @@ def _marginal(divided: Split, method: Marginal, seed: int) -> _Drawn:
         found = marginal_density.sample(divided, mode, keys[1], proposals, method.rounds)
         log_weight = np.asarray(found.log_weight)
         weights, k_hat = smoothed(log_weight)
-    effective = worth(weights)
-    if not (k_hat <= K_HAT and effective >= min(ENOUGH, proposals / 4)):
-        why = f"k̂ = {k_hat:.2f}, {effective:.0f} effective draws"
+    if why := trust.unevenness(weights, k_hat, enough=min(trust.ENOUGH, proposals / 4)):
         notes = (*notes, f"Importance weights were uneven ({why}): NUTS instead.")
         return _chains(divided, mode, method, seed, notes)
-    count = CHAINS * max(1, int(min(method.draws, effective)) // CHAINS)
+    count = CHAINS * max(1, int(min(method.draws, effective_size(weights))) // CHAINS)
     pick = resample(weights, count, seed)
     relative = np.exp(log_weight - log_weight.max())
     evidence = float(np.log(relative.mean()) + log_weight.max())
     error = float(np.std(relative / relative.mean()) / np.sqrt(proposals))
-    verdict = Verdict(True, (), notes, "importance sampling", float(k_hat), effective)
+    verdict = trust.weights_verdict(weights, k_hat, notes)
     values = marginal_density.values_of(divided, found.x[pick], found.v[pick])
     return _Drawn(_by_chain(values), verdict, (evidence, error))
 
@@ -221,17 +153,19 @@ def _marginal(divided: Split, method: Marginal, seed: int) -> _Drawn:
 def _closed(divided: Split, mode, method: Marginal, key, seed: int, notes) -> _Drawn:
     """Independent draws, where nothing is left to sample."""
     count = CHAINS * max(1, method.draws // CHAINS)
-    x, v, evidence, bend = marginal_density.draws_back(divided, mode, jnp.zeros((count, 0)), key)
-    if not _straight(bend):
-        return _plain(divided, method, seed, (*notes[1:], BENT))
-    verdict = Verdict(True, (), notes, "independent draws", ess=float(count))
+    x, v, evidence, left_out = marginal_density.draws_back(
+        divided, mode, jnp.zeros((count, 0)), key
+    )
+    if not _gaussian(left_out):
+        return _plain(divided, method, seed, (*notes[1:], NOT_GAUSSIAN))
+    verdict = Verdict(True, notes=notes, sampler="independent draws", ess=float(count))
     values = _by_chain(marginal_density.values_of(divided, x, v))
     return _Drawn(values, verdict, (float(evidence[0]), 0.0))
 
 
-def _straight(bend) -> bool:
+def _gaussian(left_out) -> bool:
     """Whether the density is Gaussian in what was integrated out wherever the draws lie."""
-    return bool(np.sqrt(np.mean(np.clip(np.asarray(bend), -1e3, 1e3) ** 2)) < BEND)
+    return bool(np.sqrt(np.mean(np.clip(np.asarray(left_out), -1e3, 1e3) ** 2)) < MOST_LEFT_OUT)
 
 
 def _anew(divided: Split) -> int:
@@ -257,10 +191,10 @@ def _chains(divided: Split, mode, method: Marginal, seed: int, notes: tuple[str,
             dense=divided.dim <= 2 * WIDE,
         )
         flat = ran.draws.reshape(-1, divided.dim)
-        x, v, _, bend = marginal_density.draws_back(divided, mode, flat, k2)
-    if not _straight(bend):
-        return _plain(divided, method, seed, (*notes[1:], BENT))
-    verdict = chain_verdict(ran, None, "NUTS on what is not integrated out", notes, None)
+        x, v, _, left_out = marginal_density.draws_back(divided, mode, flat, k2)
+    if not _gaussian(left_out):
+        return _plain(divided, method, seed, (*notes[1:], NOT_GAUSSIAN))
+    verdict = trust.chain_verdict(ran, "NUTS on what is not integrated out", notes)
     values = marginal_density.values_of(divided, x, v)
     return _Drawn(_by_chain(values), verdict, (float(mode.log_evidence), None))
 
@@ -273,31 +207,22 @@ def _plain(divided: Split, method: Method, seed: int, notes: tuple[str, ...]) ->
     program = divided.program
     size = sum(site.size for site in program.latent)
     dense = method.dense and size <= 2 * WIDE
-    found, values = sampled(program.run, (), method, seed, dense)
+    found, values = sampled(
+        program.run,
+        (),
+        warmup=method.warmup,
+        draws=method.draws,
+        chains=method.chains,
+        dense=dense,
+        seed=seed,
+    )
     flat = [jnp.reshape(a, (*a.shape[:2], -1)) for a in jax.tree.leaves(found.draws)]
     ran = nuts_chains.Chains(jnp.concatenate(flat, axis=2), found.divergences, found.steps)
     return _Drawn(
         {name: np.asarray(value) for name, value in values.items()},
-        chain_verdict(ran, None, "NUTS", notes, None),
+        trust.chain_verdict(ran, "NUTS", notes),
     )
 
 
 def _by_chain(values: dict) -> dict[str, np.ndarray]:
-    return {name: by_chain(np.asarray(value)) for name, value in values.items()}
-
-
-def _tree(
-    program: Program, values: dict[str, np.ndarray], observed: dict[str, np.ndarray]
-) -> xr.DataTree:
-    dims = {}
-    for site in (*program.latent, *program.observed):
-        names = [
-            f"{site.name}_dim_{i}" if d is None or d in values or d in observed else d
-            for i, d in enumerate(site.dims)
-        ]
-        if len(set(names)) == len(names):
-            dims[site.name] = names
-    groups = {"posterior": values}
-    if observed:
-        groups["observed_data"] = observed
-    return from_dict(groups, dims=dims)
+    return {name: by_chain(value) for name, value in values.items()}

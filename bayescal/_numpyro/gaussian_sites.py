@@ -20,8 +20,8 @@ from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
 from bayescal._numpyro.trace import (
     Densities,
-    Program,
     Site,
+    TracedProgram,
     densities,
     draw_trace,
     free_of,
@@ -48,7 +48,7 @@ class Split(NamedTuple):
         reasons: why Gaussian sites are sampled, each a sentence.
     """
 
-    program: Program
+    program: TracedProgram
     inside: tuple[Site, ...]
     outside: tuple[Site, ...]
     fixed: tuple[str, ...]
@@ -88,7 +88,7 @@ def raveled(sites: Sequence[Site], values: Mapping[str, Array]) -> Float[Array, 
     return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
 
-def split(program: Program, keep: Sequence[str] | None = None) -> Split:
+def split(program: TracedProgram, keep: Sequence[str] | None = None) -> Split:
     """Decide what is integrated out.
 
     Args:
@@ -107,7 +107,7 @@ def split(program: Program, keep: Sequence[str] | None = None) -> Split:
             )
     candidates = [s for s in program.latent if s.gaussian and s.size and s.name not in keep]
     if program.loops or not candidates:
-        return Split(program, (), program.latent, (), True, ())
+        return Split(program, (), program.latent, fixed=(), separate=True, reasons=())
     study = _study(program, tuple(candidates))
     out, reasons = _expelled(program, candidates, study)
     inside = tuple(s for s in candidates if s.name not in out)
@@ -125,7 +125,7 @@ def split(program: Program, keep: Sequence[str] | None = None) -> Split:
     moved = study.scaled.copy()
     moved[:, : study.placed.shape[1]] |= study.placed
     apart = not any(moved[i, at[s.name]] for i in inner for s in outside)
-    return Split(program, inside, outside, fixed, apart, tuple(reasons))
+    return Split(program, inside, outside, fixed=fixed, separate=apart, reasons=tuple(reasons))
 
 
 class _Study(NamedTuple):
@@ -137,11 +137,11 @@ class _Study(NamedTuple):
         np.ndarray
     )  # the site's location moves with the candidate; Gaussian sites alone, which come first
     scaled: np.ndarray  # its scale, or its density if it is not Gaussian, moves
-    bent: np.ndarray  # its location is not affine in the two
+    nonlinear: np.ndarray  # its location is not affine in the two
     by_rest: np.ndarray  # its location moves with the sites that are no candidates
 
 
-def _study(program: Program, candidates: tuple[Site, ...]) -> _Study:
+def _study(program: TracedProgram, candidates: tuple[Site, ...]) -> _Study:
     rest = tuple(s for s in program.latent if s not in candidates)
     size = sum(s.size for s in candidates)
     owner = np.repeat(np.arange(len(candidates)), [s.size for s in candidates])
@@ -176,7 +176,7 @@ def _study(program: Program, candidates: tuple[Site, ...]) -> _Study:
             a, b = masks[pair[0]] * h, masks[pair[1]] * k
             corners = jnp.stack([x, x + a, x + b, x + a + b])
             push = jax.vmap(lambda at: jax.jvp(lambda x: parts(x, v)[0], (at,), (b,)))
-            return _bends(*push(corners))
+            return _nonlinear(*push(corners))
 
         return scaled, placed[1:], over(together, jnp.asarray(pairs), room), placed[0], equal
 
@@ -197,27 +197,36 @@ def _study(program: Program, candidates: tuple[Site, ...]) -> _Study:
 
 
 def _understood(
-    program: Program,
+    program: TracedProgram,
     count: int,
     pairs: list[tuple[int, int]],
     names: list[str],
     scaled: np.ndarray,
     placed: np.ndarray,
-    bent: np.ndarray,
+    nonlinear: np.ndarray,
     rest_moves: np.ndarray,
     equal: np.ndarray,
 ) -> _Study:
     """What was seen at all points together."""
     # 1 seen, 0 not seen, −1 not finite there; what is finite nowhere counts as seen.
-    scaled, placed, bent, rest_moves = (_seen(a) for a in (scaled, placed, bent, rest_moves))
+    scaled, placed, nonlinear, rest_moves = (
+        _seen(a) for a in (scaled, placed, nonlinear, rest_moves)
+    )
     gaussian = placed.shape[1]
     square = np.zeros((count, count, gaussian), bool)
-    for (i, j), row in zip(pairs, bent, strict=True):
+    for (i, j), row in zip(pairs, nonlinear, strict=True):
         square[i, j] = square[j, i] = row
     normal = [s.name for s in program.observed if s.law == "Normal" and s.gaussian]
     single = [n for i, n in enumerate(names[:gaussian]) if np.all(equal[:, i])]
     single = tuple(n for n in single if n in normal)
-    return _Study(tuple(names), single, placed, scaled, square, rest_moves)
+    return _Study(
+        names=tuple(names),
+        single=single,
+        placed=placed,
+        scaled=scaled,
+        nonlinear=square,
+        by_rest=rest_moves,
+    )
 
 
 def _seen(verdicts: np.ndarray) -> np.ndarray:
@@ -235,7 +244,7 @@ def _differ(here: list[Array], there: list[Array]) -> Array:
     return jnp.stack(found) if found else jnp.zeros(0, int)
 
 
-def _bends(places: list[Array], slopes: list[Array]) -> Array:
+def _nonlinear(places: list[Array], slopes: list[Array]) -> Array:
     """For each Gaussian site whether its location is not affine: values and slopes at x, x + a, x + b, x + a + b."""
     found = []
     for at, along in zip(places, slopes, strict=True):
@@ -243,13 +252,13 @@ def _bends(places: list[Array], slopes: list[Array]) -> Array:
         step = jnp.max(jnp.abs(at[3] - at[2] - at[1] + at[0]))
         steep = jnp.max(jnp.abs(along))
         turn = jnp.max(jnp.abs(along - along[0]))
-        bent = (step > SAME * size) | (turn > STRAIGHT * steep)
-        found.append(jnp.where(jnp.isfinite(size + steep + step + turn), bent, -1))
+        nonlinear = (step > SAME * size) | (turn > STRAIGHT * steep)
+        found.append(jnp.where(jnp.isfinite(size + steep + step + turn), nonlinear, -1))
     return jnp.stack(found) if found else jnp.zeros(0, int)
 
 
 def _expelled(
-    program: Program, candidates: list[Site], study: _Study
+    program: TracedProgram, candidates: list[Site], study: _Study
 ) -> tuple[set[str], list[str]]:
     """Candidates that are sampled after all, and why."""
     out: set[str] = set()
@@ -269,9 +278,9 @@ def _expelled(
             elif study.scaled[i, j]:
                 law = "a factor" if laws[name].law == "Unit" else laws[name].law
                 expel(i, f"{name!r} ({law}) depends on it and is not Gaussian")
-            elif j < study.bent.shape[2] and study.bent[i, i, j] and name != own:
+            elif j < study.nonlinear.shape[2] and study.nonlinear[i, i, j] and name != own:
                 expel(i, f"the location of {name!r} is not affine in it")
-    clash = np.any(study.bent, axis=2)
+    clash = np.any(study.nonlinear, axis=2)
     np.fill_diagonal(clash, False)
     left = [i for i in range(len(candidates)) if candidates[i].name not in out]
     while True:

@@ -25,11 +25,11 @@ SCALES = 256  # prior draws that the coordinates are scaled by
 LOG_2PI = 1.8378770664093453
 
 
-class Mode(NamedTuple):
+class ProgramMode(NamedTuple):
     """Mode of u with x integrated out, x there, and the Gaussian fit.
 
     Attributes:
-        v: û, in the scaled coordinates. (Named as in `_laplace.Mode`, of which importance sampling asks the same.)
+        v: û, in the scaled coordinates. (Named as in `laplace.Mode`, of which importance sampling asks the same.)
         covariance: of u.
         log_density: log p(y, û).
         log_evidence: Laplace.
@@ -46,19 +46,19 @@ class Mode(NamedTuple):
     width: Float[Array, "d"]
 
 
-class Weighted(NamedTuple):
+class ProgramDraws(NamedTuple):
     """Joint draws with their log weights, neither normalised nor smoothed.
 
     Attributes:
         x, v: of each draw, v in the program's own unconstrained coordinates.
         log_weight: true joint density over that which the draw came from.
-        bend: what the Gaussian form leaves out of the log joint density: rounding, if the split is right.
+        left_out: what the Gaussian form leaves out of the log joint density: rounding, if the split is right.
     """
 
     x: Float[Array, "s p"]
     v: Float[Array, "s d"]
     log_weight: Float[Array, "s"]
-    bend: Float[Array, "s"]
+    left_out: Float[Array, "s"]
 
 
 def log_joint(split: Split, x: Array, v: Array) -> Float[Array, ""]:
@@ -132,7 +132,7 @@ def conditional_function(split: Split, centre: Float[Array, "p"]):
     return conditional
 
 
-def density_of_u(split: Split, mode: Mode):
+def density_of_u(split: Split, mode: ProgramMode):
     """log p(y, u) as a function of the scaled coordinates, with x given u."""
     conditional = conditional_function(split, mode.x)
     volume = jnp.sum(jnp.log(mode.width))
@@ -144,14 +144,20 @@ def density_of_u(split: Split, mode: Mode):
     return density
 
 
-def find_mode(split: Split, key: Array) -> Mode:
+def find_mode(split: Split, key: Array) -> ProgramMode:
     """The mode of u, by BFGS from the best of some prior draws; the fit there. Traceable."""
     draws = over(split.draw_v, jax.random.split(key, SCALES), SCALES)
     low, centre, high = jnp.quantile(draws, jnp.asarray([0.16, 0.5, 0.84]), axis=0)
     width = jnp.where(high > low, 0.5 * (high - low), 1.0)
-    zero = jnp.zeros(split.size)
-    none = jnp.zeros((split.dim, split.dim))
-    first = Mode(jnp.zeros(split.dim), none, jnp.nan, jnp.nan, zero, centre, width)  # pyright: ignore
+    first = ProgramMode(
+        v=jnp.zeros(split.dim),
+        covariance=jnp.zeros((split.dim, split.dim)),
+        log_density=jnp.asarray(jnp.nan),
+        log_evidence=jnp.asarray(jnp.nan),
+        x=jnp.zeros(split.size),
+        centre=centre,
+        width=width,
+    )
     density = density_of_u(split, first)
     u = first.v
     if split.dim:
@@ -164,25 +170,33 @@ def find_mode(split: Split, key: Array) -> Mode:
     if not split.dim:
         return first._replace(log_density=value, log_evidence=value, x=given.mean)
     covariance, volume, _ = laplace.gaussian_fit(lambda u: density(u)[0], u)
-    return Mode(u, covariance, value, value + volume, given.mean, centre, width)
+    return first._replace(
+        v=u,
+        covariance=covariance,
+        log_density=value,
+        log_evidence=value + volume,
+        x=given.mean,
+    )
 
 
 compiled_mode = compiled(find_mode)
 
 
-def draw_back(split: Split, mode: Mode, density, u: Array, key: Array):
+def draw_back(split: Split, mode: ProgramMode, density, u: Array, key: Array):
     """x given u, log p(y, u), and by how much the true joint density differs from the Gaussian form."""
     value, found = density(u)
     normal = jax.random.normal(key, (split.size,))
     x = found.place(normal)
-    of_x = -found.stretch - 0.5 * (normal @ normal + split.size * LOG_2PI)
+    of_x = -found.log_jacobian - 0.5 * (normal @ normal + split.size * LOG_2PI)
     v = mode.centre + mode.width * u
     true = log_joint(split, x, v) + jnp.sum(jnp.log(mode.width))
     return x, v, value, true - (value + of_x)
 
 
 @compiled
-def sample(split: Split, mode: Mode, key: Array, proposals: int, rounds: int) -> Weighted:
+def sample(
+    split: Split, mode: ProgramMode, key: Array, proposals: int, rounds: int
+) -> ProgramDraws:
     """Adaptive importance sampling of u, with x drawn back; weights are those of the true joint density."""
     density = density_of_u(split, mode)
     adapt_key, draw_key, place_key = jax.random.split(key, 3)
@@ -195,23 +209,23 @@ def sample(split: Split, mode: Mode, key: Array, proposals: int, rounds: int) ->
         rounds,
     )
     keys = jax.random.split(place_key, proposals)
-    x, v, value, bend = over(
+    x, v, value, left_out = over(
         lambda a: draw_back(split, mode, density, *a), (u, keys), importance_sampling.BATCH
     )
-    some = jnp.isfinite(bend)
-    x, bend = jnp.where(some[:, None], x, mode.x), jnp.where(some, bend, -1e300)
-    return Weighted(x, v, value - log_proposal + bend, bend)
+    some = jnp.isfinite(left_out)
+    x, left_out = jnp.where(some[:, None], x, mode.x), jnp.where(some, left_out, -1e300)
+    return ProgramDraws(x, v, value - log_proposal + left_out, left_out)
 
 
 @compiled
-def draws_back(split: Split, mode: Mode, u: Float[Array, "s d"], key: Array):
-    """x and v of draws of u, log p(y, u), and the bend."""
+def draws_back(split: Split, mode: ProgramMode, u: Float[Array, "s d"], key: Array):
+    """x and v of draws of u, log p(y, u), and what was left out."""
     density = density_of_u(split, mode)
     keys = jax.random.split(key, len(u))
     return over(lambda a: draw_back(split, mode, density, *a), (u, keys), importance_sampling.BATCH)
 
 
-def _prior_share(split: Split, mode: Mode) -> importance_sampling.PriorShare | None:
+def _prior_share(split: Split, mode: ProgramMode) -> importance_sampling.PriorShare | None:
     """The prior of u, where it can be drawn from without x."""
     if not split.dim or not split.separate or any(s.improper for s in split.outside):
         return None

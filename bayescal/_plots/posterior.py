@@ -14,9 +14,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.summary import summary
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
-from bayescal._diagnostics.summary import summary
 from bayescal._plots.style import (
     BLUE,
     GREY,

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._diagnostics.check import Check, Entry, check, covariates_of
+from bayescal._diagnostics.check import check, covariates_of
+from bayescal._diagnostics.check_result import Check, Entry
 from bayescal._plots.style import CYCLE, GREY, RED, axis_label, new_figure, plain
 
 MOST = 6  # panels

@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from bayescal._core.formatting import number
-from bayescal._discovery.discover import Discovery
+from bayescal._discovery.discovery import Discovery
 from bayescal._discovery.search_path import Trail
+from bayescal._model.placeholder import covariate_in
 from bayescal._plots.residuals import residual_panel
 from bayescal._plots.style import (
     BLUE,
@@ -28,7 +29,6 @@ from bayescal._plots.style import (
     open_sides,
     plain,
 )
-from bayescal._report.result_json import step_data
 
 MOST = 12  # candidates
 KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
@@ -41,7 +41,7 @@ def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
         found: a trail, or what its result.json holds.
         ax: where to draw; a figure of its own if not given.
     """
-    steps = [step_data(s) for s in found.steps] if isinstance(found, Trail) else found["steps"]
+    steps = [s.errors() for s in found.steps] if isinstance(found, Trail) else found["steps"]
     figure = new_figure(5.6, 0.75 + 1.0 * len(steps)) if ax is None else ax.figure
     ax = figure.subplots() if ax is None else ax
     series = [
@@ -124,7 +124,7 @@ def _ticks(low: float, high: float) -> list[float]:
 
 def _quiet(c: Mapping[str, Any]) -> bool:
     """An unknown dependence without evidence is not worth a bar."""
-    return c["effect"].startswith("unknown(") and c["kind"] in (None, "not visible")
+    return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
 
 
 def loop(found: Trail) -> Figure:

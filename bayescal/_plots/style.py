@@ -5,12 +5,12 @@ Colours: Okabe and Ito, "Color universal design" (2008).
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from bayescal._core.atomic_file import replacing
 from bayescal._readings.units import unit_label
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -45,10 +45,6 @@ def open_sides(ax) -> None:
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG, beside and then renamed."""
     path = Path(path)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        figure.savefig(beside, dpi=150, format="png")
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=150, format="png")
     return path

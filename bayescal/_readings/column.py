@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
-from bayescal._readings.units import ANY
+from bayescal._readings.unit_registry import ANY
 
+ROW = "reading"  # the one dimension of readings
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
-TAKEN = ("reading", "cell")  # the row index, and run × temperature point
+TAKEN = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
 
 
 @dataclass(frozen=True)
@@ -119,20 +120,3 @@ class Source:
     file: str
     sha256: str
     rows: int
-
-
-@dataclass
-class Admitted:
-    """One file's columns as ours.
-
-    Attributes:
-        values: name → one entry per reading.
-        units: name → unit; None for labels.
-        flags: what was odd.
-        filled: names of columns that hold a default.
-    """
-
-    values: dict[str, np.ndarray] = field(default_factory=dict)
-    units: dict[str, str | None] = field(default_factory=dict)
-    flags: list[str] = field(default_factory=list)
-    filled: set[str] = field(default_factory=set)

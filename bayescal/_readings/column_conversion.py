@@ -1,4 +1,4 @@
-"""From a file's columns to an instrument's numbers: conversion, and what cannot be let in.
+"""From a file's columns to an instrument's numbers: conversion, and what is refused.
 
 A refusal names the file, the row, the column, what was read, what was expected, and what to do.
 """
@@ -7,25 +7,25 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 
 from bayescal._core.errors import InputError
 from bayescal._readings import units
-from bayescal._readings.column import MAY_BE_EMPTY, Admitted, Column
+from bayescal._readings.column import MAY_BE_EMPTY, Column
 from bayescal._readings.column_matching import (
-    Expects,
-    Wishes,
+    InstrumentLike,
+    ReadOptions,
     expected_columns,
+    extra_columns,
     match,
     output_name,
     refuse_missing,
-    settled,
     unit_of,
+    with_fixed_units,
 )
-from bayescal._readings.extra_columns import extra_columns, keep, shown
 from bayescal._readings.raw_table import Cells, Header, Table, load_whole
 
 _LIKELY_UNITS = (
@@ -34,13 +34,32 @@ _LIKELY_UNITS = (
 )
 
 
-def admit(table: Table, instrument: Expects, wishes: Wishes) -> Admitted:
-    """Let a file's columns in.
+@dataclass
+class ConvertedColumns:
+    """One file's columns as ours.
+
+    Attributes:
+        values: name → one entry per reading.
+        units: name → unit; None for labels.
+        flags: what was odd.
+        filled: names of columns that hold a default.
+    """
+
+    values: dict[str, np.ndarray] = field(default_factory=dict)
+    units: dict[str, str | None] = field(default_factory=dict)
+    flags: list[str] = field(default_factory=list)
+    filled: set[str] = field(default_factory=set)
+
+
+def convert_columns(
+    table: Table, instrument: InstrumentLike, options: ReadOptions
+) -> ConvertedColumns:
+    """Check a file's columns and convert them.
 
     Args:
         table: the file.
         instrument: whose columns are expected.
-        wishes: renamings, units, gravity and scale.
+        options: renamings, units, gravity and scale.
 
     Returns:
         Columns in the instrument's units, in its order, then what else was kept.
@@ -50,41 +69,50 @@ def admit(table: Table, instrument: Expects, wishes: Wishes) -> Admitted:
             column.
     """
     expected = expected_columns(instrument)
-    places = match(table, expected, wishes)
-    refuse_missing(table, expected, places, instrument.name)
-    expected = settled(expected, table, places, wishes)
-    result = Admitted()
-    kept = extra_columns(table, expected, places, wishes, result)
-    wanted = {places[name]: expected[name].unit is not None for name in expected if name in places}
-    cells = load_whole(table, {**wanted, **{places[name]: True for name in kept}})
+    positions = match(table, expected, options)
+    refuse_missing(table, expected, positions, instrument.name)
+    expected = with_fixed_units(expected, table, positions, options)
+    extra, flags = extra_columns(table, expected, positions, options)
+    converted = ConvertedColumns(flags=flags)
+    found = {n: c for n, c in (expected | extra).items() if n in positions}
+    cells = load_whole(table, {positions[n]: c.unit is not None for n, c in found.items()})
+    readers = {
+        name: _ColumnReader(
+            table=table,
+            header=table.headers[positions[name]],
+            column=column,
+            options=options,
+            instrument=instrument,
+            converted=converted,
+        )
+        for name, column in found.items()
+    }
     for name, column in expected.items():
-        if name in places:
-            header = table.headers[places[name]]
-            _Door(table, header, column, wishes, instrument, result).take(cells[places[name]])
-        if name not in result.values and column.default is not None:
+        if name in readers:
+            readers[name].read(cells[positions[name]])
+        if name not in converted.values and column.default is not None:
             kind = object if column.unit is None else np.float64
-            result.values[name] = np.full(table.rows, column.default, dtype=kind)
-            result.units[name] = column.unit
-            result.filled.add(name)
-    for name, unit in kept.items():
-        place = places[name]
-        keep(table, table.headers[place], name, unit, wishes.local_gravity, cells[place], result)
-    return result
+            converted.values[name] = np.full(table.rows, column.default, dtype=kind)
+            converted.units[name] = column.unit
+            converted.filled.add(name)
+    for name in extra:
+        readers[name].read_if_sound(cells[positions[name]])
+    return converted
 
 
 @dataclass(frozen=True)
-class _Door:
-    """One column of the instrument on its way in."""
+class _ColumnReader:
+    """Checks one column of a file and converts it into `converted`."""
 
     table: Table
     header: Header
     column: Column
-    wishes: Wishes
-    instrument: Expects
-    result: Admitted
+    options: ReadOptions
+    instrument: InstrumentLike
+    converted: ConvertedColumns
 
-    def take(self, cells: Cells) -> None:
-        """Check and convert the cells, and put them into the result.
+    def read(self, cells: Cells) -> None:
+        """A column of the instrument; one that is empty and not required is left out.
 
         Raises:
             InputError: a cell or the unit cannot be used.
@@ -92,14 +120,14 @@ class _Door:
         name = self.column.name
         if self.column.unit is None:
             if not self.column.required and (cells.values == "").all():
-                self._absent()
+                self._flag("is empty and was left out")
                 return
-            self.result.values[name] = self._labels(cells.values)
-            self.result.units[name] = None
+            self._refuse_labels(cells.values)
+            self.converted.values[name], self.converted.units[name] = cells.values, None
             return
         unit = self._unit()
         if not self.column.required and cells.bad is None and np.isnan(cells.values).all():
-            self._absent()
+            self._flag("is empty and was left out")
             return
         if cells.bad:
             self._refuse_text(*cells.bad, unit)
@@ -107,18 +135,32 @@ class _Door:
             values = self._convert(cells.values, unit)
         self._refuse_not_finite(cells.values, values, unit)
         self._refuse_implausible(cells.values, values, unit)
-        self.result.values[name], self.result.units[name] = values, self.column.unit
+        self.converted.values[name], self.converted.units[name] = values, self.column.unit
 
-    def _absent(self) -> None:
-        self.result.flags.append(
-            f"{self.table.file}: column {self.header.raw!r} is empty and was left out"
-        )
+    def read_if_sound(self, cells: Cells) -> None:
+        """A column that no instrument asked for: left out, with a flag, unless every cell is a number."""
+        name, fixed, gravity = self.column.name, self.column.unit, self.options.local_gravity
+        unit = unit_of(self.header, name, self.options)
+        assert unit is not None and fixed is not None  # `extra_columns` keeps no other
+        values = units.convert(cells.values, unit, fixed, local_gravity=gravity)
+        unusable = np.flatnonzero(self._not_finite(values))
+        if cells.bad or unusable.size:
+            index = cells.bad[0] if cells.bad else int(unusable[0])
+            seen = f"reads {cells.bad[1]!r}" if cells.bad else _reading(cells.values[index])
+            self._flag(f"ignored: {self.table.place(index)} {seen}")
+            return
+        if units.needs_gravity(unit, fixed):
+            self._flag(f"turned into local g by {gravity:g} m/s²")
+        self.converted.values[name], self.converted.units[name] = values, fixed
+
+    def _flag(self, said: str) -> None:
+        self.converted.flags.append(f"{self.table.file}: column {self.header.raw!r} {said}")
 
     def _at(self, index: int) -> str:
         return f"{self.table.place(index)} of {self.table.file!r}, column {self.header.raw!r}:"
 
     def _unit(self) -> str:
-        unit = unit_of(self.header, self.column.name, self.wishes)
+        unit = unit_of(self.header, self.column.name, self.options)
         where = f"{self.table.file!r}, column {self.header.raw!r}:"
         if unit is None:
             raise InputError(
@@ -131,12 +173,10 @@ class _Door:
         except InputError as error:
             raise InputError(f"{where} {error}. Correct the header, or give units=") from error
         if self.header.unit and unit != self.header.unit:
-            self.result.flags.append(
-                f"{self.table.file}: column {self.header.raw!r} taken as [{unit}], as units= says"
-            )
+            self._flag(f"taken as [{unit}], as units= says")
         return unit
 
-    def _labels(self, values: np.ndarray) -> np.ndarray:
+    def _refuse_labels(self, values: np.ndarray) -> None:
         codes, levels = pd.factorize(values)
         for code, label in enumerate(levels):
             index = int(np.argmax(codes == code))
@@ -154,7 +194,6 @@ class _Door:
                     f"{self._at(index)} reads {label!r}, an unknown label; expected is one of "
                     f"{', '.join(self.column.allowed)}. Correct it"
                 )
-        return values
 
     def _refuse_text(self, index: int, text: str, unit: str) -> None:
         hint = "Correct the cell, or remove the row"
@@ -167,21 +206,20 @@ class _Door:
 
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray:
         """Numbers in `unit` in the column's, by the nominal scale if it is a raw output."""
-        target, gravity = self.column.unit or "1", self.wishes.local_gravity
+        target, gravity = self.column.unit or "1", self.options.local_gravity
         output = output_name(self.instrument)
         difference = self.column.name == "output_uncertainty"
-        scale = self.wishes.nominal_scale or self.instrument.nominal_scale
-        flag = f"{self.table.file}: column {self.header.raw!r}"
+        scale = self.options.nominal_scale or self.instrument.nominal_scale
         if units.same_dimension(unit, target):
             if units.needs_gravity(unit, target):
-                self.result.flags.append(f"{flag} turned into local g by {gravity:g} m/s²")
+                self._flag(f"turned into local g by {gravity:g} m/s²")
             return units.convert(values, unit, target, local_gravity=gravity, difference=difference)
         raw_output = self.column.name == output or difference
         if raw_output and scale is not None and units.same_dimension(unit, scale.unit):
             shifted = scale.offset and not difference
             reading = f"(reading − {scale.offset:g})" if shifted else "reading"
-            self.result.flags.append(
-                f"{flag} turned into {units.pretty(target)} by the nominal scale: "
+            self._flag(
+                f"turned into {units.pretty(target)} by the nominal scale: "
                 f"{reading}/{scale.gain:g}, reading in {units.pretty(scale.unit)}"
             )
             raw = units.convert(
@@ -198,11 +236,15 @@ class _Door:
             f"units={{{self.header.name!r}: …}}.{hint}"
         )
 
+    def _not_finite(self, values: np.ndarray) -> np.ndarray:
+        """Mask of the readings that are no number; a temperature point may be empty."""
+        return np.isinf(values) if self.column.name == MAY_BE_EMPTY else ~np.isfinite(values)
+
     def _refuse_not_finite(self, raw: np.ndarray, values: np.ndarray, unit: str) -> None:
-        wrong = np.isinf(values) if self.column.name == MAY_BE_EMPTY else ~np.isfinite(values)
+        wrong = self._not_finite(values)
         if wrong.any():
             index = int(np.argmax(wrong))
-            seen = shown(float(raw[index])) + (", too large" if np.isfinite(raw[index]) else "")
+            seen = _reading(raw[index]) + (", too large" if np.isfinite(raw[index]) else "")
             raise InputError(
                 f"{self._at(index)} {seen}, a number in {units.pretty(unit)} was expected. "
                 "Fill it in, or remove the row"
@@ -235,5 +277,10 @@ class _Door:
         target = self.column.unit or "1"
         if not units.same_dimension(unit, target):
             return False
-        values = units.convert(raw, unit, target, local_gravity=self.wishes.local_gravity)
+        values = units.convert(raw, unit, target, local_gravity=self.options.local_gravity)
         return bool(np.all(np.isnan(values) | ((values >= low) & (values <= high))))
+
+
+def _reading(value: float) -> str:
+    """What a cell that holds no finite number reads."""
+    return "is empty or NaN" if np.isnan(value) else f"reads {value:g}"

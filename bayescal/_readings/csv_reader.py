@@ -68,12 +68,18 @@ def open_csv(path: Path, file: str) -> Table:
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
         return _load(path, scan, wanted)
 
-    headers = tuple(Header.parse(text) for text in scan.header)
-    return Table(file, headers, rows, scan.sha256, load, scan.place)
+    return Table(
+        file=file,
+        headers=tuple(Header.parse(text) for text in scan.header),
+        rows=rows,
+        sha256=scan.sha256,
+        load=load,
+        place=scan.place,
+    )
 
 
 @dataclass(frozen=True)
-class Part:
+class CsvLines:
     """Some lines of a file as they stand.
 
     Attributes:
@@ -89,7 +95,7 @@ class Part:
     before: list[bytes] = field(default_factory=list)
 
 
-def csv_parts(path: Path, file: str, rows: int) -> Iterator[Part]:
+def csv_parts(path: Path, file: str, rows: int) -> Iterator[CsvLines]:
     """A file that `open_csv` let pass, a stretch of rows at a time: its header first, then its readings.
 
     Args:
@@ -105,23 +111,25 @@ def csv_parts(path: Path, file: str, rows: int) -> Iterator[Part]:
         above: list[bytes] = []
         while handle.tell() < scan.offset:
             above.append(handle.readline())
-        yield Part([above.pop()], None, scan.separator, above)
+        yield CsvLines([above.pop()], None, scan.separator, above)
         while lines := list(islice(handle, rows)):
             while not any(line.strip() for line in lines) and (more := handle.readline()):
                 lines.append(more)  # a stretch of blank lines is no table
             count = sum(bool(line.strip()) for line in lines)
             if count:
-                start = done
 
                 def load(wanted: Mapping[int, bool], lines=lines) -> dict[int, Cells]:
                     return _cells(BytesIO(b"".join(lines)), scan, wanted)
 
-                def place(index: int, start=start) -> str:
-                    return scan.place(start + index)
-
-                yield Part(
-                    lines, Table(file, headers, count, scan.sha256, load, place), scan.separator
+                table = Table(
+                    file=file,
+                    headers=headers,
+                    rows=count,
+                    sha256=scan.sha256,
+                    load=load,
+                    place=lambda index, start=done: scan.place(start + index),
                 )
+                yield CsvLines(lines, table, scan.separator)
             done += count
 
 

@@ -114,7 +114,8 @@ def flags_of(
 def _repeated(columns: Columns) -> np.ndarray:
     """Rows that repeat an earlier one in every column: looked for among those whose hashes agree, to save memory."""
     table = pd.DataFrame(dict(columns), copy=False)
-    hashes = pd.util.hash_pandas_object(table, index=False).to_numpy()
+    hashed = pd.util.hash_pandas_object(table, index=False)  # pyright: ignore[reportAttributeAccessIssue]
+    hashes = hashed.to_numpy()
     ordered = np.sort(hashes)
     shared = ordered[1:][ordered[1:] == ordered[:-1]]
     if not shared.size:

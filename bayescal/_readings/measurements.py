@@ -12,18 +12,20 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import MAY_BE_EMPTY, Admitted
-from bayescal._readings.column import Column as Column
-from bayescal._readings.column import NominalScale as NominalScale
-from bayescal._readings.column import Source as Source
-from bayescal._readings.column_conversion import admit
-from bayescal._readings.column_matching import Expects, Wishes, output_name, refuse_unused_units
+from bayescal._readings.column import MAY_BE_EMPTY, ROW, NominalScale, Source
+from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
+from bayescal._readings.column_matching import (
+    InstrumentLike,
+    ReadOptions,
+    output_name,
+    refuse_unused_units,
+)
 from bayescal._readings.dataset_checks import flags_of, refuse_backward_time, refuse_one_temperature
 from bayescal._readings.raw_table import Header, Table, cells_of
-from bayescal._readings.units import ANY, STANDARD_GRAVITY, check_unit
+from bayescal._readings.unit_registry import ANY, STANDARD_GRAVITY
+from bayescal._readings.units import check_unit
 from bayescal._readings.write import write
 
-ROW = "reading"
 _ARRAYS = "the given arrays"
 
 
@@ -63,7 +65,7 @@ class Measurements:
     @classmethod
     def from_arrays(
         cls,
-        instrument: Expects,
+        instrument: InstrumentLike,
         /,
         *,
         units: Mapping[str, str] | None = None,
@@ -82,7 +84,7 @@ class Measurements:
             nominal_scale: in place of the instrument's.
             allow_one_temperature: accept one temperature, as for a prediction.
             **columns: one entry per reading, or one for all; in the instrument's units unless
-                `units` says otherwise.
+                `units` says otherwise, or a name like a file's header, `humidity [%]`.
 
         Raises:
             InputError: what `read` refuses, and columns of unequal length.
@@ -93,22 +95,20 @@ class Measurements:
             for name in (c.name, *c.also)
         }
         own.setdefault("output_uncertainty", own.get(output_name(instrument)))
-        headers = tuple(Header(name, name, own.get(name)) for name in columns)
+        headers = tuple(Header.parse(name, own.get(name)) for name in columns)
         arrays = _equally_long(columns)
         table = Table(
-            _ARRAYS,
-            headers,
-            len(arrays[0]) if arrays else 0,
-            "",
-            lambda wanted: {
-                place: cells_of(arrays[place], number) for place, number in wanted.items()
-            },
-            lambda index: f"row {index + 1}",
+            file=_ARRAYS,
+            headers=headers,
+            rows=len(arrays[0]) if arrays else 0,
+            sha256="",
+            load=lambda wanted: {i: cells_of(arrays[i], number) for i, number in wanted.items()},
+            place=lambda index: f"row {index + 1}",
         )
-        wishes = Wishes({}, units or {}, local_gravity, nominal_scale)
-        refuse_unused_units([table], wishes)
-        admitted = admit(table, instrument, wishes)
-        return assemble([table], admitted, instrument, (), allow_one_temperature)
+        options = ReadOptions({}, units or {}, local_gravity, nominal_scale)
+        refuse_unused_units([table], options)
+        converted = convert_columns(table, instrument, options)
+        return assemble([table], converted, instrument, allow_one_temperature=allow_one_temperature)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column, in its fixed unit; labels as text.
@@ -234,9 +234,10 @@ class Measurements:
 
 def assemble(
     tables: Sequence[Table],
-    admitted: Admitted,
-    instrument: Expects,
-    sources: tuple[Source, ...],
+    converted: ConvertedColumns,
+    instrument: InstrumentLike,
+    *,
+    sources: tuple[Source, ...] = (),
     allow_one_temperature: bool,
 ) -> Measurements:
     """Check the columns of one or several joined files together and make measurements of them.
@@ -254,11 +255,14 @@ def assemble(
 
     needs_temperature = any(c.name == "temperature" and c.required for c in instrument.columns)
     if needs_temperature and not allow_one_temperature:
-        refuse_one_temperature(admitted.values, names)
-    refuse_backward_time(admitted.values, where)
-    flags = [*admitted.flags, *flags_of(admitted.values, output, where, names, admitted.filled)]
+        refuse_one_temperature(converted.values, names)
+    refuse_backward_time(converted.values, where)
+    flags = [
+        *converted.flags,
+        *flags_of(converted.values, output, where, names, unchecked=converted.filled),
+    ]
     variables = {
-        name: _variable(values, admitted.units[name]) for name, values in admitted.values.items()
+        name: _variable(values, converted.units[name]) for name, values in converted.values.items()
     }
     return Measurements(xr.Dataset(variables), sources, tuple(flags), output)
 

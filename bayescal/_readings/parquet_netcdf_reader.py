@@ -13,9 +13,8 @@ import pyarrow.parquet as pq
 import xarray as xr
 
 from bayescal._core.errors import InputError
+from bayescal._readings.column import ROW
 from bayescal._readings.raw_table import Cells, Header, Table, bytes_text, cells_of
-
-ROW = "reading"  # the one dimension
 
 
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
@@ -44,7 +43,14 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         pa.default_memory_pool().release_unused()  # what it unpacked, as much again as the numbers
         return found
 
-    return Table(file, headers, rows, sha256_of(path), load, _place)
+    return Table(
+        file=file,
+        headers=headers,
+        rows=rows,
+        sha256=sha256_of(path),
+        load=load,
+        place=_row,
+    )
 
 
 def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordBatch, Table]]:
@@ -59,11 +65,16 @@ def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordB
                 columns = {p: pa.chunked_array([batch.column(p)]) for p in wanted}
                 return {p: _arrow_cells(columns[p], number) for p, number in wanted.items()}
 
-            def place(index: int, start=done) -> str:
-                return _place(start + index)
-
             if batch.num_rows:
-                yield batch, Table(file, headers, batch.num_rows, "", load, place)
+                table = Table(
+                    file=file,
+                    headers=headers,
+                    rows=batch.num_rows,
+                    sha256="",
+                    load=load,
+                    place=lambda index, start=done: _row(start + index),
+                )
+                yield batch, table
             done += batch.num_rows
 
 
@@ -116,7 +127,14 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
         with _as_format(file, "NetCDF-4"), _dataset(path) as dataset:
             return {p: cells_of(dataset[names[p]].values, number) for p, number in wanted.items()}
 
-    return Table(file, headers, rows, sha256_of(path), load, _place)
+    return Table(
+        file=file,
+        headers=headers,
+        rows=rows,
+        sha256=sha256_of(path),
+        load=load,
+        place=_row,
+    )
 
 
 def _dataset(path: Path) -> xr.Dataset:
@@ -129,7 +147,7 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
-def _place(index: int) -> str:
+def _row(index: int) -> str:
     return f"row {index + 1}"
 
 

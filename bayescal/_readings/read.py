@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import MAY_BE_EMPTY, Admitted, NominalScale, Source
-from bayescal._readings.column_conversion import admit
-from bayescal._readings.column_matching import Expects, Wishes, refuse_unused_units
+from bayescal._readings.column import MAY_BE_EMPTY, NominalScale, Source
+from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
+from bayescal._readings.column_matching import InstrumentLike, ReadOptions, refuse_unused_units
 from bayescal._readings.csv_reader import open_csv
 from bayescal._readings.measurements import Measurements, assemble
 from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet
 from bayescal._readings.raw_table import Table, bytes_text
-from bayescal._readings.units import STANDARD_GRAVITY
+from bayescal._readings.unit_registry import STANDARD_GRAVITY
 from bayescal._readings.write import FORMATS
 
 MAX_BYTES = 2_000_000_000
@@ -26,7 +26,7 @@ _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".joblib")
 
 def read(
     path_or_paths: str | Path | Sequence[str | Path],
-    instrument: Expects,
+    instrument: InstrumentLike,
     *,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
@@ -58,18 +58,34 @@ def read(
     """
     paths = [path_or_paths] if isinstance(path_or_paths, str | Path) else list(path_or_paths)
     paths = [Path(path) for path in paths]
-    names = _names(paths)
-    _refuse_large(paths, names, max_bytes)
+    names = check_files(paths, max_bytes)
     tables = [_open(path, name, max_bytes) for path, name in zip(paths, names, strict=True)]
-    wishes = Wishes(columns or {}, units or {}, local_gravity, nominal_scale)
-    refuse_unused_units(tables, wishes)
-    parts = [admit(table, instrument, wishes) for table in tables]
+    options = ReadOptions(columns or {}, units or {}, local_gravity, nominal_scale)
+    refuse_unused_units(tables, options)
+    parts = [convert_columns(table, instrument, options) for table in tables]
     if len(tables) > 1:
         _label_runs(tables, parts, _runs(paths))
     joined = parts[0] if len(parts) == 1 else _join(tables, parts)
     joined = replace(joined, flags=[*joined.flags, *_equal_contents(tables)])
     sources = tuple(Source(table.file, table.sha256, table.rows) for table in tables)
-    return assemble(tables, joined, instrument, sources, allow_one_temperature)
+    return assemble(
+        tables,
+        joined,
+        instrument,
+        sources=sources,
+        allow_one_temperature=allow_one_temperature,
+    )
+
+
+def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
+    """Look at the files before anything is opened; what messages call them.
+
+    Raises:
+        InputError: no file, one twice, one that is not there or is no file, or all are too large.
+    """
+    names = _names(paths)
+    _refuse_large(paths, names, max_bytes)
+    return names
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -166,7 +182,9 @@ def _runs(paths: Sequence[Path]) -> list[str]:
     return labels
 
 
-def _label_runs(tables: Sequence[Table], parts: Sequence[Admitted], labels: Sequence[str]) -> None:
+def _label_runs(
+    tables: Sequence[Table], parts: Sequence[ConvertedColumns], labels: Sequence[str]
+) -> None:
     """Give the files without a column `run` a run of their own, and say which runs span files."""
     own = [set(part.values["run"]) if "run" in part.values else set() for part in parts]
     named = set().union(*own)
@@ -185,13 +203,13 @@ def _label_runs(tables: Sequence[Table], parts: Sequence[Admitted], labels: Sequ
             seen.setdefault(run, table.file)
 
 
-def _join(tables: Sequence[Table], parts: Sequence[Admitted]) -> Admitted:
+def _join(tables: Sequence[Table], parts: Sequence[ConvertedColumns]) -> ConvertedColumns:
     """Files one after the other.
 
     Raises:
         InputError: labels in some files only, or one column in two dimensions.
     """
-    joined = Admitted(flags=[flag for part in parts for flag in part.flags])
+    joined = ConvertedColumns(flags=[flag for part in parts for flag in part.flags])
     joined.filled = set.intersection(*(part.filled for part in parts))
     units = {name: unit for part in parts for name, unit in part.units.items()}
     for name, unit in units.items():

@@ -5,9 +5,7 @@ Everything is written beside its place and then renamed, so a file is there whol
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
+from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
 
 FORMATS = (".csv", ".parquet", ".nc")
@@ -46,34 +45,9 @@ def write(dataset: xr.Dataset, path: str | Path) -> Path:
             f"{path.name!r}: readings cannot be written as "
             f"{path.suffix or 'a file without a suffix'!r}; choose {', '.join(FORMATS)}"
         )
-    with beside(path) as partial:
+    with replacing_for_user(path) as partial:
         writer(dataset, partial)
     return path
-
-
-@contextmanager
-def beside(path: Path) -> Iterator[Path]:
-    """A file beside a path, which takes its place once it is whole; nothing is left of one that is not.
-
-    Raises:
-        InputError: no such folder, or a place that cannot be written to.
-    """
-    if not path.parent.is_dir():
-        raise InputError(
-            f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}. Make it, "
-            "or choose another"
-        )
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        yield partial
-        partial.replace(path)
-    except OSError as error:
-        raise InputError(
-            f"{str(path)!r} cannot be written: {error.strerror or error}. Choose a folder that may "
-            "be written to"
-        ) from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _columns(dataset: xr.Dataset) -> dict[str, np.ndarray]:
@@ -109,15 +83,3 @@ def _write_netcdf(dataset: xr.Dataset, path: Path) -> None:
                 "write .csv or .parquet"
             )
     dataset.to_netcdf(path, engine="h5netcdf")
-
-
-def write_text(text: str, path: str | Path) -> Path:
-    """Write text as UTF-8, beside its place and then renamed.
-
-    Raises:
-        InputError: no such folder, or a place that cannot be written to.
-    """
-    path = Path(path)
-    with beside(path) as partial:
-        partial.write_text(text, encoding="utf-8", newline="\n")
-    return path

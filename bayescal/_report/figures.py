@@ -16,7 +16,7 @@ from bayescal import plot
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
-from bayescal._diagnostics.check import Check
+from bayescal._diagnostics.check_result import Check
 from bayescal._readings.units import unit_label
 from bayescal._report.section import Chapter
 

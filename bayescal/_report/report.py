@@ -12,12 +12,13 @@ from typing import Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._compensation.budget import Budget, budget
+from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._discovery.search_path import Trail
 from bayescal._model.effect import Effect
+from bayescal._model.placeholder import covariate_in
 from bayescal._readings.units import unit_label
-from bayescal._readings.write import write_text
 from bayescal._report import figures, sentences, tables
 from bayescal._report.section import Chapter, chapters, taken
 
@@ -154,11 +155,7 @@ def _discovery(
     """What was missing from one step."""
     title = data["steps"][found["step"]]["title"]
     tested = [c for c in found["candidates"] if c["kind"] != "not testable"]
-    quiet = [
-        c
-        for c in tested
-        if c["effect"].startswith("unknown(") and c["kind"] in (None, "not visible")
-    ]
+    quiet = [c for c in tested if covariate_in(c["effect"]) and c["kind"] in (None, "not visible")]
     reasons: dict[str, list[str]] = {}
     for c in found["candidates"]:
         if c["kind"] == "not testable":

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from bayescal._diagnostics.check import Check
+from bayescal._calibration.summary import null_directions, summary
+from bayescal._core.atomic_file import replacing
+from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import groups_of
-from bayescal._diagnostics.summary import null_directions, summary
-from bayescal._discovery.discover import Discovery
+from bayescal._discovery.discovery import Discovery
 from bayescal._discovery.next_experiment import NextExperiment
 from bayescal._discovery.search_path import Step, Trail
 from bayescal._readings.measurements import Measurements
@@ -118,14 +118,7 @@ def step_data(step: Step) -> dict[str, Any]:
         "effects": list(calibration.model.names),
         "added": step.added,
         "dropped": list(step.dropped),
-        "title": step.title,
-        "rmse": step.rmse,
-        "rmse_fitted": step.rmse_fitted,
-        "unit": calibration.unit,
-        "holdout_rmse": step.holdout_rmse,
-        "leave_one_group_out": None
-        if step.left_out is None
-        else {"group": step.left_out.group, "n": step.left_out.count, "rmse": step.left_out.rmse},
+        **step.errors(),
         "log_evidence": None if evidence is None else {"value": evidence[0], "se": evidence[1]},
         "noise": {
             "law": calibration.model.noise.law,
@@ -133,7 +126,6 @@ def step_data(step: Step) -> dict[str, Any]:
             "correlated": noise.get("noise.correlated"),
             "tau": noise.get("noise.correlated.time"),
         },
-        "noise_floor": step.noise_floor,
         "verdict": {
             "ok": calibration.verdict.ok,
             "reasons": list(calibration.verdict.reasons),
@@ -244,9 +236,5 @@ def clean(value: Any) -> Any:
 
 def write_json(data: Any, path: Path) -> None:
     """Written beside and renamed, so that an interruption leaves the old file whole."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        beside.write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with replacing(path) as partial:
+        partial.write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -15,13 +15,15 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fit import load
 from bayescal._calibration.predict import predict
-from bayescal._calibration.storage import load_calibration
 from bayescal._core.errors import InputError, NotConverged
-from bayescal._diagnostics.check import Check, check
+from bayescal._diagnostics.check import check
+from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
+from bayescal._diagnostics.noise_floor import noise_floor
 from bayescal._discovery.discover import discover
-from bayescal._discovery.search_path import Step, Trail, gate, noise_floor
+from bayescal._discovery.search_path import Step, Trail, gate
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import SCHEMA, result
@@ -96,7 +98,7 @@ def of_folder(
             "wrote, or a saved calibration (…nc)"
         )
     data = _read_result(folder / RESULT)
-    calibration = load_calibration(folder / CALIBRATION, tuple(effects), tuple(instruments))
+    calibration = load(folder / CALIBRATION, effects=effects, instruments=instruments)
     _refuse_strangers(folder, data, calibration)
     picture = folder / PICTURE
     drawn = picture.read_bytes() if picture.is_file() else b""

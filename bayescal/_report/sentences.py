@@ -6,11 +6,12 @@ from itertools import pairwise
 from typing import Any
 
 from bayescal._core.formatting import probability
+from bayescal._diagnostics.evidence_scale import STRONG
+from bayescal._model.placeholder import covariate_in
 from bayescal._readings.units import unit_label
 from bayescal._report.section import Chapter
 from bayescal._report.tables import READ, UNUSED, measured, ranges
 
-STRUCTURE = 3.0  # log Bayes factor from which what is left in the residuals is worth a sentence
 ABOVE_NOISE = 1.1  # rms error over the noise floor from which something is left to explain
 
 
@@ -63,7 +64,7 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
     for candidate in last["candidates"] if last else []:
         if candidate["kind"] == "not testable":
             by_reason.setdefault(candidate["reason"], []).append(candidate["effect"])
-        elif candidate["kind"] == "not visible" and not candidate["effect"].startswith("unknown("):
+        elif candidate["kind"] == "not visible" and not covariate_in(candidate["effect"]):
             blind.append(candidate["effect"])
     not_for += [
         f"Where {_or(names)} matters: it was not tested ({reason})."
@@ -107,7 +108,7 @@ def unexplained(chapter: Chapter) -> list[str]:
         )
     ]
     for e in chapter.check.entries:
-        if e.log_bayes_factor > STRUCTURE:
+        if e.log_bayes_factor > STRONG:
             size = f"{e.worst.size:+.2g} {unit_label(unit)}".replace("-", "−")
             said.append(
                 f"The residuals still depend on {e.against} (up to {size}; log Bayes factor {e.log_bayes_factor:.1f})."

@@ -4,6 +4,9 @@ Each function returns an `Effect` for a slot, a size and a unit; an instrument p
 allows, under their canonical names.
 """
 
+from bayescal._model.placeholder import cycle as cycle
+from bayescal._model.placeholder import jump as jump
+from bayescal._model.placeholder import unknown as unknown
 from bayescal.effects.constant import constant as constant
 from bayescal.effects.constant import deviation as deviation
 from bayescal.effects.temperature import cubic as cubic
@@ -15,6 +18,3 @@ from bayescal.effects.thermal import thermal_lag as thermal_lag
 from bayescal.effects.thermometer import thermometer as thermometer
 from bayescal.effects.time import drift as drift
 from bayescal.effects.time import warm_up as warm_up
-from bayescal.effects.unknown import unknown as unknown
-from bayescal.effects.unknown_in_time import cycle as cycle
-from bayescal.effects.unknown_in_time import jump as jump

@@ -14,9 +14,9 @@ from typing import Any, Protocol
 import jax.numpy as jnp
 
 import bayescal as bc
-from bayescal._calibration.fit import bind
 from bayescal._inference import sampled_products
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.parameters import bind
 from benchmarks.record import add_line, read_lines
 
 REPLICATES = 1000

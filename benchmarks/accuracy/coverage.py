@@ -1,9 +1,10 @@
-"""Do the intervals cover? Simulation-based calibration of every instrument on its proving ground.
+"""Do the intervals cover? Simulation-based calibration of every instrument on its reference problem.
 
     python -m benchmarks coverage                            1000 data sets for each instrument
     python -m benchmarks.accuracy.coverage mems_gyro --replicates 100
 
-Data sets are drawn from the priors that the fit uses (`bayescal_models/NAME/proving.py`) and fitted by `Marginal`.
+Data sets are drawn from the priors that the fit uses (`bayescal_models/NAME/reference_problem.py`) and fitted by
+`Marginal`.
 Resumable: results/coverage_NAME.jsonl holds a line for each chunk, and chunks that stand there for the same model
 are not computed again. Writes results/coverage.json and a figure for each instrument, results/coverage_NAME.png.
 """
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._calibration.fit import bind
+from bayescal._model.parameters import bind
 from bayescal_models import INSTRUMENTS
 from benchmarks.accuracy.chunks import (
     PROPOSALS,
@@ -42,7 +43,7 @@ LARGEST = 50  # data sets in a chunk
 
 @dataclass(frozen=True)
 class Ground:
-    """An instrument's proving ground.
+    """An instrument's reference problem.
 
     Attributes:
         name: of the instrument.
@@ -56,8 +57,8 @@ class Ground:
 
     @classmethod
     def of(cls, name: str) -> Ground:
-        proving = import_module(f"bayescal_models.{name}.proving")
-        return cls(name, proving.model(), proving.readings())
+        problem = import_module(f"bayescal_models.{name}.reference_problem")
+        return cls(name, problem.model(), problem.readings())
 
     @cached_property
     def method(self) -> bc.Marginal:

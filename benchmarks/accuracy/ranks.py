@@ -17,9 +17,9 @@ import numpy as np
 from scipy import stats
 
 import bayescal as bc
-from bayescal._calibration.fit import bind
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.parameters import bind
 from benchmarks.intervals import expected_counts
 
 MEMBERS = 4  # of each group: the others are exchangeable with them

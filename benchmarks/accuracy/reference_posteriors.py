@@ -1,9 +1,9 @@
-"""Writes `certified.json` of an instrument: the posterior of its proving ground, by long NUTS.
+"""Writes `reference_posterior.json` of an instrument: the posterior of its reference problem, by long NUTS.
 
     python -m benchmarks.accuracy.reference_posteriors mems_gyro
     python -m benchmarks.accuracy.reference_posteriors ng_accelerometer --sampler whitened
 
-The reference must not rest on what it certifies, so the coefficients are never integrated out. `program` is NumPyro's
+The reference must not rest on what it is to judge, so the coefficients are never integrated out. `program` is NumPyro's
 NUTS on the plain program (`bc.NUTS`); `whitened` runs the same kernel on the same exact log density in coordinates in
 which its curvature is even, for posteriors so correlated that the plain program does not mix. Runs are lengthened
 until every Monte-Carlo error of a mean is below 0.02 posterior standard deviations, and nothing is written
@@ -26,11 +26,11 @@ import numpy as np
 import xarray as xr
 
 import bayescal as bc
-from bayescal._calibration.fit import bind
 from bayescal._calibration.posterior_tree import named
 from bayescal._core.batched_map import over
 from bayescal._inference import laplace, nuts_chains, sampled_products
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.parameters import bind
 from bayescal_models import INSTRUMENTS
 from benchmarks import chains
 from benchmarks.record import ROOT, surroundings, write_json
@@ -101,14 +101,14 @@ def _diagnosed(values: np.ndarray) -> dict[str, float]:
     }
 
 
-def certify(name: str, sampler: str = "program") -> dict[str, Any]:
-    """The reference posterior of an instrument's proving ground.
+def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
+    """The reference posterior of an instrument's reference problem.
 
     Raises:
         SystemExit: it could not be had to the tolerances.
     """
-    proving = import_module(f"bayescal_models.{name}.proving")
-    model, readings = proving.model(), proving.readings(seed=0)
+    problem = import_module(f"bayescal_models.{name}.reference_problem")
+    model, readings = problem.model(), problem.readings(seed=0)
     begun, draws = time.perf_counter(), DRAWS
     for _ in range(LENGTHENED):
         posterior, divergences = SAMPLERS[sampler](model, readings, draws)
@@ -127,7 +127,7 @@ def certify(name: str, sampler: str = "program") -> dict[str, Any]:
             break
         draws *= 2
     else:
-        raise SystemExit(f"{name}: no certificate: see the last figures above; try another sampler")
+        raise SystemExit(f"{name}: no reference: see the last figures above; try another sampler")
     shown = ("mean", "sd", "mcse", "mcse_sd")
     return {
         "made_by": f"python -m benchmarks.accuracy.reference_posteriors {name} --sampler {sampler}",
@@ -138,7 +138,7 @@ def certify(name: str, sampler: str = "program") -> dict[str, Any]:
             "chains": CHAINS,
             "seed": SEED,
         },
-        "readings": f"bayescal_models.{name}.proving.readings(seed=0), {len(readings)} rows",
+        "readings": f"bayescal_models.{name}.reference_problem.readings(seed=0), {len(readings)} rows",
         "surroundings": surroundings(),
         "tolerances": {
             "mcse": MCSE,
@@ -157,20 +157,20 @@ def certify(name: str, sampler: str = "program") -> dict[str, Any]:
     }
 
 
-def write_certificate(name: str, certificate: dict[str, Any]) -> Path:
+def write(name: str, reference: dict[str, Any]) -> Path:
     """Write it beside the instrument's model."""
-    path = ROOT / "models" / "bayescal_models" / name / "certified.json"
-    return write_json(path, certificate)
+    path = ROOT / "models" / "bayescal_models" / name / "reference_posterior.json"
+    return write_json(path, reference)
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Certify the instruments named, one after the other."""
+    """Make those of the instruments named, one after the other."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy.reference_posteriors")
     parser.add_argument("names", nargs="+", choices=INSTRUMENTS, metavar="instrument")
     parser.add_argument("--sampler", choices=SAMPLERS, default="program")
     asked = parser.parse_args(argv)
     for name in asked.names:
-        print(write_certificate(name, certify(name, asked.sampler)).relative_to(ROOT))
+        print(write(name, reference_posterior(name, asked.sampler)).relative_to(ROOT))
 
 
 if __name__ == "__main__":

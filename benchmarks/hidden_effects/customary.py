@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal._diagnostics import efficient_score
 from bayescal._discovery import candidate_columns
+from bayescal._inference import laplace
 from benchmarks.hidden_effects.bank import open_effects
 
 SELECTIONS = ("stepwise BIC", "LASSO", "STLSQ")
@@ -67,7 +67,7 @@ def _regressors(calibration: bc.Calibration, readings: bc.Measurements) -> Regre
         at += middle
         owners += [effect.name] * len(middle)
     y = jnp.asarray(readings["output"])
-    null = efficient_score.null_model(seen.layout, seen.frame, y, seen.mode)
+    null = laplace.linearised(seen.layout, seen.frame, y, seen.mode)
     return Regressors(laid.matrix[:, at], np.array(owners), np.asarray(null.nuisance))
 
 

@@ -22,9 +22,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 import bayescal as bc
+from bayescal._calibration.evidence import laplace_evidence
 from bayescal._diagnostics import efficient_score
 from bayescal._discovery import candidate_columns
-from bayescal._discovery.refit import laplace_evidence
 from bayescal_models import INSTRUMENTS
 from benchmarks.hidden_effects import page
 from benchmarks.hidden_effects.bank import (

@@ -16,10 +16,10 @@ from bayescal_models import (
     ng_accelerometer,
     quartz_beam_accelerometer,
 )
-from bayescal_models.mems_gyro.proving import TURNING
-from bayescal_models.ng_accelerometer import proving as ng_proving
+from bayescal_models.mems_gyro.reference_problem import TURNING
+from bayescal_models.ng_accelerometer import reference_problem as ng_problem
 from bayescal_models.ng_accelerometer.geometry import accelerations
-from bayescal_models.still_sensor import proving as still_proving
+from bayescal_models.still_sensor import reference_problem as still_problem
 from benchmarks.instruments.compensation_trial import Trial
 
 VERIFIED = 60  # readings of a verification
@@ -62,15 +62,15 @@ def _inclinometer(random: np.random.Generator) -> Trial:
 
 
 def _still(random: np.random.Generator) -> Trial:
-    """The proving ground's two runs of ramps; whatever is then added to the output is the stimulus."""
-    plan = still_proving.readings()
+    """The reference problem's two runs of ramps; whatever is then added to the output is the stimulus."""
+    plan = still_problem.readings()
     low, high = plan["temperature"].min(), plan["temperature"].max()
     temperature = random.uniform(low, high, VERIFIED)
-    sensor, hours = still_proving.SENSOR, 60.0 * np.arange(VERIFIED)
+    sensor, hours = still_problem.SENSOR, 60.0 * np.arange(VERIFIED)
     made = _made(sensor, temperature=temperature, time=hours)
     return Trial(
         "still_sensor",
-        still_proving.model(),
+        still_problem.model(),
         plan,
         verification=made,
         stimulus=random.uniform(-1e3, 1e3, VERIFIED),
@@ -94,20 +94,20 @@ def _quartz(random: np.random.Generator) -> Trial:
 
 
 def _ng(random: np.random.Generator) -> Trial:
-    """Source 0's test of instrument A, 180 readings; the proving ground's priors, since those of a first calibration
+    """Source 0's test of instrument A, 180 readings; the reference problem's priors, since those of a first calibration
     are flat in effect. Verified at its positions and temperatures anew, the face and the base without tilt errors.
 
     Cell by cell the fixture tilts by its own spread, an alias of the bias' own; where its spread is the larger one, it
     costs the tempco more than the verification, which is without it, shows of the least error: ratios rise.
     """
-    campaign = replace(ng_proving.CAMPAIGN, temperatures=(20.0, 25.0, 30.0, 35.0, 40.0), runs=3)
+    campaign = replace(ng_problem.CAMPAIGN, temperatures=(20.0, 25.0, 30.0, 35.0, 40.0), runs=3)
     plan = ng_accelerometer.simulate(seed=0, campaign=campaign)
     made = ng_accelerometer.simulate(seed=1, campaign=campaign)
     none = jnp.zeros(len(made))
     tilt, angle = jnp.asarray(made["tilt"]), jnp.asarray(made["position_angle"])
     return Trial(
         "ng_accelerometer",
-        ng_proving.model(),
+        ng_problem.model(),
         plan,
         verification=made,
         stimulus=np.asarray(accelerations(tilt, angle, none, none, none).along),

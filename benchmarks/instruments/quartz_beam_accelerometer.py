@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import bayescal as bc
-from bayescal._diagnostics.summary import null_directions
+from bayescal._calibration.summary import null_directions
 from bayescal_models import quartz_beam_accelerometer as quartz
 from benchmarks.record import write
 

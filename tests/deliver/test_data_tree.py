@@ -9,7 +9,7 @@ from scipy import stats
 
 import bayescal as bc
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
-from bayescal_models.mems_gyro.model import THERMOMETER
+from bayescal_models.mems_gyro.effects import THERMOMETER
 
 GROUPS = {
     "posterior",

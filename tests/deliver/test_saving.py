@@ -12,7 +12,7 @@ import xarray as xr
 import bayescal as bc
 from bayescal import effects
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
-from bayescal_models.mems_gyro.model import THERMOMETER
+from bayescal_models.mems_gyro.effects import THERMOMETER
 
 SQUARE = bc.Effect(
     "bias.square",

@@ -1,4 +1,4 @@
-"""Products of unknowns and bent models: the posterior is right, by promotion or by falling back, and says how."""
+"""Products of unknowns and nonlinear models: the posterior is right, by promotion or by falling back, and says how."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._calibration.fit import bind
-from bayescal._inference.sampled_products import bends
+from bayescal._inference.sampled_products import is_nonlinear
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.parameters import bind
 
 COLUMNS = (
     bc.Column("run", None, "label", required=False),
@@ -197,4 +197,4 @@ def test_what_bends_is_known_before_the_fit(lever, valve) -> None:
         (LEVER.baseline().fix({"scale.constant": 0.2}), lever, False),
     ):
         layout, _ = bind(model, data)
-        assert bends(layout, build_frame(data, reference_of(data))) is expected
+        assert is_nonlinear(layout, build_frame(data, reference_of(data))) is expected

@@ -11,12 +11,12 @@ from scipy import stats
 from scipy.integrate import quad
 
 import bayescal as bc
-from bayescal._calibration.fit import bind
 from bayescal._inference import importance_sampling
 from bayescal._inference.laplace import compiled_mode
 from bayescal._model.frame import build_frame
+from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
-from bayescal_models.mems_gyro.model import THERMOMETER
+from bayescal_models.mems_gyro.effects import THERMOMETER
 
 BASELINE = INSTRUMENT.baseline()
 

@@ -16,9 +16,9 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 import bayescal as bc
-from bayescal._numpyro.fit_program import ProgramFit
 from bayescal._numpyro.gaussian_sites import Split, split
-from bayescal._numpyro.trace import survey
+from bayescal._numpyro.program_fit import ProgramFit
+from bayescal._numpyro.survey import survey
 
 SCHOOLS = {
     "y": np.array([28.0, 8.0, -3.0, 7.0, -1.0, 1.0, 18.0, 12.0]),

@@ -14,8 +14,9 @@ import bayescal as bc
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair import criteria
 from bayescal_models.differential_pair.environment import SHARED, order_names
-from bayescal_models.differential_pair.selection import CRITERIA, judge
-from tests.support.command_line import GYRO, TABLE, run
+from bayescal_models.differential_pair.judgement import judge
+from bayescal_models.differential_pair.selection import CRITERIA
+from tests.support.command_line import GYRO, TABLE, needs_installation, run
 
 SMALL = dp.Campaign(samples=20)
 IN_PHI = bc.Marginal(promote=tuple(order_names(SHARED.name)))
@@ -280,6 +281,7 @@ def test_the_command_refuses_an_instrument_without_pairs() -> None:
     assert done.said == ["bayescal: instrument 'mems_gyro' does not choose its devices in pairs"]
 
 
+@needs_installation
 @pytest.mark.slow
 def test_the_command_answers_in_json_and_in_text(batch, tmp_path: Path) -> None:
     own = tmp_path / "pair.py"

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bayescal_models.mems_gyro import campaign as campaign_file
-from bayescal_models.mems_gyro.campaign import Campaign
+from bayescal_models.mems_gyro import TABLE, Campaign
 
 
 def table(name: str) -> tuple[list[str], np.ndarray]:
     """Header and numbers of a file of the gyro's data folder."""
-    path = Path(campaign_file.__file__).parent / "data" / name
-    with path.open(encoding="utf-8", newline="") as file:
+    with TABLE.with_name(name).open(encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(file)
     return header, np.array(rows, dtype=float)
 

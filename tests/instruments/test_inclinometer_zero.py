@@ -11,7 +11,7 @@ import bayescal as bc
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable as can_test
 from bayescal_models import inclinometer
-from bayescal_models.inclinometer import proving, terms
+from bayescal_models.inclinometer import effects, reference_problem
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
 
 INSTRUMENT = inclinometer.INSTRUMENT
@@ -64,7 +64,7 @@ def test_what_the_zero_test_cannot_see_is_said(lines: bc.Calibration) -> None:
     assert found.nothing_missing > 0.5
     said = {c.effect: c for c in found.candidates}
     assert said["dividing.face"].kind == "not visible"
-    for name in proving.ON_TILT:
+    for name in reference_problem.ON_TILT:
         assert said[name].kind == "not testable"
         assert "true_angle" in said[name].reason
 
@@ -104,7 +104,9 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
     """Dividing errors, a lagging hinge, a settling base, a gradual reversal: near the basis, never the same."""
     size = {"zero.placement_quadratic": 0.01}.get(name, 5.0)
     tilted = (
-        replace(inclinometer.VERIFICATION, exact=False) if name in proving.ON_TILT else Campaign()
+        replace(inclinometer.VERIFICATION, exact=False)
+        if name in reference_problem.ON_TILT
+        else Campaign()
     )
     plain, hidden = (
         inclinometer.simulate(e, seed=3, campaign=tilted)["output"] for e in ({}, {name: size})
@@ -113,7 +115,7 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
     effect = INSTRUMENT.effect(name)
     frame = build_frame(readings, reference_of(readings))
     slots = {s.name: np.zeros(len(readings)) for s in INSTRUMENT.slots}
-    unit = terms.ARCSEC_PER[effect.coefficients[0].unit]
+    unit = effects.ARCSEC_PER[effect.coefficients[0].unit]
     share = np.where(readings["axis"] == "x", 1.0, -0.6)
     own = 1.0 if effect.coefficients[0].per is None or effect.slot == "base_tilt" else share
     added = size * unit * own * np.asarray(effect.evaluate(frame, {})).sum(axis=1)
@@ -141,15 +143,15 @@ def test_hysteresis_needs_both_directions() -> None:
 
 
 def test_the_spline_table_goes_through_its_knots() -> None:
-    angles = np.concatenate([terms.KNOTS, np.deg2rad([-60.0, 60.0, 10.0])])
+    angles = np.concatenate([effects.KNOTS, np.deg2rad([-60.0, 60.0, 10.0])])
     readings = bc.Measurements.from_arrays(
         INSTRUMENT, placement_angle=angles, output=np.arange(10.0)
     )
     frame = build_frame(readings, reference_of(readings))
-    basis = np.asarray(terms.TABLE.evaluate(frame, {}))
+    basis = np.asarray(effects.TABLE.evaluate(frame, {}))
     np.testing.assert_allclose(basis[:7], np.eye(7), atol=1e-12)
     np.testing.assert_allclose(
-        basis @ terms.KNOTS, angles, atol=1e-12
+        basis @ effects.KNOTS, angles, atol=1e-12
     )  # lines stay lines, beyond the table too
 
 
@@ -178,7 +180,7 @@ def test_what_cannot_be_simulated_is_refused() -> None:
 def test_a_hidden_effect_is_found(name: str) -> None:
     """At three times its size; the parabola, the projection and the wobble stand for one another."""
     size = 3 * INSTRUMENT.effect(name).coefficients[0].size
-    readings = proving.hidden({name: size}, seed=4)
+    readings = reference_problem.hidden({name: size}, seed=4)
     line = bc.fit(INSTRUMENT.baseline(), readings)
     true = bc.fit(INSTRUMENT.baseline() + name, readings)
     assert line.log_evidence is not None

@@ -9,7 +9,7 @@ import pytest
 
 from bayescal_models import ng_accelerometer as ng
 from bayescal_models.ng_accelerometer.geometry import accelerations
-from bayescal_models.ng_accelerometer.simulate import gravity, simulate_arrays
+from bayescal_models.ng_accelerometer.simulator import gravity, simulate_arrays
 from bayescal_models.ng_accelerometer.sizes import ARCSEC, DEGREE
 
 IDEAL = dict.fromkeys(ng.INSTRUMENT_A.truth, 0.0)

@@ -9,7 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import ng_accelerometer as ng
-from bayescal_models.ng_accelerometer import proving
+from bayescal_models.ng_accelerometer import reference_problem
 from bayescal_models.ng_accelerometer.sizes import BASELINE_SIZES
 
 LINE = ("bias.constant", "bias.temperature", "scale.constant", "scale.temperature")
@@ -17,14 +17,14 @@ LINE = ("bias.constant", "bias.temperature", "scale.constant", "scale.temperatur
 
 @pytest.fixture(scope="module")
 def proved() -> bc.Calibration:
-    return bc.fit(proving.model(), proving.readings(0), bc.LeastSquares())
+    return bc.fit(reference_problem.model(), reference_problem.readings(0), bc.LeastSquares())
 
 
 def test_the_line_is_recovered_within_its_uncertainty(proved: bc.Calibration) -> None:
     assert proved.verdict.ok
     for name in LINE:
         draws = proved.samples(name)
-        assert abs(draws.mean() - proving.CAMPAIGN.truth[name]) < 3 * draws.std(), name
+        assert abs(draws.mean() - reference_problem.CAMPAIGN.truth[name]) < 3 * draws.std(), name
     for name in ("bias.temperature", "scale.temperature"):
         sd = proved.model.effect(name).coefficients[0].size
         assert proved.samples(name).std() < 0.2 * sd, name  # learned, not the prior
@@ -45,10 +45,10 @@ def test_setting_and_base_tilt_are_told_apart_by_their_priors_alone(proved: bc.C
     assert base.std() == pytest.approx(1.0, rel=0.15)
 
 
-def test_the_proving_model_is_the_baseline_with_proper_priors() -> None:
-    model = proving.model()
+def test_the_reference_problems_model_is_the_baseline_with_proper_priors() -> None:
+    model = reference_problem.model()
     assert model.names == ng.INSTRUMENT.baseline().names
-    assert len(proving.readings(0)) == 72
+    assert len(reference_problem.readings(0)) == 72
     for effect in model.effects:
         for coefficient in effect.coefficients:
             assert not coefficient.flat

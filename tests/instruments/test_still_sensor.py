@@ -9,11 +9,13 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._cli.arguments import Request, open_up
+from bayescal._cli.options import ColumnOptions, ModelOptions
+from bayescal._cli.request import open_request
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable as can_test
 from bayescal_models import still_sensor
-from bayescal_models.still_sensor.simulate import LAG_TIME, NOISE_LAWS, WARM_UP_TIME
+from bayescal_models.still_sensor.campaign import LAG_TIME
+from bayescal_models.still_sensor.simulator import NOISE_LAWS, WARM_UP_TIME
 
 LATE = pytest.mark.xfail(
     reason="the direction is known half a minute late, and a rate predicts better", strict=False
@@ -31,10 +33,7 @@ UNITS = [
 ]
 
 
-def request(**options: object) -> Request:
-    given = dict.fromkeys(Request.__dataclass_fields__)
-    given.update(instrument="still_sensor", local_gravity=9.80665, **options)
-    return Request(**given)  # pyright: ignore[reportArgumentType]
+LOGGER_COLUMNS = ["output=acc_x", "time=t_s", "temperature=temp"]
 
 
 def log(folder: Path, rows: int = 200) -> tuple[Path, np.ndarray]:
@@ -68,13 +67,9 @@ def test_a_channel_is_kept_in_the_fixed_unit_of_its_kind(logged, kept, factor) -
 
 def test_a_loggers_file_is_opened_by_renaming_and_units(tmp_path: Path) -> None:
     path, channel = log(tmp_path)
-    asked = request(
-        columns=["output=acc_x", "time=t_s", "temperature=temp"],
-        units=["acc_x=m/s^2", "t_s=s", "temp=degC"],
-        add=["bias.hysteresis"],
-        structure="quadratic",
-    )
-    instrument, model, readings = open_up(asked, [path])
+    columns = ColumnOptions(LOGGER_COLUMNS, ["acc_x=m/s^2", "t_s=s", "temp=degC"])
+    choice = ModelOptions(add=["bias.hysteresis"], structure="quadratic")
+    instrument, model, readings = open_request("still_sensor", [path], columns, choice)
     np.testing.assert_allclose(readings["output"], channel * 1e6 / 9.80665, rtol=1e-8)
     assert instrument.tailor is None and instrument.unit == "ug"
     assert model.names[-2:] == ("bias.temperature_quadratic", "bias.hysteresis")
@@ -90,9 +85,9 @@ def test_a_loggers_file_is_opened_by_renaming_and_units(tmp_path: Path) -> None:
 )
 def test_a_channel_without_a_unit_is_refused(tmp_path: Path, units, said) -> None:
     path, _ = log(tmp_path)
-    asked = request(columns=["output=acc_x", "time=t_s", "temperature=temp"], units=units)
+    columns = ColumnOptions(LOGGER_COLUMNS, units)
     with pytest.raises(bc.InputError, match=said):
-        open_up(asked, [path])
+        open_request("still_sensor", [path], columns, ModelOptions())
 
 
 def test_a_nominal_scale_is_refused_where_the_unit_is_open(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
-from bayescal._readings.measurements import Column, Measurements, NominalScale
+from bayescal._readings.column import Column, NominalScale
+from bayescal._readings.measurements import Measurements
 from bayescal._readings.read import read
 
 

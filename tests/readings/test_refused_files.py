@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -15,49 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
-from bayescal._readings.measurements import Column, Measurements, NominalScale
+from bayescal._readings.column import NominalScale
+from bayescal._readings.measurements import Measurements
 from bayescal._readings.read import read
-
-VOLTS = NominalScale("V", gain=0.001, offset=1.2)
-
-
-@dataclass(frozen=True)
-class Gyro:
-    name: str = "test_gyro"
-    nominal_scale: NominalScale | None = VOLTS
-    columns: tuple[Column, ...] = (
-        Column("run", None, "label of the run", required=False),
-        Column("group", None, required=False, allowed=("outer", "inner")),
-        Column("time", "s", required=False),
-        Column("temperature", "degC", "thermometer", low=-273.15, high=400.0),
-        Column("position_angle", "rad", required=False, low=-6.3, high=6.3),
-        Column("rate_input", "deg/s", required=False),
-        Column("output", "deg/s"),
-    )
-
-
-GYRO = Gyro()
-HEAD = "run,time [s],temperature [degC],output [deg/s]\n"
-GOOD = HEAD + "a,0,20,1.5\na,10,25,1.6\nb,0,30,1.8\n"
-
-
-@pytest.fixture
-def put(tmp_path):
-    """Write content under a name; the file's path."""
-
-    def write(content: str | bytes, name: str = "t.csv") -> Path:
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return path
-
-    return write
-
-
-def refused(path, message: str, **options) -> None:
-    with pytest.raises(InputError, match=message):
-        read(path, GYRO, **options)
-
+from tests.support.gyro_files import GOOD, GYRO, HEAD, Gyro, refused
 
 # --- columns and units --------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""Units at the door: what is understood and refused, and that numbers survive there and back."""
+"""Units: what is understood and refused, and that numbers survive there and back."""
 
 from __future__ import annotations
 

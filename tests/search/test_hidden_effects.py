@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._discovery.refit import laplace_evidence
+from bayescal._calibration.evidence import laplace_evidence
 from bayescal_models import mems_gyro
-from bayescal_models.mems_gyro.campaign import SIZES
+from bayescal_models.mems_gyro.laws import SIZES
 
 INSTRUMENT = mems_gyro.INSTRUMENT
 CANDIDATES = tuple(name for name in SIZES if name != "bias.temperature")

@@ -7,14 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayescal_models.mems_gyro import campaign as campaign_file
-from bayescal_models.mems_gyro.campaign import (
-    Campaign,
-    Resonance,
-    SimulatedCampaign,
-    resonance_denominator,
-    simulate_arrays,
-)
+from bayescal_models.mems_gyro.campaign import Campaign
+from bayescal_models.mems_gyro.resonance import Resonance, resonance_denominator
+from bayescal_models.mems_gyro.simulator import NOISE_LAWS, SimulatedCampaign, simulate_arrays
 
 DEFAULT = Campaign()
 RATES = (0.0, 100.0, -100.0)
@@ -28,7 +23,7 @@ def in_run(sim: SimulatedCampaign, run: str, values: np.ndarray) -> np.ndarray:
 # What every campaign keeps.
 
 
-@pytest.mark.parametrize("noise_law", campaign_file.NOISE_LAWS)
+@pytest.mark.parametrize("noise_law", NOISE_LAWS)
 def test_same_seed_same_readings(noise_law: str) -> None:
     effects = {"bias.run": 0.05, "unlisted.humidity": 0.02}
     first = simulate_arrays(DEFAULT, effects, seed=7, noise_law=noise_law)
@@ -81,7 +76,7 @@ def test_readings_are_averages_of_the_logger_samples() -> None:
 def test_noise_laws() -> None:
     many = replace(DEFAULT, runs=12)
     noise = {}
-    for law in campaign_file.NOISE_LAWS:
+    for law in NOISE_LAWS:
         sim = simulate_arrays(many, seed=3, noise_law=law)
         noise[law] = sim.columns["output"] - sim.noise_free
 

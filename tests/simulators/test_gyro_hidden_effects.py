@@ -8,14 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayescal_models.mems_gyro.campaign import (
-    SIZES,
-    UNLISTED_SIZES,
-    Campaign,
-    SimulatedCampaign,
-    simulate_arrays,
-)
-from bayescal_models.mems_gyro.hidden_effects import LAWS
+from bayescal_models.mems_gyro.campaign import Campaign
+from bayescal_models.mems_gyro.laws import LAWS, SIZES, UNLISTED_SIZES
+from bayescal_models.mems_gyro.simulator import SimulatedCampaign, simulate_arrays
 
 DEFAULT = Campaign()
 RATES = (0.0, 100.0, -100.0)

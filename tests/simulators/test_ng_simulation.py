@@ -9,7 +9,7 @@ import pytest
 
 from bayescal_models import ng_accelerometer as ng
 from bayescal_models.ng_accelerometer.laws import LAWS
-from bayescal_models.ng_accelerometer.simulate import Simulated, simulate_arrays
+from bayescal_models.ng_accelerometer.simulator import Simulated, simulate_arrays
 from bayescal_models.ng_accelerometer.sizes import HOUR, SIZES, TIDE
 from bayescal_models.ng_accelerometer.tide import plumb_line, tide
 

@@ -9,7 +9,7 @@ import bayescal as bc
 from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import quartz_beam_accelerometer as quartz
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID
-from bayescal_models.quartz_beam_accelerometer.hidden_effects import LAWS, SIZES
+from bayescal_models.quartz_beam_accelerometer.laws import LAWS, SIZES
 from bayescal_models.quartz_beam_accelerometer.thermal import body, make_world
 
 CANDIDATES = {e.name: e for e in quartz.INSTRUMENT.candidates}

@@ -18,12 +18,11 @@ import numpy as np
 
 import bayescal as bc
 import bayescal_models
-from bayescal._calibration.fit import bind
 from bayescal._inference import importance_sampling, laplace, marginal, sampled_products
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Layout, bind
 from benchmarks.accuracy import reference_posteriors
 
 STEP = 1e-3  # of the finite differences, prior standard deviations
@@ -80,7 +79,7 @@ def differences(layout: Layout, frame, x, rows, v) -> tuple[Any, jax.Array, jax.
 
 
 class Case:
-    """One instrument: its folder, its proving ground, and the fits that several checks share."""
+    """One instrument: its folder, its reference problem, and the fits that several checks share."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -95,20 +94,20 @@ class Case:
         return Path(bayescal_models.__file__).parent / self.name
 
     @cached_property
-    def proving(self) -> ModuleType:
-        return import_module(f"bayescal_models.{self.name}.proving")
+    def problem(self) -> ModuleType:
+        return import_module(f"bayescal_models.{self.name}.reference_problem")
 
     @cached_property
     def model(self) -> bc.Model:
-        return self.proving.model()
+        return self.problem.model()
 
     @cached_property
     def readings(self) -> bc.Measurements:
-        return self.proving.readings(seed=0)
+        return self.problem.readings(seed=0)
 
     @property
     def instrument(self) -> bc.Instrument:
-        """The instrument of the proving ground: where it has to be tailored, it is."""
+        """The instrument of the reference problem: where it has to be tailored, it is."""
         return self.model.instrument
 
     @cached_property
@@ -125,7 +124,7 @@ class Case:
 
     @cached_property
     def wide(self) -> bc.Model:
-        """The proving model with every candidate that the proving readings can test."""
+        """The problem's model with every candidate that its readings can test."""
         return self.model + [
             e
             for e in self.instrument.candidates
@@ -159,9 +158,9 @@ class Case:
         ].promoted
 
     @cached_property
-    def certified(self) -> dict[str, Any]:
-        """The reference posterior of the proving ground."""
-        return json.loads((self.folder / "certified.json").read_text("utf-8"))
+    def reference(self) -> dict[str, Any]:
+        """The reference posterior of the reference problem."""
+        return json.loads((self.folder / "reference_posterior.json").read_text("utf-8"))
 
     @cached_property
     def marginal(self) -> bc.Calibration:
@@ -174,12 +173,10 @@ class Case:
     @property
     def hide(self) -> Callable[..., bc.Measurements]:
         """`hide(effects, seed=…)`: a campaign in which each candidate can show itself."""
-        own = getattr(self.proving, "hidden", None)
-        assert self.instrument.simulate is not None
-        return own or self.instrument.simulate
+        return getattr(self.problem, "hidden", None) or self.instrument.simulate
 
 
 def columns_of(calibration: bc.Calibration) -> dict[str, np.ndarray]:
-    """Draws (chains, draws) of every unknown; members of a group each by number, as in certified.json."""
+    """Draws (chains, draws) of every unknown; members of a group each by number, as in reference_posterior.json."""
     posterior = calibration.tree["posterior"].to_dataset()
     return {name: draws for name, (draws, _) in reference_posteriors.columns_of(posterior).items()}

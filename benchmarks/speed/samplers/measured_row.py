@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bayescal._core.weights import smoothed
 from bayescal._inference import importance_sampling, laplace, sampled_products
-from bayescal._inference.marginal import smoothed
 from benchmarks import chains
 from benchmarks.speed.samplers.peers import (
     Ran,

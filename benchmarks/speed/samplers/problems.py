@@ -10,7 +10,7 @@ import numpy as np
 import bayescal as bc
 from bayescal import effects
 from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
-from bayescal_models.mems_gyro import proving
+from bayescal_models.mems_gyro import reference_problem
 from bayescal_models.quartz_beam_accelerometer.model import two_thermometers
 
 DEVICES, SEED = 50, 20261121
@@ -31,7 +31,7 @@ def quartz_beam() -> Given:
 def fleet() -> Given:
     """Fifty gyroscopes, a line over temperature each, that share the spreads of their offsets and slopes."""
     random = np.random.default_rng(SEED)
-    one = proving.readings()
+    one = reference_problem.readings()
     rows = len(one)
     offset, slope = (
         OFFSETS * random.standard_normal(DEVICES),

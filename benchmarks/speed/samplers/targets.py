@@ -15,10 +15,10 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 import bayescal as bc
-from bayescal._calibration.fit import bind
 from bayescal._inference import laplace, nuts_chains, sampled_products
 from bayescal._inference.nuts import program
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.parameters import bind
 from benchmarks.speed.samplers.peers import CHAINS, Target
 
 SEED = 20261121

@@ -29,9 +29,9 @@ def bound(n: int, correlated: bool) -> Bound:
     from scipy.signal import lfilter
 
     import bayescal as bc
-    from bayescal._calibration.fit import bind
     from bayescal._inference import laplace
     from bayescal._model.frame import build_frame, reference_of
+    from bayescal._model.parameters import bind
     from bayescal_models import mems_gyro
 
     rng = np.random.default_rng(SEED)

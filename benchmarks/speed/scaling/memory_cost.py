@@ -39,9 +39,9 @@ def fit_in_here(path: str, what: str) -> None:
     import numpy as np
 
     import bayescal as bc
-    from bayescal._calibration.fit import bind
     from bayescal._inference import laplace, least_squares
     from bayescal._model.frame import build_frame, reference_of
+    from bayescal._model.parameters import bind
     from bayescal_models import mems_gyro
 
     def peak() -> float:

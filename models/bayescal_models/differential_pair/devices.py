@@ -139,41 +139,43 @@ def devices_from(
     }
     progress = (table.time - reference["time_mean"]) / reference["time_span"]
     basis = np.stack(polynomials(progress))
-    shared = np.stack([samples[n] for n in order_names(SHARED.name)], axis=1) @ basis
-    u = shared[:, None, :]
+    u = (np.stack([samples[n] for n in order_names(SHARED.name)], axis=1) @ basis)[:, None, :]
     if "environment.temperature" in samples:
         warmth = readings["temperature"][table.rows] - reference["T0"]
         u = u + np.asarray(samples["environment.temperature"])[:, None, None] * warmth
-    environment = sensitivity[:, :, None] * u
-    departure = np.zeros(count)
-    if DEPARTURE_SHARE in samples:
-        share = np.asarray(samples[DEPARTURE_SHARE])
-        own = np.stack([samples[n][:, table.order] for n in order_names(DEPARTURE.name)], axis=-1)
-        own = own * departure_weights(np.asarray(samples[DEPARTURE_FALLING]))[:, None, :]
-        environment = environment + share[:, None, None] * (own @ basis)
-        departure = share * DISTURBANCE
+    own, departure = _departures(samples, table, basis)
     zero = np.zeros_like(sensitivity)
     scale = 1.0 + 1e-6 * np.asarray(samples.get("scale.device", zero))[..., table.order]
     bias = np.asarray(samples.get("bias.device", zero))[..., table.order]
     commanded = readings["acceleration"][table.rows]
     sign = np.where(np.arange(len(table.names)) < table.outer, 1.0, -1.0)
-    known = (sign * (weights @ scale))[:, None] * commanded + (weights @ bias)[:, None]
     return Devices(
         table.names,
         table.outer,
         table.time,
         weights,
-        scale,
-        sensitivity,
-        u.mean(axis=1),
-        environment,
-        departure,
-        bias,
-        np.asarray(samples["noise.white"]),
-        commanded.mean(axis=0),
-        readings["output"][table.rows],
-        known,
+        scale=scale,
+        sensitivity=sensitivity,
+        shared=u.mean(axis=1),
+        environment=sensitivity[:, :, None] * u + own,
+        departure=departure,
+        bias=bias,
+        noise=np.asarray(samples["noise.white"]),
+        commanded=commanded.mean(axis=0),
+        records=readings["output"][table.rows],
+        known=(sign * (weights @ scale))[:, None] * commanded + (weights @ bias)[:, None],
     )
+
+
+def _departures(samples: Mapping[str, Array], table: _Table, basis: Array) -> tuple[Array, Array]:
+    """Each device's own v(t), µg, (d, K, T), and the rms that it has in a record, µg, (d,); zero in a model without."""
+    if DEPARTURE_SHARE not in samples:
+        none = np.zeros(len(samples[SENSITIVITY]))
+        return none[:, None, None], none
+    share = np.asarray(samples[DEPARTURE_SHARE])
+    own = np.stack([samples[n][:, table.order] for n in order_names(DEPARTURE.name)], axis=-1)
+    own = own * departure_weights(np.asarray(samples[DEPARTURE_FALLING]))[:, None, :]
+    return share[:, None, None] * (own @ basis), share * DISTURBANCE
 
 
 @dataclass(frozen=True)
@@ -227,4 +229,4 @@ def _table(readings: bc.Measurements) -> _Table:
                 "reading. Interpolate the records to common times first"
             )
     outer = sum(side == "outer" for side in sides.values())
-    return _Table(tuple(names[i] for i in order), outer, time, np.stack(rows), order)
+    return _Table(tuple(names[i] for i in order), outer, time, np.stack(rows), order=order)

@@ -84,4 +84,11 @@ def measure(
     environment = float(np.sqrt(weights @ (left / divisor**2)))
     noise = float(np.sqrt(weights @ (devices.noise**2 * (1 + ratio**2) / divisor**2)))
     total = np.sqrt(calibration**2 + environment**2 + noise**2)
-    return Measured(mean, total, calibration, environment, noise, ratio)
+    return Measured(
+        mean,
+        total,
+        calibration,
+        environment_sd=environment,
+        noise_sd=noise,
+        ratio=ratio,
+    )

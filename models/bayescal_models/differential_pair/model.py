@@ -30,44 +30,20 @@ Pairs are chosen by `selection.py` (`bayescal pairs FILE`), and used by `measure
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import bayescal as bc
-from bayescal import effects
-from bayescal_models.differential_pair.campaign import RADIUS, simulate
-from bayescal_models.differential_pair.environment import DEPARTURE, SHARED
-
-SOURCE = "source 3; size ours"
-G = 1e6  # µg
-STANDARD_GRAVITY = 9.80665  # m/s²
-
-
-def slope(r: bc.Frame, values: Any) -> Any:
-    """Time derivative of a column within each record, the mean of the differences to both neighbours, unit/s."""
-    import jax.numpy as jnp  # JAX loads when something computes
-
-    ordered = values[r.order]
-    inside = r.step > 0
-    back = jnp.where(inside, jnp.diff(ordered, prepend=ordered[:1]), 0.0)
-    back = back / jnp.where(inside, r.step, 1.0)
-    ahead = jnp.append(back[1:], 0.0)
-    also = jnp.append(inside[1:], False)
-    sides = inside.astype(float) + also.astype(float)
-    mean = (back + jnp.where(also, ahead, 0.0)) / jnp.maximum(sides, 1.0)
-    return jnp.zeros_like(mean).at[r.order].set(mean)
-
-
-def direction(r: bc.Frame) -> Any:
-    """+1 for the outer group, −1 for the inner."""
-    return r.has_label("group", "outer") - r.has_label("group", "inner")
-
-
-def tangential(r: bc.Frame) -> Any:
-    """r·dΩ/dt from the commanded acceleration, µg."""
-    import jax.numpy as jnp
-
-    speed = jnp.sqrt(jnp.maximum(r["acceleration"], 1e-6) * (RADIUS * G / STANDARD_GRAVITY))
-    return slope(r, speed)  # r·Ω in units such that its derivative is in µg
+from bayescal_models.differential_pair.campaign import Campaign, G
+from bayescal_models.differential_pair.effects import (
+    BASELINE,
+    BIAS,
+    CANDIDATES,
+    direction,
+    slope,
+    tangential,
+)
+from bayescal_models.differential_pair.environment import DEPARTURE
+from bayescal_models.differential_pair.simulator import simulated_columns
 
 
 def _response(slots, r):
@@ -80,80 +56,6 @@ def _response(slots, r):
         + slots["sensitivity"] * slots["environment"]
         + slots["departure"]
     )
-
-
-def _device(
-    name: str, slot: str, size: float, unit: str, equation: str, basis=lambda r: 1.0, **more: Any
-) -> bc.Effect:
-    """An effect with one coefficient for each device, their spread learned."""
-    coefficient = bc.Coefficient(
-        unit, bc.Normal(0.0, size), per="device", spread=bc.HalfNormal(size)
-    )
-    needs = ("device", *more.pop("columns", ()))
-    return bc.Effect(
-        name, slot, basis, (coefficient,), columns=needs, equation=equation, source=SOURCE, **more
-    )
-
-
-SCALE = effects.deviation("scale", "device", 5000.0, "ppm", source=SOURCE)
-TEMPERATURE = effects.linear("environment", 100.0, "ug/degC", source=SOURCE)
-SECOND_ORDER = _device(
-    "scale.second_order",
-    "scale",
-    1000.0,
-    "ppm/g",
-    "K2[device]·s·a in the scale",
-    lambda r: direction(r) * r["acceleration"],
-    columns=("group", "acceleration"),
-    varies=("acceleration",),
-)
-MISALIGNMENT = _device(
-    "misalignment.device",
-    "misalignment",
-    5.0,
-    "mrad",
-    "ε[device]·(g + r·dΩ/dt)",
-    columns=("time", "acceleration"),
-    varies=("acceleration",),
-)
-RADIUS_OF_DEVICE = _device(
-    "input.radius",
-    "input",
-    1e4,
-    "ppm",
-    "a·δr[device]/r",
-    columns=("acceleration",),
-    untestable=lambda readings: (
-        "is the same thing as scale.device: on an arm, a device at another radius reads as one of another "
-        "scale factor. Measure the radii, or swap devices between places"
-    ),
-)
-SKEW = _device(
-    "timing.skew",
-    "timing",
-    10.0,
-    "ms",
-    "−δ[device]·da/dt",
-    columns=("time", "acceleration"),
-    varies=("acceleration",),
-)
-DRIFT = _device(
-    "bias.drift",
-    "bias",
-    100.0,
-    "ug",
-    "d[device]·(t − t̄)/(tmax − tmin)",
-    lambda r: r.progress,
-    columns=("time",),
-)
-BIAS = effects.deviation("bias", "device", 10000.0, "ug", source=SOURCE)
-
-
-def pairs(calibration: bc.Calibration, *, criterion: str = "residual") -> Any:
-    """Which outer and inner device make the differential pair: see `selection.select`."""
-    from bayescal_models.differential_pair.selection import select  # it needs this module
-
-    return select(calibration, criterion=criterion)
 
 
 INSTRUMENT = bc.Instrument(
@@ -178,8 +80,8 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("misalignment", "rad", "tilt of the input axis"),
     ),
     response=_response,
-    effects=(SCALE, SHARED, DEPARTURE),
-    candidates=(TEMPERATURE, SECOND_ORDER, MISALIGNMENT, RADIUS_OF_DEVICE, SKEW, DRIFT, BIAS),
+    effects=BASELINE,
+    candidates=CANDIDATES,
     noise=bc.White(bc.HalfCauchy(100.0)),
     nominal_scale=bc.NominalScale("V", gain=1e-6, offset=0.0),
     structures=(
@@ -187,7 +89,29 @@ INSTRUMENT = bc.Instrument(
         ("shared, biases", lambda: INSTRUMENT.baseline() + BIAS),
         ("no departures", lambda: INSTRUMENT.baseline() - DEPARTURE),
     ),
-    simulate=simulate,
-    pairs=pairs,
+    simulator=simulated_columns,
     source="source 3",
 )
+
+
+def simulate(
+    effects: Mapping[str, float] | None = None,
+    *,
+    seed: int,
+    campaign: Campaign | None = None,
+    noise_law: str = "white",
+) -> bc.Measurements:
+    """Readings of a batch with these effects hidden in it.
+
+    Args:
+        effects: canonical name → true size in the coefficient's unit: for effects with one coefficient a device
+            the standard deviation over devices, else the coefficient.
+        seed: of every random number; the same seed gives the same devices, disturbance and noise whatever the
+            effects and the profile.
+        campaign: the plan; `Campaign()` if not given.
+        noise_law: "white"; there is no other here.
+
+    Raises:
+        ValueError: an unknown effect, a size that is not finite, or another noise law.
+    """
+    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign, noise_law=noise_law)

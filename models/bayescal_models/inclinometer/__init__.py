@@ -10,6 +10,6 @@ from bayescal_models.inclinometer.files import accelerometers as accelerometers
 from bayescal_models.inclinometer.files import negated as negated
 from bayescal_models.inclinometer.files import read as read
 from bayescal_models.inclinometer.model import INSTRUMENT as INSTRUMENT
-from bayescal_models.inclinometer.simulate import simulate as simulate
+from bayescal_models.inclinometer.model import simulate as simulate
 from bayescal_models.inclinometer.verification import Verification as Verification
 from bayescal_models.inclinometer.verification import read_verification as read_verification

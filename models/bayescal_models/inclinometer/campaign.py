@@ -161,7 +161,17 @@ def plan(campaign: Campaign) -> Plan:
             rows.append(([str(device + 1)] * count, *labels, *columns, time))
     joined = [np.concatenate(parts) for parts in zip(*rows, strict=True)]
     device, axis, run, placement, tilt, forward, turned, time = joined
-    return Plan(device, axis, run, placement, tilt, time, forward, turned, bool(campaign.grid))
+    return Plan(
+        device,
+        axis,
+        run,
+        placement=placement,
+        tilt=tilt,
+        time=time,
+        forward=forward,
+        turned=turned,
+        verification=bool(campaign.grid),
+    )
 
 
 def _zero_test(campaign: Campaign, prefix: str):

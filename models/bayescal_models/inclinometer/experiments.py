@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
-import bayescal as bc
 from bayescal_models.inclinometer.campaign import Campaign
-from bayescal_models.inclinometer.simulate import simulate
+from bayescal_models.inclinometer.simulator import simulated_columns
 
 
-def _plan(campaign: Campaign) -> Callable[[], bc.Measurements]:
-    return lambda: simulate(seed=0, campaign=campaign)
+def _plan(campaign: Campaign) -> Callable[[], dict[str, Any]]:
+    return lambda: simulated_columns(seed=0, campaign=campaign)
 
 
 EXPERIMENTS = (

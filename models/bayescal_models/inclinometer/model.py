@@ -64,14 +64,16 @@ Sizes are prior standard deviations for a first calibration, ours where no sourc
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import jax.numpy as jnp
 
 import bayescal as bc
-from bayescal_models.inclinometer import terms
+from bayescal_models.inclinometer import effects
+from bayescal_models.inclinometer.campaign import Campaign
 from bayescal_models.inclinometer.experiments import EXPERIMENTS
 from bayescal_models.inclinometer.geometry import ARCSEC, sensed
-from bayescal_models.inclinometer.simulate import simulate
+from bayescal_models.inclinometer.simulator import simulated_columns
 
 
 def _response(slots, r):
@@ -91,20 +93,20 @@ def _with(*more: bc.Effect) -> bc.Model:
 
 def _projection() -> bc.Model:
     """S_e of each axis, and its projections in place of the line."""
-    return INSTRUMENT.baseline() - terms.LINE + terms.PROJECTION
+    return INSTRUMENT.baseline() - effects.LINE + effects.PROJECTION
 
 
 def _exact_projection() -> bc.Model:
     """The whole equation of verification data: exact placement angle, S_e not tilted, scale factor."""
-    bare = INSTRUMENT.baseline() - terms.CONSTANT - terms.LINE
-    return bare + (terms.ELECTRICAL_ZERO, terms.EXACT_PROJECTION, terms.SCALE)
+    bare = INSTRUMENT.baseline() - effects.CONSTANT - effects.LINE
+    return bare + (effects.ELECTRICAL_ZERO, effects.EXACT_PROJECTION, effects.SCALE)
 
 
 def _hierarchy(devices: bool = False) -> bc.Model:
     """Accelerometers (and devices) drawn from one population, spreads learned."""
-    bare = INSTRUMENT.baseline() - terms.CONSTANT - terms.LINE
-    made = bare + (terms.MEAN, terms.MEAN_LINE, terms.AXIS, terms.AXIS_LINE)
-    return made + (terms.DEVICE, terms.DEVICE_LINE) if devices else made
+    bare = INSTRUMENT.baseline() - effects.CONSTANT - effects.LINE
+    made = bare + (effects.MEAN, effects.MEAN_LINE, effects.AXIS, effects.AXIS_LINE)
+    return made + (effects.DEVICE, effects.DEVICE_LINE) if devices else made
 
 
 INSTRUMENT = bc.Instrument(
@@ -141,33 +143,55 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("base_tilt", "arcsec", "tilt of the table's base"),
     ),
     response=_response,
-    effects=(terms.CONSTANT, terms.LINE, terms.RUN),
+    effects=(effects.CONSTANT, effects.LINE, effects.RUN),
     candidates=(
-        terms.QUADRATIC,
-        terms.PROJECTION,
-        terms.TEMPERATURE,
-        terms.HYSTERESIS,
-        terms.CROSS_AXIS,
-        terms.ELECTRICAL,
-        terms.EXACT,
-        terms.SCALE,
-        terms.WOBBLE,
-        terms.FACE,
-        terms.DRIFT,
+        effects.QUADRATIC,
+        effects.PROJECTION,
+        effects.TEMPERATURE,
+        effects.HYSTERESIS,
+        effects.CROSS_AXIS,
+        effects.ELECTRICAL,
+        effects.EXACT,
+        effects.SCALE,
+        effects.WOBBLE,
+        effects.FACE,
+        effects.DRIFT,
     ),
     noise=bc.White(bc.HalfCauchy(2.0)),
     structures=(
         ("line", lambda: INSTRUMENT.baseline()),
-        ("quadratic", lambda: _with(terms.QUADRATIC)),
-        ("cubic", lambda: _with(terms.QUADRATIC, terms.CUBIC)),
+        ("quadratic", lambda: _with(effects.QUADRATIC)),
+        ("cubic", lambda: _with(effects.QUADRATIC, effects.CUBIC)),
         ("projection", _projection),
-        ("spline table", lambda: _with(terms.TABLE)),
+        ("spline table", lambda: _with(effects.TABLE)),
         ("line, hierarchy of axes", _hierarchy),
         ("line, hierarchy of axes and devices", lambda: _hierarchy(devices=True)),
         ("projection, exact geometry", _exact_projection),
     ),
-    simulate=simulate,
+    simulator=simulated_columns,
     experiments=EXPERIMENTS,
     use=bc.Use("true_angle", "rad", slots=("zero", "scale", "cross_axis")),
     source="source 4",
 )
+
+
+def simulate(
+    effects: Mapping[str, float] | None = None,
+    *,
+    seed: int,
+    campaign: Campaign | None = None,
+) -> bc.Measurements:
+    """Readings of a campaign with these effects hidden in it.
+
+    The same seed gives the same noise whatever the effects.
+
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficients, which all have that size;
+            effects on an accelerometer come at its own `share` of it.
+        seed: seed of every random number.
+        campaign: the test; the default is source 4's zero test.
+
+    Raises:
+        ValueError: an unknown effect, or a size that is no number.
+    """
+    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign)

@@ -20,7 +20,7 @@ _MOST = np.pi / 2 + 0.01  # rad; degrees under a [rad] header are refused by it
 
 
 @dataclass(frozen=True)
-class _Door:
+class _FileOfTilts:
     """What a file of verification data holds, as `bayescal.read` asks it of an instrument."""
 
     name: str = "inclinometer verification"
@@ -45,7 +45,7 @@ class _Door:
     )
 
 
-DOOR = _Door()
+FILE_OF_TILTS = _FileOfTilts()
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def read_verification(path_or_paths: Any, **options: Any) -> Verification:
     Raises:
         InputError: what `bayescal.read` refuses, and tilts that no body has.
     """
-    found = bc.read(path_or_paths, DOOR, **options)
+    found = bc.read(path_or_paths, FILE_OF_TILTS, **options)
     others = {n: found[n] for n in ("device", "run", "temperature", "time") if found.has(n)}
     tilts = found["true_x"], found["true_y"], found["reading_x"], found["reading_y"]
     return Verification(*tilts, others)

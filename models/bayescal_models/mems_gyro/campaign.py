@@ -1,207 +1,164 @@
-"""Simulated campaigns of a MEMS gyro in a stepped chamber (source 1's test, and more of it).
-
-    sim = simulate_arrays(Campaign(), {"bias.thermal_lag": 0.05}, seed=1)
-    sim.columns["output"], sim.noise_free, sim.contributions["bias.thermal_lag"]
-
-The world is made second by second (`chamber.py`), each hidden effect is a physical law in that
-world (`hidden_effects.py`), and the logger's samples are averaged into readings at the end.
-"""
+"""The plan of a stepped-chamber test of a gyro: source 1's test, and more of it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayescal_models.mems_gyro.chamber import Campaign, World, make_world
-from bayescal_models.mems_gyro.hidden_effects import LAWS, SIZES, UNLISTED_SIZES, Size
-from bayescal_models.mems_gyro.resonance import Resonance, resonance_denominator
-from bayescal_models.mems_gyro.thermal_bodies import Array, wander
-
-__all__ = [
-    "NOISE_LAWS",
-    "SIZES",
-    "UNLISTED_SIZES",
-    "Campaign",
-    "Resonance",
-    "SimulatedCampaign",
-    "Size",
-    "resonance_denominator",
-    "simulate_arrays",
-]
-
-NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
-
-UNITS: Mapping[str, str | None] = {
-    "run": None,
-    "time": "s",
-    "temperature": "degC",
-    "board_temperature": "degC",
-    "rate_input": "deg/s",
-    "humidity": "%",
-    "output": "deg/s",
-}
+from bayescal_models.mems_gyro.resonance import Resonance
+from bayescal_models.mems_gyro.thermal_bodies import GRID, Array
 
 
 @dataclass(frozen=True)
-class SimulatedCampaign:
-    """Readings of a simulated campaign, and everything that made them.
+class Campaign:
+    """Plan of a stepped-chamber test of one gyro, and the world it is made in.
+
+    The defaults follow source 1 (30…80 °C by 5 °C, 300 s a step, logged every 5 s) with two runs
+    more, and give 330 readings. Sizes are ours unless said.
 
     Attributes:
-        columns: one array per column, of the same length; `run` is text, the others float64.
-        units: unit of each column of `columns`; None for text.
-        truth: what was used: "campaign" (its options), "coefficients" (`bias.constant` at T0 and,
-            for the line, `bias.temperature`, with every hidden effect), "T0" (°C), "turn_on"
-            (offset of each run, °/s, by run label), "seed", "noise_law".
-        noise_free: the output without noise and rounding, °/s.
-        contributions: parts of `noise_free` in °/s, which is their sum: "baseline", "rate_input"
-            where there is one, and each hidden effect.
-    """
-
-    columns: dict[str, NDArray[Any]]
-    units: dict[str, str | None]
-    truth: dict[str, Any]
-    noise_free: Array
-    contributions: dict[str, Array]
-
-
-def simulate_arrays(
-    campaign: Campaign,
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    noise_law: str = "white",
-) -> SimulatedCampaign:
-    """Simulate a campaign with effects hidden in it.
-
-    The same seed gives the same noise, the same turn-on offsets and the same humidity whatever
-    the effects, so two simulations differ by the effects alone. The number of rows depends on the
-    campaign only.
-
-    Args:
-        campaign: the plan of the test and the world it is made in.
-        effects: canonical name → size, in the unit of `SIZES` or `UNLISTED_SIZES`. The baseline's
-            constant and slope are options of the campaign.
-        seed: seed of every random number.
-        noise_law: "white"; "student_t" (same standard deviation, heavier tails);
-            "ornstein_uhlenbeck" (the white noise, and the campaign's slow `wander`).
+        temperatures: chamber set points in the order of the first run, °C.
+        dwell: time at each set point, s.
+        runs: how many times the series is gone through.
+        alternate: every second run goes through the set points backwards (up, down, up).
+        pause: time with the power off between runs, s; the chamber goes to the next start.
+        chamber_time: first-order time constant of the chamber's air, s.
+        chamber_ramp: fastest change of the chamber's set point, °C/min.
+        logging_interval: time between samples of the logger, s, a whole number.
+        average: time averaged into one reading, s, a multiple of `logging_interval`.
+        rate_input: rates of the turntable, °/s, one a step, cycled over all steps of all runs;
+            None leaves the gyro at rest, and the column out.
+        noise: standard deviation of the white noise of one averaged reading, °/s.
+        noise_degrees: degrees of freedom of the Student-t noise law, above 2.
+        wander: standard deviation of the Ornstein-Uhlenbeck noise law's slow part, °/s.
+        wander_time: correlation time of that part, s.
+        converter_step: averaged readings are rounded to this step, V; None for no rounding.
+        thermometer_noise: white error of the column `temperature`, °C (standard deviation).
+        thermometer_offset: error shared by the whole column `temperature`, °C.
+        sensitivity: nominal scale factor, V/(°/s) (source 1: 0.83 mV/(°/s)).
+        null_voltage: output voltage at zero rate, V (source 1's table: 1.2000 V).
+        constant: zero-rate output at `T0`, °/s.
+        slope: tempco of the zero-rate output, °/s/°C (source 1's table, least squares).
+        T0: temperature about which every law of the world is written, °C.
+        law: "line", or "resonance" (then `resonance` replaces `slope`).
+        resonance: the two modes, used by `law="resonance"`.
+        nonlinearity: 1 gives the world's own laws for quadratic, cubic and drift, 0 exactly
+            their leading terms, numbers between or beyond a mixture.
+        package_time: time constant of the package, through which heat flows, s.
+        lag_time: time constant of the die behind the ambient thermometer, s.
+        board_time: time constant of the electronics board, s.
+        board_heating: how much warmer than the air the powered board ends up, °C.
+        warm_up_time: time constant of the electronics' warm-up after power-on, s.
+        period: period of the out-of-catalogue cycle, s.
+        step_fraction: where the out-of-catalogue jump falls, as a share of the logged time.
 
     Raises:
-        ValueError: an effect or a noise law of an unknown name, or a size that is not finite.
+        ValueError: an option is out of its range, or the times do not divide one another.
     """
-    effects = dict(effects or {})
-    _check(effects, noise_law)
-    names = ("noise", "wander", "thermometer", "run", "humidity")
-    seeds = np.random.SeedSequence(seed).spawn(len(names))
-    generators = {n: np.random.default_rng(s) for n, s in zip(names, seeds, strict=True)}
-    world = make_world(campaign, generators)
 
-    contributions = {"baseline": world.average(_baseline(campaign, world))}
-    if campaign.rate_input is not None:
-        contributions["rate_input"] = world.average(world.rate)
-    for name, size in effects.items():
-        contributions[name] = world.average(LAWS[name](size, campaign, world))
-    noise_free = np.sum(list(contributions.values()), axis=0)
-    output = _rounded(noise_free + _noise(campaign, world, generators, noise_law), campaign)
+    temperatures: tuple[float, ...] = tuple(float(t) for t in range(30, 81, 5))
+    dwell: float = 300.0
+    runs: int = 3
+    alternate: bool = True
+    pause: float = 3600.0
+    chamber_time: float = 60.0
+    chamber_ramp: float = 5.0
+    logging_interval: float = 5.0
+    average: float = 30.0
+    rate_input: tuple[float, ...] | None = None
+    noise: float = 0.05
+    noise_degrees: float = 4.0
+    wander: float = 0.05
+    wander_time: float = 300.0
+    converter_step: float | None = None
+    thermometer_noise: float = 0.0
+    thermometer_offset: float = 0.0
+    sensitivity: float = 0.83e-3
+    null_voltage: float = 1.2
+    constant: float = 21.5
+    slope: float = 0.0535
+    T0: float = 55.0
+    law: str = "line"
+    resonance: Resonance = field(default_factory=Resonance)
+    nonlinearity: float = 1.0
+    package_time: float = 20.0
+    lag_time: float = 300.0
+    board_time: float = 480.0
+    board_heating: float = 2.0
+    warm_up_time: float = 600.0
+    period: float = 700.0
+    step_fraction: float = 0.45
 
-    error = campaign.thermometer_noise * generators["thermometer"].standard_normal(len(output))
-    columns: dict[str, NDArray[Any]] = {
-        "run": np.array([str(k + 1) for k in world.run]),
-        "time": world.average(world.time),
-        "temperature": world.average(world.ambient) + campaign.thermometer_offset + error,
-        "board_temperature": world.average(world.board),
-    }
-    if campaign.rate_input is not None:
-        columns["rate_input"] = contributions["rate_input"].copy()
-    if "unlisted.humidity" in effects:
-        columns["humidity"] = world.average(world.humidity)
-    columns["output"] = output
-    return SimulatedCampaign(
-        columns=columns,
-        units={name: UNITS[name] for name in columns},
-        truth=_truth(campaign, effects, world, seed, noise_law),
-        noise_free=noise_free,
-        contributions=contributions,
-    )
-
-
-def _check(effects: Mapping[str, float], noise_law: str) -> None:
-    """Refuse names that are not known here, and sizes that are no numbers."""
-    if noise_law not in NOISE_LAWS:
-        raise ValueError(
-            f"simulate_arrays(noise_law={noise_law!r}): known are {', '.join(NOISE_LAWS)}; "
-            "choose one of them."
-        )
-    for name, size in effects.items():
-        if name in ("bias.temperature", "bias.constant"):
-            option = "slope" if name == "bias.temperature" else "constant"
+    def __post_init__(self) -> None:
+        positive = ("dwell", "runs", "chamber_time", "chamber_ramp", "logging_interval", "average")
+        positive += ("sensitivity", "package_time", "lag_time", "board_time", "warm_up_time")
+        for name in (*positive, "wander_time", "period"):
+            if not getattr(self, name) > 0:
+                raise ValueError(
+                    f"Campaign({name}={getattr(self, name)!r}): give a number above 0."
+                )
+        for name in ("pause", "noise", "wander", "thermometer_noise"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"Campaign({name}={getattr(self, name)!r}): give 0 or more.")
+        if not 0 <= self.step_fraction <= 1:
             raise ValueError(
-                f"simulate_arrays: {name!r} belongs to the baseline, not to the hidden effects; "
-                f"set Campaign({option}=…) instead."
+                f"Campaign(step_fraction={self.step_fraction!r}): give a share from 0 to 1."
             )
-        if name not in LAWS:
+        if self.runs != int(self.runs):
+            raise ValueError(f"Campaign(runs={self.runs!r}): give a whole number of runs.")
+        if self.converter_step is not None and not self.converter_step > 0:
             raise ValueError(
-                f"simulate_arrays: no effect {name!r} can be hidden in a gyro campaign; "
-                f"choose among {', '.join(LAWS)}."
+                f"Campaign(converter_step={self.converter_step!r}): give a step in V above 0, "
+                "or None for no rounding."
             )
-        if not np.isfinite(size):
-            raise ValueError(f"simulate_arrays: the size of {name!r} is {size!r}; give a number.")
+        if self.noise_degrees <= 2:
+            raise ValueError(
+                f"Campaign(noise_degrees={self.noise_degrees!r}): Student-t noise has a standard "
+                "deviation only above 2 degrees of freedom; give more than 2."
+            )
+        if self.law not in ("line", "resonance"):
+            raise ValueError(f"Campaign(law={self.law!r}): choose 'line' or 'resonance'.")
+        if not self.temperatures or self.rate_input == ():
+            raise ValueError(
+                "Campaign: `temperatures` and `rate_input` need at least one value each; "
+                "rate_input=None leaves the gyro at rest."
+            )
+        self._check_times()
 
+    def _check_times(self) -> None:
+        """Every time of the plan is a multiple of the next shorter one, ending at the grid."""
+        for longer, shorter in (
+            ("pause", GRID),
+            ("dwell", "average"),
+            ("average", "logging_interval"),
+            ("logging_interval", GRID),
+        ):
+            long = getattr(self, longer)
+            unit = getattr(self, shorter) if isinstance(shorter, str) else shorter
+            name = shorter if isinstance(shorter, str) else "the integration grid"
+            if abs(long / unit - round(long / unit)) > 1e-9:
+                raise ValueError(
+                    f"Campaign({longer}={long!r}): it has to be a multiple of {name} ({unit:g} s); "
+                    "change one of the two."
+                )
 
-def _baseline(campaign: Campaign, world: World) -> Array:
-    """Zero-rate output on the grid, °/s: the line, or the two resonances."""
-    if campaign.law == "resonance":
-        return campaign.resonance.zero_rate(world.ambient, campaign.T0, campaign.constant)
-    return campaign.constant + campaign.slope * (world.ambient - campaign.T0)
+    @property
+    def run_duration(self) -> float:
+        """Logged time of one run, s."""
+        return self.dwell * len(self.temperatures)
 
+    @property
+    def run_starts(self) -> Array:
+        """Power-on of each run, s from the first."""
+        return np.arange(self.runs) * (self.run_duration + self.pause)
 
-def _noise(
-    campaign: Campaign,
-    world: World,
-    generators: Mapping[str, np.random.Generator],
-    noise_law: str,
-) -> Array:
-    """Noise of each averaged reading, °/s."""
-    generator, readings = generators["noise"], len(world.run)
-    if noise_law == "student_t":
-        degrees = campaign.noise_degrees
-        unit_variance = np.sqrt((degrees - 2.0) / degrees)
-        return campaign.noise * unit_variance * generator.standard_t(degrees, readings)
-    white = campaign.noise * generator.standard_normal(readings)
-    if noise_law == "white":
-        return white
-    slow = np.empty(readings)
-    for k in range(campaign.runs):  # the wander starts anew at each power-on
-        record = wander(generators["wander"], len(world.time), campaign.wander_time)
-        slow[world.run == k] = world.average(record)[world.run == k]
-    return white + campaign.wander * slow
+    @property
+    def readings(self) -> int:
+        """How many readings the campaign gives."""
+        return round(self.runs * self.run_duration / self.average)
 
-
-def _rounded(output: Array, campaign: Campaign) -> Array:
-    """Output in °/s after its voltage was rounded to the converter's step, where there is one."""
-    if campaign.converter_step is None:
-        return output
-    volts = campaign.null_voltage + campaign.sensitivity * output
-    volts = campaign.converter_step * np.rint(volts / campaign.converter_step)
-    return (volts - campaign.null_voltage) / campaign.sensitivity
-
-
-def _truth(
-    campaign: Campaign, effects: Mapping[str, float], world: World, seed: int, noise_law: str
-) -> dict[str, Any]:
-    """Everything that a simulation used, as plain values."""
-    coefficients = {"bias.constant": campaign.constant}
-    if campaign.law == "line":
-        coefficients["bias.temperature"] = campaign.slope
-    offsets = effects.get("bias.run", 0.0) * world.average(world.turn_on)
-    return {
-        "campaign": asdict(campaign),
-        "coefficients": {**coefficients, **effects},
-        "T0": campaign.T0,
-        "turn_on": {str(k + 1): float(offsets[world.run == k][0]) for k in range(campaign.runs)},
-        "seed": seed,
-        "noise_law": noise_law,
-    }
+    def set_points(self, run: int) -> tuple[float, ...]:
+        """Set points of a run (0 is the first) in the order they are gone through, °C."""
+        backwards = self.alternate and run % 2 == 1
+        return self.temperatures[::-1] if backwards else self.temperatures

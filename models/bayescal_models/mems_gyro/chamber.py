@@ -1,4 +1,4 @@
-"""A stepped chamber with a gyro in it: the plan of a test, and the temperatures that follow.
+"""A stepped chamber with a gyro in it: the temperatures that follow from the plan of a test.
 
 Three bodies hang on the chamber's air, each of first order: the package (tens of seconds), the
 die's surroundings (minutes) and the electronics board (minutes, with its own heat). Everything is
@@ -9,12 +9,12 @@ at its start is what the run before it and the pause have left.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayescal_models.mems_gyro.resonance import Resonance
+from bayescal_models.mems_gyro.campaign import Campaign
 from bayescal_models.mems_gyro.thermal_bodies import (
     GRID,
     Array,
@@ -22,160 +22,6 @@ from bayescal_models.mems_gyro.thermal_bodies import (
     ramp_limited,
     wander,
 )
-
-
-@dataclass(frozen=True)
-class Campaign:
-    """Plan of a stepped-chamber test of one gyro, and the world it is made in.
-
-    The defaults follow source 1 (30…80 °C by 5 °C, 300 s a step, logged every 5 s) with two runs
-    more, and give 330 readings. Sizes are ours unless said.
-
-    Attributes:
-        temperatures: chamber set points in the order of the first run, °C.
-        dwell: time at each set point, s.
-        runs: how many times the series is gone through.
-        alternate: every second run goes through the set points backwards (up, down, up).
-        pause: time with the power off between runs, s; the chamber goes to the next start.
-        chamber_time: first-order time constant of the chamber's air, s.
-        chamber_ramp: fastest change of the chamber's set point, °C/min.
-        logging_interval: time between samples of the logger, s, a whole number.
-        average: time averaged into one reading, s, a multiple of `logging_interval`.
-        rate_input: rates of the turntable, °/s, one a step, cycled over all steps of all runs;
-            None leaves the gyro at rest, and the column out.
-        noise: standard deviation of the white noise of one averaged reading, °/s.
-        noise_degrees: degrees of freedom of the Student-t noise law, above 2.
-        wander: standard deviation of the Ornstein-Uhlenbeck noise law's slow part, °/s.
-        wander_time: correlation time of that part, s.
-        converter_step: averaged readings are rounded to this step, V; None for no rounding.
-        thermometer_noise: white error of the column `temperature`, °C (standard deviation).
-        thermometer_offset: error shared by the whole column `temperature`, °C.
-        sensitivity: nominal scale factor, V/(°/s) (source 1: 0.83 mV/(°/s)).
-        null_voltage: output voltage at zero rate, V (source 1's table: 1.2000 V).
-        constant: zero-rate output at `T0`, °/s.
-        slope: tempco of the zero-rate output, °/s/°C (source 1's table, least squares).
-        T0: temperature about which every law of the world is written, °C.
-        law: "line", or "resonance" (then `resonance` replaces `slope`).
-        resonance: the two modes, used by `law="resonance"`.
-        nonlinearity: 1 gives the world's own laws for quadratic, cubic and drift, 0 exactly
-            their leading terms, numbers between or beyond a mixture.
-        package_time: time constant of the package, through which heat flows, s.
-        lag_time: time constant of the die behind the ambient thermometer, s.
-        board_time: time constant of the electronics board, s.
-        board_heating: how much warmer than the air the powered board ends up, °C.
-        warm_up_time: time constant of the electronics' warm-up after power-on, s.
-        period: period of the out-of-catalogue cycle, s.
-        step_fraction: where the out-of-catalogue jump falls, as a share of the logged time.
-
-    Raises:
-        ValueError: an option is out of its range, or the times do not divide one another.
-    """
-
-    temperatures: tuple[float, ...] = tuple(float(t) for t in range(30, 81, 5))
-    dwell: float = 300.0
-    runs: int = 3
-    alternate: bool = True
-    pause: float = 3600.0
-    chamber_time: float = 60.0
-    chamber_ramp: float = 5.0
-    logging_interval: float = 5.0
-    average: float = 30.0
-    rate_input: tuple[float, ...] | None = None
-    noise: float = 0.05
-    noise_degrees: float = 4.0
-    wander: float = 0.05
-    wander_time: float = 300.0
-    converter_step: float | None = None
-    thermometer_noise: float = 0.0
-    thermometer_offset: float = 0.0
-    sensitivity: float = 0.83e-3
-    null_voltage: float = 1.2
-    constant: float = 21.5
-    slope: float = 0.0535
-    T0: float = 55.0
-    law: str = "line"
-    resonance: Resonance = field(default_factory=Resonance)
-    nonlinearity: float = 1.0
-    package_time: float = 20.0
-    lag_time: float = 300.0
-    board_time: float = 480.0
-    board_heating: float = 2.0
-    warm_up_time: float = 600.0
-    period: float = 700.0
-    step_fraction: float = 0.45
-
-    def __post_init__(self) -> None:
-        positive = ("dwell", "runs", "chamber_time", "chamber_ramp", "logging_interval", "average")
-        positive += ("sensitivity", "package_time", "lag_time", "board_time", "warm_up_time")
-        for name in (*positive, "wander_time", "period"):
-            if not getattr(self, name) > 0:
-                raise ValueError(
-                    f"Campaign({name}={getattr(self, name)!r}): give a number above 0."
-                )
-        for name in ("pause", "noise", "wander", "thermometer_noise"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"Campaign({name}={getattr(self, name)!r}): give 0 or more.")
-        if not 0 <= self.step_fraction <= 1:
-            raise ValueError(
-                f"Campaign(step_fraction={self.step_fraction!r}): give a share from 0 to 1."
-            )
-        if self.runs != int(self.runs):
-            raise ValueError(f"Campaign(runs={self.runs!r}): give a whole number of runs.")
-        if self.converter_step is not None and not self.converter_step > 0:
-            raise ValueError(
-                f"Campaign(converter_step={self.converter_step!r}): give a step in V above 0, "
-                "or None for no rounding."
-            )
-        if self.noise_degrees <= 2:
-            raise ValueError(
-                f"Campaign(noise_degrees={self.noise_degrees!r}): Student-t noise has a standard "
-                "deviation only above 2 degrees of freedom; give more than 2."
-            )
-        if self.law not in ("line", "resonance"):
-            raise ValueError(f"Campaign(law={self.law!r}): choose 'line' or 'resonance'.")
-        if not self.temperatures or self.rate_input == ():
-            raise ValueError(
-                "Campaign: `temperatures` and `rate_input` need at least one value each; "
-                "rate_input=None leaves the gyro at rest."
-            )
-        self._check_times()
-
-    def _check_times(self) -> None:
-        """Every time of the plan is a multiple of the next shorter one, ending at the grid."""
-        for longer, shorter in (
-            ("pause", GRID),
-            ("dwell", "average"),
-            ("average", "logging_interval"),
-            ("logging_interval", GRID),
-        ):
-            long = getattr(self, longer)
-            unit = getattr(self, shorter) if isinstance(shorter, str) else shorter
-            name = shorter if isinstance(shorter, str) else "the integration grid"
-            if abs(long / unit - round(long / unit)) > 1e-9:
-                raise ValueError(
-                    f"Campaign({longer}={long!r}): it has to be a multiple of {name} ({unit:g} s); "
-                    "change one of the two."
-                )
-
-    @property
-    def run_duration(self) -> float:
-        """Logged time of one run, s."""
-        return self.dwell * len(self.temperatures)
-
-    @property
-    def run_starts(self) -> Array:
-        """Power-on of each run, s from the first."""
-        return np.arange(self.runs) * (self.run_duration + self.pause)
-
-    @property
-    def readings(self) -> int:
-        """How many readings the campaign gives."""
-        return round(self.runs * self.run_duration / self.average)
-
-    def set_points(self, run: int) -> tuple[float, ...]:
-        """Set points of a run (0 is the first) in the order they are gone through, °C."""
-        backwards = self.alternate and run % 2 == 1
-        return self.temperatures[::-1] if backwards else self.temperatures
 
 
 @dataclass(frozen=True)

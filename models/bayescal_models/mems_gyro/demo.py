@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import bayescal as bc
-from bayescal_models.mems_gyro.simulate import TABLE, simulate
+from bayescal_models.mems_gyro.model import INSTRUMENT
+from bayescal_models.mems_gyro.tables import TABLE
 
 PUBLISHED = {
     "bias.constant": 19.80,
@@ -21,22 +22,20 @@ def run(out: Path, seed: int) -> None:
         out: an existing folder.
         seed: of the simulated campaign and of every fit.
     """
-    from bayescal_models.mems_gyro.model import INSTRUMENT as instrument  # it holds this function
-
-    readings = bc.read(TABLE, instrument)
+    readings = bc.read(TABLE, INSTRUMENT)
     print(
         f"1. A MEMS GYROSCOPE'S TABLE ({len(readings)} rows, source 1) AGAINST THE LINE ITS PAPER PRINTS\n"
     )
     print("   rate = 0.041·T + 19.80\n")
     published = bc.fit(
-        instrument.baseline().fix(PUBLISHED), readings, seed=seed, reference={"T0": 0.0}
+        INSTRUMENT.baseline().fix(PUBLISHED), readings, seed=seed, reference={"T0": 0.0}
     )
     checked = bc.check(published)
     print(checked)
     bc.plot.save(bc.plot.residuals(published, checked), out / "published_line.png")
 
     print("\n2. THE SAME TABLE AGAINST A FITTED LINE\n")
-    line = bc.fit(instrument.baseline(), readings, seed=seed)
+    line = bc.fit(INSTRUMENT.baseline(), readings, seed=seed)
     print(line, "\n")
     print(bc.check(line))
     print("\nWhat is missing from the line?\n")
@@ -44,9 +43,9 @@ def run(out: Path, seed: int) -> None:
 
     hidden = ", ".join(f"{k} = {v}" for k, v in HIDDEN.items())
     print(f"\n3. A SIMULATED CAMPAIGN WITH ONE HIDDEN EFFECT ({hidden}, seed {seed})\n")
-    campaign = simulate(HIDDEN, seed=seed + 1)
-    kept = simulate(HIDDEN, seed=seed + 2)
-    trail = bc.calibrate(instrument.baseline(), campaign, holdout=kept, seed=seed)
+    campaign = INSTRUMENT.simulate(HIDDEN, seed=seed + 1)
+    kept = INSTRUMENT.simulate(HIDDEN, seed=seed + 2)
+    trail = bc.calibrate(INSTRUMENT.baseline(), campaign, holdout=kept, seed=seed)
     for step in trail.steps:
         print(f"{step.title}:")
         print(step.discovery, "\n")

@@ -24,25 +24,18 @@ them with data-sheet values.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import bayescal as bc
-from bayescal import effects
-from bayescal_models.mems_gyro.campaign import SIZES
-from bayescal_models.mems_gyro.demo import run
+from bayescal_models.mems_gyro import effects
+from bayescal_models.mems_gyro.campaign import Campaign
+from bayescal_models.mems_gyro.effects import CUBIC, LINE, QUADRATIC, RESONANCE, THERMOMETER
 from bayescal_models.mems_gyro.experiments import EXPERIMENTS
-from bayescal_models.mems_gyro.simulate import simulate
-from bayescal_models.mems_gyro.structures import RESONANCE, RESONANCE_FORCE
+from bayescal_models.mems_gyro.simulator import simulated_columns
 
-SOURCE = "source 1; size ours"
 SENSITIVITY = 0.83e-3  # V per °/s, source 1
-THERMOMETER_SD = 0.5 / math.sqrt(3)  # °C; good to 0.5 °C, taken as uniform; source 1
 CONVERTER_STEP = 0.0311e-3 / SENSITIVITY  # °/s, source 1
 VOLTAGE_STEP = 0.1e-3 / SENSITIVITY  # °/s, rounding of the printed voltage, source 1
-MINUTE = 60.0
-
-
-def _size(name: str) -> tuple[float, str]:
-    return SIZES[name].value, SIZES[name].unit
 
 
 def _response(slots, r):
@@ -55,62 +48,9 @@ def _known_noise(slope: float) -> dict[str, float]:
     return {
         "converter step": CONVERTER_STEP / math.sqrt(12),
         "rounding of the voltage": VOLTAGE_STEP / math.sqrt(12),
-        "thermometer": THERMOMETER_SD * abs(slope),
+        "thermometer": effects.THERMOMETER_SD * abs(slope),
     }
 
-
-CONSTANT = effects.constant("bias", 50.0, "deg/s", source=SOURCE)
-LINE = effects.linear("bias", *_size("bias.temperature"), source=SOURCE)
-QUADRATIC = effects.quadratic("bias", *_size("bias.temperature_quadratic"), source=SOURCE)
-CUBIC = effects.cubic("bias", *_size("bias.temperature_cubic"), source=SOURCE)
-RATE = effects.rate("bias", *_size("bias.rate"), source=SOURCE)
-LAG = effects.thermal_lag(
-    "bias",
-    *_size("bias.thermal_lag"),
-    low=MINUTE,
-    high=20 * MINUTE,
-    start=0.1,
-    start_unit="deg/s",
-    source=SOURCE,
-)
-REFERENCE = bc.Effect(
-    "bias.reference_voltage",
-    "bias",
-    basis=lambda r: r.centred("board_temperature"),
-    coefficients=(
-        bc.Coefficient("deg/s/degC", bc.Normal(0.0, _size("bias.reference_voltage")[0])),
-    ),
-    columns=("board_temperature",),
-    varies=("board_temperature",),
-    equation="c·(T_board − T_board,0)",
-    source="source 1 names the reference voltage and the electronics as possible causes; size ours",
-)
-WARM_UP = effects.warm_up(
-    "bias", *_size("bias.warm_up"), low=2 * MINUTE, high=40 * MINUTE, source=SOURCE
-)
-DRIFT = effects.drift("bias", *_size("bias.drift"), source=SOURCE)
-RUN = effects.deviation("bias", "run", *_size("bias.run"), source=SOURCE)
-SCALE = bc.Effect(
-    "scale.constant",
-    "scale",
-    basis=lambda r: 1.0,
-    coefficients=(bc.Coefficient("ppm", bc.Normal(0.0, 10000.0)),),
-    columns=("rate_input",),
-    varies=("rate_input",),
-    equation="c",
-    source="ours: 1 % of scale factor",
-)
-SCALE_TEMPERATURE = bc.Effect(
-    "scale.temperature",
-    "scale",
-    basis=lambda r: r.centred(),
-    coefficients=(bc.Coefficient("ppm/degC", bc.Normal(0.0, _size("scale.temperature")[0])),),
-    columns=("temperature", "rate_input"),
-    varies=("temperature", "rate_input"),
-    equation="c·(T − T0)",
-    source=SOURCE,
-)
-THERMOMETER = effects.thermometer(THERMOMETER_SD, source="source 1: thermometer good to 0.5 °C")
 
 INSTRUMENT = bc.Instrument(
     name="mems_gyro",
@@ -130,18 +70,18 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("scale", "1", "relative deviation of the scale factor"),
     ),
     response=_response,
-    effects=(CONSTANT, LINE),
+    effects=(effects.CONSTANT, LINE),
     candidates=(
         QUADRATIC,
         CUBIC,
-        RATE,
-        LAG,
-        REFERENCE,
-        WARM_UP,
-        DRIFT,
-        RUN,
-        SCALE,
-        SCALE_TEMPERATURE,
+        effects.RATE,
+        effects.LAG,
+        effects.REFERENCE,
+        effects.WARM_UP,
+        effects.DRIFT,
+        effects.RUN,
+        effects.SCALE,
+        effects.SCALE_TEMPERATURE,
     ),
     noise=bc.White(bc.HalfCauchy(0.1)),
     nominal_scale=bc.NominalScale("V", gain=SENSITIVITY, offset=1.2),
@@ -151,7 +91,7 @@ INSTRUMENT = bc.Instrument(
         ("quadratic", lambda: INSTRUMENT.baseline() + QUADRATIC),
         ("cubic", lambda: INSTRUMENT.baseline() + QUADRATIC + CUBIC),
         ("resonance", lambda: INSTRUMENT.baseline() - LINE + RESONANCE),
-        ("resonance, force held", lambda: INSTRUMENT.baseline() - LINE + RESONANCE_FORCE),
+        ("resonance, force held", lambda: INSTRUMENT.baseline() - LINE + effects.RESONANCE_FORCE),
         ("line, thermometer error", lambda: INSTRUMENT.baseline() + THERMOMETER),
         ("quadratic, thermometer error", lambda: INSTRUMENT.baseline() + QUADRATIC + THERMOMETER),
         (
@@ -169,9 +109,29 @@ INSTRUMENT = bc.Instrument(
             ),
         ),
     ),
-    simulate=simulate,
+    simulator=simulated_columns,
     experiments=EXPERIMENTS,
-    demo=run,
     use=bc.Use("rate_input", "deg/s"),
     source="source 1",
 )
+
+
+def simulate(
+    effects: Mapping[str, float] | None = None,
+    *,
+    seed: int,
+    campaign: Campaign | None = None,
+    noise_law: str = "white",
+) -> bc.Measurements:
+    """Readings of a stepped-chamber campaign with these effects hidden in it.
+
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficient.
+        seed: seed of every random number.
+        campaign: plan of the test; the default has three runs between 30 and 80 °C.
+        noise_law: "white", "student_t" or "ornstein_uhlenbeck".
+
+    Raises:
+        ValueError: an unknown effect or noise law.
+    """
+    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign, noise_law=noise_law)

@@ -7,4 +7,4 @@ from bayescal_models.ng_accelerometer.campaign import fixed_point_heating as fix
 from bayescal_models.ng_accelerometer.classical import classical_estimates as classical_estimates
 from bayescal_models.ng_accelerometer.classical import fixed_point_tempcos as fixed_point_tempcos
 from bayescal_models.ng_accelerometer.model import INSTRUMENT as INSTRUMENT
-from bayescal_models.ng_accelerometer.simulate import simulate as simulate
+from bayescal_models.ng_accelerometer.model import simulate as simulate

@@ -11,6 +11,7 @@ datasheet of `model.py`. Source: source 0, equations 9, 12, 14 and sections 4.1 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +96,13 @@ def classical_estimates(
     bias = np.array([row[0] for row in found])
     scale = np.array([row[1] for row in found])
     return ClassicalEstimates(
-        used, names, temperature, bias, scale, _slope(temperature, bias), _slope(temperature, scale)
+        used,
+        names,
+        temperature,
+        bias=bias,
+        scale=scale,
+        bias_tempco=_slope(temperature, bias),
+        scale_tempco=_slope(temperature, scale),
     )
 
 
@@ -123,7 +130,7 @@ def _cell(name: str, angle: Array, tilt: Array, output: Array) -> tuple[float, f
 
 def _slope(temperature: Array, values: Array) -> Tempco:
     """Straight line by least squares."""
-    line = stats.linregress(temperature, values)
+    line: Any = stats.linregress(temperature, values)
     freedom = temperature.size - 2
     quantile = stats.t.ppf(0.975, freedom) if freedom > 0 else np.nan
     return Tempco(float(line.slope), float(quantile * line.stderr))
@@ -171,9 +178,8 @@ def fixed_point_tempcos(
                 f"fixed_point_tempcos: {readings.file} has no readings at the {name} position; zero input and both "
                 "ends are needed"
             )
-        slopes[name] = stats.linregress(
-            readings["temperature"][chosen], readings["output"][chosen]
-        ).slope
+        line: Any = stats.linregress(readings["temperature"][chosen], readings["output"][chosen])
+        slopes[name] = line.slope
         inputs[name] = nominal[chosen].mean()
 
     def relative(known: float) -> tuple[float, float]:

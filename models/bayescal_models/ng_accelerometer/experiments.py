@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
-import bayescal as bc
 from bayescal_models.ng_accelerometer.campaign import Campaign
-from bayescal_models.ng_accelerometer.simulate import simulate
+from bayescal_models.ng_accelerometer.simulator import simulated_columns
 from bayescal_models.ng_accelerometer.sizes import DEGREE, HOUR
 
 TILT = 0.45 * DEGREE
 OVER = 180 * DEGREE - TILT
 
 
-def _plan(campaign: Campaign) -> Callable[[], bc.Measurements]:
-    return lambda: simulate(seed=0, campaign=campaign)
+def _plan(campaign: Campaign) -> Callable[[], dict[str, Any]]:
+    return lambda: simulated_columns(seed=0, campaign=campaign)
 
 
 EXPERIMENTS = (

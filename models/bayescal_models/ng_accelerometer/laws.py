@@ -147,7 +147,9 @@ def _scatter(what: str, group: str) -> Law:
 
 
 def _all() -> dict[str, tuple[Law, ...]]:
-    laws = {name: (Law(slot, _unit(name), curve),) for name, (slot, curve) in _CURVES.items()}
+    laws: dict[str, tuple[Law, ...]] = {
+        name: (Law(slot, _unit(name), curve),) for name, (slot, curve) in _CURVES.items()
+    }
     for name, curve_of in _BASE_CURVES.items():
         sides = [
             Law(f"base_tilt_{s}", _unit(name), curve_of(k))

@@ -69,15 +69,14 @@ Noise: white, of unknown size (0.05 to 5 µg; source 0 gives 3 ng/√Hz for the 
 
 from __future__ import annotations
 
-import jax.numpy as jnp
+from collections.abc import Mapping
 
 import bayescal as bc
-from bayescal import effects
-from bayescal_models.ng_accelerometer.candidates import CANDIDATES, SIDES, SOURCE
+from bayescal_models.ng_accelerometer import effects
+from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A, Campaign
 from bayescal_models.ng_accelerometer.experiments import EXPERIMENTS
 from bayescal_models.ng_accelerometer.geometry import accelerations
-from bayescal_models.ng_accelerometer.simulate import simulate
-from bayescal_models.ng_accelerometer.sizes import BASELINE_SIZES
+from bayescal_models.ng_accelerometer.simulator import simulated_columns
 
 VOLTS = 5e-4  # V per µg: 5 V at 10 mg, ours
 
@@ -107,72 +106,6 @@ def _in_use(a, slots, r):
     return slots["bias"] + (1 + slots["scale"]) * a + bent
 
 
-def _constant(slot: str, source: str = SOURCE) -> bc.Effect:
-    return effects.constant(slot, *BASELINE_SIZES[f"{slot}.constant"], source=source)
-
-
-def _line(slot: str) -> bc.Effect:
-    return effects.linear(slot, *BASELINE_SIZES[f"{slot}.temperature"], source=SOURCE)
-
-
-def _cells(name: str, parts: tuple[str, ...] = ("",)) -> bc.Effect:
-    """A deviation of each cell whose spread is known to an order of magnitude or two."""
-    size, unit = BASELINE_SIZES[name]
-    slots = [f"base_tilt_{p}" if p else name.removesuffix(".cell") for p in parts]
-    return bc.Effect(
-        name,
-        slots[0],
-        basis=lambda r: jnp.ones((r.size, len(parts))),
-        coefficients=tuple(
-            bc.Coefficient(
-                unit,
-                bc.Normal(0.0, size),
-                part=part,
-                slot=slot,
-                per="cell",
-                spread=bc.HalfCauchy(size),
-            )
-            for part, slot in zip(parts, slots, strict=True)
-        ),
-        columns=("temperature_point",),
-        equation="d[cell],  d ~ N(0, s²)",
-        source=SOURCE,
-    )
-
-
-BASE_CONSTANT = bc.Effect(
-    "base_tilt.constant",
-    "base_tilt_parallel",
-    basis=lambda r: jnp.ones((r.size, 2)),
-    coefficients=tuple(
-        bc.Coefficient(
-            BASELINE_SIZES["base_tilt.constant"].unit,
-            bc.Normal(0.0, BASELINE_SIZES["base_tilt.constant"].value),
-            part=side,
-            slot=f"base_tilt_{side}",
-        )
-        for side in SIDES
-    ),
-    equation="c, one for each component",
-    source=SOURCE,
-)
-TILT_SETTING = bc.Effect(
-    "tilt.setting",
-    "base_tilt_perp",
-    basis=lambda r: 1.0,
-    coefficients=(
-        bc.Coefficient(
-            BASELINE_SIZES["tilt.setting"].unit,
-            bc.Normal(0.0, BASELINE_SIZES["tilt.setting"].value),
-        ),
-    ),
-    columns=("tilt",),
-    equation="c, added to γ as γ2⊥ is",
-    source="source 0: the table's angles are good to 1″",
-)
-
-THERMOMETER = effects.thermometer(0.002, source="ours: 2 mK of an averaged temperature")
-
 INSTRUMENT = bc.Instrument(
     name="ng_accelerometer",
     title="ng accelerometer on a tilted table: bias and scale factor over temperature",
@@ -200,21 +133,8 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("rotation", "rad", "added to θ"),
     ),
     response=_response,
-    effects=(
-        _constant("bias"),
-        _line("bias"),
-        _cells("bias.cell"),
-        _constant("scale"),
-        _line("scale"),
-        _cells("scale.cell"),
-        _constant("fixture_tilt", "source 0: within 2′, taken as 95 %"),
-        _cells("fixture_tilt.cell"),
-        BASE_CONSTANT,
-        _cells("base_tilt.cell", SIDES),
-        _constant("rotation"),
-        TILT_SETTING,
-    ),
-    candidates=CANDIDATES,
+    effects=effects.BASELINE,
+    candidates=effects.CANDIDATES,
     noise=bc.White(bc.HalfCauchy(1.0)),
     nominal_scale=bc.NominalScale("V", gain=VOLTS),
     structures=(
@@ -226,14 +146,38 @@ INSTRUMENT = bc.Instrument(
             ),
         ),
         ("line, fixture warms", lambda: INSTRUMENT.baseline() + "fixture_tilt.temperature"),
-        ("line, thermometer error", lambda: INSTRUMENT.baseline() + THERMOMETER),
+        ("line, thermometer error", lambda: INSTRUMENT.baseline() + effects.THERMOMETER),
         (
             "line, base follows the laboratory",
             lambda: INSTRUMENT.baseline() + "base_tilt.lab_temperature",
         ),
     ),
-    simulate=simulate,
+    simulator=simulated_columns,
     experiments=EXPERIMENTS,
     use=bc.Use("acceleration", "ug", _in_use, ("bias", "scale", "second_order", "third_order")),
     source="source 0",
 )
+
+
+def simulate(
+    effects: Mapping[str, float] | None = None,
+    *,
+    seed: int,
+    campaign: Campaign = INSTRUMENT_A,
+) -> bc.Measurements:
+    """Readings of a test with these effects hidden in it.
+
+    The same seed gives the same noise, the same weather and the same scatter whatever the effects, so two
+    simulations differ by the effects alone.
+
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficients, all of which take it (see
+            `laws.py` for the two components of the base tilt, and for the tide). The instrument's own line,
+            constants and scatter are there too, as `campaign.truth` has them unless given here.
+        seed: seed of every random number.
+        campaign: plan of the test.
+
+    Raises:
+        ValueError: an unknown effect, or a size that is no number.
+    """
+    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign)

@@ -157,7 +157,7 @@ def _planned(campaign: Campaign) -> _Plan:
                 now += campaign.move_time
                 for _ in range(campaign.repeats):
                     now = GRID * np.ceil(now / GRID)
-                    plan.readings.append((run, cells, point, *set_up, now))
+                    plan.readings.append((run, cells, point, set_up.tilt, set_up.position, now))
                     now += campaign.reading_time
             cells += 1
         plan.power[-1] = (plan.power[-1][0], now)
@@ -204,4 +204,4 @@ def _wander(generator: np.random.Generator, length: int, time_constant: float) -
     decay = np.exp(-GRID / time_constant)
     kicks = generator.standard_normal(length)
     kicks[1:] *= np.sqrt(1.0 - decay**2)
-    return lfilter([1.0], [1.0, -decay], kicks)
+    return np.asarray(lfilter([1.0], [1.0, -decay], kicks))

@@ -65,7 +65,12 @@ def truth(campaign: Campaign, world: World, coefficients: Mapping[str, float]) -
         "temperature_head_cubic": change**3,
     }
     sums = {
-        slot: world.average(sum(coefficients[f"{slot}.{n}"] * p for n, p in powers.items()))
+        slot: world.average(
+            sum(
+                (coefficients[f"{slot}.{n}"] * p for n, p in powers.items()),
+                start=np.zeros_like(change),
+            )
+        )
         for slot in ("bias", "scale")
     }
     return Truth(sums["bias"], sums["scale"], world.average(_sum_of_frequencies(change, change)))

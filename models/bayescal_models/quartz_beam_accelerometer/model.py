@@ -46,14 +46,15 @@ named; a user replaces them with data-sheet values.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import bayescal as bc
-from bayescal_models.quartz_beam_accelerometer import terms
+from bayescal_models.quartz_beam_accelerometer import effects
+from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.device import SCALE_FACTOR
 from bayescal_models.quartz_beam_accelerometer.experiments import EXPERIMENTS
-from bayescal_models.quartz_beam_accelerometer.hidden_effects import SECOND_ORDER
-from bayescal_models.quartz_beam_accelerometer.simulate import simulate
+from bayescal_models.quartz_beam_accelerometer.simulator import simulated_columns
 
-SLOTS = ("bias", "scale")
 PER_G = 1e-6  # g/µg
 
 
@@ -62,60 +63,29 @@ def _response(slots, r):
     return slots["bias"] + (1 + slots["scale"]) * a + slots["second_order"] * (PER_G * a) ** 2
 
 
-BASELINE = tuple(
-    effect
-    for slot in SLOTS
-    for effect in (
-        terms.constant(slot, "head"),
-        *terms.polynomial(slot, "temperature_head", range(1, 4)),
-    )
-)
-K2 = bc.Effect(
-    "second_order",
-    "second_order",
-    basis=lambda r: 1.0,
-    coefficients=(bc.Coefficient("ug/g^2", bc.Normal(0.0, SECOND_ORDER)),),
-    columns=("acceleration",),
-    varies=("acceleration",),
-    equation="K2·a²",
-    source="IEEE Std 1293; size ours",
-)
-CANDIDATES = tuple(
-    effect
-    for slot in SLOTS
-    for effect in (
-        *terms.polynomial(slot, "temperature_circuit", range(1, 4)),
-        *terms.polynomial(slot, "gradient", range(1, 4)),
-        *terms.rates(slot),
-        *terms.crossed(slot),
-        *terms.temporal(slot),
-    )
-) + (K2,)
-
-
 def of_circuit(order: int) -> bc.Model:
     """Bias and scale factor as polynomials of t1: the document's first prior method."""
     made = _bare()
-    for slot in SLOTS:
-        made = made + terms.constant(slot, "circuit")
-        made = made + terms.polynomial(slot, "temperature_circuit", range(1, order + 1))
+    for slot in effects.SLOTS:
+        made = made + effects.constant(slot, "circuit")
+        made = made + effects.polynomial(slot, "temperature_circuit", range(1, order + 1))
     return made
 
 
 def with_rate() -> bc.Model:
     """A cubic of t1, its rate and their product: the document's second prior method."""
     made = of_circuit(3)
-    for slot in SLOTS:
-        made = made + terms.rates(slot)[0] + terms.crossed(slot, "circuit")[0]
+    for slot in effects.SLOTS:
+        made = made + effects.rates(slot)[0] + effects.crossed(slot, "circuit")[0]
     return made
 
 
 def of_frequency_sum(order: int = 3) -> bc.Model:
     """Polynomials of the temperature that the beams' frequency sum shows: the document's third prior method."""
     made = _bare()
-    for slot in SLOTS:
-        made = made + terms.constant(slot, "head")
-        made = made + terms.frequency_sum(slot, range(1, order + 1))
+    for slot in effects.SLOTS:
+        made = made + effects.constant(slot, "head")
+        made = made + effects.frequency_sum(slot, range(1, order + 1))
     return made
 
 
@@ -126,8 +96,8 @@ def two_thermometers(crossed_by: str = "head") -> bc.Model:
         crossed_by: which thermometer is t in t·dt/dt and t·δt, "head" or "circuit".
     """
     made = _bare()
-    for slot in SLOTS:
-        made = made + terms.two_thermometers(slot, crossed_by)
+    for slot in effects.SLOTS:
+        made = made + effects.two_thermometers(slot, crossed_by)
     return made
 
 
@@ -156,8 +126,8 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("second_order", "ug/g^2", "K2"),
     ),
     response=_response,
-    effects=BASELINE,
-    candidates=CANDIDATES,
+    effects=effects.BASELINE,
+    candidates=effects.CANDIDATES,
     noise=bc.White(bc.HalfCauchy(20.0)),
     nominal_scale=bc.NominalScale("Hz", gain=SCALE_FACTOR * PER_G),
     structures=(
@@ -170,8 +140,31 @@ INSTRUMENT = bc.Instrument(
         ("two thermometers", two_thermometers),
         ("two thermometers, t1 in the products", lambda: two_thermometers("circuit")),
     ),
-    simulate=simulate,
+    simulator=simulated_columns,
     experiments=EXPERIMENTS,
     use=bc.Use("acceleration", "ug"),
     source="source 2",
 )
+
+
+def simulate(
+    effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
+) -> bc.Measurements:
+    """Readings of a campaign with these effects hidden in it.
+
+    The same seed gives the same noise and the same turn-on offsets whatever the effects.
+
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficient; for an effect with learned
+            deviations (`*.run`, `*.cell`) their standard deviation. The cubic device's own coefficients (about
+            T0 = `campaign.T0`) may be replaced by name.
+        seed: seed of every random number.
+        campaign: plan of the test.
+
+    Returns:
+        Readings; `output` in µg of the nominal scale factor.
+
+    Raises:
+        ValueError: no law for an effect of that name, or a size that is no number.
+    """
+    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign)

@@ -12,11 +12,14 @@ These are not readings that anyone took: a² is one constant, so K2 is not to be
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 import bayescal as bc
 from bayescal_models.quartz_beam_accelerometer.device import SCALE_FACTOR
+from bayescal_models.quartz_beam_accelerometer.model import INSTRUMENT
 
 
 def from_tables(
@@ -45,10 +48,6 @@ def from_tables(
         InputError: one uncertainty without the other, one that is not positive, a nominal scale factor of zero,
             tables of unequal length, or what the instrument refuses.
     """
-    from bayescal_models.quartz_beam_accelerometer.model import (
-        INSTRUMENT,  # a sibling above this one
-    )
-
     if (bias_uncertainty is None) != (scale_uncertainty is None):
         raise bc.InputError(
             "from_tables: bias_uncertainty and scale_uncertainty go together; give both, or neither"
@@ -70,7 +69,7 @@ def from_tables(
         reach = bias_uncertainty / (scale_uncertainty / nominal)
         columns["output_uncertainty"] = np.full(b.size, np.sqrt(2.0) * bias_uncertainty)
     sign = np.tile([1.0, -1.0], b.size)
-    doubled = {name: np.repeat(np.asarray(c), 2) for name, c in columns.items()}
+    doubled: dict[str, Any] = {name: np.repeat(np.asarray(c), 2) for name, c in columns.items()}
     return bc.Measurements.from_arrays(
         INSTRUMENT,
         **doubled,

@@ -103,7 +103,7 @@ class _Plan:
 def make_world(campaign: Campaign) -> World:
     """Carry out a campaign's plan: chamber, circuit, head, and when what was read."""
     plan = _planned(campaign)
-    time = GRID * np.arange(int(np.ceil(plan.now / GRID)) + 1)
+    time = GRID * np.arange(int(np.ceil(plan.now / GRID)) + 1, dtype=np.float64)
     knots, goals = np.array(plan.knots).T
     air = body(np.interp(time, knots, goals), campaign.air_time)
     powered = np.zeros(time.size)

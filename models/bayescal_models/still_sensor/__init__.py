@@ -2,4 +2,4 @@
 
 from bayescal_models.still_sensor.model import INSTRUMENT as INSTRUMENT
 from bayescal_models.still_sensor.model import instrument as instrument
-from bayescal_models.still_sensor.simulate import simulate as simulate
+from bayescal_models.still_sensor.model import simulate as simulate

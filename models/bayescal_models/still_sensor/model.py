@@ -28,20 +28,17 @@ known, give them: `instrument("ug", size=300.0, constant=2000.0, span=40.0, pace
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 import bayescal as bc
-from bayescal import effects
-from bayescal_models.still_sensor.simulate import simulate
+from bayescal_models.still_sensor import effects
+from bayescal_models.still_sensor.simulator import simulated_columns
 
 MINUTE = 60.0
-SOURCE = (
-    "ours: {share:g} of the record's own robust spread{at}; empirical, for want of a data sheet"
-)
-LAG_TIME = 5.0  # min, of a body whose lag would show such a spread
 
 
 def instrument(
@@ -69,22 +66,22 @@ def instrument(
     for name, value in settings.items():
         if not (np.isfinite(value) and value > 0):
             raise bc.InputError(f"still_sensor: {name} {value} must be a positive number")
-    line, *candidates = _thermal(unit, size, span, pace)
+    line, *candidates = effects.thermal(unit, size, span, pace)
     made = bc.Instrument(
         name="still_sensor",
         title="any sensor at rest: its output over temperature and time",
         columns=_columns(unit),
         slots=(bc.Slot("bias", unit, "output at rest"),),
         response=lambda slots, r: slots["bias"],
-        effects=(_constant(unit, constant), line),
-        candidates=(*candidates, *_temporal(unit, size)),
+        effects=(effects.constant(unit, constant), line),
+        candidates=(*candidates, *effects.temporal(unit, size)),
         noise=bc.White(bc.HalfCauchy(0.1 * size)),
         structures=(
             ("line", lambda: made.baseline()),
             ("quadratic", lambda: made.baseline() + candidates[:1]),
             ("cubic", lambda: made.baseline() + candidates[:2]),
         ),
-        simulate=simulate,
+        simulator=simulated_columns,
         use=bc.Use("input", unit, equation=lambda true, slots, r: slots["bias"] + true),
         source="ours",
         settings=(("unit", unit), *settings.items()),
@@ -145,57 +142,32 @@ def _columns(unit: str) -> tuple[bc.Column, ...]:
     )
 
 
-def _constant(unit: str, sd: float) -> bc.Effect:
-    source = "ours: √(median² + (10 × robust spread)²) of the record itself, an empirical choice"
-    return effects.constant("bias", sd, unit, source=source)
-
-
-def _thermal(unit: str, size: float, span: float, pace: float) -> tuple[bc.Effect, ...]:
-    """What follows the temperature: powers, rate, lag, direction."""
-    from_middle = ", from the middle to an end of the temperatures"
-    rate_source = SOURCE.format(share=0.25, at=" at the mean rate of the temperature")
-    lag_source = SOURCE.format(
-        share=0.25, at=f" at the mean rate of the temperature and a lag of {LAG_TIME:g} min"
-    )
-    return (
-        effects.linear(
-            "bias", size / span, f"{unit}/degC", source=SOURCE.format(share=1, at=from_middle)
-        ),
-        effects.quadratic(
-            "bias",
-            0.5 * size / span**2,
-            f"{unit}/degC^2",
-            source=SOURCE.format(share=0.5, at=from_middle),
-        ),
-        effects.cubic(
-            "bias",
-            0.25 * size / span**3,
-            f"{unit}/degC^3",
-            source=SOURCE.format(share=0.25, at=from_middle),
-        ),
-        effects.rate("bias", 0.25 * size / pace, f"{unit}/(degC/min)", source=rate_source),
-        effects.thermal_lag(
-            "bias",
-            0.25 * size / (pace * LAG_TIME),
-            f"{unit}/degC",
-            low=MINUTE,
-            high=20 * MINUTE,
-            start=0.25 * size,
-            start_unit=unit,
-            source=lag_source,
-        ),
-        effects.hysteresis("bias", 0.25 * size, unit, source=SOURCE.format(share=0.25, at="")),
-    )
-
-
-def _temporal(unit: str, size: float) -> tuple[bc.Effect, ...]:
-    """What follows the time."""
-    half, quarter = SOURCE.format(share=0.5, at=""), SOURCE.format(share=0.25, at="")
-    return (
-        effects.warm_up("bias", 0.5 * size, unit, low=2 * MINUTE, high=40 * MINUTE, source=half),
-        effects.drift("bias", 0.5 * size, unit, source=half),
-        effects.deviation("bias", "run", 0.25 * size, unit, source=quarter),
-    )
-
-
 INSTRUMENT = replace(instrument(), columns=_columns("any"), tailor=tailored, settings=())
+
+
+def simulate(
+    effects: Mapping[str, float] | None = None,
+    *,
+    seed: int,
+    unit: str = "ug",
+    runs: int = 3,
+    interval: int = 10,
+    noise_law: str = "white",
+) -> bc.Measurements:
+    """Readings of ramps, 25 → −15 → 65 → 25 °C in 40 minutes, with these effects hidden in them.
+
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficient. The line is
+            there (2000 and 40 per °C) unless given otherwise.
+        seed: seed of every random number.
+        unit: of the output; sizes and noise (20) are in it.
+        runs: how many times the ramps are gone through, an hour apart.
+        interval: between readings, s.
+        noise_law: "white" or "ornstein_uhlenbeck" (correlation time 300 s, beside white noise).
+
+    Raises:
+        ValueError: an unknown effect or noise law, no run, or no interval.
+    """
+    return instrument(unit).simulate(
+        effects, seed=seed, unit=unit, runs=runs, interval=interval, noise_law=noise_law
+    )

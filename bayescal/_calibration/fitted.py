@@ -1,0 +1,125 @@
+"""What a fit has found, as a record: the model, its draws with names, the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from bayescal._calibration.named_draws import named
+from bayescal._core.batched_map import over
+from bayescal._core.errors import InputError
+from bayescal._core.jit import compiled
+from bayescal._inference.laplace import Mode
+from bayescal._inference.method import Draws, Verdict
+from bayescal._model import forward
+from bayescal._model.frame import Frame, Reference, build_frame
+from bayescal._model.model import Model
+from bayescal._model.parameters import Layout
+from bayescal._readings.measurements import Measurements
+
+PREDICTIVE_CELLS = 2_000_000  # draws × readings kept in posterior_predictive and log_likelihood
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The result of a fit, before it is printed, saved or made a tree; `Calibration` offers these.
+
+    Its fields are described there.
+    """
+
+    model: Model
+    readings: Measurements
+    joint: Draws
+    verdict: Verdict
+    method: str
+    seed: int
+    reference: Reference
+    levels: dict[str, tuple[str, ...]]
+    layout: Layout
+    mode: Mode
+    log_evidence: tuple[float, float | None] | None
+
+    @cached_property
+    def posterior(self) -> xr.Dataset:
+        """Draws (chain, draw, …) of each unknown under its name, in its reported unit, as `units` says.
+
+        Group dimensions carry the members' names.
+        """
+        return named(self.layout, self.levels, self.joint.x, self.joint.rows, self.joint.v)
+
+    @cached_property
+    def frame(self) -> Frame:
+        return build_frame(self.readings, self.reference)
+
+    @property
+    def unit(self) -> str:
+        return self.model.instrument.unit
+
+    def frame_of(self, readings: Measurements) -> Frame:
+        """Other readings as this calibration sees them: its T0, its run starts, its groups."""
+        return build_frame(readings, self.reference, self.levels)
+
+    def draws(self, limit: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Joint draws (x, rows, v) as flat arrays, evenly thinned to `limit`."""
+        x, rows, v = (flat(a) for a in (self.joint.x, self.joint.rows, self.joint.v))
+        step = 1 if limit is None else max(1, -(-len(x) // limit))
+        return x[::step], rows[::step], v[::step]
+
+    def samples(self, name: str) -> np.ndarray:
+        """All draws of one unknown, in its reported unit; (draws,) or (draws, members).
+
+        Raises:
+            InputError: nothing is called so.
+        """
+        if name not in self.posterior:
+            raise InputError(
+                f"no unknown is called {name!r}; there are: {', '.join(map(str, self.posterior))}"
+            )
+        values = self.posterior[name].values
+        return values.reshape(-1, *values.shape[2:])
+
+    def log_likelihood(self, limit: int = PREDICTIVE_CELLS) -> xr.Dataset:
+        """Pointwise log likelihood, draws thinned so that at most `limit` numbers come back.
+
+        Coefficients that belong to one reading (a thermometer's error) are averaged over their prior: another
+        reading would have another one.
+
+        Under correlated noise it is that of each reading's white part given all else.
+        """
+        chains, draws = self.joint.x.shape[:2]
+        keep = max(1, min(draws, limit // max(1, chains * len(self.readings))))
+        step = -(-draws // keep)
+        vectors = [flat(a[:, ::step]) for a in (self.joint.x, self.joint.rows, self.joint.v)]
+        values = pointwise(self.layout, self.frame, jnp.asarray(self.readings["output"]), *vectors)
+        shaped = values.reshape(chains, -1, len(self.readings))
+        return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})
+
+
+def flat(values: np.ndarray) -> np.ndarray:
+    """Chains one after the other."""
+    return values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
+
+
+@compiled
+def _pointwise(layout: Layout, frame: Frame, y, draws):
+    def one(draw):
+        x, rows, v = draw
+        hyper = forward.hyper_values(layout, v)
+        if layout.row_blocks and layout.model.noise.gaussian:
+            return forward.log_likelihood_over_rows(layout, frame, y, x, hyper)
+        return forward.log_likelihood(layout, frame, y, x, rows, hyper)
+
+    return over(one, draws, 64)
+
+
+def pointwise(layout: Layout, frame: Frame, y, x, rows, v) -> np.ndarray:
+    """Log likelihood of each reading under each draw, (draws, n)."""
+    return np.asarray(
+        _pointwise(
+            layout, frame, jnp.asarray(y), (jnp.asarray(x), jnp.asarray(rows), jnp.asarray(v))
+        )
+    )

@@ -1,0 +1,212 @@
+"""A calibration in numbers: coefficients with intervals, contraction, and directions that were not measured."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from bayescal._calibration.fitted import Fitted
+from bayescal._core import null_space
+from bayescal._core.formatting import WIDTH, interval, table, with_error
+from bayescal._inference import laplace
+from bayescal._model.parameters import CoefficientBlock
+from bayescal._readings.units import unit_label
+
+WEAK = 0.1  # information against the prior below which a direction counts as not measured
+SHARE = 0.1  # of a direction's squared length below which a coefficient is left out of its words
+LONGEST = 8  # terms of a combination that are written out
+TRACE = 0.01  # of the largest entry, from which a coefficient is named
+
+
+def calibration_text(calibration: Fitted) -> str:
+    """Unknowns with standard uncertainty and 95 % credible interval; the verdict."""
+    rows = []
+    coefficients, spreads = summary(calibration)
+    for s in (*coefficients, *spreads):
+        contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
+        low, high = s["interval95"]
+        ends = interval(low, high, s["mean"], s["sd"])
+        value = with_error(s["mean"], s["sd"])
+        rows.append([s["name"], value, unit_label(s["unit"]), ends, contraction])
+    head = [
+        *("unknown", "mean ± standard uncertainty", "unit"),
+        *("95 % credible interval", "contraction"),
+    ]
+    lines = [table(head, rows)] if rows else ["every unknown is fixed"]
+    fixed = ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed)
+    if fixed:
+        lines.append(f"fixed: {fixed}")
+    at = [
+        f"{k} = {v:g} °C"
+        for k, v in calibration.reference.items()
+        if isinstance(v, float) and k.endswith("0")
+    ]
+    if at:
+        lines.append("constants hold at " + ", ".join(at))
+    lines += [f"not measured: {d['in_words']}" for d in null_directions(calibration)]
+    lines.append(str(calibration.verdict))
+    return "\n".join([lines[0], *(textwrap.fill(line, WIDTH) for line in lines[1:])])
+
+
+def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Coefficients, and spreads with noise and shapes: name, effect, unit, mean, sd, interval95, contraction.
+
+    Contraction is 1 − (posterior variance)/(prior variance): 1 where the readings said everything, 0 where they
+    said nothing; None where the prior is flat or has no variance.
+    """
+    layout, levels = calibration.layout, calibration.levels
+    coefficients, spreads = [], []
+    for b in layout.blocks:
+        if b.place == "fixed":
+            continue
+        values = calibration.samples(b.name)
+        prior = (
+            None if b.coefficient.flat or b.coefficient.spread is not None else b.coefficient.size
+        )
+        per = b.coefficient.per
+        if per is None:
+            coefficients.append(_row(b.name, b.effect.name, b.coefficient.unit, values, prior))
+        elif per != "reading":
+            for i, name in enumerate(b.member_names(levels)):
+                coefficients.append(
+                    _row(name, b.effect.name, b.coefficient.unit, values[:, i], prior)
+                )
+    for h in layout.hypers:
+        if h.kind != "promoted":
+            effect = "noise" if h.kind == "noise" else h.name.rpartition(".")[0]
+            spreads.append(
+                _row(h.name, effect, h.unit, calibration.samples(h.name), _prior_sd(h.prior))
+            )
+    return coefficients, spreads
+
+
+def _row(
+    name: str, effect: str, unit: str, values: np.ndarray, prior: float | None
+) -> dict[str, Any]:
+    low, high = np.quantile(values, [0.025, 0.975])
+    sd = float(values.std(ddof=1))
+    return {
+        "name": name,
+        "effect": effect,
+        "unit": unit,
+        "mean": float(values.mean()),
+        "sd": sd,
+        "interval95": [float(low), float(high)],
+        "contraction": None if prior is None else float(1 - (sd / prior) ** 2),
+    }
+
+
+def _prior_sd(prior: Any) -> float | None:
+    """Standard deviation of a hyper-parameter's prior, where it has one."""
+    kind = type(prior).__name__
+    if kind == "HalfNormal":
+        return prior.scale * float(np.sqrt(1 - 2 / np.pi))
+    if kind == "LogNormal":
+        s2 = prior.sd**2
+        return float(prior.median * np.sqrt((np.exp(s2) - 1) * np.exp(s2)))
+    return prior.sd if kind == "Normal" else None
+
+
+def null_directions(calibration: Fitted) -> list[dict[str, str]]:
+    """Combinations of coefficients that the readings leave as the prior had them, in words.
+
+    First the exact ones: combinations that change no reading whatsoever, in the coefficients' own units and with
+    as few coefficients in each as can be. Then those whose information, in units of the prior, is below a tenth:
+    there the posterior is the prior. What concerns next to nothing but deviations of a group's members, or the
+    coefficients of unknown functions, is counted in one line for all.
+    """
+    y = jnp.asarray(calibration.readings["output"])
+    frame, noise = calibration.frame, calibration.model.noise
+    null = laplace.linearised(calibration.layout, frame, y, calibration.mode)
+    count = calibration.layout.size
+    if count == 0:
+        return []
+    sd = np.asarray(null.prior.sd[:count])
+    scaled = null.nuisance[:, :count] * null.prior.sd[:count]
+    white = np.asarray(noise.whiten(scaled, null.extra, null.hyper, frame)[0])
+    names = _entry_names(calibration)
+    main = np.concatenate([np.full(b.size, _single(b)) for b in calibration.layout.x_blocks])
+    exact = null_space.exact(white)
+    weak = null_space.weak(white, exact, WEAK)
+    found = [_exact_words(v * sd, names) for v in exact if _concerns(v, main)]
+    found += [_weak_words(v, names) for v in weak if _concerns(v, main)]
+    others = [v for v in (*exact, *weak) if not _concerns(v, main)]
+    return [*found, *([_deviations_words(others, calibration)] if others else [])]
+
+
+def _single(block: CoefficientBlock) -> bool:
+    """Whether a coefficient stands for itself: no deviation of learned spread, no part of an unknown function."""
+    return block.coefficient.spread is None and not block.effect.is_placeholder
+
+
+def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
+    """Whether a direction, in prior standard deviations, has a share of coefficients that stand for themselves."""
+    return float(np.sum(vector[main] ** 2)) > SHARE * float(np.sum(vector**2))
+
+
+def _deviations_words(vectors: list[np.ndarray], calibration: Fitted) -> dict[str, str]:
+    """Of all directions among deviations of groups and unknown functions' coefficients."""
+    size = np.max(np.abs(vectors), axis=0)
+    large = [
+        b
+        for b in calibration.layout.x_blocks
+        if not _single(b) and size[b.start : b.start + b.size].max() > TRACE * size.max()
+    ]
+    names = ", ".join(dict.fromkeys(b.effect.name for b in large))
+    words = (
+        f"{len(vectors)} combination(s) of the single coefficients of {names}: these readings do not tell them apart; "
+        "they keep the width of their prior"
+    )
+    return {"combination": names, "in_words": words}
+
+
+def _entry_names(calibration: Fitted) -> list[str]:
+    names: list[str] = []
+    for b in calibration.layout.x_blocks:
+        names += b.member_names(calibration.levels)
+    return names
+
+
+def _exact_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
+    """Of a combination that leaves no trace; `vector` in the coefficients' own units."""
+    vector, order = null_space.simple(vector), np.flatnonzero(vector)
+    combination = _sum([(vector[i], names[i]) for i in order])
+    if len(order) == 1:
+        words = f"{names[order[0]]}: these readings say nothing of it; its interval is the prior's (exactly)"
+    else:
+        words = (
+            f"{combination}: moved together so, these coefficients change no reading; only other "
+            "combinations of them are measured, this one keeps the prior's width (exactly)"
+        )
+    return {"combination": combination, "in_words": words}
+
+
+def _weak_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
+    """Of a direction that readings hardly tell; `vector` in prior standard deviations."""
+    vector = vector / np.linalg.norm(vector)
+    order = [i for i in np.argsort(-np.abs(vector)) if vector[i] ** 2 > SHARE]
+    order = order or [int(np.argmax(np.abs(vector)))]
+    sign = np.sign(vector[order[0]])
+    combination = _sum([(sign * round(vector[i], 2), names[i]) for i in order])
+    who = " and ".join(names[i] for i in order)
+    if len(order) == 1:
+        words = f"{who}: these readings say nothing of it; its interval is the prior's"
+    else:
+        words = (
+            f"{who}: only another combination of them is measured; this one keeps the prior's width"
+        )
+    return {"combination": f"{combination}  (in prior standard deviations)", "in_words": words}
+
+
+def _sum(terms: list[tuple[float, str]]) -> str:
+    """A sum for people: a − b − 2·c."""
+    shown = []
+    for factor, name in terms[:LONGEST]:
+        size = "" if abs(factor) == 1 else f"{abs(factor):.3g}·"
+        shown.append(f"{'+' if factor > 0 else '−'} {size}{name}")
+    if len(terms) > LONGEST:
+        shown.append(f"… and {len(terms) - LONGEST} more")
+    return " ".join(shown).removeprefix("+ ")

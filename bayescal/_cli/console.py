@@ -1,0 +1,65 @@
+"""How a command leaves: its result on standard output, notes on standard error, an exit status, a folder.
+
+Light: every command loads it before it starts.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from bayescal._core.errors import InputError
+
+
+def print_result(result: Any) -> None:
+    """Data as JSON, anything else as the text that it prints as."""
+    if isinstance(result, dict | list):
+        result = json.dumps(result, indent=2, ensure_ascii=False, allow_nan=False)
+    print(result)
+
+
+def print_notes(notes: Iterable[str]) -> None:
+    """What the user should know of and no reason to stop, on standard error."""
+    for note in notes:
+        print(f"bayescal: note: {note}", file=sys.stderr)
+
+
+def exit_unless(reliable: bool, why: str) -> None:
+    """Leave with status 1 if what was printed is not to be trusted.
+
+    Raises:
+        typer.Exit: it is not.
+    """
+    if not reliable:
+        print(f"bayescal: not to be trusted as it is: {why}", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+@contextmanager
+def result_folder(path: Path | None) -> Iterator[Path | None]:
+    """A folder to write to, made if need be, and taken away again if nothing comes of it.
+
+    Raises:
+        InputError: it cannot be made, or is a file.
+    """
+    if path is None:
+        yield None
+        return
+    missing = [p for p in (path, *path.parents) if not p.exists()]
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to the folder {path}: {error.strerror}") from None
+    try:
+        yield path
+    except BaseException:
+        for made in missing:
+            with suppress(OSError):  # not empty: something was written
+                made.rmdir()
+        raise

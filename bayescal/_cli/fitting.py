@@ -1,0 +1,242 @@
+"""Commands from readings to a calibration: fit, check, discover, compare, predict, calibrate.
+
+Imports stand where they are first needed: a bad file is refused before a sampler loads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import bayescal as bc
+from bayescal._cli import options
+from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
+from bayescal._cli.options import ColumnOptions, ModelOptions, OwnParts, with_groups
+from bayescal._core.errors import InputError
+
+commands = typer.Typer()
+
+
+@commands.command(epilog="Example: bayescal fit readings.csv --instrument mems_gyro --out result")
+@with_groups
+def fit(
+    files: options.Files,
+    instrument: options.Name,
+    columns: ColumnOptions,
+    choice: ModelOptions,
+    method: options.MethodName = "marginal",
+    seed: options.Seed = 0,
+    out: options.Folder = None,
+    json_: options.Json = False,
+) -> None:
+    """Fit one model: coefficients with uncertainty."""
+    from bayescal._cli.request import method_named, open_request, reference_of
+
+    _, model, readings = open_request(instrument, files, columns, choice)
+    print_notes(readings.flags)
+    with result_folder(out) as folder:
+        calibration = bc.fit(
+            model,
+            readings,
+            method_named(method),
+            seed=seed,
+            strict=False,
+            reference=reference_of(choice.reference, readings),
+        )
+        if folder is not None:
+            calibration.save(folder / "calibration.nc")
+    from bayescal._cli.output import fit_data
+
+    print_result(fit_data(calibration) if json_ else calibration)
+    if folder is not None and not json_:
+        print(f"\nwritten: {folder / 'calibration.nc'}")
+    exit_unless(calibration.verdict.ok, " ".join(calibration.verdict.reasons))
+
+
+@commands.command(epilog="Example: bayescal check result/calibration.nc")
+@with_groups
+def check(
+    calibration: options.Saved,
+    own: OwnParts,
+    json_: options.Json = False,
+) -> None:
+    """Where a fitted model fails."""
+    from bayescal._cli.saved import load_saved
+    from bayescal._report.result_json import check_data, clean
+
+    checked = bc.check(load_saved(calibration, own))
+    print_result(clean(check_data(checked, 0)) if json_ else checked)
+
+
+@commands.command(epilog="Example: bayescal discover result/calibration.nc")
+@with_groups
+def discover(
+    calibration: options.Saved,
+    own: OwnParts,
+    max_effects: options.MostEffects = 5,
+    next_experiment: options.Next = False,
+    calibrate_screen: options.Screen = None,
+    json_: options.Json = False,
+) -> None:
+    """Which effect is missing from a fitted model; and which experiment would tell rivals apart."""
+    from bayescal._cli.output import unexplained_text
+    from bayescal._cli.request import user_effects
+    from bayescal._cli.saved import load_saved
+    from bayescal._report.result_json import clean, experiment_data, missing_data
+
+    loaded = load_saved(calibration, own)
+    effects = user_effects(own.effects_file)
+    found = bc.discover(loaded, effects=effects, max_effects=max_effects)
+    checked = bc.check(loaded)
+    text = f"{found}\n{unexplained_text(loaded, checked, effects)}".rstrip()
+    data = missing_data(found, 0, checked)
+    if next_experiment:
+        ranked = bc.next_experiment(loaded, found.rivals) if len(found.rivals) > 1 else None
+        text += f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
+        data["next_experiment"] = None if ranked is None else experiment_data(ranked)
+    if calibrate_screen is not None:
+        rate = bc.false_reports(loaded, calibrate_screen, effects=effects, max_effects=max_effects)
+        text += f"\n\n{rate}"
+        data["false_reports"] = asdict(rate)
+    print_result(clean(data) if json_ else text)
+
+
+@commands.command(
+    epilog="Example: bayescal compare readings.csv --instrument mems_gyro --structure line "
+    "--structure line+bias.thermal_lag"
+)
+@with_groups
+def compare(
+    *,
+    files: options.Files,
+    instrument: options.Name,
+    structure: options.Structures = None,
+    columns: ColumnOptions,
+    reference: options.Ref = None,
+    effects_file: options.OwnEffects = None,
+    method: options.MethodName = "marginal",
+    seed: options.Seed = 0,
+    json_: options.Json = False,
+) -> None:
+    """Set model structures side by side: left-out groups, leave-one-out, evidence, weights."""
+    from bayescal._cli.request import (
+        method_named,
+        open_request,
+        reference_of,
+        structure_with,
+        user_effects,
+    )
+
+    baseline = ModelOptions(effects_file=effects_file)
+    chosen, _, readings = open_request(instrument, files, columns, baseline)
+    names = structure or [name for name, _ in chosen.structures]
+    if len(set(names)) < 2:
+        raise InputError("compare needs two structures or more: give --structure twice, or never")
+    own = user_effects(effects_file)
+    models = {name: structure_with(chosen, name, own) for name in names}
+    for model in models.values():
+        model.require(readings)
+    print_notes(readings.flags)
+    constants, how = reference_of(reference, readings), method_named(method)
+    fits = {
+        name: bc.fit(model, readings, how, seed=seed, strict=False, reference=constants)
+        for name, model in models.items()
+    }
+    comparison = bc.compare(fits)
+    from bayescal._cli.output import comparison_data
+
+    print_result(comparison_data(comparison) if json_ else comparison)
+    failed = [f"{n}: {' '.join(c.verdict.reasons)}" for n, c in fits.items() if not c.verdict.ok]
+    exit_unless(not failed, "; ".join(failed))
+
+
+@commands.command(
+    epilog="Example: bayescal predict result/calibration.nc new.csv --out predicted.csv"
+)
+@with_groups
+def predict(
+    *,
+    calibration: options.Saved,
+    files: options.Files,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="File to write: .csv, .parquet or .nc.")
+    ] = None,
+    columns: ColumnOptions,
+    own: OwnParts,
+    json_: options.Json = False,
+) -> None:
+    """Predict readings with a calibration, and compare."""
+    from bayescal._cli.output import write_prediction
+    from bayescal._cli.saved import load_saved
+    from bayescal._core.formatting import number
+    from bayescal._readings.units import unit_label
+
+    loaded = load_saved(calibration, own)
+    readings = bc.read(list(files), loaded.model.instrument, **columns.for_read())
+    print_notes(readings.flags)
+    prediction = bc.predict(loaded, readings)
+    if out is not None:
+        write_prediction(prediction, readings, out)
+    expected = float((prediction.sd**2).mean()) ** 0.5
+    unit = unit_label(loaded.unit)
+    text = (
+        f"{len(readings)} readings: rms error {number(prediction.rmse)} {unit}, "
+        f"expected {number(expected)} {unit}" + (f"\nwritten: {out}" if out else "")
+    )
+    data = {"rows": len(readings), "rmse": prediction.rmse, "expected_rmse": expected}
+    print_result(
+        {**data, "unit": loaded.unit, "file": str(out) if out else None} if json_ else text
+    )
+
+
+@commands.command(
+    epilog="Example: bayescal calibrate readings.csv --instrument mems_gyro --out result"
+)
+@with_groups
+def calibrate(
+    *,
+    files: options.Files,
+    instrument: options.Name,
+    holdout: options.Holdout = None,
+    columns: ColumnOptions,
+    choice: ModelOptions,
+    method: options.MethodName = "marginal",
+    max_effects: options.MostEffects = 5,
+    keep_spikes: options.KeepSpikes = False,
+    seed: options.Seed = 0,
+    out: options.Folder = None,
+    json_: options.Json = False,
+) -> None:
+    """The whole loop: fit, see where it fails, find what is missing, add it, see the error fall."""
+    from bayescal._cli.request import method_named, open_request, reference_of, user_effects
+
+    chosen, model, readings = open_request(instrument, files, columns, choice)
+    kept = bc.read(list(holdout), chosen, **columns.for_read()) if holdout else None
+    print_notes(readings.flags)
+    own = user_effects(choice.effects_file)
+    with result_folder(out) as folder:
+        trail = bc.calibrate(
+            model,
+            readings,
+            holdout=kept,
+            effects=own,
+            method=method_named(method),
+            max_effects=max_effects,
+            keep_spikes=keep_spikes,
+            seed=seed,
+            reference=reference_of(choice.reference, readings),
+        )
+        if folder is not None:
+            trail.save(folder)
+    from bayescal._cli.output import loop_text
+    from bayescal._report.result_json import result
+
+    later = trail.final.calibration.readings.flags
+    print_notes(flag for flag in later if flag not in readings.flags)
+    print_result(result(trail) if json_ else loop_text(trail, own))
+    if folder is not None and not json_:
+        print(f"\nwritten: {folder}/result.json, calibration.nc, loop.png")
+    exit_unless(trail.ok, trail.gate.reason)

@@ -1,0 +1,76 @@
+"""Commands that only some instruments have: pairs of devices, a demonstration."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import bayescal as bc
+from bayescal._cli import options
+from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
+from bayescal._cli.offered import DEMONSTRATIONS, PAIR_SELECTIONS, offered
+from bayescal._cli.options import ColumnOptions, ModelOptions, with_groups
+from bayescal._core.errors import InputError
+
+commands = typer.Typer()
+
+
+@commands.command(epilog="Example: bayescal pairs readings.csv")
+@with_groups
+def pairs(
+    *,
+    files: options.Files,
+    instrument: Annotated[
+        str, typer.Option("--instrument", help="Whose devices are chosen in pairs.")
+    ] = "differential_pair",
+    criterion: Annotated[
+        str, typer.Option(help="residual, ratio-variance or ratio-variance-raw.")
+    ] = "residual",
+    columns: ColumnOptions,
+    add: options.Add = None,
+    seed: options.Seed = 0,
+    json_: options.Json = False,
+) -> None:
+    """Which two devices make the best pair, each pair with its probability."""
+    from bayescal._cli.request import open_request
+
+    chosen, model, readings = open_request(instrument, files, columns, ModelOptions(add=add))
+    select = offered(PAIR_SELECTIONS, chosen.name)
+    if select is None:
+        raise InputError(f"instrument {chosen.name!r} does not choose its devices in pairs")
+    print_notes(readings.flags)
+    fitted = bc.fit(model, readings, seed=seed, strict=False)
+    found = select(fitted, criterion=criterion)
+    print_result(found.data() if json_ else found)
+    exit_unless(fitted.verdict.ok, " ".join(fitted.verdict.reasons))
+
+
+@commands.command(epilog="Example: bayescal demo --out demo_output")
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("demo_output"),
+    instrument: Annotated[
+        str, typer.Option("--instrument", help="Whose demonstration.")
+    ] = "mems_gyro",
+    seed: options.Seed = 0,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print result.json on stdout, and the story on stderr.")
+    ] = False,
+) -> None:
+    """A gyroscope's table against its published line, then a hidden effect found and added."""
+    from bayescal._cli.request import instrument_named
+
+    chosen = instrument_named(instrument)
+    demonstrate = offered(DEMONSTRATIONS, chosen.name)
+    if demonstrate is None:
+        raise InputError(f"instrument {chosen.name!r} has no demonstration")
+    with (
+        result_folder(out),
+        contextlib.redirect_stdout(sys.stderr if json_ else sys.stdout),
+    ):
+        demonstrate(out, seed)
+    if json_:
+        print((out / "result.json").read_text(encoding="utf-8"), end="")

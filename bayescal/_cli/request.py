@@ -1,0 +1,161 @@
+"""What the options ask for: an instrument, a model, readings, a method.
+
+Loads what an instrument and a file need and no sampler, so that a bad file is refused early.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+import bayescal as bc
+from bayescal._cli.options import METHODS, ColumnOptions, ModelOptions, named_numbers
+from bayescal._core.errors import InputError
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Reference
+from bayescal._model.frame import reference_of as constants_of
+from bayescal._model.installed import installed_instrument, installed_names
+from bayescal._model.instrument import Instrument
+from bayescal._model.model import Model
+from bayescal._readings.measurements import Measurements
+from bayescal._readings.read import read
+
+if TYPE_CHECKING:
+    from bayescal._inference.method import Method
+
+
+def open_request(
+    instrument: str, files: Sequence[Path], columns: ColumnOptions, choice: ModelOptions
+) -> tuple[Instrument, Model, Measurements]:
+    """Instrument, model and readings that are asked for; the instrument tailored to the readings.
+
+    Raises:
+        InputError, ModelError: something in it cannot be used; says what.
+    """
+    general = instrument_named(instrument)
+    own = {effect.name: effect for effect in user_effects(choice.effects_file)}
+    model = compose(general, choice, own)  # before the files, which may be long
+    readings = read(list(files), general, **columns.for_read())
+    tailored = general.for_readings(readings)
+    return tailored, model if tailored is general else compose(tailored, choice, own), readings
+
+
+def compose(instrument: Instrument, choice: ModelOptions, own: Mapping[str, Effect]) -> Model:
+    """The model that is asked for: a structure or the baseline, effects added, coefficients fixed."""
+    model = (
+        structure_named(instrument, choice.structure) if choice.structure else instrument.baseline()
+    )
+    for name in choice.add or []:
+        model = model + own.get(name, name)
+    return model.fix(named_numbers(choice.fix, "--fix"))
+
+
+def instrument_named(name: str) -> Instrument:
+    """An installed instrument, or one in a file: my.py:INSTRUMENT.
+
+    Raises:
+        InputError: there is none.
+    """
+    file, colon, attribute = name.rpartition(":")
+    if colon and file.endswith(".py"):
+        instrument = getattr(_run_file(Path(file)), attribute, None)
+        if not isinstance(instrument, Instrument):
+            raise InputError(
+                f"{file} defines no instrument called {attribute!r}: give FILE.py:NAME"
+            )
+        return instrument
+    known = installed_names()
+    if name not in known:
+        raise InputError(
+            f"no instrument is called {name!r}; installed: {', '.join(known) or 'none'}. "
+            "For one of your own give my.py:INSTRUMENT"
+        )
+    return installed_instrument(name)
+
+
+def structure_named(instrument: Instrument, name: str) -> Model:
+    """A model structure of an instrument.
+
+    Raises:
+        InputError: it has none of that name.
+    """
+    structures = dict(instrument.structures)
+    if name not in structures:
+        raise InputError(
+            f"instrument {instrument.name!r} has no structure {name!r}; "
+            f"it has: {', '.join(structures)}"
+        )
+    return structures[name]()
+
+
+def structure_with(instrument: Instrument, text: str, own: Sequence[Effect]) -> Model:
+    """A structure with effects added to it: "line+bias.thermal_lag"."""
+    first, *added = (part.strip() for part in text.split("+"))
+    model, known = structure_named(instrument, first), {effect.name: effect for effect in own}
+    for name in added:
+        model = model + known.get(name, name)
+    return model
+
+
+def user_effects(path: Path | None) -> tuple[Effect, ...]:
+    """The effects that a user's file defines: its EFFECTS, or every Effect in it.
+
+    Raises:
+        InputError: no such file, it fails, or it defines none.
+    """
+    if path is None:
+        return ()
+    module = _run_file(path)
+    effects = getattr(module, "EFFECTS", None)
+    if effects is None:
+        effects = tuple(v for v in vars(module).values() if isinstance(v, Effect))
+    if isinstance(effects, Effect):
+        effects = (effects,)
+    if not effects or not all(isinstance(e, Effect) for e in effects):
+        raise InputError(f"{path} defines no effect: write EFFECTS = (bayescal.Effect(…),)")
+    return tuple(effects)
+
+
+def _run_file(path: Path) -> ModuleType:
+    """A user's Python file, run.
+
+    Raises:
+        InputError: it is not there, or fails.
+    """
+    if not path.is_file():
+        raise InputError(f"there is no file {path}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules.setdefault(path.stem, module)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a user's file does wrong is said in one line
+        raise InputError(f"{path} could not be run: {type(error).__name__}: {error}") from None
+    return module
+
+
+def method_named(name: str) -> Method:
+    """A method with its standard settings, by its name on the command line."""
+    return getattr(bc, METHODS[name])()
+
+
+def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
+    """The constants of the bases that the user sets with --reference.
+
+    Raises:
+        InputError: these readings have no such constant.
+    """
+    reference = named_numbers(given, "--reference")
+    known = [n for n, value in constants_of(readings).items() if not isinstance(value, dict)]
+    for name in reference:
+        if name not in known:
+            raise InputError(
+                f"--reference {name}: the bases of these readings have no constant {name!r}; "
+                f"they have: {', '.join(known)}"
+            )
+    return dict(reference)

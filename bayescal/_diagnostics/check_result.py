@@ -1,0 +1,158 @@
+"""What a check has found, and how it prints: a table that a person reads from top to bottom."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bayescal._core.formatting import number, table
+from bayescal._diagnostics.evidence_scale import STRONG
+from bayescal._diagnostics.worst_region import Region
+from bayescal._readings.units import unit_label
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One covariate, or group of readings (`by_group`): a run, a cell, an axis, a device."""
+
+    against: str
+    log_bayes_factor: float
+    worst: Region
+    by_group: bool = False
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two covariates: evidence that the residuals depend on them in a way that is no sum of one of each."""
+
+    against: tuple[str, str]
+    log_bayes_factor: float
+
+
+@dataclass(frozen=True)
+class FixedComparison:
+    """Residuals of a model with fixed coefficients, and the noise that they are judged against, output unit.
+
+    Attributes:
+        noise: standard deviation used as the measure.
+        free_fit: noise of the same model with its coefficients set free.
+        known: contributions known before any fit, by name.
+        mean, low, high, rms: of the residuals.
+        positive, count: residuals above zero, and all of them.
+    """
+
+    noise: float
+    free_fit: float
+    known: dict[str, float]
+    mean: float
+    low: float
+    high: float
+    rms: float
+    positive: int
+    count: int
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the fixed coefficients leave clearly more than the noise of the same model set free."""
+        return self.rms > 2 * self.noise
+
+
+@dataclass(frozen=True)
+class Check:
+    """Where a model fails.
+
+    Attributes:
+        entries: a covariate each, the strongest evidence first.
+        pairs: of covariates, likewise.
+        unit: of the output.
+        rms: of the residuals, output unit.
+        noise: standard deviation that they are judged against.
+        autocorrelation: (lag-1 coefficient within runs, its z).
+        spread_with: covariates with which the scatter changes, and the p-value of each.
+        outliers: (row, leave-one-out standard deviations).
+        pit_p: p-value of uniform leave-one-out probability integral transforms.
+        fixed: only for models with fixed coefficients.
+        residuals: (n,), output unit.
+    """
+
+    entries: tuple[Entry, ...]
+    pairs: tuple[Pair, ...]
+    unit: str
+    rms: float
+    noise: float
+    autocorrelation: tuple[float, float]
+    spread_with: dict[str, float]
+    outliers: tuple[tuple[int, float], ...]
+    pit_p: float
+    fixed: FixedComparison | None
+    residuals: np.ndarray = field(repr=False)
+
+    def __str__(self) -> str:
+        return check_text(self)
+
+
+def check_text(check: Check) -> str:
+    """Where a model fails, the worst covariate first."""
+    unit = unit_label(check.unit)
+    rows = [
+        [
+            e.against,
+            f"{e.log_bayes_factor:z.1f}",
+            f"{e.worst.size:+.3g} {unit}",
+            f"{e.worst.z:+.1f}",
+            f"{e.against} {e.worst.group}" if e.by_group else _where(e.against, e.worst),
+        ]
+        for e in check.entries
+    ]
+    head = ["residuals against", "log Bayes factor", "worst mean", "z", "where"]
+    noise = f"judged against noise of {check.noise:.3g} {unit}"
+    lines = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
+    if check.fixed:
+        lines += [_fixed_text(check), ""]
+    lines.append(table(head, rows, fold=25) if rows else "no covariate varies")
+    lines += [
+        f"{' and '.join(p.against)} together: no sum of one on each explains it (log Bayes factor "
+        f"{p.log_bayes_factor:.1f})"
+        for p in check.pairs[:2]
+        if p.log_bayes_factor > max(STRONG, *(e.log_bayes_factor for e in check.entries))
+    ]
+    coefficient, z = check.autocorrelation
+    lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
+    for name, p in check.spread_with.items():
+        lines.append(f"scatter changes with {name} (p = {p:.1g})")
+    if check.outliers:
+        shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
+        lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
+    lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
+    return "\n".join(lines)
+
+
+def _where(against: str, region: Region) -> str:
+    if against == "order":
+        rows = f"{region.low:.0f} to {region.high:.0f}"
+        return f"row {region.low:.0f}" if region.low == region.high else f"rows {rows}"
+    unit = unit_label(region.covariate_unit)
+    place = f"{number(region.low, 4)} to {number(region.high, 4)} {unit}".rstrip()
+    if region.low == region.high:
+        place = f"at {number(region.low, 4)} {unit}".rstrip()
+    return place + (f" in run {region.group}" if region.group else "")
+
+
+def _fixed_text(check: Check) -> str:
+    f, unit = check.fixed, unit_label(check.unit)
+    assert f is not None
+    known = sum(v**2 for v in f.known.values()) ** 0.5
+    lines = [
+        f"with the fixed coefficients: {f.positive} of {f.count} residuals are positive, "
+        f"mean {f.mean:.2f} ({f.low:.2f} to {f.high:.2f}) {unit}, rms {f.rms:.2f}",
+        f"the same model set free leaves {f.free_fit:.3g} {unit}: "
+        f"the rms is {f.rms / f.noise:.1f} times that",
+    ]
+    if known > 0:
+        parts = ", ".join(f"{k} {v:.2g}" for k, v in f.known.items())
+        lines.append(
+            f"known beforehand: {known:.2g} {unit} ({parts}):\n"
+            f"  the rms is {f.rms / known:.0f} times that"
+        )
+    return "\n".join(lines)

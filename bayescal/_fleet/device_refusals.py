@@ -1,0 +1,157 @@
+"""What is wrong with one device's rows refuses that device alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from bayescal._core.errors import InputError
+from bayescal._fleet.devices import DeviceBlock, Devices, without
+from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
+from bayescal._readings.column_matching import InstrumentLike, ReadOptions
+from bayescal._readings.dataset_checks import (
+    LEAST_TEMPERATURE_SPAN,
+    refuse_backward_time,
+    refuse_one_temperature,
+)
+from bayescal._readings.raw_table import Cells, Table, load_whole, numbers_of
+
+
+class TableRows:
+    """A table's cells, loaded once, from which tables of some of its rows are made."""
+
+    def __init__(self, table: Table) -> None:
+        self.table = table
+        self.loaded: dict[tuple[int, bool], Cells] = {}
+
+    def _cells(self, position: int, number: bool) -> Cells:
+        if (position, number) not in self.loaded:
+            self.loaded[position, number] = load_whole(self.table, {position: number})[position]
+        return self.loaded[position, number]
+
+    def some(self, position: int, number: bool, rows: np.ndarray) -> Cells:
+        cells = self._cells(position, number)
+        if cells.bad is None:
+            return Cells(cells.values[rows])
+        return numbers_of(pd.Series(self._cells(position, False).values[rows], dtype=object))
+
+
+@dataclass
+class TakenRows:
+    """Some rows of a table, and which of them a refusal spoke of last."""
+
+    of: TableRows
+    rows: np.ndarray
+    spoken_of: int = -1
+
+    def table(self) -> Table:
+        whole = self.of.table
+
+        def place(index: int) -> str:
+            self.spoken_of = index
+            return whole.place(int(self.rows[index]))
+
+        def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+            return {p: self.of.some(p, number, self.rows) for p, number in wanted.items()}
+
+        return replace(whole, rows=len(self.rows), load=load, place=place)
+
+
+def convert_most(
+    taken: TakenRows,
+    codes: np.ndarray,
+    names: Sequence[str],
+    instrument: InstrumentLike,
+    options: ReadOptions,
+) -> tuple[ConvertedColumns, np.ndarray, dict[str, str]]:
+    """The columns of all devices whose cells can be used, their rows (of those taken), and why the others not.
+
+    Raises:
+        InputError: something is wrong that is not in one row.
+    """
+
+    def attempt(rows: np.ndarray) -> ConvertedColumns | str:
+        part = replace(taken, rows=taken.rows[rows], spoken_of=-1)
+        table = part.table()
+        try:
+            return convert_columns(table, instrument, options)
+        except InputError as error:
+            index = part.spoken_of
+            if index < 0 or not str(error).startswith(table.place(index)):
+                raise  # of the header, not of a row
+            return str(error)
+
+    def search(rows: np.ndarray) -> Iterator[tuple[int, str]]:
+        """Devices that are refused by themselves; by halves, for they are few."""
+        found = attempt(rows)
+        if not isinstance(found, str):
+            return
+        members = np.unique(codes[rows])
+        if len(members) == 1:
+            yield int(members[0]), found
+            return
+        left = codes[rows] < members[len(members) // 2]
+        yield from search(rows[left])
+        yield from search(rows[~left])
+
+    rows = np.arange(len(taken.rows))
+    found, bad = attempt(rows), {}
+    if isinstance(found, str):
+        bad = dict(search(rows))
+        rows = rows[~np.isin(codes, list(bad))]
+        found = attempt(rows) if rows.size else ConvertedColumns()
+    if isinstance(found, str):
+        raise InputError(found)
+    return found, rows, {names[code]: why for code, why in bad.items()}
+
+
+def without_useless(
+    names: tuple[str, ...], block: DeviceBlock, refused: dict[str, str], instrument: InstrumentLike
+) -> Devices:
+    """Refuse devices with one temperature only, or with time running backwards."""
+    bad: dict[int, str] = {}
+    needs_temperature = any(c.name == "temperature" and c.required for c in instrument.columns)
+    if needs_temperature and "temperature" in block.values:
+        values = block.values["temperature"]
+        span = np.maximum.reduceat(values, block.starts) - np.minimum.reduceat(values, block.starts)
+        for i in np.flatnonzero(span < LEAST_TEMPERATURE_SPAN):
+            bad[int(i)] = _message(refuse_one_temperature, block, int(i))
+    for i in _backward(block):
+        bad.setdefault(i, _message(_refuse_time, block, i))
+    refused = {**refused, **{block.names[i]: why for i, why in bad.items()}}
+    return Devices(names, (without(block, bad),) if len(bad) < len(block.names) else (), refused)
+
+
+def _message(
+    refuse: Callable[[dict[str, np.ndarray], str], None], block: DeviceBlock, index: int
+) -> str:
+    """What is said of a device that is refused."""
+    rows = slice(int(block.starts[index]), int(block.ends[index]))
+    own = {name: values[rows] for name, values in block.values.items()}
+    try:
+        refuse(own, f"device {block.names[index]}")
+    except InputError as error:
+        return str(error)
+    return "cannot be used"
+
+
+def _refuse_time(own: dict[str, np.ndarray], file: str) -> None:
+    refuse_backward_time(own, lambda i: f"reading {i + 1} of {file}")
+
+
+def _backward(block: DeviceBlock) -> list[int]:
+    """Devices in which time runs backwards within a run of an axis."""
+    if "time" not in block.values:
+        return []
+    device = np.repeat(np.arange(len(block.names)), block.counts)
+    record = device.copy()
+    for name in ("run", "axis"):
+        if name in block.values:
+            codes, levels = pd.factorize(block.values[name])
+            record = record * len(levels) + codes
+    order = np.argsort(record, kind="stable")
+    back = (np.diff(block.values["time"][order]) < 0) & (np.diff(record[order]) == 0)
+    return sorted(set(device[order[1:][back]].tolist()))

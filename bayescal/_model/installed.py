@@ -1,0 +1,28 @@
+"""Instruments that installed packages offer, through the entry-point group `bayescal.instruments`."""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+
+from bayescal._model.instrument import Instrument
+
+GROUP = "bayescal.instruments"
+
+
+def installed_names() -> list[str]:
+    """Names of the installed instruments, none of which is loaded."""
+    return sorted(entry_points(group=GROUP).names)
+
+
+def installed_instrument(name: str) -> Instrument:
+    """An installed instrument, the others not loaded.
+
+    Raises:
+        KeyError: none is installed under that name.
+    """
+    return entry_points(group=GROUP)[name].load()
+
+
+def installed_instruments() -> dict[str, Instrument]:
+    """Every installed instrument, by name."""
+    return {name: installed_instrument(name) for name in installed_names()}

@@ -1,0 +1,194 @@
+"""What no named effect describes: an unknown smooth dependence on one covariate; a step or a cycle in time.
+
+They stand beside the instrument and not in the catalogue, because the language of models has a word for them:
+`model + "unknown(humidity)"`. Each is linear in standard normal coefficients, given its shapes, the amplitude among
+them. `bayescal.effects` offers the same functions.
+
+The smooth one is a Gaussian process. Its columns are the eigenfunctions of the Laplacian on an interval somewhat wider
+than the covariate's range, weighted with the root of the process's spectral density (Solin & Särkkä, Stat. Comput. 30
+(2020) 419). It follows steps and cycles too, but spends most of its freedom on what is not there: a record that steps
+once, or goes up and down evenly, is then more probable as correlated noise. Hence the two forms in time, of one shape
+and one or two coefficients. Beyond the record a step stays, and a cycle goes on.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayescal._model.coefficient import Coefficient, Shape
+from bayescal._model.effect import Effect
+from bayescal._model.prior import Normal
+from bayescal._readings.measurements import Measurements
+
+TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
+LENGTHS = (0.1, 0.8)  # plausible lengths of the process, in parts of the range
+# A dependence on a temperature is smooth; in time there are cycles and steps.
+TERMS_IN_TIME = 36
+LENGTHS_IN_TIME = (0.03, 0.8)
+WIDER = 1.5  # interval over range: at its ends the function is 0, and so it stays beyond
+
+PLACES = (0.05, 0.95)  # of a step, in parts of the record
+SHARP = 0.01  # half width of a step, in parts of the record: as good as sudden, and its place has a slope
+CYCLES = (1.5, 15.0)  # in the record
+FEWEST = 30  # different times, twice the most cycles: fewer leave a period undetermined
+
+SOURCE = "ours: not in the catalogue; find out what it is, and name it"
+_NAME = re.compile(r"unknown\((.+)\)")
+
+
+def covariate_in(name: str) -> str | None:
+    """The covariate, with its form if it has one, in a placeholder's canonical name; None for any other effect."""
+    found = _NAME.fullmatch(name)
+    return ", ".join(part.strip() for part in found[1].split(",")) if found else None
+
+
+def free_curve(name: str) -> bool:
+    """Whether an effect follows any smooth curve, and so can stand in for others; a law or a form in time cannot."""
+    covariate = covariate_in(name)
+    return covariate is not None and covariate not in FORMS
+
+
+def placeholder(covariate: str, slot: str, low: float, high: float, unit: str) -> Effect:
+    """The placeholder for a covariate; "time, jump" and "time, cycle" are the forms in time.
+
+    Args:
+        covariate: a numeric column, "elapsed" (time within the run), or "temperature rate"; or one of `FORMS`.
+        slot: what it adds to.
+        low, high: plausible amplitudes, in `unit`.
+    """
+    covariate = ", ".join(part.strip() for part in covariate.split(","))
+    if covariate in FORMS:
+        return FORMS[covariate](slot, low, high, unit)
+    return unknown(covariate, slot, low, high, unit)
+
+
+def process_columns(position: Any, length: Float[Array, ""] | float, terms: int) -> Any:
+    """Columns Φ with ΦΦᵀ near the squared-exponential kernel of unit amplitude.
+
+    Args:
+        position: of each reading in the covariate's range, 0 to 1; a NumPy or a JAX array (n,), as is the result.
+        length: of the process, in parts of the range.
+        terms: how many eigenfunctions.
+    """
+    xp = position.__array_namespace__()  # NumPy's outside of a program, JAX's within
+    centred = xp.clip(2 * position - 1, -WIDER, WIDER)
+    order = xp.arange(1, terms + 1) * math.pi / (2 * WIDER)
+    scale = 2 * length
+    root = xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
+    waves = xp.sin(order * (centred[:, None] + WIDER)) / math.sqrt(WIDER)
+    return root * waves
+
+
+def resolution(in_time: bool) -> tuple[int, tuple[float, float]]:
+    """How many terms, and which lengths, a smooth dependence has: more and shorter ones in time."""
+    return (TERMS_IN_TIME, LENGTHS_IN_TIME) if in_time else (TERMS, LENGTHS)
+
+
+@functools.cache  # the same dependence is the same object, so that what was compiled for it serves again
+def unknown(
+    covariate: str, slot: str, low: float, high: float, unit: str, *, name: str = ""
+) -> Effect:
+    """An unknown smooth dependence of a slot on a covariate: its amplitude and length are learned.
+
+    Args:
+        covariate: a numeric column, "elapsed" (time within the run), or "temperature rate".
+        low, high: plausible amplitudes (standard deviation over the range), in `unit`.
+        name: canonical; `unknown(covariate)` if not given.
+    """
+    terms, lengths = resolution(covariate in ("time", "elapsed"))
+
+    def basis(r, length, amplitude):
+        return amplitude * process_columns(r.position(covariate), length, terms)
+
+    measured = covariate.removesuffix(" rate")
+    derived = covariate in ("elapsed", f"{measured} rate")
+    columns = ("time",) if covariate == "elapsed" else (measured,)
+    return Effect(
+        name or f"unknown({covariate})",
+        slot,
+        basis,
+        coefficients=_coefficients(unit, terms),
+        shapes=(Shape("length", "1", *lengths), Shape("amplitude", unit, low, high)),
+        measure="amplitude",
+        columns=columns + (("time",) if derived and covariate != "elapsed" else ()),
+        varies=() if covariate == "elapsed" else (measured,),
+        equation=f"f({covariate}),  f a Gaussian process",
+        source=SOURCE,
+    )
+
+
+@functools.cache
+def jump(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Effect:
+    """A slot's value steps at one moment of the record, and stays.
+
+    Args:
+        low, high: plausible changes, in `unit`.
+        name: canonical; `unknown(time, jump)` if not given.
+    """
+
+    def basis(r, place, amplitude):
+        return 0.5 * amplitude * jnp.tanh((r.position("time") - place) / SHARP)
+
+    return Effect(
+        name or "unknown(time, jump)",
+        slot,
+        basis,
+        coefficients=_coefficients(unit, 1),
+        shapes=(
+            Shape("place", "1", *PLACES, scale="linear", ragged=True),
+            Shape("amplitude", unit, low, high),
+        ),
+        equation="−a/2 before one moment, a/2 after it",
+        **_IN_TIME,
+    )
+
+
+@functools.cache
+def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Effect:
+    """A slot's value goes up and down evenly in time.
+
+    Args:
+        low, high: plausible amplitudes, in `unit`.
+        name: canonical; `unknown(time, cycle)` if not given.
+    """
+
+    def basis(r, cycles, amplitude):
+        angle = 2 * math.pi * cycles * r.position("time")
+        return amplitude * jnp.stack([jnp.sin(angle), jnp.cos(angle)], axis=1)
+
+    return Effect(
+        name or "unknown(time, cycle)",
+        slot,
+        basis,
+        coefficients=_coefficients(unit, 2),
+        shapes=(Shape("cycles", "1", *CYCLES, ragged=True), Shape("amplitude", unit, low, high)),
+        equation="a·sin(2π·cycles·t + φ)",
+        **_IN_TIME,
+    )
+
+
+def _coefficients(unit: str, count: int) -> tuple[Coefficient, ...]:
+    return tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(count))
+
+
+def _too_few(readings: Measurements) -> str | None:
+    count = np.unique(readings["time"]).size
+    return None if count >= FEWEST else f"needs {FEWEST} different times; there are {count}"
+
+
+_IN_TIME: dict[str, Any] = {  # what the two forms in time share
+    "measure": "amplitude",
+    "columns": ("time",),
+    "varies": ("time",),
+    "untestable": _too_few,
+    "source": SOURCE,
+}
+FORMS: dict[str, Callable[..., Effect]] = {"time, jump": jump, "time, cycle": cycle}

@@ -1,0 +1,241 @@
+"""Every pair with its probabilities, the best of them and the best set: a table that says itself to people."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bayescal as bc
+
+Array = NDArray[np.float64]
+
+UNIT = "ug"
+WIDTH = 110  # columns of a sentence
+SHOWN = 12  # pairs in the table
+VARIES = 0.01  # relative change of the commanded acceleration, above which it is not constant
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """λbd = λ1d/λ2d of a pair.
+
+    Attributes:
+        median, low, high: of the posterior, with the limits of its 95 % credible interval.
+        sd: of the posterior; a robust one, (q84 − q16)/2, because a ratio need not have a variance.
+        document: the estimator of source 3, step 2.
+        document_reliable: whether its denominator Σu is away from zero.
+    """
+
+    median: float
+    low: float
+    high: float
+    sd: float
+    document: float
+    document_reliable: bool
+
+
+@dataclass(frozen=True)
+class Pair:
+    """An outer and an inner device.
+
+    Attributes:
+        outer, inner: names.
+        probability_residual: of leaving the least residual.
+        probability_ratio_variance: of the least variance of ratios, commanded part removed.
+        probability_ratio_variance_raw: the same on raw records.
+        expected_residual: posterior mean, µg.
+        expected_loss: expected residual beyond that of the best pair, µg.
+        ratio_variance, ratio_variance_raw: the document's own figures, from the records as they are.
+        near_zero: orders whose denominator, the inner device's coefficient, is near zero.
+        ratio: λbd.
+    """
+
+    outer: str
+    inner: str
+    probability_residual: float
+    probability_ratio_variance: float
+    probability_ratio_variance_raw: float
+    expected_residual: float
+    expected_loss: float
+    ratio_variance: float
+    ratio_variance_raw: float
+    near_zero: tuple[int, ...]
+    ratio: Ratio
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Outer and inner."""
+        return self.outer, self.inner
+
+    def __str__(self) -> str:
+        return f"{self.outer} with {self.inner}"
+
+
+@dataclass(frozen=True)
+class PairTable:
+    """Every pair, the best of them, and the best disjoint set; prints itself.
+
+    Attributes:
+        pairs: the best first, by the criterion.
+        best: outer and inner name.
+        matching: the best set of disjoint pairs.
+        criterion: by which.
+        remarks: what to know of this choice, a sentence each.
+    """
+
+    pairs: tuple[Pair, ...]
+    best: tuple[str, str]
+    matching: tuple[tuple[str, str], ...]
+    criterion: str
+    remarks: tuple[str, ...]
+
+    def of(self, outer: str, inner: str) -> Pair:
+        """A pair by its names.
+
+        Raises:
+            InputError: there is no such pair.
+        """
+        for pair in self.pairs:
+            if (pair.outer, pair.inner) == (outer, inner):
+                return pair
+        raise bc.InputError(f"there is no pair of {outer!r} and {inner!r}")
+
+    def data(self) -> dict[str, Any]:
+        """Plain JSON."""
+        return {
+            "criterion": self.criterion,
+            "pairs": [_pair_data(pair) for pair in self.pairs],
+            "best": list(self.best),
+            "matching": [list(pair) for pair in self.matching],
+            "environment_ratio": vars(self.of(*self.best).ratio),
+            "remarks": list(self.remarks),
+        }
+
+    def __str__(self) -> str:
+        best = self.of(*self.best)
+        head = (
+            "outer",
+            "inner",
+            "P(best)",
+            "P(ratios)",
+            "P(raw)",
+            "residual",
+            "loss",
+            "λbd",
+            "95 %",
+        )
+        rows = [head, *(_row(pair) for pair in self.pairs[:SHOWN])]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+        lines = [
+            "  ".join(
+                cell.ljust(w) if i < 2 else cell.rjust(w)
+                for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+            ).rstrip()
+            for row in rows
+        ]
+        lines.insert(1, "  ".join("─" * w for w in widths))
+        hidden = len(self.pairs) - SHOWN
+        if hidden > 0:
+            lines.append(f"… and {hidden} more")
+        lines += [
+            "",
+            "Residual and loss in µg. P(best): least residual; P(ratios): least variance of ratios, commanded part",
+            "removed; P(raw): the same on raw records.",
+            "",
+            f"best pair by {self.criterion}: {best}, expected residual {best.expected_residual:.0f} µg, "
+            f"expected loss {best.expected_loss:.0f} µg",
+            f"environment ratio λbd: {best.ratio.median:.3f} ± {best.ratio.sd:.3f} "
+            f"(by sums over the record: {best.ratio.document:.3f})",
+            "best set of pairs: "
+            + "; ".join(f"{outer} with {inner}" for outer, inner in self.matching),
+        ]
+        notes = [textwrap.fill(remark, WIDTH, subsequent_indent="  ") for remark in self.remarks]
+        return "\n".join([*lines, "", *notes])
+
+
+def _pair_data(pair: Pair) -> dict[str, Any]:
+    def plain(value: float) -> float | None:
+        return float(value) if np.isfinite(value) else None
+
+    return {
+        "outer": pair.outer,
+        "inner": pair.inner,
+        "probability_residual": pair.probability_residual,
+        "probability_ratio_variance": pair.probability_ratio_variance,
+        "probability_ratio_variance_raw": pair.probability_ratio_variance_raw,
+        "expected_residual": pair.expected_residual,
+        "expected_loss": pair.expected_loss,
+        "unit": UNIT,
+        "ratio_variance": plain(pair.ratio_variance),
+        "ratio_variance_raw": plain(pair.ratio_variance_raw),
+        "orders_near_zero": list(pair.near_zero),
+        "environment_ratio": vars(pair.ratio),
+    }
+
+
+def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
+    """What to know of a choice, a sentence each.
+
+    Args:
+        pairs: the best first.
+        commanded: acceleration, µg, (T,).
+    """
+    said = []
+    physical = min(pairs, key=lambda p: p.expected_residual)
+    ratios = max(pairs, key=lambda p: p.probability_ratio_variance)
+    raw = max(pairs, key=lambda p: p.probability_ratio_variance_raw)
+    if physical.names != ratios.names:
+        said.append(
+            f"The criteria disagree: the least residual is left by {physical} "
+            f"({physical.expected_residual:.0f} µg; best with probability {physical.probability_residual:.2f}), the "
+            f"least variance of ratios most probably has {ratios} ({ratios.expected_residual:.0f} µg, an "
+            f"expected loss of {ratios.expected_loss:.0f} µg). Ratios weigh every order alike, however little of the "
+            "environment is in it."
+        )
+    near = sorted({(p.inner, n) for p in pairs for n in p.near_zero})
+    if near:
+        what = ", ".join(f"order {n} of {name}" for name, n in near[:4])
+        more = f" and {len(near) - 4} more" if len(near) > 4 else ""
+        said.append(
+            f"Denominators near zero: {what}{more}. Such a ratio is heavy-tailed, without a finite mean, and the "
+            "variance of ratios is then decided by that order's noise; the residual is not touched by it."
+        )
+    if np.ptp(commanded) <= VARIES * np.abs(commanded).max():
+        said.append(
+            "On raw records, as printed, order 0 carries the commanded acceleration, with the ratio −λ1/λ2, and the "
+            "other orders the environment, with +λ1d/λ2d: ideal pairs then have a variance near 0.75 and unlike "
+            f"ones less. It prefers {raw} here ({raw.expected_residual:.0f} µg). Nor can a constant "
+            "acceleration tell a device's scale factor from the constant part of its environment: record steps."
+        )
+    else:
+        said.append(
+            "On raw records, as printed, the commanded acceleration makes up nearly all of every order, and the "
+            "variance of ratios is least for devices of little sensitivity, alike or not. It prefers "
+            f"{raw} here ({raw.expected_residual:.0f} µg)."
+        )
+    best = pairs[0]
+    if not best.ratio.document_reliable:
+        said.append(
+            f"The environment ratio of {best} by sums over the record ({best.ratio.document:.3g}) is not to be "
+            "trusted: the sum of the environment is near zero. Use the posterior."
+        )
+    return tuple(said)
+
+
+def _row(pair: Pair) -> tuple[str, ...]:
+    return (
+        pair.outer,
+        pair.inner,
+        f"{pair.probability_residual:.2f}",
+        f"{pair.probability_ratio_variance:.2f}",
+        f"{pair.probability_ratio_variance_raw:.2f}",
+        f"{pair.expected_residual:.0f}",
+        f"{pair.expected_loss:.0f}",
+        f"{pair.ratio.median:.3f}",
+        f"{pair.ratio.low:.3f} to {pair.ratio.high:.3f}",
+    )

@@ -1,0 +1,25 @@
+"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
+
+    model, readings = reference_problem.model(), reference_problem.readings()
+
+`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
+"""
+
+from __future__ import annotations
+
+import bayescal as bc
+from bayescal_models.differential_pair.campaign import Campaign
+from bayescal_models.differential_pair.model import INSTRUMENT, simulate
+
+# Two outer and two inner devices, 16 readings each: 64 rows.
+CAMPAIGN = Campaign(outer=2, inner=2, samples=16, thermometer=None)
+
+
+def model() -> bc.Model:
+    """The baseline: every prior is proper; the noise has a half-normal one, so that no draw of it is enormous."""
+    return INSTRUMENT.baseline().with_noise(bc.White(bc.HalfNormal(50.0)))
+
+
+def readings(seed: int = 0) -> bc.Measurements:
+    """64 readings, µg, of four devices on an arm that goes through six plateaus."""
+    return simulate(seed=seed, campaign=CAMPAIGN)

@@ -1,0 +1,191 @@
+"""Columns of simulated batches of accelerometers on a centrifuge arm, with effects hidden in them, and their truth.
+
+The world is made ten times per reading and averaged: an arm that is driven through plateaus, a fixture that windage
+heats, a slow disturbance shared by all devices, and each device's own. The disturbance is made of a thermal
+transient and slow oscillations, not of the polynomials by which the model describes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, Campaign, G
+from bayescal_models.differential_pair.disturbance import departures, shared, warming
+
+Array = NDArray[np.float64]
+
+FINE = 10  # steps of the world in each reading
+HIDDEN = (
+    "environment.temperature",
+    "scale.second_order",
+    "misalignment.device",
+    "input.radius",
+    "timing.skew",
+    "bias.drift",
+    "bias.device",
+)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is true of a simulated batch; devices in the order outer, inner.
+
+    Attributes:
+        names: of the devices.
+        outer: number of outer devices.
+        scale: 1 + κ of each device, (K,).
+        sensitivity: λd of each device, (K,).
+        environment: λd·u + v of each device, averaged as the readings are, µg, (K, T).
+        acceleration: commanded, µg, (T,).
+        seed: of every random number.
+    """
+
+    names: tuple[str, ...]
+    outer: int
+    scale: Array
+    sensitivity: Array
+    environment: Array
+    acceleration: Array
+    seed: int
+
+
+def simulated_columns(
+    effects: Mapping[str, float] | None = None,
+    *,
+    seed: int,
+    campaign: Campaign | None = None,
+    noise_law: str = "white",
+) -> dict[str, Any]:
+    """Columns of a batch with these effects hidden in it, by name, in the instrument's units.
+
+    Args and Raises: as of `simulate` in `model.py`.
+    """
+    if noise_law != "white":
+        raise ValueError(f"noise law {noise_law!r} is not simulated for these devices: take white")
+    return columns_and_truth(effects, seed=seed, campaign=campaign)[0]
+
+
+def columns_and_truth(
+    effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
+) -> tuple[dict[str, Any], Truth]:
+    """The same, with the truth.
+
+    Raises:
+        ValueError: an unknown effect, or a size that is not finite.
+    """
+    plan, sizes = campaign or Campaign(), dict(effects or {})
+    _check(sizes)
+    count = plan.outer + plan.inner
+    seeds = np.random.SeedSequence(seed).spawn(6)
+    devices, environment, own, hidden, noise, thermometer = map(np.random.default_rng, seeds)
+    fine = (np.arange(plan.samples * FINE) + 0.5) * plan.duration / (plan.samples * FINE)
+
+    sensitivity = 1.0 + plan.sensitivity_spread * devices.standard_normal(count)
+    scale = 1.0 + 1e-6 * plan.scale_spread * devices.standard_normal(count)
+    u = plan.disturbance * shared(environment, fine / plan.duration)
+    v = plan.departure * plan.disturbance * departures(own, fine / plan.duration, count)
+    if plan.alike:
+        sensitivity, scale, v = np.ones(count), np.ones(count), 0.0 * v
+    temperature = 25.0 + plan.warming * warming(fine / plan.duration)
+    u = u + sizes.get("environment.temperature", 0.0) * (temperature - temperature.mean())
+    env = sensitivity[:, None] * u + v
+    sign = np.repeat([1.0, -1.0], [plan.outer, plan.inner])
+    own_sizes = {name: hidden.standard_normal(count) for name in HIDDEN}
+    drawn = {name: sizes.get(name, 0.0) * z for name, z in own_sizes.items()}
+    made = _outputs(plan, fine, sign, scale, drawn) + env
+    scatter = plan.noise / np.sqrt(plan.duration / plan.samples)
+    readings = average(made) + scatter * noise.standard_normal((count, plan.samples))
+    names = (
+        *(f"outer {i + 1}" for i in range(plan.outer)),
+        *(f"inner {i + 1}" for i in range(plan.inner)),
+    )
+    commanded = average(acceleration(plan, fine))
+    measured = None
+    if plan.thermometer is not None:
+        error = plan.thermometer * thermometer.standard_normal(plan.samples)
+        measured = average(temperature) + error
+    columns = _columns(plan, names, commanded, measured, readings)
+    return columns, Truth(
+        names,
+        plan.outer,
+        scale=scale,
+        sensitivity=sensitivity,
+        environment=average(env),
+        acceleration=commanded,
+        seed=seed,
+    )
+
+
+def acceleration(plan: Campaign, time: Array) -> Array:
+    """Acceleration at the devices' radius, µg: the arm's speed goes smoothly from plateau to plateau."""
+    if plan.profile == "plateau":
+        return np.full(np.shape(time), plan.level * G)
+    speeds = np.sqrt(np.asarray(plan.levels))
+    edges = plan.duration * np.arange(1, len(speeds)) / len(speeds)
+    speed = np.full(np.shape(time), speeds[0])
+    for edge, rise in zip(edges, np.diff(speeds), strict=True):
+        share = np.clip((time - edge) / plan.ramp + 0.5, 0.0, 1.0)
+        speed = speed + rise * 0.5 * (1.0 - np.cos(np.pi * share))
+    return speed**2 * G
+
+
+def average(values: Array) -> Array:
+    """Readings from the fine grid, along the last axis."""
+    return values.reshape(*values.shape[:-1], -1, FINE).mean(axis=-1)
+
+
+def _outputs(
+    plan: Campaign, fine: Array, sign: Array, scale: Array, drawn: Mapping[str, Array]
+) -> Array:
+    """What the devices read without environment and noise, µg, (K, fine)."""
+    late = fine[None, :] - 1e-3 * drawn["timing.skew"][:, None]
+    seen = acceleration(plan, late) * (1.0 + 1e-6 * drawn["input.radius"][:, None])
+    seen = sign[:, None] * seen
+    # A spring that softens with its deflection: K2 and, far below it, a third order.
+    softening = 1e-6 * drawn["scale.second_order"][:, None] * seen / G
+    output = scale[:, None] * seen / (1.0 - softening)
+    step = 1e-3  # s, of the derivative of the arm's speed
+    ends = [np.sqrt(acceleration(plan, fine + d) / G * GRAVITY / RADIUS) for d in (-step, step)]
+    tangential = RADIUS * (ends[1] - ends[0]) / (2 * step) / GRAVITY * G
+    tilt = np.sin(1e-3 * drawn["misalignment.device"])[:, None]
+    ageing = np.log2(1.0 + fine / plan.duration)
+    drift = drawn["bias.drift"][:, None] * (ageing - ageing.mean())
+    return output + tilt * (G + tangential) + drift + drawn["bias.device"][:, None]
+
+
+def _columns(
+    plan: Campaign,
+    names: tuple[str, ...],
+    commanded: Array,
+    temperature: Array | None,
+    readings: Array,
+) -> dict[str, Any]:
+    """One record after another, as a logger's file would have them."""
+    count = len(names)
+    columns = {
+        "device": np.repeat(names, plan.samples),
+        "group": np.repeat(
+            ["outer", "inner"], [plan.outer * plan.samples, plan.inner * plan.samples]
+        ),
+        "time": np.tile(plan.time, count),
+        "acceleration": np.tile(commanded, count),
+        "output": readings.ravel(),
+    }
+    if temperature is not None:
+        columns["temperature"] = np.tile(temperature, count)
+    return columns
+
+
+def _check(effects: Mapping[str, float]) -> None:
+    for name, size in effects.items():
+        if name not in HIDDEN:
+            raise ValueError(
+                f"no effect {name!r} can be hidden in a batch: choose among {', '.join(HIDDEN)}"
+            )
+        if not np.isfinite(size):
+            raise ValueError(f"the size of {name!r} is {size!r}: give a finite number")

@@ -1,0 +1,126 @@
+"""Effects of a MEMS gyro: those of its baseline, its candidates, and the resonance laws that stand in for the line.
+
+The resonance law follows source 1: silicon softens as E0·(1 − K_ET·(T−T0)), so both modes of the gyro detune,
+and the zero-rate offset carries the resonance denominator
+
+    D = √[ (r²·(1−ε_s) − (1−ε_d))² + (1−ε_d)/Q² ],   ε = K_ET·(T−T0) of each mode,  r = ω_s0/ω_d0,
+
+as rate = c0 + q·(D(T0)/D(T) − 1). (Written so that c0 is the zero rate at T0; the document's c0 + q·D(T0)/D(T)
+has the same curves.) A second form holds the drive force instead of the amplitude, with a factor (1−ε_d)^−½.
+"""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+
+import bayescal as bc
+from bayescal import effects
+from bayescal_models.mems_gyro.laws import SIZES
+
+SOURCE = "source 1; size ours"
+RESONANCE_SOURCE = "source 1; values of K_ET, r and Q ours"
+THERMOMETER_SD = 0.5 / math.sqrt(3)  # °C; good to 0.5 °C, taken as uniform; source 1
+MINUTE = 60.0
+
+
+def _size(name: str) -> tuple[float, str]:
+    return SIZES[name].value, SIZES[name].unit
+
+
+CONSTANT = effects.constant("bias", 50.0, "deg/s", source=SOURCE)
+LINE = effects.linear("bias", *_size("bias.temperature"), source=SOURCE)
+QUADRATIC = effects.quadratic("bias", *_size("bias.temperature_quadratic"), source=SOURCE)
+CUBIC = effects.cubic("bias", *_size("bias.temperature_cubic"), source=SOURCE)
+RATE = effects.rate("bias", *_size("bias.rate"), source=SOURCE)
+LAG = effects.thermal_lag(
+    "bias",
+    *_size("bias.thermal_lag"),
+    low=MINUTE,
+    high=20 * MINUTE,
+    start=0.1,
+    start_unit="deg/s",
+    source=SOURCE,
+)
+REFERENCE = bc.Effect(
+    "bias.reference_voltage",
+    "bias",
+    basis=lambda r: r.centred("board_temperature"),
+    coefficients=(
+        bc.Coefficient("deg/s/degC", bc.Normal(0.0, _size("bias.reference_voltage")[0])),
+    ),
+    columns=("board_temperature",),
+    varies=("board_temperature",),
+    equation="c·(T_board − T_board,0)",
+    source="source 1 names the reference voltage and the electronics as possible causes; size ours",
+)
+WARM_UP = effects.warm_up(
+    "bias", *_size("bias.warm_up"), low=2 * MINUTE, high=40 * MINUTE, source=SOURCE
+)
+DRIFT = effects.drift("bias", *_size("bias.drift"), source=SOURCE)
+RUN = effects.deviation("bias", "run", *_size("bias.run"), source=SOURCE)
+SCALE = bc.Effect(
+    "scale.constant",
+    "scale",
+    basis=lambda r: 1.0,
+    coefficients=(bc.Coefficient("ppm", bc.Normal(0.0, 10000.0)),),
+    columns=("rate_input",),
+    varies=("rate_input",),
+    equation="c",
+    source="ours: 1 % of scale factor",
+)
+SCALE_TEMPERATURE = bc.Effect(
+    "scale.temperature",
+    "scale",
+    basis=lambda r: r.centred(),
+    coefficients=(bc.Coefficient("ppm/degC", bc.Normal(0.0, _size("scale.temperature")[0])),),
+    columns=("temperature", "rate_input"),
+    varies=("temperature", "rate_input"),
+    equation="c·(T − T0)",
+    source=SOURCE,
+)
+THERMOMETER = effects.thermometer(THERMOMETER_SD, source="source 1: thermometer good to 0.5 °C")
+
+
+def _denominator(change, k_drive, k_sense, ratio, quality):
+    drive, sense = 1 - k_drive * change, 1 - k_sense * change
+    return jnp.sqrt((ratio**2 * sense - drive) ** 2 + drive / quality**2)
+
+
+def _held_amplitude(r, k_drive, k_sense, ratio, quality):
+    change = r.centred()
+    here = _denominator(change, k_drive, k_sense, ratio, quality)
+    return _denominator(0.0, k_drive, k_sense, ratio, quality) / here - 1
+
+
+def _held_force(r, k_drive, k_sense, ratio, quality):
+    softening = 1 / jnp.sqrt(1 - k_drive * r.centred())
+    return (1 + _held_amplitude(r, k_drive, k_sense, ratio, quality)) * softening - 1
+
+
+def _resonance(name: str, basis, equation: str) -> bc.Effect:
+    return bc.Effect(
+        name,
+        "bias",
+        basis=basis,
+        coefficients=(bc.Coefficient("deg/s", bc.Normal(0.0, 500.0)),),
+        shapes=(
+            bc.Shape("k_drive", "1/degC", 6e-5, 1e-4),
+            bc.Shape("k_sense", "1/degC", 6e-5, 1e-4),
+            bc.Shape("ratio", "1", 1.01, 1.10, scale="linear"),
+            bc.Shape("quality", "1", 300.0, 30000.0),
+        ),
+        columns=("temperature",),
+        varies=("temperature",),
+        equation=equation,
+        source=RESONANCE_SOURCE,
+    )
+
+
+RESONANCE = _resonance(
+    "bias.resonance", _held_amplitude, "q·(D(T0)/D(T) − 1), drive amplitude held"
+)
+RESONANCE_FORCE = _resonance(
+    "bias.resonance_force", _held_force, "q·((1−ε_d)^−½·D(T0)/D(T) − 1), drive force held"
+)

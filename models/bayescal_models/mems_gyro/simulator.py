@@ -1,0 +1,211 @@
+"""Simulated campaigns of a MEMS gyro in a stepped chamber.
+
+    sim = simulate_arrays(Campaign(), {"bias.thermal_lag": 0.05}, seed=1)
+    sim.columns["output"], sim.noise_free, sim.contributions["bias.thermal_lag"]
+
+The world is made second by second (`chamber.py`), each hidden effect is a physical law in that
+world (`laws.py`), and the logger's samples are averaged into readings at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayescal_models.mems_gyro.campaign import Campaign
+from bayescal_models.mems_gyro.chamber import World, make_world
+from bayescal_models.mems_gyro.laws import LAWS
+from bayescal_models.mems_gyro.thermal_bodies import Array, wander
+
+NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
+
+UNITS: Mapping[str, str | None] = {
+    "run": None,
+    "time": "s",
+    "temperature": "degC",
+    "board_temperature": "degC",
+    "rate_input": "deg/s",
+    "humidity": "%",
+    "output": "deg/s",
+}
+
+
+def simulated_columns(
+    effects: Mapping[str, float] | None = None,
+    *,
+    seed: int,
+    campaign: Campaign | None = None,
+    noise_law: str = "white",
+) -> dict[str, NDArray[Any]]:
+    """Columns of a campaign with effects hidden in it, by name: what the instrument makes readings of.
+
+    Args and Raises: as of `simulate_arrays`; the default campaign has three runs between 30 and 80 °C.
+    """
+    made = simulate_arrays(campaign or Campaign(), effects, seed=seed, noise_law=noise_law)
+    headers = {"humidity": "humidity [%]"}  # no column of the instrument's own
+    return {headers.get(name, name): values for name, values in made.columns.items()}
+
+
+@dataclass(frozen=True)
+class SimulatedCampaign:
+    """Readings of a simulated campaign, and everything that made them.
+
+    Attributes:
+        columns: one array per column, of the same length; `run` is text, the others float64.
+        units: unit of each column of `columns`; None for text.
+        truth: what was used: "campaign" (its options), "coefficients" (`bias.constant` at T0 and,
+            for the line, `bias.temperature`, with every hidden effect), "T0" (°C), "turn_on"
+            (offset of each run, °/s, by run label), "seed", "noise_law".
+        noise_free: the output without noise and rounding, °/s.
+        contributions: parts of `noise_free` in °/s, which is their sum: "baseline", "rate_input"
+            where there is one, and each hidden effect.
+    """
+
+    columns: dict[str, NDArray[Any]]
+    units: dict[str, str | None]
+    truth: dict[str, Any]
+    noise_free: Array
+    contributions: dict[str, Array]
+
+
+def simulate_arrays(
+    campaign: Campaign,
+    effects: Mapping[str, float] | None = None,
+    *,
+    seed: int,
+    noise_law: str = "white",
+) -> SimulatedCampaign:
+    """Simulate a campaign with effects hidden in it.
+
+    The same seed gives the same noise, the same turn-on offsets and the same humidity whatever
+    the effects, so two simulations differ by the effects alone. The number of rows depends on the
+    campaign only.
+
+    Args:
+        campaign: the plan of the test and the world it is made in.
+        effects: canonical name → size, in the unit of `laws.SIZES` or `laws.UNLISTED_SIZES`. The baseline's
+            constant and slope are options of the campaign.
+        seed: seed of every random number.
+        noise_law: "white"; "student_t" (same standard deviation, heavier tails);
+            "ornstein_uhlenbeck" (the white noise, and the campaign's slow `wander`).
+
+    Raises:
+        ValueError: an effect or a noise law of an unknown name, or a size that is not finite.
+    """
+    effects = dict(effects or {})
+    _check(effects, noise_law)
+    names = ("noise", "wander", "thermometer", "run", "humidity")
+    seeds = np.random.SeedSequence(seed).spawn(len(names))
+    generators = {n: np.random.default_rng(s) for n, s in zip(names, seeds, strict=True)}
+    world = make_world(campaign, generators)
+
+    contributions = {"baseline": world.average(_baseline(campaign, world))}
+    if campaign.rate_input is not None:
+        contributions["rate_input"] = world.average(world.rate)
+    for name, size in effects.items():
+        contributions[name] = world.average(LAWS[name](size, campaign, world))
+    noise_free = np.sum(list(contributions.values()), axis=0)
+    output = _rounded(noise_free + _noise(campaign, world, generators, noise_law), campaign)
+
+    error = campaign.thermometer_noise * generators["thermometer"].standard_normal(len(output))
+    columns: dict[str, NDArray[Any]] = {
+        "run": np.array([str(k + 1) for k in world.run]),
+        "time": world.average(world.time),
+        "temperature": world.average(world.ambient) + campaign.thermometer_offset + error,
+        "board_temperature": world.average(world.board),
+    }
+    if campaign.rate_input is not None:
+        columns["rate_input"] = contributions["rate_input"].copy()
+    if "unlisted.humidity" in effects:
+        columns["humidity"] = world.average(world.humidity)
+    columns["output"] = output
+    return SimulatedCampaign(
+        columns=columns,
+        units={name: UNITS[name] for name in columns},
+        truth=_truth(campaign, effects, world, seed, noise_law),
+        noise_free=noise_free,
+        contributions=contributions,
+    )
+
+
+def _check(effects: Mapping[str, float], noise_law: str) -> None:
+    """Refuse names that are not known here, and sizes that are no numbers."""
+    if noise_law not in NOISE_LAWS:
+        raise ValueError(
+            f"simulate_arrays(noise_law={noise_law!r}): known are {', '.join(NOISE_LAWS)}; "
+            "choose one of them."
+        )
+    for name, size in effects.items():
+        if name in ("bias.temperature", "bias.constant"):
+            option = "slope" if name == "bias.temperature" else "constant"
+            raise ValueError(
+                f"simulate_arrays: {name!r} belongs to the baseline, not to the hidden effects; "
+                f"set Campaign({option}=…) instead."
+            )
+        if name not in LAWS:
+            raise ValueError(
+                f"simulate_arrays: no effect {name!r} can be hidden in a gyro campaign; "
+                f"choose among {', '.join(LAWS)}."
+            )
+        if not np.isfinite(size):
+            raise ValueError(f"simulate_arrays: the size of {name!r} is {size!r}; give a number.")
+
+
+def _baseline(campaign: Campaign, world: World) -> Array:
+    """Zero-rate output on the grid, °/s: the line, or the two resonances."""
+    if campaign.law == "resonance":
+        return campaign.resonance.zero_rate(world.ambient, campaign.T0, campaign.constant)
+    return campaign.constant + campaign.slope * (world.ambient - campaign.T0)
+
+
+def _noise(
+    campaign: Campaign,
+    world: World,
+    generators: Mapping[str, np.random.Generator],
+    noise_law: str,
+) -> Array:
+    """Noise of each averaged reading, °/s."""
+    generator, readings = generators["noise"], len(world.run)
+    if noise_law == "student_t":
+        degrees = campaign.noise_degrees
+        unit_variance = np.sqrt((degrees - 2.0) / degrees)
+        return campaign.noise * unit_variance * generator.standard_t(degrees, readings)
+    white = campaign.noise * generator.standard_normal(readings)
+    if noise_law == "white":
+        return white
+    slow = np.empty(readings)
+    for k in range(campaign.runs):  # the wander starts anew at each power-on
+        record = wander(generators["wander"], len(world.time), campaign.wander_time)
+        slow[world.run == k] = world.average(record)[world.run == k]
+    return white + campaign.wander * slow
+
+
+def _rounded(output: Array, campaign: Campaign) -> Array:
+    """Output in °/s after its voltage was rounded to the converter's step, where there is one."""
+    if campaign.converter_step is None:
+        return output
+    volts = campaign.null_voltage + campaign.sensitivity * output
+    volts = campaign.converter_step * np.rint(volts / campaign.converter_step)
+    return (volts - campaign.null_voltage) / campaign.sensitivity
+
+
+def _truth(
+    campaign: Campaign, effects: Mapping[str, float], world: World, seed: int, noise_law: str
+) -> dict[str, Any]:
+    """Everything that a simulation used, as plain values."""
+    coefficients = {"bias.constant": campaign.constant}
+    if campaign.law == "line":
+        coefficients["bias.temperature"] = campaign.slope
+    offsets = effects.get("bias.run", 0.0) * world.average(world.turn_on)
+    return {
+        "campaign": asdict(campaign),
+        "coefficients": {**coefficients, **effects},
+        "T0": campaign.T0,
+        "turn_on": {str(k + 1): float(offsets[world.run == k][0]) for k in range(campaign.runs)},
+        "seed": seed,
+        "noise_law": noise_law,
+    }

@@ -1,0 +1,46 @@
+"""The reference problem, a small model and a small test: intervals must cover, and methods agree on its posterior.
+
+The model is the baseline with narrower priors, all proper: what a recalibration would start from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bayescal as bc
+from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A
+from bayescal_models.ng_accelerometer.model import INSTRUMENT, simulate
+
+PRIORS = {
+    "bias.constant": bc.Normal(850.0, 200.0),
+    "bias.temperature": bc.Normal(10.0, 5.0),
+    "scale.constant": bc.Normal(1500.0, 2000.0),
+    "scale.temperature": bc.Normal(60.0, 100.0),
+}
+SPREADS = {
+    "bias.cell": bc.HalfNormal(5.0),
+    "scale.cell": bc.HalfNormal(50.0),
+    "fixture_tilt.cell": bc.HalfNormal(5.0),
+    "base_tilt.cell": bc.HalfNormal(1.0),
+}
+NOISE = bc.White(bc.HalfNormal(1.0))
+CAMPAIGN = replace(INSTRUMENT_A, temperatures=(20.0, 30.0, 40.0), runs=2, pause=2 * 3600.0)
+
+
+def model() -> bc.Model:
+    """The baseline, each prior proper and as narrow as a recalibration's."""
+    return bc.Model(INSTRUMENT, tuple(_narrowed(e) for e in INSTRUMENT.effects), NOISE)
+
+
+def readings(seed: int = 0) -> bc.Measurements:
+    """72 readings: 12 positions, three temperatures, two runs."""
+    return simulate(seed=seed, campaign=CAMPAIGN)
+
+
+def _narrowed(effect: bc.Effect) -> bc.Effect:
+    coefficients = effect.coefficients
+    if effect.name in PRIORS:
+        coefficients = tuple(replace(c, prior=PRIORS[effect.name]) for c in coefficients)
+    if effect.name in SPREADS:
+        coefficients = tuple(replace(c, spread=SPREADS[effect.name]) for c in coefficients)
+    return replace(effect, coefficients=coefficients)

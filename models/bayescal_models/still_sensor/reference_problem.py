@@ -1,0 +1,25 @@
+"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
+
+    model, readings = reference_problem.model(), reference_problem.readings()
+
+`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
+"""
+
+from __future__ import annotations
+
+import bayescal as bc
+from bayescal_models.still_sensor.model import instrument, simulate
+
+# Sizes as of a plausible accelerometer on ramps, declared here so that no record has a say in them; made once,
+# because an instrument made anew has programs of its own. µg, µg, °C, °C/min.
+SENSOR = instrument("ug", size=1000.0, constant=5000.0, span=40.0, pace=3.0)
+
+
+def model() -> bc.Model:
+    """The baseline, a line over temperature, of a sensor whose output is in µg."""
+    return SENSOR.baseline()
+
+
+def readings(seed: int = 0) -> bc.Measurements:
+    """82 readings, µg: two runs of ramps, one reading a minute; a line and nothing else in them."""
+    return simulate(seed=seed, runs=2, interval=60)

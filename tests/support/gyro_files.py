@@ -1,0 +1,40 @@
+"""A gyro's columns, and the head of its files: what the tests of reading share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+from bayescal._core.errors import InputError
+from bayescal._readings.column import Column, NominalScale
+from bayescal._readings.read import read
+
+VOLTS = NominalScale("V", gain=0.001, offset=1.2)
+
+
+@dataclass(frozen=True)
+class Gyro:
+    name: str = "test_gyro"
+    nominal_scale: NominalScale | None = VOLTS
+    columns: tuple[Column, ...] = (
+        Column("run", None, "label of the run", required=False),
+        Column("group", None, required=False, allowed=("outer", "inner")),
+        Column("temperature_point", "degC", required=False),
+        Column("time", "s", required=False),
+        Column("temperature", "degC", "thermometer", low=-273.15, high=400.0),
+        Column("lab_temperature", "degC", required=False),
+        Column("position_angle", "rad", required=False, low=-6.3, high=6.3),
+        Column("rate_input", "deg/s", required=False, default=0.0),
+        Column("output", "deg/s"),
+    )
+
+
+GYRO = Gyro()
+HEAD = "run,time [s],temperature [degC],output [deg/s]\n"
+GOOD = HEAD + "a,0,20,1.5\na,10,25,1.6\nb,0,30,1.8\n"
+
+
+def refused(path, message: str, **options) -> None:
+    with pytest.raises(InputError, match=message):
+        read(path, GYRO, **options)
