@@ -59,6 +59,7 @@ def faults(name: str) -> list[dict[str, Any]]:
 
 def looks(instrument: bc.Instrument, effect: str, size: float) -> dict[str, Any]:
     """What the baseline's residuals show of one hidden effect, and what it is taken for."""
+    assert instrument.simulate is not None
     readings = instrument.simulate({effect: size}, seed=SEED)
     model = instrument.for_readings(readings).baseline()
     calibration = bc.fit(model, readings, METHOD, strict=False)

@@ -11,33 +11,31 @@ are not computed again. Writes results/coverage.json and a figure for each instr
 
 from __future__ import annotations
 
-import argparse
-import hashlib
-import json
 import sys
-import time
-import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal._inference import sampled_products
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from bayescal_models import INSTRUMENTS
+from benchmarks.accuracy.chunks import (
+    PROPOSALS,
+    ROUNDS,
+    asked,
+    collect,
+    fingerprint_of,
+    promoted,
+    seed_of,
+)
 from benchmarks.accuracy.ranks import Judgement, band, drawn, judge, ranks
-from benchmarks.record import ROOT, write
+from benchmarks.record import RESULTS, read, write
 
-RESULTS = ROOT / "benchmarks" / "results"
-REPLICATES = 1000
 LEVEL = 0.01  # chance that right programs fail somewhere, over all instruments and unknowns
-PROPOSALS, ROUNDS = 2048, 3
 UNEVEN = 0.7  # k̂ above which importance weights are not trusted
 NUMBERS = 2**25  # of one intermediate array, from which a chunk's size follows: under 3 GB in all
 LARGEST = 50  # data sets in a chunk
@@ -64,64 +62,33 @@ class Ground:
 
     @cached_property
     def method(self) -> bc.Marginal:
-        """What is promoted is chosen once, on the problem's readings, because one program serves all data sets."""
-        layout, _ = bind(self.model, self.plan)
-        frame = build_frame(self.plan, reference_of(self.plan))
-        chosen, _ = sampled_products.choose(layout, frame, jnp.asarray(self.plan["output"]), None)
-        return bc.Marginal(proposals=PROPOSALS, rounds=ROUNDS, promote=chosen.promoted)
+        return bc.Marginal(
+            proposals=PROPOSALS, rounds=ROUNDS, promote=promoted(self.model, self.plan)
+        )
 
-    @cached_property
+    @property
     def chunk(self) -> int:
         """Data sets fitted at once, so that memory stays bounded."""
         layout, _ = bind(self.model, self.plan)
         one = 256 * (layout.size + 8) * max(len(self.plan), layout.size)
         return int(np.clip(NUMBERS // one, 2, LARGEST))
 
-    @cached_property
+    @property
     def fingerprint(self) -> str:
         """Changes with the model, its priors, its response, the plan or the method."""
-        data, _ = drawn(self.model, 1, self.plan, self.seed(0))
-        numbers = [f"{value:.6e}" for value in data[0]["output"]]
-        parts = [*self.model.unknowns, *numbers, repr(self.method), str(self.chunk)]
-        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
-
-    def seed(self, index: int) -> int:
-        """Of one chunk; unlike from instrument to instrument, so that their data sets are independent."""
-        return zlib.crc32(f"{self.name} {index}".encode())
+        data, _ = drawn(self.model, 1, self.plan, seed_of(self.name, 0))
+        return fingerprint_of(self.model, data[0]["output"], repr(self.method), str(self.chunk))
 
     def run(self, index: int) -> dict[str, Any]:
         """One chunk: ranks of every unknown, k̂ of every data set."""
-        begun, seed = time.perf_counter(), self.seed(index)
+        seed = seed_of(self.name, index)
         data, truth = drawn(self.model, self.chunk, self.plan, seed)
         batch = bc.weighted_draws(self.model, data, self.method, seed=seed)
         found = ranks(batch, truth, seed)
         return {
-            "fingerprint": self.fingerprint,
-            "chunk": index,
-            "seed": seed,
             "ranks": {name: [round(r, 5) for r in values] for name, values in found.items()},
             "pareto_k": [round(float(k), 3) for k in batch.pareto_k],
-            "seconds": round(time.perf_counter() - begun, 1),
         }
-
-
-def collect(ground: Ground, replicates: int, file: Path | None = None) -> list[dict[str, Any]]:
-    """At least so many data sets, in chunks; those that a file holds are taken from it, the others added to it."""
-    done: dict[int, dict[str, Any]] = {}
-    if file is not None and file.is_file():
-        lines = [json.loads(line) for line in file.read_text("utf-8").splitlines()]
-        done = {r["chunk"]: r for r in lines if r["fingerprint"] == ground.fingerprint}
-    wanted = range(-(-replicates // ground.chunk))
-    for index in wanted:
-        if index not in done:
-            done[index] = ground.run(index)
-            if file is not None:
-                file.parent.mkdir(exist_ok=True)
-                with file.open("a", encoding="utf-8") as out:
-                    out.write(json.dumps(done[index], ensure_ascii=False) + "\n")
-                counted = f"{ground.name}: {(index + 1) * ground.chunk} of {replicates}"
-                print(counted, end="\r", file=sys.stderr)
-    return [done[index] for index in wanted]
 
 
 def joined(rows: list[dict[str, Any]]) -> dict[str, np.ndarray]:
@@ -204,22 +171,14 @@ def line(name: str, s: dict[str, Any]) -> str:
     )
 
 
-def main(argv: list[str] | None = None) -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Compute what is missing, print the table, write results and figures."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.accuracy.coverage", description=__doc__
-    )
-    parser.add_argument("names", nargs="*", default=[], help="instruments; all if none is named")
-    parser.add_argument("--replicates", type=int, default=REPLICATES)
-    asked = parser.parse_args(argv if argv is not None else [])
-    if unknown := set(asked.names) - set(INSTRUMENTS):
-        parser.error(f"no instrument is called {', '.join(unknown)}: {', '.join(INSTRUMENTS)}")
-    file = RESULTS / "coverage.json"
-    summaries = json.loads(file.read_text("utf-8"))["instruments"] if file.is_file() else {}
+    names, replicates = asked(arguments, "benchmarks.accuracy.coverage", __doc__, INSTRUMENTS)
+    summaries = read("coverage").get("instruments", {})
     print(HEAD)
-    for name in asked.names or INSTRUMENTS:
+    for name in names:
         ground = Ground.of(name)
-        rows = collect(ground, asked.replicates, RESULTS / f"coverage_{name}.jsonl")
+        rows = collect(ground, replicates, RESULTS / f"coverage_{name}.jsonl")
         summaries[name] = summary(ground, rows)
         picture(name, joined(rows), RESULTS / f"coverage_{name}.png")
         print(line(name, summaries[name]), flush=True)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -59,12 +60,15 @@ def regression(
     effect = bc.Effect(
         "value.regression",
         "value",
-        lambda r: jnp.stack([r[name] for name in columns], axis=1),
-        tuple(bc.Coefficient("1", p, part=n) for n, p in zip(names, priors, strict=False)),
+        basis=lambda r: jnp.stack([r[name] for name in columns], axis=1),
+        coefficients=tuple(
+            bc.Coefficient("1", p, part=n) for n, p in zip(names, priors, strict=False)
+        ),
         columns=tuple(columns),
     )
     model = _instrument((effect,), tuple(columns), bc.White(noise)).baseline()
-    readings = bc.Measurements.from_arrays(model.instrument, output=y, **columns)
+    given: dict[str, Any] = {"output": y, **columns}
+    readings = bc.Measurements.from_arrays(model.instrument, **given)
 
     def draws(fit: bc.Calibration) -> dict[str, np.ndarray]:
         found = {n: fit.samples(f"value.regression[{n}]") for n in names[:-1]}
@@ -108,21 +112,21 @@ def _instrument(effects, columns, noise, groups=()) -> bc.Instrument:
     return bc.Instrument(
         "regression",
         "a regression of posteriordb",
-        (
+        columns=(
             bc.Column("output", "1"),
             *(bc.Column(name, "1") for name in columns),
             *(bc.Column(name, None) for name in groups),
         ),
-        (bc.Slot("value", "1"),),
-        _value,
-        effects,
+        slots=(bc.Slot("value", "1"),),
+        response=_value,
+        effects=effects,
         noise=noise,
     )
 
 
 # Functions of the module, not of a call: models made twice are equal, and compiled once.
-def _one(readings: bc.Frame) -> float:
-    return 1.0
+def _one(readings: bc.Frame) -> jax.Array:
+    return jnp.ones(readings.size)
 
 
 def _value(slots, readings):
@@ -208,10 +212,10 @@ def compare(name: str, folder: Path = FOLDER, seed: int = 0) -> tuple[bc.Calibra
         combined = float(np.hypot(errors[unknown], sd_error(draws)))
         rows.append(
             Row(
-                unknown,
-                float(draws.mean() - known["mean"]) / known["sd"],
-                float(draws.std(ddof=1)) / known["sd"],
-                0.03 + 3 * combined,
+                name=unknown,
+                shift=float(draws.mean() - known["mean"]) / known["sd"],
+                ratio=float(draws.std(ddof=1)) / known["sd"],
+                ratio_allowed=0.03 + 3 * combined,
             )
         )
     return fit, rows

@@ -20,6 +20,7 @@ import bayescal as bc
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
+from benchmarks.intervals import expected_counts
 
 MEMBERS = 4  # of each group: the others are exchangeable with them
 POINTS = 50  # at which an ECDF is compared with its band
@@ -153,9 +154,11 @@ def judge(values: np.ndarray | list[float], level: float) -> Judgement:
     counts = np.searchsorted(np.sort(values), limits.points, side="right")
     uniform = bool(np.all((limits.low <= counts) & (counts <= limits.high)))
     covered = int(np.sum(np.abs(values - 0.5) < INTERVAL / 2))
-    low, high = (
-        stats.binom.ppf(level / 4, count, INTERVAL),
-        stats.binom.isf(level / 4, count, INTERVAL),
+    low, high = expected_counts(count, INTERVAL, level / 2)
+    return Judgement(
+        count=count,
+        uniform=uniform,
+        distance=float(stats.kstest(values, "uniform").statistic),
+        covered=covered,
+        coverage_holds=low <= covered <= high,
     )
-    distance = float(stats.kstest(values, "uniform").statistic)
-    return Judgement(count, uniform, distance, covered, bool(low <= covered <= high))

@@ -13,7 +13,6 @@ unless R-hat < 1.01, no transition in a thousand diverges, and the errors are me
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from importlib import import_module
@@ -25,7 +24,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from arviz_stats.base import array_stats
 
 import bayescal as bc
 from bayescal._calibration.posterior_tree import named
@@ -34,7 +32,8 @@ from bayescal._inference import laplace, nuts_chains, sampled_products
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from bayescal_models import INSTRUMENTS
-from benchmarks.record import ROOT, surroundings
+from benchmarks import chains
+from benchmarks.record import ROOT, surroundings, write_json
 
 SEED = 20261121
 CHAINS, WARMUP = 4, 2000
@@ -92,14 +91,13 @@ def columns_of(posterior: xr.Dataset) -> dict[str, tuple[np.ndarray, str]]:
 
 def _diagnosed(values: np.ndarray) -> dict[str, float]:
     """Mean, sd and mcse of draws (chains, draws), with what is needed to trust them."""
-    axes = {"chain_axis": 0, "draw_axis": 1}
     return {
         "mean": float(values.mean()),
         "sd": float(values.std(ddof=1)),
-        "mcse": float(array_stats.mcse(values, method="mean", **axes)),
-        "mcse_sd": float(array_stats.mcse(values, method="sd", **axes)),
-        "r_hat": float(array_stats.rhat(values, **axes)),
-        "ess": float(array_stats.ess(values, method="bulk", **axes)),
+        "mcse": chains.mean_error(values),
+        "mcse_sd": chains.sd_error(values),
+        "r_hat": chains.r_hat(values),
+        "ess": chains.effective_draws(values),
     }
 
 
@@ -162,11 +160,7 @@ def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
 def write(name: str, reference: dict[str, Any]) -> Path:
     """Write it beside the instrument's model."""
     path = ROOT / "models" / "bayescal_models" / name / "reference_posterior.json"
-    draft = path.with_suffix(".part")
-    text = json.dumps(reference, indent=1, ensure_ascii=False)
-    draft.write_text(text + "\n", encoding="utf-8")
-    draft.replace(path)
-    return path
+    return write_json(path, reference)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib import import_module
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
@@ -49,12 +51,12 @@ class Case(NamedTuple):
 
 def instrument_named(name: str) -> bc.Instrument:
     """An instrument of this repository."""
-    module = __import__(f"bayescal_models.{name}", fromlist=["INSTRUMENT"])
-    return module.INSTRUMENT
+    return import_module(f"bayescal_models.{name}").INSTRUMENT
 
 
 def simulated(instrument: bc.Instrument, case: Case, later: bool = False) -> bc.Measurements:
     """The campaign's readings, or those of a second campaign with the same hidden effects, to be held out."""
+    assert instrument.simulate is not None
     seed = case.seed + (500_000 if later else 0)
     readings = instrument.simulate(case.hidden, seed=seed, **CAMPAIGNS.get(instrument.name, {}))
     return outside(readings, instrument, case) if case.kind == "outside" else readings
@@ -116,7 +118,7 @@ def _from_prior(effects: list[bc.Effect], rng: np.random.Generator) -> dict[str,
     coefficient = effects[at].coefficients[0]
     value = coefficient.size * normal
     if coefficient.spread is not None:
-        value = float(coefficient.spread.value(normal))
+        value = float(coefficient.spread.value(jnp.asarray(normal)))
     return {} if empty else {effects[at].name: _signed(effects[at].name, float(value))}
 
 
@@ -135,13 +137,13 @@ def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, list
     effects = open_effects(model, readings)
     effects += [e for e in unknowns(fit) if testable(e, readings) is None]
     effect = effects[int(rng.choice(len(effects), p=candidate_columns.prior_shares(effects)))]
-    shapes = [float(s.prior.value(rng.standard_normal())) for s in effect.shapes]
+    shapes = [float(s.prior.value(jnp.asarray(rng.standard_normal()))) for s in effect.shapes]
     hidden = np.zeros(len(readings))
     for (columns, size), c in zip(
         candidate_columns.columns_at(fit, effect, shapes), effect.coefficients, strict=True
     ):
         if c.spread is not None:
-            size = float(c.spread.value(rng.standard_normal()))
+            size = float(c.spread.value(jnp.asarray(rng.standard_normal())))
         hidden += size * columns @ rng.standard_normal(columns.shape[1])
     return readings.with_column("output", readings["output"] + hidden), [effect.name]
 

@@ -9,8 +9,10 @@ S. Brunton, J. Proctor & J. Kutz, PNAS 113 (2016) 3932 (sequentially thresholded
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
@@ -23,6 +25,20 @@ MOST = 5
 SEEN = 0.02  # standard deviation of a contribution, in those of the residuals, below which it does not count
 
 
+class Regressors(NamedTuple):
+    """Columns at the fitted baseline on some readings.
+
+    Attributes:
+        candidates: (n, P).
+        owners: the name of the effect that each of them is of.
+        baseline: (n, q).
+    """
+
+    candidates: np.ndarray
+    owners: np.ndarray
+    baseline: np.ndarray
+
+
 def select(name: str, calibration: bc.Calibration, later: bc.Measurements) -> dict[str, Any]:
     """Effects selected by one of the customary ways, and the error of the held-out readings.
 
@@ -31,22 +47,14 @@ def select(name: str, calibration: bc.Calibration, later: bc.Measurements) -> di
         calibration: of the baseline.
         later: held-out readings.
     """
-    columns, owners = _columns(calibration, calibration.readings)
+    own = _regressors(calibration, calibration.readings)
     y = calibration.readings["output"] - bc.predict(calibration).mean
-    null, _ = _baseline(calibration, calibration.readings)
-    chosen = {"stepwise BIC": _stepwise, "LASSO": _lasso, "STLSQ": _stlsq}[name](
-        *_projected(columns, y, null), owners
-    )
-    error = _held_out(calibration, later, chosen, columns, owners, y, null)
-    return {"effects": sorted(chosen), "held_out": error}
+    way = {"stepwise BIC": _stepwise, "LASSO": _lasso, "STLSQ": _stlsq}[name]
+    chosen = way(*_projected(own.candidates, y, own.baseline), own.owners)
+    return {"effects": sorted(chosen), "held_out": _held_out(calibration, later, chosen, own)}
 
 
-def _columns(
-    calibration: bc.Calibration, readings: bc.Measurements
-) -> tuple[np.ndarray, np.ndarray]:
-    """Candidate columns (n, P) on these readings, and the name of each one's effect."""
-    from dataclasses import replace
-
+def _regressors(calibration: bc.Calibration, readings: bc.Measurements) -> Regressors:
     effects = open_effects(calibration.model, calibration.readings)
     seen = (
         calibration if readings is calibration.readings else replace(calibration, readings=readings)
@@ -58,20 +66,9 @@ def _columns(
         middle = laid.items[items[len(items) // 2]].columns
         at += middle
         owners += [effect.name] * len(middle)
-    return laid.matrix[:, at], np.array(owners)
-
-
-def _baseline(calibration: bc.Calibration, readings: bc.Measurements) -> tuple[np.ndarray, None]:
-    from dataclasses import replace
-
-    import jax.numpy as jnp
-
-    seen = (
-        calibration if readings is calibration.readings else replace(calibration, readings=readings)
-    )
     y = jnp.asarray(readings["output"])
     null = laplace.linearised(seen.layout, seen.frame, y, seen.mode)
-    return np.asarray(null.nuisance), None
+    return Regressors(laid.matrix[:, at], np.array(owners), np.asarray(null.nuisance))
 
 
 def _projected(
@@ -99,7 +96,7 @@ def _stepwise(x: np.ndarray, y: np.ndarray, owners: np.ndarray) -> set[str]:
         trials = {
             name: _bic(x[:, np.isin(owners, [*chosen, name])], y) for name in set(owners) - chosen
         }
-        name = min(trials, key=trials.get, default=None)
+        name = min(trials, key=lambda n: trials[n], default=None)
         if name is None or trials[name] >= best:
             return chosen
         chosen.add(name)
@@ -108,7 +105,7 @@ def _stepwise(x: np.ndarray, y: np.ndarray, owners: np.ndarray) -> set[str]:
 
 
 def _lasso(x: np.ndarray, y: np.ndarray, owners: np.ndarray) -> set[str]:
-    from sklearn.linear_model import LassoCV
+    from sklearn.linear_model import LassoCV  # pyright: ignore[reportMissingImports]
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -132,21 +129,16 @@ def _stlsq(x: np.ndarray, y: np.ndarray, owners: np.ndarray, threshold: float = 
 
 
 def _held_out(
-    calibration: bc.Calibration,
-    later: bc.Measurements,
-    chosen: set[str],
-    columns: np.ndarray,
-    owners: np.ndarray,
-    y: np.ndarray,
-    null: np.ndarray,
+    calibration: bc.Calibration, later: bc.Measurements, chosen: set[str], own: Regressors
 ) -> float | None:
     """Error of the held-out readings with the chosen columns fitted by least squares beside the baseline's."""
-    at = np.isin(owners, list(chosen))
-    moving, _ = _columns(calibration, later)
-    if moving.shape[1] != columns.shape[1]:
+    at = np.isin(own.owners, list(chosen))
+    new = _regressors(calibration, later)
+    if new.candidates.shape[1] != own.candidates.shape[1]:
         return None  # groups differ
-    null_later, _ = _baseline(calibration, later)
-    size = np.linalg.lstsq(np.column_stack([null, columns[:, at]]), y, rcond=None)[0]
+    y = calibration.readings["output"] - bc.predict(calibration).mean
+    columns = np.column_stack([own.baseline, own.candidates[:, at]])
+    size = np.linalg.lstsq(columns, y, rcond=None)[0]
     guess = bc.predict(calibration, later).mean
-    guess = guess + np.column_stack([null_later, moving[:, at]]) @ size
+    guess = guess + np.column_stack([new.baseline, new.candidates[:, at]]) @ size
     return float(np.sqrt(np.mean((later["output"] - guess) ** 2)))

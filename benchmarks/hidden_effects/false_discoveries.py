@@ -10,49 +10,40 @@ campaign in results/false_discoveries_NAME.jsonl: stopped, it goes on where it w
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import bayescal as bc
 from benchmarks.hidden_effects.bank import instrument_named
-from benchmarks.hidden_effects.page import interval
-from benchmarks.record import ROOT, write
+from benchmarks.hidden_effects.resume import chosen, go_on
+from benchmarks.intervals import proportion
+from benchmarks.record import RESULTS, read_lines, write
 
-RESULTS = ROOT / "benchmarks" / "results"
 SEARCHED = ("mems_gyro", "inclinometer", "still_sensor")
 CAMPAIGNS = {"wandering noise": 60}  # for each instrument; of the others:
 OTHERS = 40
 FIRST_SEED = 7000
 METHOD = bc.LeastSquares(draws=200)
-SECONDS = 3300.0
 
 
 def main() -> None:
     """Run what is missing, then write and print the table."""
-    left = float(os.environ.get("BAYESCAL_SECONDS", SECONDS))
-    for name in os.environ.get("BAYESCAL_ONLY", "").split() or SEARCHED:
-        _run(name, left)
+    for name in chosen(SEARCHED):
+        _run(name)
     summary = {
-        path.stem.removeprefix("false_discoveries_"): _summary(_read(path))
+        path.stem.removeprefix("false_discoveries_"): _summary(read_lines(path))
         for path in sorted(RESULTS.glob("false_discoveries_*.jsonl"))
     }
     write("false_discoveries", summary)
     for name, rows in summary.items():
         for how, row in rows.items():
             print(f"{name:14s} {how:26s} added in {row['added']}; {row['what']}")
-
-
-def _read(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
 
 
 def _summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
@@ -62,42 +53,43 @@ def _summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
         laws = [line["law"] for line in own]
         found[how] = {
             "campaigns": len(own),
-            "added": interval(sum(bool(line["added"]) for line in own), len(own)),
+            "added": proportion(sum(bool(line["added"]) for line in own), len(own)),
             "what": sorted({name for line in own for name in line["added"]}),
             "noise law at the end": {law: laws.count(law) for law in sorted(set(laws))},
         }
         if "if_white" in own[0]:
             count = sum(bool(line["if_white"]) for line in own)
-            found[how]["added if the noise is taken for white"] = interval(count, len(own))
+            found[how]["added if the noise is taken for white"] = proportion(count, len(own))
     return found
 
 
-def _run(name: str, seconds: float) -> None:
+def _run(name: str) -> None:
+    """One instrument's campaigns, resumed."""
     path = RESULTS / f"false_discoveries_{name}.jsonl"
-    done = {(r["how"], r["seed"]) for r in _read(path)} if path.is_file() else set()
+    done = {(r["how"], r["seed"]) for r in read_lines(path)}
     part, parts = map(int, os.environ.get("BAYESCAL_PART", "0/1").split("/"))
-    begun = time.perf_counter()
     instrument = instrument_named(name)
-    with path.open("a", encoding="utf-8") as out:
-        for how, spoil in SPOILT.items():
-            for seed in range(FIRST_SEED, FIRST_SEED + CAMPAIGNS.get(how, OTHERS)):
-                if (how, seed) in done or seed % parts != part:
-                    continue
-                if time.perf_counter() - begun > seconds:
-                    print(f"{name}: stopped after {seconds:.0f} s; run again to go on")
-                    return
-                row = _one(instrument, how, spoil, seed)
-                out.write(json.dumps(row) + "\n")
-                out.flush()
-                print(f"{name} {seed} {how}: {row['added']}", file=sys.stderr)
+
+    def measure(case: tuple[str, int]) -> tuple[dict[str, Any], str]:
+        row = _one(instrument, *case)
+        return row, f"{row['seed']} {row['how']}: {row['added']}"
+
+    missing = (
+        (how, seed)
+        for how in SPOILT
+        for seed in range(FIRST_SEED, FIRST_SEED + CAMPAIGNS.get(how, OTHERS))
+        if (how, seed) not in done and seed % parts == part
+    )
+    go_on(path, missing, measure)
 
 
-def _one(instrument: bc.Instrument, how: str, spoil: Spoil, seed: int) -> dict[str, Any]:
+def _one(instrument: bc.Instrument, how: str, seed: int) -> dict[str, Any]:
+    assert instrument.simulate is not None
     readings = instrument.simulate({}, seed=seed)
     model = instrument.for_readings(readings).baseline()
     noise = float(bc.fit(model, readings, METHOD, strict=False).samples("noise.white").mean())
     random = np.random.default_rng([seed, len(readings)])
-    instrument, readings = spoil(instrument.for_readings(readings), readings, noise, random)
+    instrument, readings = SPOILT[how](instrument.for_readings(readings), readings, noise, random)
     begun = time.perf_counter()
     trail = bc.calibrate(instrument.baseline(), readings, method=METHOD)
     row = {
@@ -175,10 +167,10 @@ def _with_prior(effect: bc.Effect, factor: float) -> bc.Effect:
     for c in effect.coefficients:
         if c.spread is not None:
             made.append(replace(c, spread=replace(c.spread, scale=factor * c.spread.scale)))
-        elif c.flat:
-            made.append(c)
-        else:
+        elif isinstance(c.prior, bc.Normal):
             made.append(replace(c, prior=replace(c.prior, sd=factor * c.prior.sd)))
+        else:
+            made.append(c)
     return replace(effect, coefficients=tuple(made))
 
 

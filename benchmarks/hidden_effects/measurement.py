@@ -14,11 +14,8 @@ results/hidden_effects_NAME.jsonl: stopped, it goes on where it was.
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,57 +37,47 @@ from benchmarks.hidden_effects.bank import (
     simulated,
 )
 from benchmarks.hidden_effects.customary import SELECTIONS, select
-from benchmarks.record import ROOT
+from benchmarks.hidden_effects.resume import chosen, go_on
+from benchmarks.record import DOCS, RESULTS, ROOT, read, read_lines
 
-RESULTS = ROOT / "benchmarks" / "results"
-SECONDS = 3300.0  # of one instrument's part, after which it stops; run again to go on
 METHOD = bc.LeastSquares(draws=200)
-ENUMERATED = (
-    8.0  # oracle from which every candidate's evidence is computed, for the size of the exact set
-)
+ENUMERATED = 8.0  # oracle from which the exact set is computed, by the evidence of every candidate
 COVERAGE = 0.95
 
 
 def main() -> None:
     """Run what is missing of each instrument's bank, then render the page."""
-    only = os.environ.get("BAYESCAL_ONLY", "").split()
-    for name in only or INSTRUMENTS:
-        run(name, float(os.environ.get("BAYESCAL_SECONDS", SECONDS)))
-    banks = {p.stem.removeprefix("hidden_effects_"): read(p) for p in lines_of()}
-    spoilt = json.loads((RESULTS / "false_discoveries.json").read_text("utf-8"))
-    del spoilt["surroundings"]
-    page.write(banks, spoilt, ROOT / "docs" / "hidden_effects.md")
+    for name in chosen(INSTRUMENTS):
+        run(name)
+    render()
+
+
+def render() -> None:
+    """Render the page, and the bank in short in README.md, from the results that stand."""
+    files = sorted(RESULTS.glob("hidden_effects_*.jsonl"))
+    banks = {path.stem.removeprefix("hidden_effects_"): read_lines(path) for path in files}
+    page.write(banks, read("false_discoveries"), DOCS / "hidden_effects.md")
     page.in_readme(banks, ROOT / "README.md")
 
 
-def lines_of() -> list[Path]:
-    return sorted(RESULTS.glob("hidden_effects_*.jsonl"))
-
-
-def read(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
-
-
-def run(name: str, seconds: float) -> None:
+def run(name: str) -> None:
     """One instrument's bank, resumed."""
     instrument = instrument_named(name)
     path = RESULTS / f"hidden_effects_{name}.jsonl"
-    path.parent.mkdir(exist_ok=True)
-    done = {row["seed"] for row in read(path)} if path.is_file() else set()
+    done = {row["seed"] for row in read_lines(path)}
     kinds = os.environ.get("BAYESCAL_KINDS", "").split()
-    begun = time.perf_counter()
-    with path.open("a", encoding="utf-8") as out:
-        for case in plan(instrument):
-            if case.seed in done or (kinds and case.kind not in kinds):
-                continue
-            if time.perf_counter() - begun > seconds:
-                print(f"{name}: stopped after {seconds:.0f} s; run again to go on")
-                return
-            row = (stated if case.kind in ("prior", "law") else campaign)(instrument, case)
-            out.write(json.dumps(row) + "\n")
-            out.flush()
-            told = f"{row['seconds']:.1f} s {case.kind} {list(case.hidden) or case.shape}"
-            print(f"{name} {case.seed} {told} -> {row.get('final')}", file=sys.stderr)
+
+    def measure(case: Case) -> tuple[dict[str, Any], str]:
+        row = (stated if case.kind in ("prior", "law") else campaign)(instrument, case)
+        what = f"{case.kind} {list(case.hidden) or case.shape} -> {row.get('final')}"
+        return row, f"{case.seed} {row['seconds']:.1f} s {what}"
+
+    missing = (
+        case
+        for case in plan(instrument)
+        if case.seed not in done and (not kinds or case.kind in kinds)
+    )
+    go_on(path, missing, measure)
 
 
 def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:

@@ -12,15 +12,12 @@ with the others, and their number is reported.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom
 
 import bayescal as bc
 from bayescal_models import differential_pair as dp
@@ -28,12 +25,13 @@ from bayescal_models.differential_pair import criteria
 from bayescal_models.differential_pair.devices import devices_from
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.judgement import judge
-from benchmarks.record import ROOT, write
+from benchmarks.intervals import by_stated, expected_counts
+from benchmarks.record import RESULTS, add_line, read_lines, write
 
 BATCHES = 600  # by default: about five minutes on one core
 CHUNK = 20
 FIRST_SEED = 70000
-LINES = ROOT / "benchmarks" / "results" / "differential_pair.jsonl"
+LINES = RESULTS / "differential_pair.jsonl"
 STEPS = dp.Campaign(samples=20)
 PLATEAU = dp.Campaign(samples=20, profile="plateau")
 METHOD = bc.Marginal(promote=tuple(order_names(SHARED.name)), proposals=2048, rounds=2)
@@ -96,24 +94,20 @@ def judged(one: dp.SimulatedBatch, devices: dp.Devices, constant: np.ndarray) ->
 def reliability(stated: np.ndarray, happened: np.ndarray) -> list[dict[str, Any]]:
     """Stated probabilities against how often it was so, with the 95 % binomial band of the count."""
     rows = []
-    for low, high in pairwise(EDGES):
-        inside = (stated >= low) & ((stated < high) | (high == 1.0))
-        count = int(inside.sum())
-        if count:
-            mean = float(stated[inside].mean())
-            band = binom.interval(0.95, count, mean)
-            seen = int(happened[inside].sum())
-            rows.append(
-                {
-                    "from": low,
-                    "to": high,
-                    "batches": count,
-                    "stated": mean,
-                    "seen": seen / count,
-                    "band95": [float(b) / count for b in band],
-                    "inside": bool(band[0] <= seen <= band[1]),
-                }
-            )
+    for low, high, inside, seen in by_stated(stated, happened, EDGES):
+        count, mean = len(inside), float(inside.mean())
+        band = expected_counts(count, mean, level=0.05)
+        rows.append(
+            {
+                "from": low,
+                "to": high,
+                "batches": count,
+                "stated": mean,
+                "seen": seen / count,
+                "band95": [edge / count for edge in band],
+                "inside": band[0] <= seen <= band[1],
+            }
+        )
     return rows
 
 
@@ -189,23 +183,16 @@ def show(found: dict[str, Any]) -> None:
 def main() -> None:
     """Run what is missing of the batches, then write the summary."""
     wanted = int(os.environ.get("BAYESCAL_BATCHES", BATCHES))
-    LINES.parent.mkdir(exist_ok=True)
-    done = [json.loads(line) for line in LINES.read_text().splitlines()] if LINES.is_file() else []
+    done = read_lines(LINES)
     seeds = {row["seed"] for row in done}
     missing = [s for s in range(FIRST_SEED, FIRST_SEED + wanted) if s not in seeds]
-    with LINES.open("a", encoding="utf-8") as out:
-        for start in range(0, len(missing), CHUNK):
-            own = missing[start : start + CHUNK]
-            padded = own + list(range(FIRST_SEED - CHUNK + len(own), FIRST_SEED))  # one shape
-            for row in list(chunk(padded))[: len(own)]:
-                done.append(row)
-                out.write(json.dumps(row) + "\n")
-            out.flush()
-            print(f"{len(done)} of {wanted}", end="\r", file=sys.stderr)
+    for start in range(0, len(missing), CHUNK):
+        own = missing[start : start + CHUNK]
+        padded = own + list(range(FIRST_SEED - CHUNK + len(own), FIRST_SEED))  # one shape
+        for row in list(chunk(padded))[: len(own)]:
+            done.append(row)
+            add_line(LINES, row)
+        print(f"{len(done)} of {wanted}", end="\r", file=sys.stderr)
     found = summary(done)
     write("differential_pair", found)
     show(found)
-
-
-if __name__ == "__main__":
-    main()

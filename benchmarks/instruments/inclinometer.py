@@ -22,6 +22,7 @@ import numpy as np
 import bayescal as bc
 from bayescal_models import inclinometer
 from bayescal_models.inclinometer.campaign import VERIFICATION, Accelerometer, Campaign
+from benchmarks.intervals import credible_interval
 from benchmarks.record import write
 
 LINES = {"x": (62.6211, 0.72105), "y": (96.3284, 0.06818)}  # source 4: arcsec, arcsec/deg
@@ -79,12 +80,11 @@ def lines() -> dict[str, Any]:
     for place, axis in enumerate(one.levels["axis"]):
         for name, true in zip(("zero.constant", "zero.placement"), LINES[axis], strict=True):
             values = one.samples(name)[:, place]
-            low, high = np.quantile(values, [0.025, 0.975])
             estimates[f"{name}({axis})"] = {
                 "true": true,
                 "mean": float(values.mean()),
                 "sd": float(values.std()),
-                "interval": [float(low), float(high)],
+                "interval": credible_interval(values),
             }
             print(f"  {name}({axis})  {values.mean():9.4f} ± {values.std():.4f}   true {true}")
     many = [inclinometer.simulate(seed=s) for s in range(1, REPEATS + 1)]
@@ -202,7 +202,3 @@ def _coverage(calibration: bc.Calibration, table: inclinometer.Verification) -> 
 
 def _largest(errors: tuple[np.ndarray, np.ndarray]) -> dict[str, float]:
     return {a: float(np.abs(np.rad2deg(e)).max()) for a, e in zip("xy", errors, strict=True)}
-
-
-if __name__ == "__main__":
-    main()

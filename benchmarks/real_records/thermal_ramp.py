@@ -11,7 +11,6 @@ measures some channels only, and leaves the others' results as they are.
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 import time
@@ -24,7 +23,7 @@ import numpy as np
 import bayescal as bc
 from bayescal_models import still_sensor
 from benchmarks.real_records import thermal_ramp_page
-from benchmarks.record import REFERENCE_DATA, ROOT, write
+from benchmarks.record import DOCS, REFERENCE_DATA, read, write
 
 RECORD = Path("thermal_ramp") / "imu_thermal_ramp.csv"
 AXES = {
@@ -33,7 +32,6 @@ AXES = {
 }
 BLOCK = 300.0  # s
 LAST = 0.8  # share of the record that is fitted where the end is held out
-DOCS = ROOT / "docs"
 
 
 def record_file() -> Path | None:
@@ -54,13 +52,12 @@ def main() -> None:
         raise SystemExit(
             f"thermal_ramp: no channel {', '.join(unknown)}; there are {', '.join(AXES)}"
         )
-    done = ROOT / "benchmarks" / "results" / "thermal_ramp.json"
-    found = json.loads(done.read_text("utf-8"))["channels"] if done.is_file() else {}
+    found = read("thermal_ramp").get("channels", {})
     for axis in asked:
         found[axis] = measure(path, axis)
         channels = {name: found[name] for name in AXES if name in found}
         write("thermal_ramp", {"channels": channels})
-        thermal_ramp_page.write(channels, DOCS)
+        thermal_ramp_page.write(channels)
 
 
 def measure(path: Path, axis: str) -> dict[str, Any]:
@@ -75,11 +72,11 @@ def measure(path: Path, axis: str) -> dict[str, Any]:
     for name, held in held_out.items():
         print(f"thermal_ramp: {axis}, {name} held out", flush=True)
         with tempfile.TemporaryDirectory() as folder:
-            parts = [Path(folder) / "fitted.csv", Path(folder) / "held_out.csv"]
-            for part, rows in zip(parts, (~held, held), strict=True):
+            fitted, held_out_file = Path(folder) / "fitted.csv", Path(folder) / "held_out.csv"
+            for part, rows in ((fitted, ~held), (held_out_file, held)):
                 kept = (line for line, keep in zip(lines[1:], rows, strict=True) if keep)
                 part.write_text(lines[0] + "".join(kept), "utf-8")
-            trail, times = calibrated(*parts, axis)
+            trail, times = calibrated(fitted, held_out_file, axis)
         results[name] = {**summary(trail, _read(path, axis, trail)), **times}
         if name == "alternate blocks":
             bc.plot.save(bc.plot.loop(trail), DOCS / f"thermal_ramp_{axis}.png")

@@ -6,8 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._readings.units import pretty
+from benchmarks.markdown import table
+from benchmarks.record import DOCS
 
 CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "acc_x", "acc_y", "acc_z")
+ERRORS = ("fitted", "held_out", "held_out_in_record")
 
 TITLE = """\
 # A real record: one inertial unit on a temperature ramp
@@ -46,18 +49,17 @@ and the error may rise. It is a description, and no physics.
 """
 
 
-def write(channels: dict[str, Any], folder: Path) -> Path:
-    """Write the page into a folder.
+def write(channels: dict[str, Any]) -> Path:
+    """Write the page.
 
     Args:
         channels: name → split → summary.
-        folder: of the documents and pictures.
     """
     parts = [TITLE, *_incomplete(channels), HEAD]
     for split in ("last fifth", "alternate blocks"):
         parts += [f"## {split.capitalize()} held out\n", _table(channels, split)]
     parts += [_channel(name, splits) for name, splits in channels.items()]
-    path = folder / "thermal_ramp.md"
+    path = DOCS / "thermal_ramp.md"
     path.write_text("\n".join(parts), encoding="utf-8")
     return path
 
@@ -73,26 +75,27 @@ def _incomplete(channels: dict[str, Any]) -> list[str]:
 
 
 def _table(channels: dict[str, Any], split: str) -> str:
-    lines = [
-        "| channel | added, in order | noise | fitted error | held-out error | in the record "
-        "| floor | evidence | trusted | time (processor) |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+    head = [
+        *("channel", "added, in order", "noise", "fitted error", "held-out error"),
+        *("in the record", "floor", "evidence", "trusted", "time (processor)"),
     ]
+    rows = []
     for name, splits in channels.items():
         found = splits[split]
         first, last = found["steps"][0], found["steps"][-1]
-        cells = [
-            f"{name} [{pretty(found['unit'])}]",
-            ", ".join(s["added"] for s in found["steps"] if s["added"]) or "nothing",
-            last["noise"].replace("_", " "),
-            *(_fall(first[key], last[key]) for key in ("fitted", "held_out", "held_out_in_record")),
-            f"{last['noise_floor']:.3g}",
-            _gain(first["log_evidence"], last["log_evidence"]),
-            "yes" if found["ok"] else "no",
-            f"{found['seconds']:.0f} s ({found['cpu_seconds']:.0f} s)",
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+        rows.append(
+            [
+                f"{name} [{pretty(found['unit'])}]",
+                ", ".join(s["added"] for s in found["steps"] if s["added"]) or "nothing",
+                last["noise"].replace("_", " "),
+                *(_fall(first[key], last[key]) for key in ERRORS),
+                f"{last['noise_floor']:.3g}",
+                _gain(first["log_evidence"], last["log_evidence"]),
+                "yes" if found["ok"] else "no",
+                f"{found['seconds']:.0f} s ({found['cpu_seconds']:.0f} s)",
+            ]
+        )
+    return table(head, rows)
 
 
 def _channel(name: str, splits: dict[str, Any]) -> str:
@@ -102,26 +105,26 @@ def _channel(name: str, splits: dict[str, Any]) -> str:
         f"(thermal_ramp_{name}.png)\n",
     ]
     for split, found in splits.items():
+        unit = pretty(found["unit"])
+        head = ["step", "noise", f"fitted error [{unit}]", "held out", "in the record"]
         lines += [
             f"**{split.capitalize()} held out.** Gate: {found['gate']}",
             *(f"Note: {flag}." for flag in found["flags"]),
             _raised(found["raised_held_out_error"]) + "\n",
-            f"| step | noise | fitted error [{pretty(found['unit'])}] | held out | in the record "
-            "| log evidence | nothing missing |",
-            "|---|---|---|---|---|---|---|",
+            table([*head, "log evidence", "nothing missing"], map(_step, found["steps"])),
         ]
-        for step in found["steps"]:
-            evidence, nothing = step["log_evidence"], step["nothing_missing"]
-            cells = [
-                step["step"],
-                step["noise"].replace("_", " "),
-                *(f"{step[key]:.4g}" for key in ("fitted", "held_out", "held_out_in_record")),
-                "–" if evidence is None else f"{evidence:.1f}",
-                "–" if nothing is None else f"{nothing:.2f}",
-            ]
-            lines.append(f"| {' | '.join(cells)} |")
-        lines.append("")
     return "\n".join(lines)
+
+
+def _step(step: dict[str, Any]) -> list[str]:
+    evidence, nothing = step["log_evidence"], step["nothing_missing"]
+    return [
+        step["step"],
+        step["noise"].replace("_", " "),
+        *(f"{step[key]:.4g}" for key in ERRORS),
+        "–" if evidence is None else f"{evidence:.1f}",
+        "–" if nothing is None else f"{nothing:.2f}",
+    ]
 
 
 def _raised(steps: list[str]) -> str:

@@ -14,10 +14,9 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,15 +24,15 @@ import pandas as pd
 import bayescal as bc
 from bayescal_models import mems_gyro
 from benchmarks.record import write
+from benchmarks.speed.batches_peers import NOISE, T0, Line, Part, peers
+from benchmarks.speed.timing import Timed, least_of
 
 DEVICES, LEAST, MOST, SEED = 10_000, 20, 30, 2026
 SAMPLE = 200  # devices that the peers fit
 REPEATS, QUICK = 3, 20  # of what takes seconds, and of what takes a tenth of one
-OFFSET, SLOPE, NOISE = (2.0, 5.0), (0.03, 0.01), 0.2  # °/s; °/s per °C; °/s
-T0 = 20.0  # °C
+OFFSET, SLOPE = (2.0, 5.0), (0.03, 0.01)  # mean and sd over devices: °/s; °/s per °C
 GOALS = {"scipy": 50, "lmfit": 200}
 MODEL = mems_gyro.INSTRUMENT.baseline()
-PRIORS = np.array([e.coefficients[0].size for e in MODEL.effects])
 
 
 def lot() -> pd.DataFrame:
@@ -51,87 +50,33 @@ def lot() -> pd.DataFrame:
     )
 
 
-class Timed(NamedTuple):
-    """The shortest of several times, s: by the clock, and of the processor; and what came out."""
+def ours(table: pd.DataFrame) -> tuple[dict[str, Timed], float]:
+    """All devices from a file, by `bc.fit_batch`: what each step takes, s, and what the first call took."""
 
-    clock: float
-    processor: float
-    made: Any
+    def split() -> bc.Devices:
+        return bc.split_devices(file, mems_gyro.INSTRUMENT)
 
+    def fit(devices: bc.Devices, population: bool = False) -> bc.BatchResult:
+        return bc.fit_batch(MODEL, devices, population=population, reference={"T0": T0})
 
-def least_of(run: Callable[[], Any], repeats: int = REPEATS) -> Timed:
-    """Run several times. Other work on the machine lengthens the clock's time, hardly the processor's."""
-    best, made = [np.inf, np.inf], None
-    for _ in range(repeats):
-        begun = time.perf_counter(), time.process_time()
-        made = run()
-        ended = time.perf_counter(), time.process_time()
-        best = [min(b, e - s) for b, e, s in zip(best, ended, begun, strict=True)]
-    return Timed(*best, made)
-
-
-def by_scipy(
-    parts: list[tuple[np.ndarray, np.ndarray]], method: Literal["trf", "lm"] = "trf"
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Offset and slope with their standard uncertainties, device by device, by `scipy.optimize`."""
-    from scipy.optimize import least_squares
-
-    found = []
-    for temperature, output in parts:
-        t = temperature - T0
-
-        def residuals(x, t=t, output=output):
-            return np.append(output - x[0] - x[1] * t, NOISE * x / PRIORS)
-
-        one: Any = least_squares(residuals, x0=np.zeros(2), method=method)
-        variance = 2 * one.cost / (len(t) - 2)
-        covariance = np.linalg.inv(one.jac.T @ one.jac) * variance
-        found.append((one.x, np.sqrt(np.diag(covariance))))
-    return found
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "lot.parquet"
+        table.to_parquet(file)
+        begun = time.perf_counter()
+        fit(split())
+        first = time.perf_counter() - begun
+        read = least_of(split, QUICK)
+        fitted = least_of(lambda: fit(read.made), QUICK)
+        saved = least_of(lambda: fitted.made.save(Path(folder) / "result.parquet"), REPEATS)
+        pooled = least_of(lambda: fit(read.made, population=True), REPEATS)
+    print(
+        f"  bayescal {fitted.clock:.3f} s (processor {fitted.processor:.3f} s), reading and splitting the file "
+        f"{read.clock:.3f} s, first call {first:.1f} s"
+    )
+    return {"fit": fitted, "read": read, "save": saved, "with_population": pooled}, first
 
 
-def by_lmfit(parts: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The same by lmfit."""
-    import lmfit
-
-    found = []
-    for temperature, output in parts:
-        t = temperature - T0
-
-        def residuals(p, t=t, output=output):
-            x = np.array([p["offset"].value, p["slope"].value])
-            return np.append(output - x[0] - x[1] * t, NOISE * x / PRIORS)
-
-        start = lmfit.Parameters()
-        start.add("offset", value=0.0)
-        start.add("slope", value=0.0)
-        one: Any = lmfit.minimize(residuals, start)
-        found.append(
-            (
-                np.array([one.params[n].value for n in ("offset", "slope")]),
-                np.array([one.params[n].stderr for n in ("offset", "slope")]),
-            )
-        )
-    return found
-
-
-def by_lmfit_model(
-    parts: list[tuple[np.ndarray, np.ndarray]],
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The same by lmfit's ready-made line, without the priors."""
-    from lmfit.models import LinearModel
-
-    line, found = LinearModel(), []
-    for temperature, output in parts:
-        one = line.fit(output, x=temperature - T0, intercept=0.0, slope=0.0)
-        own = [one.params[n] for n in ("intercept", "slope")]
-        found.append((np.array([p.value for p in own]), np.array([p.stderr for p in own])))
-    return found
-
-
-def agreement(
-    result: bc.BatchResult, names: list[str], found: list[tuple[np.ndarray, np.ndarray]]
-) -> dict[str, float]:
+def agreement(result: bc.BatchResult, names: list[str], found: list[Line]) -> dict[str, float]:
     """Largest difference of the estimates in standard uncertainties, and of these uncertainties, relative."""
     apart, wide = 0.0, 0.0
     for name, (x, sd) in zip(names, found, strict=True):
@@ -141,10 +86,9 @@ def agreement(
     return {"estimates_sd": apart, "uncertainties": wide}
 
 
-def _against(
-    name: str, peer: Timed, read: Timed, fitted: Timed, names: list[str]
-) -> dict[str, Any]:
+def _against(name: str, peer: Timed, own: dict[str, Timed], names: list[str]) -> dict[str, Any]:
     """A peer's row: its time for all devices, how many times ours that is, and how near its numbers are."""
+    read, fitted = own["read"], own["fit"]
     scale = DEVICES / len(names)
     ratio = {
         "fit": scale * peer.clock / fitted.clock,
@@ -169,58 +113,41 @@ def _against(
     }
 
 
-def main() -> None:
-    """Time all three, compare, and write `results/batches.json`."""
-    table = lot()
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "lot.parquet"
-        table.to_parquet(file)
-
-        def fit(devices: bc.Devices) -> bc.BatchResult:
-            return bc.fit_batch(MODEL, devices, reference={"T0": T0})
-
-        begun = time.perf_counter()
-        fit(bc.split_devices(file, mems_gyro.INSTRUMENT))
-        first = time.perf_counter() - begun
-        read = least_of(lambda: bc.split_devices(file, mems_gyro.INSTRUMENT), QUICK)
-        devices = read.made
-        fitted = least_of(lambda: fit(devices), QUICK)
-        result = fitted.made
-        saved = least_of(lambda: result.save(Path(folder) / "result.parquet"))
-    pooled = least_of(lambda: bc.fit_batch(MODEL, devices, population=True, reference={"T0": T0}))
+def sample(table: pd.DataFrame) -> tuple[list[str], list[Part]]:
+    """The devices that the peers fit: their names and readings."""
     names = [f"G{i:05d}" for i in range(0, DEVICES, DEVICES // SAMPLE)]
     cut = dict(iter(table.groupby("device", sort=False)))
     parts = [
         (cut[n]["temperature [degC]"].to_numpy(), cut[n]["output [deg/s]"].to_numpy())
         for n in names
     ]
-    ours = {"fit": fitted, "read": read, "save": saved, "with_population": pooled}
+    return names, parts
+
+
+def main() -> None:
+    """Time all, compare, and write `results/batches.json`."""
+    table = lot()
+    names, parts = sample(table)
+    print(f"{DEVICES} devices, {len(table)} readings; peers on {len(names)} of them, scaled")
+    own, first = ours(table)
     rows: dict[str, Any] = {
         "bayescal": {
             "first_call_s": first,
-            "trusted": int(result.ok.sum()),
-            **{f"{n}_s": t.clock for n, t in ours.items()},
-            **{f"{n}_processor_s": t.processor for n, t in ours.items()},
+            "trusted": int(own["fit"].made.ok.sum()),
+            **{f"{n}_s": t.clock for n, t in own.items()},
+            **{f"{n}_processor_s": t.processor for n, t in own.items()},
         }
     }
-    print(f"{DEVICES} devices, {len(table)} readings; peers on {len(names)} of them, scaled")
-    print(
-        f"  bayescal {fitted.clock:.3f} s (processor {fitted.processor:.3f} s), reading and splitting the file "
-        f"{read.clock:.3f} s, first call {first:.1f} s"
-    )
-    peers = (
-        ("scipy", by_scipy),
-        ("scipy, method='lm'", lambda parts: by_scipy(parts, "lm")),
-        ("lmfit", by_lmfit),
-        ("lmfit, LinearModel", by_lmfit_model),
-    )
-    for name, peer in peers:
-        rows[name] = _against(name, least_of(lambda peer=peer: peer(parts)), read, fitted, names)
+    sizes = np.array([e.coefficients[0].size for e in MODEL.effects])
+    for name, peer in peers(sizes).items():
+        timed = least_of(lambda peer=peer: peer(parts), REPEATS)
+        rows[name] = _against(name, timed, own, names)
+    pooled = own["with_population"]
     population = pooled.made.population
     assert population is not None
-    told = population.table.to_dict("records")
     print(f"  with a population {pooled.clock:.2f} s:\n{population}")
     truth = {"mean": [OFFSET[0], SLOPE[0]], "spread": [OFFSET[1], SLOPE[1]]}
+    found = population.table.to_dict("records")
     write(
         "batches",
         {
@@ -229,10 +156,6 @@ def main() -> None:
             "sample": len(names),
             "seed": SEED,
             "times": rows,
-            "population": {"found": told, "truth": truth},
+            "population": {"found": found, "truth": truth},
         },
     )
-
-
-if __name__ == "__main__":
-    main()

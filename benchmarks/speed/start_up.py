@@ -57,9 +57,9 @@ def peer(table: str, begun: str) -> None:
         table: CSV of temperature and output.
         begun: `time.time()` at which the process was started.
     """
-    import arviz as az
-    import nutpie
-    import pymc as pm
+    import arviz as az  # pyright: ignore[reportMissingImports]
+    import nutpie  # pyright: ignore[reportMissingImports]
+    import pymc as pm  # pyright: ignore[reportMissingImports]
 
     temperature, output = np.loadtxt(table, delimiter=",", skiprows=1).T
     t = temperature - np.round(temperature.mean())
@@ -198,7 +198,3 @@ def main() -> None:
             "versions": versions,
         },
     )
-
-
-if __name__ == "__main__":
-    main()

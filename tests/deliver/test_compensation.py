@@ -10,7 +10,7 @@ import pytest
 import bayescal as bc
 from bayescal._compensation.inputs import OutsideCalibration
 from bayescal_models import mems_gyro, still_sensor
-from benchmarks.accuracy.coverage import collect
+from benchmarks.accuracy.chunks import collect
 from benchmarks.instruments import compensation as campaigns
 from tests.support import bent_sensor
 

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from bayescal._core import levenberg_marquardt
-from benchmarks.accuracy import nist
+from benchmarks.accuracy import nist_linear, nist_nonlinear
+from benchmarks.accuracy.nist import digits
 
 PARAMETERS, DEVIATIONS = 8.0, 6.0  # digits
 # Not to be met: of data without noise, standard deviations are rounding.
@@ -40,17 +41,17 @@ def folder(shared_data):
     return found
 
 
-@pytest.mark.parametrize("name", some_fast(nist.NONLINEAR))
+@pytest.mark.parametrize("name", some_fast(nist_nonlinear.NONLINEAR))
 def test_a_nonlinear_set_is_met_from_both_starts(name, folder) -> None:
-    for row in nist.nonlinear_digits(name, folder):
+    for row in nist_nonlinear.nonlinear_digits(name, folder):
         assert row["converged"], row
         assert row["parameters"] >= PARAMETERS, row
         assert name in MEANINGLESS or row["sd"] >= DEVIATIONS, row
 
 
-@pytest.mark.parametrize("name", some_fast(nist.LINEAR))
+@pytest.mark.parametrize("name", some_fast(nist_linear.LINEAR))
 def test_a_linear_set_is_met_through_the_public_api(name, folder) -> None:
-    row = nist.linear_digits(name, folder=folder)
+    row = nist_linear.linear_digits(name, folder=folder)
     assert row["parameters"] >= PARAMETERS, row
     if name not in MEANINGLESS:
         assert row["converged"], row
@@ -59,10 +60,12 @@ def test_a_linear_set_is_met_through_the_public_api(name, folder) -> None:
 
 
 def test_all_sets_are_there(folder) -> None:
-    assert len(nist.NONLINEAR) == 27
-    assert len(nist.LINEAR) == 11
-    assert all((folder / "nonlinear" / f"{name}.csv").is_file() for name in nist.NONLINEAR)
-    assert all((folder / "linear" / f"{name}.csv").is_file() for name in nist.LINEAR)
+    assert len(nist_nonlinear.NONLINEAR) == 27
+    assert len(nist_linear.LINEAR) == 11
+    assert all(
+        (folder / "nonlinear" / f"{name}.csv").is_file() for name in nist_nonlinear.NONLINEAR
+    )
+    assert all((folder / "linear" / f"{name}.csv").is_file() for name in nist_linear.LINEAR)
 
 
 # Our own: nonlinear.
@@ -97,10 +100,10 @@ def test_parameters_of_very_different_sizes_are_found_from_afar() -> None:
     x = np.linspace(0.0, 7200.0, 60)
     y, sd = made_certain(settling, truth, x, 0.3)
     starts = [np.array([2000.0, 1e-3, -1.0, 100.0]), np.array([1.0, 1.0, 1.0, 5000.0])]
-    for fit in nist.fit_nonlinear(settling, (x,), y, starts):
+    for fit in nist_nonlinear.fit_nonlinear(settling, (x,), y, starts):
         assert fit.converged
-        assert nist.digits(fit.parameters, truth) > 9
-        assert nist.digits(fit.sd, sd) > 8
+        assert digits(fit.parameters, truth) > 9
+        assert digits(fit.sd, sd) > 8
 
 
 TANK = np.array([213.0, 0.55])
@@ -109,14 +112,14 @@ TANK_START = jnp.array([1.0, 1.0])
 
 
 def tank_residuals():
-    y, _ = made_certain(nist.saturating, TANK, TANK_TIMES, 15.0)
-    return lambda b: nist.saturating(b, TANK_TIMES) - y
+    y, _ = made_certain(nist_nonlinear.saturating, TANK, TANK_TIMES, 15.0)
+    return lambda b: nist_nonlinear.saturating(b, TANK_TIMES) - y
 
 
 def test_a_second_try_finds_what_the_first_runs_away_from(monkeypatch) -> None:
     found = levenberg_marquardt.least_squares(tank_residuals(), TANK_START)
     assert found.converged
-    assert nist.digits(found.value, TANK) > 9
+    assert digits(found.value, TANK) > 9
     monkeypatch.setattr(levenberg_marquardt, "TRIES", 1)
     assert not levenberg_marquardt.least_squares(tank_residuals(), TANK_START).converged
 
@@ -177,8 +180,8 @@ def test_a_steep_polynomial_keeps_its_digits_through_the_public_api() -> None:
     x = list(range(30, 54))
     y = [v**5 // 100_000 - 9 * v**2 + (v * v * 7919) % 61 - 30 for v in x]
     beta, sd, residual_sd = exact_line(x, y, 5)
-    fit = nist.fit_linear({"x": np.array(x, float)}, np.array(y, float), tuple(range(6)))
+    fit = nist_linear.fit_linear({"x": np.array(x, float)}, np.array(y, float), tuple(range(6)))
     assert fit.converged
-    assert nist.digits(fit.parameters, beta) > PARAMETERS
-    assert nist.digits(fit.sd, sd) > DEVIATIONS
-    assert nist.digits(fit.residual_sd, residual_sd) > DEVIATIONS
+    assert digits(fit.parameters, beta) > PARAMETERS
+    assert digits(fit.sd, sd) > DEVIATIONS
+    assert digits(fit.residual_sd, residual_sd) > DEVIATIONS

@@ -15,6 +15,7 @@ from bayescal_models import INSTRUMENTS
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
 from bayescal_models.mems_gyro.effects import THERMOMETER
 from benchmarks.accuracy import coverage
+from benchmarks.accuracy.chunks import collect
 from benchmarks.accuracy.ranks import band, drawn, judge, ranks
 
 SEED = 11
@@ -76,7 +77,7 @@ def test_ranks_are_uniform_for_runs_over_a_parabola() -> None:
 def test_intervals_cover_for_every_instrument(name: str) -> None:
     # What fails on a hundred data sets is tried on twice as many others: chance does not fail twice, a fault does.
     ground = coverage.Ground.of(name)
-    rows = coverage.collect(ground, REPLICATES)
+    rows = collect(ground, REPLICATES)
     assert coverage.uneven(rows) <= UNEVEN.get(name, 0.05)
     failed = failures(rows)
     if failed:

@@ -1,4 +1,4 @@
-"""The samplers of others, each on a target of `samplers.py`, in the way that its makers propose."""
+"""The samplers of others, each on a target of `targets.py`, in the way that its makers propose."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def numpyro_nuts(target: Target, dense: bool, warmup: int) -> Ran:
 
 def blackjax_nuts(target: Target, warmup: int) -> Ran:
     """BlackJAX's NUTS after its window adaptation, chains one after another."""
-    import blackjax
+    import blackjax  # pyright: ignore[reportMissingImports]
 
     adapt = blackjax.window_adaptation(
         blackjax.nuts,
@@ -100,8 +100,8 @@ def blackjax_nuts(target: Target, warmup: int) -> Ran:
 def blackjax_laplace(target: Target, warmup: int) -> Ran:
     """BlackJAX's Hamiltonian steps on the Laplace marginal: step and mass by its window adaptation, then whole
     trajectories (`laplace_mhmc`). Draws of the latent coordinates are NaN, for it makes none."""
-    import blackjax
-    from blackjax.mcmc.laplace_marginal import laplace_marginal_factory
+    import blackjax  # pyright: ignore[reportMissingImports]
+    from blackjax.mcmc.laplace_marginal import laplace_marginal_factory  # pyright: ignore[reportMissingImports]
 
     inner, outer = np.flatnonzero(target.latent), np.flatnonzero(~target.latent)
 
@@ -163,8 +163,8 @@ def _traced(trace: Any, seconds: float, compiling: float) -> Ran:
 
 def nutpie_nuts(target: Target, low_rank: bool, warmup: int) -> Ran:
     """nutpie on the compiled value and gradient."""
-    import nutpie
-    from nutpie.compiled_pyfunc import from_pyfunc
+    import nutpie  # pyright: ignore[reportMissingImports]
+    from nutpie.compiled_pyfunc import from_pyfunc  # pyright: ignore[reportMissingImports]
 
     both, compiling = _both(target)
     dim = target.start.shape[1]
@@ -208,9 +208,9 @@ def nutpie_nuts(target: Target, low_rank: bool, warmup: int) -> Ran:
 
 def pymc_nuts(target: Target, warmup: int) -> Ran:
     """PyMC's own NUTS on the compiled value and gradient, chains one after another."""
-    import pymc as pm
-    import pytensor.tensor as pt
-    from pytensor.graph.op import Op
+    import pymc as pm  # pyright: ignore[reportMissingImports]
+    import pytensor.tensor as pt  # pyright: ignore[reportMissingImports]
+    from pytensor.graph.op import Op  # pyright: ignore[reportMissingImports]
 
     both, compiling = _both(target)
 

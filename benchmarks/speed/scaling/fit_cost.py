@@ -1,4 +1,4 @@
-"""One least-squares fit, warm and from a cold start, beside `scipy.optimize.least_squares` and lmfit.
+"""One least-squares fit beside `scipy.optimize.least_squares` and lmfit.
 
 All minimise the same sum of squares from the same start, the priors' centre: residuals over the noise's standard
 deviation, and every unknown over its prior's. The peers are told the noise, which `bc.fit` has to find; it also draws,
@@ -7,18 +7,12 @@ names, and judges. Where a model is not written out here by hand, the peers are 
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.record import ROOT
+from benchmarks.speed.timing import clocks, interleaved
 
 READINGS, SEED, T0, NOISE = 600, 5, 20.0, 0.2
 REPEATS = 7
@@ -46,20 +40,6 @@ def arrays() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return t, temperature, output + rng.normal(0.0, NOISE, READINGS)
 
 
-def interleaved(
-    runs: dict[str, Callable[[], Any]], repeats: int
-) -> tuple[dict[str, float], dict[str, Any]]:
-    """The least seconds of each, one after the other in every round; and what each made."""
-    best = dict.fromkeys(runs, np.inf)
-    made: dict[str, Any] = {}
-    for _ in range(repeats):
-        for name, run in runs.items():
-            begun = time.perf_counter()
-            made[name] = run()
-            best[name] = min(best[name], time.perf_counter() - begun)
-    return best, made
-
-
 def by_hand(kind: str, scale: dict[str, float], noise: float) -> Problem:
     """The gyroscope's line, or with its warm-up, written out in numpy.
 
@@ -85,14 +65,16 @@ def by_scipy(problem: Problem, method: Any) -> tuple[np.ndarray, np.ndarray]:
     """z and its covariance by `scipy.optimize.least_squares`."""
     from scipy.optimize import least_squares
 
-    own = {"ftol": TIGHT, "xtol": TIGHT, "gtol": TIGHT}
-    found: Any = least_squares(problem.residuals, np.zeros(problem.size), method=method, **own)
+    start = np.zeros(problem.size)
+    found: Any = least_squares(
+        problem.residuals, start, method=method, ftol=TIGHT, xtol=TIGHT, gtol=TIGHT
+    )
     return found.x, np.linalg.inv(found.jac.T @ found.jac)
 
 
 def by_lmfit(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """The same by lmfit's `minimize` (leastsq)."""
-    import lmfit
+    import lmfit  # pyright: ignore[reportMissingImports]
 
     start = lmfit.Parameters()
     for i in range(problem.size):
@@ -105,7 +87,7 @@ def by_lmfit(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     return np.array([p.value for p in found.params.values()]), found.covar
 
 
-def _exactly(problem: Problem, near: np.ndarray) -> np.ndarray:
+def exactly(problem: Problem, near: np.ndarray) -> np.ndarray:
     """z by Gauss–Newton steps from near the answer, until rounding stops them; central differences at need."""
     step = 1e-5
 
@@ -122,7 +104,7 @@ def _exactly(problem: Problem, near: np.ndarray) -> np.ndarray:
     return z
 
 
-def _case(kind: str) -> tuple[Any, Any]:
+def case(kind: str) -> tuple[Any, Any]:
     """Model and readings."""
     import bayescal as bc
     from bayescal_models import mems_gyro, ng_accelerometer
@@ -137,11 +119,11 @@ def _case(kind: str) -> tuple[Any, Any]:
     return model + "bias.warm_up" if kind == "warm-up" else model, readings
 
 
-def _scales(found: Any) -> tuple[dict[str, float], float]:
+def scales(found: Any) -> tuple[dict[str, float], float]:
     """What `by_hand` needs of a fit: the priors' sizes, and the noise that was found."""
     model, layout = found.model, found.layout
     sizes = [e.coefficients[0].size for e in model.effects]
-    scale = dict(zip(("offset", "slope", "warm_up"), sizes, strict=False))
+    scale: dict[str, float] = dict(zip(("offset", "slope", "warm_up"), sizes, strict=False))
     for h in layout.hypers:
         if h.kind == "shape":
             scale |= {"tau": float(h.prior.median), "log_tau": float(h.prior.sd)}
@@ -149,7 +131,7 @@ def _scales(found: Any) -> tuple[dict[str, float], float]:
     return scale, float(layout.hypers[place].prior.value(found.mode.v[place]))
 
 
-def _problem(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
+def problem_of(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
     """The same problem for the peers, with the noise that `bc.fit` found; and its answer in z."""
     import jax
     import jax.numpy as jnp
@@ -169,7 +151,7 @@ def _problem(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
         [(mode.point.x - prior.mean) / prior.sd, mode.v[jnp.array(places, int)]]
     )
     if kind != "ng accelerometer":
-        return by_hand(kind, *_scales(found)), answer
+        return by_hand(kind, *scales(found)), answer
     y, sd = found.readings["output"], jnp.asarray(noise)
 
     @jax.jit
@@ -195,9 +177,9 @@ def warm(kind: str) -> dict[str, Any]:
     import bayescal as bc
     from bayescal._inference import laplace, least_squares
 
-    model, readings = _case(kind)
+    model, readings = case(kind)
     found = bc.fit(model, readings, bc.LeastSquares())
-    problem, answer = _problem(kind, found)
+    problem, answer = problem_of(kind, found)
     layout, frame, y = found.layout, found.frame, jax.numpy.asarray(readings["output"])
 
     def solve() -> Any:
@@ -205,7 +187,7 @@ def warm(kind: str) -> dict[str, Any]:
         return jax.block_until_ready(least_squares.refine(layout, frame, y, mode, False).covariance)
 
     solve()
-    best, made = interleaved(
+    timed = interleaved(
         {
             "bc.fit": lambda: bc.fit(model, readings, bc.LeastSquares()),
             "bayescal, the solve alone": solve,
@@ -215,84 +197,30 @@ def warm(kind: str) -> dict[str, Any]:
         },
         REPEATS,
     )
-    exact = _exactly(problem, answer)
-    sd = np.sqrt(np.diag(made["scipy, trf"][1]))
-    answers = {"bc.fit": answer, **{n: made[n][0] for n in ("scipy, trf", "scipy, lm", "lmfit")}}
+    best, found_by = clocks(timed), {n: one.made for n, one in timed.items()}
+    exact = exactly(problem, answer)
+    sd = np.sqrt(np.diag(found_by["scipy, trf"][1]))
+    answers = {
+        "bc.fit": answer,
+        **{n: found_by[n][0] for n in ("scipy, trf", "scipy, lm", "lmfit")},
+    }
     apart = {n: float(np.max(np.abs(z - exact) / sd)) for n, z in answers.items()}
     if not (apart["bc.fit"] <= NEAR and max(apart.values()) <= PEERS_NEAR):
         raise RuntimeError(f"{kind}: answers from the least sum of squares, sd: {apart}")
     peers = {"scipy": min(best["scipy, trf"], best["scipy, lm"]), "lmfit": best["lmfit"]}
+    told = ", ".join(
+        f"{n} {1e3 * s:.1f} ms = {s / best['bc.fit']:.2f} × bc.fit" for n, s in peers.items()
+    )
+    alone = best["bayescal, the solve alone"]
     return {
         "readings": len(readings),
         "unknowns": problem.size,
         "seconds": best,
         "apart_sd": apart,
         "times_bc_fit": {n: s / best["bc.fit"] for n, s in peers.items()},
-        "times_the_solve": {n: s / best["bayescal, the solve alone"] for n, s in peers.items()},
+        "times_the_solve": {n: s / alone for n, s in peers.items()},
         "goal": GOAL,
-        "told": f"bc.fit {1e3 * best['bc.fit']:.1f} ms (the solve alone "
-        f"{1e3 * best['bayescal, the solve alone']:.1f}), "
-        + ", ".join(
-            f"{n} {1e3 * s:.1f} ms = {s / best['bc.fit']:.2f} × bc.fit" for n, s in peers.items()
-        )
-        + f" (goal {GOAL:.0f}); ours within {apart['bc.fit']:.1g} sd of the optimum, "
+        "told": f"bc.fit {1e3 * best['bc.fit']:.1f} ms (the solve alone {1e3 * alone:.1f}), {told} "
+        f"(goal {GOAL:.0f}); ours within {apart['bc.fit']:.1g} sd of the optimum, "
         f"the peers' within {max(apart.values()):.1g}",
-    }
-
-
-COLD = {
-    "bayescal": "import bayescal as bc; from benchmarks.speed.scaling.fit_cost import _case, told_z; "
-    "told_z(bc.fit(*_case('warm-up'), bc.LeastSquares()))",
-    "scipy": "import sys, json; from benchmarks.speed.scaling.fit_cost import *; "
-    "scale, noise = json.loads(sys.argv[1]); "
-    "z = by_scipy(by_hand('warm-up', scale, noise), 'trf')[0]; print(json.dumps([time.time(), z.tolist()]))",
-    "lmfit": "import sys, json; from benchmarks.speed.scaling.fit_cost import *; "
-    "scale, noise = json.loads(sys.argv[1]); "
-    "z = by_lmfit(by_hand('warm-up', scale, noise))[0]; print(json.dumps([time.time(), z.tolist()]))",
-}
-
-
-def told_z(found: Any) -> None:
-    """Print when `bc.fit` ended, and its answer in standardised unknowns."""
-    ended = time.time()  # before what only the comparison needs
-    print(json.dumps([ended, _problem("warm-up", found)[1].tolist()]))
-
-
-def cold() -> dict[str, Any]:
-    """Seconds of a fresh process that fits the warm-up: with nothing kept from before, and again with what it kept.
-
-    Raises:
-        RuntimeError: the answers differ.
-    """
-    import bayescal as bc
-
-    fitted = bc.fit(*_case("warm-up"), bc.LeastSquares())
-    problem, answer = _problem("warm-up", fitted)
-    sd = np.sqrt(np.diag(by_scipy(problem, "trf")[1]))
-    given = json.dumps(_scales(fitted))
-
-    def once(name: str, folder: str) -> float:
-        begun = time.time()
-        own = {**os.environ, "BAYESCAL_CACHE": folder}
-        command = [sys.executable, "-c", COLD[name], given]
-        ran = subprocess.run(
-            command, cwd=ROOT, env=own, check=True, stdout=subprocess.PIPE, text=True
-        )
-        ended, z = json.loads(ran.stdout.splitlines()[-1])
-        apart[name] = max(apart.get(name, 0.0), float(np.max(np.abs(np.array(z) - answer) / sd)))
-        return ended - begun
-
-    first, again, apart = {}, {}, {}
-    for name in COLD:
-        with tempfile.TemporaryDirectory() as folder:
-            first[name] = once(name, folder)
-            again[name] = min(once(name, folder) for _ in range(2))
-    if not max(apart.values()) <= PEERS_NEAR:
-        raise RuntimeError(f"cold starts: answers from ours, sd: {apart}")
-    told = ", ".join(f"{n} {first[n]:.1f} s, then {again[n]:.1f} s" for n in COLD)
-    return {
-        "nothing_kept": first,
-        "again": again,
-        "apart_sd": apart,
-        "told": f"fresh processes: {told}; answers within {max(apart.values()):.1g} sd",
     }

@@ -1,150 +1,50 @@
 """What computing costs, and how the cost grows with the readings: beside peers, and beside what the machine can do.
 
-Rows, each in a process of its own on one core: gradients of the log density under white and Ornstein–Uhlenbeck noise;
-the memory of a fit to ten million readings; a scan of sixty candidates (`scan_cost.py`); one least-squares fit
-(`fit_cost.py`). A row that is in `results/scaling.jsonl` is not run again. Every row compares values before it states
-a speed; ratios are of times from one run, the least of several taken in turn.
+Rows, each in a process of its own on one core: gradients of the log density under white and Ornstein–Uhlenbeck noise
+(`gradient_white.py`, `gradient_correlated.py`); the memory of a fit to ten million readings (`memory_cost.py`); a scan
+of sixty candidates (`scan_cost.py`); one least-squares fit (`fit_cost.py`, `cold_fit.py`). A row that is in
+`results/scaling.jsonl` is not run again. Every row compares values before it states a speed; ratios are of times from
+one run, the least of several taken in turn.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from benchmarks.record import ROOT, write
-from benchmarks.speed.scaling import fit_cost, gradient_cost
+from benchmarks.markdown import table
+from benchmarks.record import RESULTS, add_line, read_lines, write
+from benchmarks.speed.own_process import measured
+from benchmarks.speed.scaling.cold_fit import cold
+from benchmarks.speed.scaling.fit_cost import warm
+from benchmarks.speed.scaling.gradient_correlated import wander
+from benchmarks.speed.scaling.gradient_white import white
+from benchmarks.speed.scaling.memory_cost import memory
 
-LINES = ROOT / "benchmarks" / "results" / "scaling.jsonl"
-MEMORY_READINGS, MEMORY_GOAL, MEMORY_LIMIT = 10_000_000, 2.0, 8.0  # GiB; the last ends a process
-STEPS = {"whole": "bc.fit", "solve": "least squares without its tree of draws"}
-DATA = """
-import numpy as np, bayescal as bc, sys
-from bayescal_models import mems_gyro
-n, rng = int(sys.argv[2]), np.random.default_rng(0)
-t = rng.uniform(-40, 85, n)
-y = 1.5 + 0.03 * (t - 20) + rng.normal(0, 0.2, n)
-m = bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, temperature=t, output=y)
-m.write(sys.argv[1])
-"""
-
-
-def fit_in_here(path: str, what: str) -> None:
-    """Read a Parquet file, fit the gyroscope's line, and print peak memory, GiB, and the answer as JSON.
-
-    Args:
-        path: the file.
-        what: "whole" for `bc.fit`, "solve" for the optimisation alone.
-    """
-    import resource
-
-    import jax.numpy as jnp
-    import numpy as np
-
-    import bayescal as bc
-    from bayescal._inference import laplace, least_squares
-    from bayescal._model.frame import build_frame, reference_of
-    from bayescal._model.parameters import bind
-    from bayescal_models import mems_gyro
-
-    def peak() -> float:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-
-    begun = time.perf_counter()
-    memory = {"imports": peak()}
-    readings = bc.read(path, mems_gyro.INSTRUMENT)
-    memory["readings"] = peak()
-    model = mems_gyro.INSTRUMENT.baseline()
-    if what == "whole":
-        mode = bc.fit(model, readings, bc.LeastSquares()).mode
-    else:
-        frame = build_frame(readings, reference_of(readings))
-        layout, y = bind(model, readings)[0], jnp.asarray(readings["output"])
-        mode = laplace.compiled_mode(layout, frame, y)
-        mode = least_squares.refine(layout, frame, y, mode, False).mode
-    x = np.asarray(mode.point.x)
-    memory["fit"] = peak()
-    seconds = time.perf_counter() - begun
-    centred = readings["temperature"] - np.round(readings["temperature"].mean())
-    sums = np.array([[len(centred), centred.sum()], [centred.sum(), centred @ centred]])
-    y = readings["output"]
-    own = np.linalg.solve(sums, [y.sum(), centred @ y])
-    apart = float(np.max(np.abs(x - own) / (0.2 * np.sqrt(np.diag(np.linalg.inv(sums))))))
-    print(json.dumps({"memory": memory, "seconds": seconds, "apart_sd": apart}))
-
-
-def _guarded(code: str, *arguments: str) -> dict[str, Any]:
-    """Run code in a process that is ended where it holds more than `MEMORY_LIMIT`; what it printed.
-
-    Raises:
-        RuntimeError: it failed otherwise.
-    """
-    run = subprocess.Popen(
-        [sys.executable, "-c", code, *arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True
-    )
-    while run.poll() is None:
-        held = Path(f"/proc/{run.pid}/statm").read_text("utf-8").split()
-        if len(held) > 1 and int(held[1]) * os.sysconf("SC_PAGE_SIZE") > MEMORY_LIMIT * 2**30:
-            run.kill()
-            run.wait()
-            return {"ended_above": MEMORY_LIMIT}
-        time.sleep(0.05)
-    told = run.stdout.read() if run.stdout else ""
-    if run.returncode:
-        raise RuntimeError(f"a fit in a process of its own ended with {run.returncode}: {told}")
-    return json.loads(told) if told else {}
-
-
-def memory(readings: int, what: str) -> dict[str, Any]:
-    """Peak memory of reading a Parquet file and fitting it, by the kernel's account of the process.
-
-    Raises:
-        RuntimeError: the answer is not that of the normal equations.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        path = str(Path(folder) / "readings.parquet")
-        _guarded(DATA, path, str(readings))
-        code = "import sys; from benchmarks.speed.scaling.rows import fit_in_here; fit_in_here(*sys.argv[1:])"
-        found = _guarded(code, path, what)
-    found = {"readings": readings, "what": STEPS[what], "goal_gib": MEMORY_GOAL, **found}
-    if "ended_above" in found:
-        told = f"{STEPS[what]}: above {MEMORY_LIMIT:.0f} GiB, where it was ended"
-        return {**found, "told": f"{told} (goal {MEMORY_GOAL:.0f})"}
-    if not found["apart_sd"] < 1e-3:  # the priors' own pull is 2e-4 at 1e5 readings, 2e-5 at 1e7
-        raise RuntimeError(f"{STEPS[what]} at {readings} readings: {found['apart_sd']} sd apart")
-    own = found["memory"]
-    return {
-        **found,
-        "told": f"{STEPS[what]}: peak {own['fit']:.2f} GiB (goal {MEMORY_GOAL:.0f}), of which imports "
-        f"{own['imports']:.2f}, with the readings {own['readings']:.2f}; {found['seconds']:.0f} s",
-    }
+LINES = RESULTS / "scaling.jsonl"
 
 
 def _scan() -> dict[str, Any]:
-    from benchmarks.speed.scaling import scan_cost
+    # Late, for it imports JAX: the kernel counts the memory of a process that starts another to the latter's peak.
+    from benchmarks.speed.scaling.scan_cost import scan
 
-    return scan_cost.scan()
+    return scan()
 
 
 ROWS: dict[str, Callable[[], dict[str, Any]]] = {
-    "gradient, white noise": gradient_cost.white,
-    "gradient, Ornstein–Uhlenbeck noise": gradient_cost.wander,
+    "gradient, white noise": white,
+    "gradient, Ornstein–Uhlenbeck noise": wander,
     "memory, least squares, 10⁵ readings": partial(memory, 100_000, "whole"),
-    "memory, least squares, 10⁷ readings": partial(memory, MEMORY_READINGS, "whole"),
-    "memory, the solve alone, 10⁷ readings": partial(memory, MEMORY_READINGS, "solve"),
+    "memory, least squares, 10⁷ readings": partial(memory, 10_000_000, "whole"),
+    "memory, the solve alone, 10⁷ readings": partial(memory, 10_000_000, "solve"),
     "scan, 60 candidates × 2000 readings": _scan,
-    "least squares, gyroscope's line": partial(fit_cost.warm, "line"),
-    "least squares, gyroscope's warm-up": partial(fit_cost.warm, "warm-up"),
-    "least squares, ng accelerometer": partial(fit_cost.warm, "ng accelerometer"),
-    "least squares, cold start": fit_cost.cold,
+    "least squares, gyroscope's line": partial(warm, "line"),
+    "least squares, gyroscope's warm-up": partial(warm, "warm-up"),
+    "least squares, ng accelerometer": partial(warm, "ng accelerometer"),
+    "least squares, cold start": cold,
 }
 
 
@@ -168,38 +68,23 @@ def main() -> None:
     Raises:
         RuntimeError: a row failed.
     """
-    text = LINES.read_text("utf-8") if LINES.is_file() else ""
-    done = {line["row"]: line for line in map(json.loads, text.splitlines())}
+    done = {line["row"]: line for line in read_lines(LINES)}
     only = os.environ.get("BAYESCAL_ONLY", "")
     for name in ROWS:
         if name in done or only not in name:
             continue
-        code = "import sys; from benchmarks.speed.scaling.rows import in_here; in_here(sys.argv[1])"
-        with one_core(), tempfile.TemporaryDirectory() as folder:
-            out = Path(folder) / "row.json"
-            ran = subprocess.run(
-                [sys.executable, "-c", code, name],
-                cwd=ROOT,
-                env={**os.environ, "BAYESCAL_ROW": str(out)},
-                check=False,
-            )
-            if ran.returncode:
-                raise RuntimeError(f"{name}: ended with {ran.returncode}; its reason stands above")
-            done[name] = json.loads(out.read_text("utf-8"))
-        with LINES.open("a", encoding="utf-8") as lines:
-            lines.write(json.dumps(done[name], ensure_ascii=False) + "\n")
+        with one_core():
+            found = measured(__name__, name)
+        if found is None:
+            continue
+        done[name] = {"row": name, **found}
+        add_line(LINES, done[name])
         print(f"{name}: {done[name]['told']}", flush=True)
     rows = [done[name] for name in ROWS if name in done]
     write("scaling", {"cores_used": 1, "rows": rows})
-    print("| row | found |\n|---|---|")
-    print("\n".join(f"| {row['row']} | {row['told']} |" for row in rows))
+    print(table(["row", "found"], ([row["row"], row["told"]] for row in rows)))
 
 
-def in_here(name: str) -> None:
-    """One row, in this process; its file is named by the environment, for what it prints is for people."""
-    row = {"row": name, **ROWS[name]()}
-    Path(os.environ["BAYESCAL_ROW"]).write_text(json.dumps(row), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+def measure(name: str) -> dict[str, Any]:
+    """One row, in this process."""
+    return ROWS[name]()

@@ -14,7 +14,7 @@ import numpy as np
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from benchmarks.speed.scaling.fit_cost import interleaved
+from benchmarks.speed.timing import clocks, interleaved
 
 READINGS, CANDIDATES, SEED = 2000, 60, 7
 HIDDEN, SIZE, PRIOR, NOISE = 17, 0.05, 0.05, 0.2  # which cosine; °/s
@@ -53,7 +53,7 @@ def arrays() -> tuple[np.ndarray, np.ndarray]:
 
 def by_lmfit(columns: list[np.ndarray], y: np.ndarray) -> list[Any]:
     """Offset, slope and one candidate, as often as there are columns: results of lmfit."""
-    import lmfit
+    import lmfit  # pyright: ignore[reportMissingImports]
 
     temperature, found = columns[0], []
     for column in columns[1:]:
@@ -111,7 +111,7 @@ def scan() -> dict[str, Any]:
         return bc.discover(fitted, effects=candidates, verify=False)
 
     look()
-    best, made = interleaved(
+    timed = interleaved(
         {
             "scan": look,
             "Marginal": lambda: bc.fit(model, readings),
@@ -120,10 +120,11 @@ def scan() -> dict[str, Any]:
         },
         REPEATS,
     )
-    told = {c.effect: c for c in made["scan"].candidates}
+    best = clocks(timed)
+    told = {c.effect: c for c in timed["scan"].made.candidates}
     named = [told[e.name] for e in candidates]
     place = int(np.argmax([c.log_bayes_factor or -np.inf for c in named]))
-    lead, refits = named[place], made["lmfit"]
+    lead, refits = named[place], timed["lmfit"].made
     if place != HIDDEN - 2 or place != int(np.argmin([r.chisqr for r in refits])):
         raise RuntimeError(f"bias.cosine_{HIDDEN:02d} is hidden; the scan leads with {lead}")
     sd = np.array([e.coefficients[0].size for e in model.effects])

@@ -1,0 +1,41 @@
+"""Banks that take hours: campaigns are measured one after another, a line each, for as long as is allowed."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from benchmarks.record import add_line
+
+SECONDS = 3300.0  # of one instrument's part, unless BAYESCAL_SECONDS says otherwise
+T = TypeVar("T")
+
+
+def chosen(names: Iterable[str]) -> list[str]:
+    """The instruments that BAYESCAL_ONLY names, or all."""
+    return os.environ.get("BAYESCAL_ONLY", "").split() or list(names)
+
+
+def go_on(
+    path: Path, cases: Iterable[T], measure: Callable[[T], tuple[dict[str, Any], str]]
+) -> None:
+    """Measure cases and add a line for each to a file; after `SECONDS`, say so and stop.
+
+    Args:
+        path: of the file.
+        cases: those that do not stand in it yet.
+        measure: from a case to its line, and what is told of it.
+    """
+    seconds = float(os.environ.get("BAYESCAL_SECONDS", SECONDS))
+    begun = time.perf_counter()
+    for case in cases:
+        if time.perf_counter() - begun > seconds:
+            print(f"{path.stem}: stopped after {seconds:.0f} s; run again to go on")
+            return
+        row, told = measure(case)
+        add_line(path, row)
+        print(f"{path.stem} {told}", file=sys.stderr)

@@ -1,0 +1,58 @@
+"""The benchmarks: every name has a module, and the code that they give to other processes can be run."""
+
+from __future__ import annotations
+
+import ast
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from benchmarks import __main__ as command
+
+ROOT = Path(__file__).resolve().parents[2]
+FILES = sorted((ROOT / "benchmarks").rglob("*.py"))
+MOST = 12  # modules in a folder, its docstring's not counted
+
+
+def functions_of(module: str) -> set[str]:
+    """Names at the top of a module, without running it."""
+    spec = find_spec(module)
+    assert spec is not None and spec.origin is not None, f"no module {module}"
+    found: set[str] = set()
+    for node in ast.parse(Path(spec.origin).read_text("utf-8")).body:
+        if isinstance(node, ast.FunctionDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Assign):
+            found |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+    return found
+
+
+@pytest.mark.parametrize("name", command.MODULES)
+def test_a_name_has_its_module(name: str) -> None:
+    assert "main" in functions_of(f"benchmarks.{command.MODULES[name]}")
+
+
+def test_an_unknown_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["certifed"]) == 2
+    assert "no benchmark is called certifed; there are: certified, " in capsys.readouterr().err
+
+
+def test_code_for_other_processes_names_what_is_there() -> None:
+    found = [
+        (module, name)
+        for file in FILES
+        for module, name in re.findall(
+            r'"[^"\n]*from (benchmarks[\w.]*) import (\w+)', file.read_text("utf-8")
+        )
+    ]
+    assert found, "no code for other processes was found"
+    assert all(name in functions_of(module) for module, name in found), found
+
+
+def test_folders_are_small_and_say_what_they_claim() -> None:
+    for folder in {file.parent for file in FILES}:
+        inside = [file for file in folder.glob("*.py") if file.name != "__init__.py"]
+        assert len(inside) <= MOST, folder
+        assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))), folder
