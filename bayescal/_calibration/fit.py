@@ -64,9 +64,8 @@ def fit(
 ) -> Calibration | ProgramFit:
     """Fit a model to readings.
 
-    A NumPyro program is fitted as it is. Its Normal and MultivariateNormal sites are found by tracing it and are
-    integrated out where, given all others, every location is affine in them; what is left is sampled as φ of an
-    own model is. The verdict says which sites, and why not the others. Where none is, NumPyro's NUTS runs.
+    A NumPyro program is fitted as it is: its Gaussian sites are integrated out where, given all others, every location
+    is affine in them, and the verdict says which. Where none is, NumPyro's NUTS runs.
 
     Args:
         model: an instrument, effects, a noise law; or a NumPyro program.
@@ -96,9 +95,8 @@ def fit(
     reference = _reference(readings, reference)
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference)
-    y = frame["output"]
     with keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)):
-        outcome = kept_outcome(layout, lambda: method.run(layout, frame, y, seed))
+        outcome = kept_outcome(layout, lambda: method.run(layout, frame, frame["output"], seed))
     calibration = Calibration(
         model=model,
         readings=readings,

@@ -50,18 +50,20 @@ def check(calibration: Calibration) -> Check:
     entries.sort(key=lambda e: -e.log_bayes_factor)
     loo = _leave_one_out(judged, white)
     return Check(
-        tuple(entries),
-        tuple(pairs),
-        calibration.unit,
-        float(np.sqrt(np.mean(residual**2))),
-        noise,
-        autocorrelation(judged, white),
+        entries=tuple(entries),
+        pairs=tuple(pairs),
+        unit=calibration.unit,
+        rms=float(np.sqrt(np.mean(residual**2))),
+        noise=noise,
+        autocorrelation=autocorrelation(judged, white),
         # Where the mean is off, so is the size of the residuals: scatter is judged only where it is not.
-        _spread_with(covariates, white) if max(factors, default=0.0) < STRONG else {},
-        tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
-        float(stats.kstest(stats.norm.cdf(loo), "uniform").pvalue),
-        None if free_noise is None else _compare_fixed(calibration, residual, noise, free_noise),
-        residual,
+        spread_with=_spread_with(covariates, white) if max(factors, default=0.0) < STRONG else {},
+        outliers=tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
+        pit_p=float(stats.kstest(stats.norm.cdf(loo), "uniform").pvalue),
+        fixed=None
+        if free_noise is None
+        else _compare_fixed(calibration, residual, noise, free_noise),
+        residuals=residual,
     )
 
 
@@ -92,15 +94,15 @@ def _compare_fixed(
     calibration: Calibration, residual: np.ndarray, noise: float, free: float
 ) -> FixedComparison:
     return FixedComparison(
-        noise,
-        free,
-        known_noise(calibration),
-        float(residual.mean()),
-        float(residual.min()),
-        float(residual.max()),
-        float(np.sqrt(np.mean(residual**2))),
-        int((residual > 0).sum()),
-        residual.size,
+        noise=noise,
+        free_fit=free,
+        known=known_noise(calibration),
+        mean=float(residual.mean()),
+        low=float(residual.min()),
+        high=float(residual.max()),
+        rms=float(np.sqrt(np.mean(residual**2))),
+        positive=int((residual > 0).sum()),
+        count=residual.size,
     )
 
 

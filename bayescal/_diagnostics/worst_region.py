@@ -92,7 +92,7 @@ def _cut(index: int, block: smooth_terms.Covariate, own: np.ndarray, group: str 
         edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
         bins[own], count = np.searchsorted(edges, values, side="right"), BINS
     longest = 1 if block.levels else max(1, (2 * count) // 3)
-    return _Binned(index, group, bins, count, longest)
+    return _Binned(covariate=index, group=group, bins=bins, count=count, longest=longest)
 
 
 def _worst(
@@ -109,4 +109,11 @@ def _worst(
     z, size, i, j = best
     inside = (cut.bins >= i) & (cut.bins < j)
     values = block.values[inside] if inside.any() else block.values
-    return Region(float(values.min()), float(values.max()), cut.group, size, z, block.unit)
+    return Region(
+        low=float(values.min()),
+        high=float(values.max()),
+        group=cut.group,
+        size=size,
+        z=z,
+        covariate_unit=block.unit,
+    )

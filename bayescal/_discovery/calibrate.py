@@ -76,7 +76,13 @@ def calibrate(
         readings = without_spikes(readings)
         holdout = None if holdout is None else without_spikes(holdout)
     loop = _Loop(
-        readings, tuple(effects), method, max_effects, seed, reference, frozenset(model.names)
+        readings=readings,
+        effects=tuple(effects),
+        method=method,
+        max_effects=max_effects,
+        seed=seed,
+        reference=reference,
+        start=frozenset(model.names),
     )
     steps, other = loop.follow(model, widen_noise)
     if holdout is not None:
@@ -195,17 +201,17 @@ class _Loop:
         if calibration.verdict.ok:
             discovery = discover(calibration, effects=self.effects, max_effects=self.max_effects)
         return Step(
-            calibration,
-            added,
-            dropped,
-            predict(calibration).rmse,
-            float(np.sqrt(np.mean(checked.residuals**2))),
-            None,
-            left_out,
-            noise_floor(calibration),
-            checked,
-            discovery,
-            noise_changed,
+            calibration=calibration,
+            added=added,
+            dropped=dropped,
+            rmse=predict(calibration).rmse,
+            rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
+            holdout_rmse=None,
+            left_out=left_out,
+            noise_floor=noise_floor(calibration),
+            check=checked,
+            discovery=discovery,
+            noise_changed=noise_changed,
         )
 
     def _wide(self, model: Model) -> Model | None:

@@ -98,7 +98,13 @@ def lay_out(calibration: Calibration, effects: Sequence[Effect]) -> Columns:
             points.append(GridPoint(named, amplitude, spread is not None, at))
     rows = len(calibration.readings)
     whole = np.concatenate(matrix, axis=1) if matrix else np.zeros((rows, 0))
-    return Columns(whole, tuple(items), tuple(points), tuple(effects), prior_shares(effects))
+    return Columns(
+        matrix=whole,
+        items=tuple(items),
+        points=tuple(points),
+        effects=tuple(effects),
+        prior=prior_shares(effects),
+    )
 
 
 def columns_at(

@@ -47,7 +47,7 @@ def discover(
     """
     known, tested, shut = _candidates_of(calibration, effects)
     if not tested:
-        return Discovery(1.0, (), tuple(shut), (), {})
+        return Discovery(nothing_missing=1.0, sets=(), candidates=tuple(shut), best=(), verified={})
     with stage("looking for missing effects"):
         columns = candidates.lay_out(calibration, tested)
         score = efficient_score.score(calibration, columns.matrix)
@@ -84,12 +84,33 @@ def discover(
         judged = judgement.given(judged, columns, score, tested.index(best[0]))
     else:
         sets = ()
+    return _ranked(known, tested, shut, nothing, sets, judged, best, verified)
+
+
+def _ranked(
+    known: dict[str, Effect],
+    tested: list[Effect],
+    shut: list[Candidate],
+    nothing: float,
+    sets: tuple[Found, ...],
+    judged: list[Candidate],
+    best: tuple[Effect, ...],
+    verified: dict[str, float],
+) -> Discovery:
+    """The answer, its candidates in order, each with its kind."""
     in_sets = {name for s in sets for name in s.effects}
     plausible = {e.name: _plausible(e) for e in tested}
     judged = [_kind(c, in_sets, plausible[c.effect]) for c in judged]
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     rivals = tuple(known[name] for name in _rivals(sets, ranked))
-    return Discovery(nothing, sets, (*ranked, *shut), best, verified, rivals)
+    return Discovery(
+        nothing_missing=nothing,
+        sets=sets,
+        candidates=(*ranked, *shut),
+        best=best,
+        verified=verified,
+        rivals=rivals,
+    )
 
 
 def _candidates_of(

@@ -218,7 +218,15 @@ def _ascend(
     spread = energy - np.einsum("lp,pq,lq->l", means, problem.information, means)
     misfit = both @ problem.information @ both + spread.sum()
     bound = float(problem.score @ both - misfit / 2 - divergence.sum())
-    return _Fit(log_alpha, null, means, fitted, bound, settled, sweep)
+    return _Fit(
+        log_alpha=log_alpha,
+        null=null,
+        means=means,
+        fitted=fitted,
+        bound=bound,
+        converged=settled,
+        iterations=sweep,
+    )
 
 
 def _given_candidate(problem: Problem, fit: _Fit) -> Array:

@@ -251,4 +251,10 @@ def linearised(layout: Layout, frame: Frame, y: Float[Array, "n"], mode) -> Line
     back = jnp.sum(line.rows * point.rows, axis=1)
     offset = jnp.where(prior.weight > 0, prior.mean - at, 0.0)
     residual = y - line.mean + back - nuisance @ offset
-    return LinearisedModel(residual, nuisance, prior, gaussian.row_variance(layout, line), hyper)
+    return LinearisedModel(
+        residual=residual,
+        nuisance=nuisance,
+        prior=prior,
+        extra=gaussian.row_variance(layout, line),
+        hyper=hyper,
+    )

@@ -156,7 +156,7 @@ class Trial:
         levels, chosen = compensate.calibration.levels, dict(self.members)
         blocks = {b.name: b for b in compensate.equation.blocks}
         theta = []
-        for entry in compensate.equation.entries():
+        for entry in compensate.equation.unknowns():
             value = np.atleast_1d(truth[entry.key])
             per = blocks[entry.key].coefficient.per if entry.kind != "shape" else None
             place = levels[per].index(chosen[per]) if per and entry.kind != "new" else 0
