@@ -13,11 +13,11 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import differential_pair as dp
-from bayescal_models.differential_pair import criteria
-from bayescal_models.differential_pair.devices import devices_from
 from bayescal_models.differential_pair.environment import SHARED, order_names
-from bayescal_models.differential_pair.judgement import judge
-from bayescal_models.differential_pair.selection import CRITERIA
+from bayescal_models.differential_pair.pairing import criteria
+from bayescal_models.differential_pair.pairing.devices import devices_from
+from bayescal_models.differential_pair.pairing.judgement import judge
+from bayescal_models.differential_pair.pairing.selection import CRITERIA
 from tests.support.command_line import GYRO, TABLE, needs_installation, run
 
 SMALL = dp.Campaign(samples=20)
