@@ -16,7 +16,7 @@ def restricted(one: bc.Measurements) -> tuple[np.ndarray, np.ndarray, float]:
     """x̂, its covariance and σ of the gyro's line, by the textbook's formulas and a scalar minimiser."""
     t, y = one["temperature"], one["output"]
     j = np.column_stack([np.ones(len(t)), t - np.round(t.mean())])
-    d = np.diag([e.coefficients[0].prior.sd ** 2 for e in MODEL.effects])  # pyright: ignore
+    d = np.diag([e.coefficients[0].size ** 2 for e in MODEL.effects])
 
     def negative(log_sd: float) -> float:
         v = np.exp(2 * log_sd) * np.eye(len(y)) + j @ d @ j.T

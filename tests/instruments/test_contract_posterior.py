@@ -5,9 +5,11 @@ The reference problem of an instrument is `bayescal_models/NAME/reference_proble
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from arviz_stats.base import array_stats
+from arviz_stats.base import array_stats  # pyright: ignore[reportPrivateImportUsage]
 
 import bayescal as bc
 from bayescal_models import INSTRUMENTS
@@ -39,7 +41,8 @@ def _effective(calibration: bc.Calibration, values: np.ndarray) -> float:
 
 def _independent(chains: np.ndarray) -> float:
     """How many independent draws chains (chains, draws) are worth for a mean."""
-    return float(array_stats.ess(chains, chain_axis=0, draw_axis=1, method="mean"))
+    worth: Any = array_stats.ess(chains, chain_axis=0, draw_axis=1, method="mean")
+    return float(worth)
 
 
 def _spread_error(values: np.ndarray, effective: float) -> float:
