@@ -19,7 +19,7 @@ def test_group_factor_is_the_ratio_of_normal_evidences(columns):
     W = rng.uniform(0.1, 9, columns)
     covariance = np.eye(30) + (X * W) @ X.T
     evidence = multivariate_normal.logpdf(y, np.zeros(30), covariance)
-    nothing = multivariate_normal.logpdf(y, np.zeros(30), np.eye(30))
+    nothing = multivariate_normal.logpdf(y, np.zeros(30), np.eye(30))  # pyright: ignore[reportArgumentType]
     assert log_bayes_factor(X.T @ y, X.T @ X, W) == pytest.approx(evidence - nothing, abs=1e-9)
 
 
