@@ -75,7 +75,7 @@ def fit(
             `Marginal(promote=…)` names sites to sample rather than integrate out.
         seed: of every random number; the same seed gives the same draws on the same machine.
         strict: raise if the fit did not converge; False returns it with its verdict.
-        reference: constants of the bases, such as {"T0": 0.0}, to use in place of the data's own. Own models only.
+        reference: constants of the bases, such as {"T0": 0.0}, in place of the data's own. Own models only.
         checkpoint: a file, …nc, that finished pieces of the fit are kept in. A fit that was stopped, killed even,
             takes up from there and ends with the same draws, bit for bit; one that had ended does not sample again.
             Own models only.
@@ -110,18 +110,17 @@ def fit(
         mode=jax.tree.map(jnp.asarray, outcome.mode),
         log_evidence=outcome.log_evidence,
     )
-    if strict:
-        _refuse_unconverged(calibration)
-    return calibration
+    return _converged(calibration) if strict else calibration
 
 
-def _refuse_unconverged(calibration: Calibration) -> None:
+def _converged(calibration: Calibration) -> Calibration:
     if not calibration.verdict.ok:
         raise NotConverged(
             f"The fit of {', '.join(calibration.model.names)} to {calibration.readings.file} did not converge: "
             f"{' '.join(calibration.verdict.reasons)} (strict=False returns it all the same.)",
             calibration,
         )
+    return calibration
 
 
 def _reference(readings: Measurements, asked: Reference | None) -> Reference:

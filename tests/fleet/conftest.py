@@ -7,7 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.gyro_lot import MODEL, table
+from tests.support.made_up.gyro_lot import MODEL, table
 
 
 @pytest.fixture(scope="session")

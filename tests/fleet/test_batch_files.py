@@ -9,7 +9,7 @@ import pytest
 import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, needs_installation, run
-from tests.support.gyro_lot import MODEL, table
+from tests.support.made_up.gyro_lot import MODEL, table
 
 
 def test_files_are_devices_and_labels_may_have_another_name(tmp_path, result) -> None:

@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 import bayescal as bc
 from bayescal._fleet import closed_form, stacks
 from bayescal_models import mems_gyro
-from tests.support.gyro_lot import MODEL, NOISE
+from tests.support.made_up.gyro_lot import MODEL, NOISE
 
 
 def restricted(one: bc.Measurements) -> tuple[np.ndarray, np.ndarray, float]:

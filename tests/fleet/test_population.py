@@ -9,7 +9,7 @@ import bayescal as bc
 from bayescal._fleet.population import pool
 from bayescal._model.frame import Reference
 from bayescal_models import mems_gyro
-from tests.support.gyro_lot import MODEL, NOISE, SEED, table
+from tests.support.made_up.gyro_lot import MODEL, NOISE, SEED, table
 
 
 def test_a_population_is_the_joint_fit_of_one_table() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from tests.support.gyro_lot import MODEL, table
+from tests.support.made_up.gyro_lot import MODEL, table
 
 
 def test_bad_devices_are_refused_by_themselves(tmp_path, result) -> None:

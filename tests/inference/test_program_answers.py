@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 import bayescal as bc
 from bayescal._numpyro.program_fit import ProgramFit
-from tests.support.programs import AT, LINE, SCHOOLS, eight_schools, line, traced
+from tests.support.made_up.programs import AT, LINE, SCHOOLS, eight_schools, line, traced
 
 
 def varying(x, group, y):

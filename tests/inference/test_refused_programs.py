@@ -11,7 +11,7 @@ import numpyro.distributions as dist
 import pytest
 
 import bayescal as bc
-from tests.support.programs import AT, LINE, line
+from tests.support.made_up.programs import AT, LINE, line
 
 
 def blind(y=None):

@@ -15,7 +15,7 @@ from numpyro.infer.reparam import LocScaleReparam
 
 from bayescal._numpyro.gaussian_sites import Split, split
 from bayescal._numpyro.survey import survey
-from tests.support.programs import SCHOOLS, eight_schools
+from tests.support.made_up.programs import SCHOOLS, eight_schools
 
 
 def divided(model, readings, keep=()) -> Split:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayescal_models import ng_accelerometer as ng
-from bayescal_models.ng_accelerometer.geometry import accelerations
+from bayescal_models.ng_accelerometer.rig.geometry import accelerations
 from bayescal_models.ng_accelerometer.simulator import gravity, simulate_arrays
 from bayescal_models.ng_accelerometer.sizes import ARCSEC, DEGREE
 

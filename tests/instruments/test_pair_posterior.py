@@ -10,11 +10,11 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import differential_pair as dp
-from bayescal_models.differential_pair import criteria
 from bayescal_models.differential_pair.environment import SHARED, order_names
-from bayescal_models.differential_pair.judgement import judge
+from bayescal_models.differential_pair.pairing import criteria
+from bayescal_models.differential_pair.pairing.judgement import judge
 from tests.support.command_line import needs_installation, run
-from tests.support.pairs import SMALL
+from tests.support.made_up.pairs import SMALL
 
 IN_PHI = bc.Marginal(promote=tuple(order_names(SHARED.name)))
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from bayescal_models import differential_pair as dp
-from bayescal_models.differential_pair import criteria
-from bayescal_models.differential_pair.judgement import judge
-from bayescal_models.differential_pair.selection import CRITERIA
-from tests.support.pairs import SMALL, made_up
+from bayescal_models.differential_pair.pairing import criteria
+from bayescal_models.differential_pair.pairing.judgement import judge
+from bayescal_models.differential_pair.pairing.selection import CRITERIA
+from tests.support.made_up.pairs import SMALL, made_up
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)

@@ -10,10 +10,10 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import differential_pair as dp
-from bayescal_models.differential_pair.devices import devices_from
 from bayescal_models.differential_pair.environment import SHARED, order_names
+from bayescal_models.differential_pair.pairing.devices import devices_from
 from tests.support.command_line import GYRO, TABLE, run
-from tests.support.pairs import made_up
+from tests.support.made_up.pairs import made_up
 
 
 def columns(**changed) -> dict[str, Any]:

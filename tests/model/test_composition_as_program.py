@@ -10,7 +10,7 @@ import pytest
 import bayescal as bc
 from bayescal._inference.nuts import program
 from bayescal._model import forward
-from tests.support.rich_gyro import RICH, bound, readings
+from tests.support.made_up.rich_gyro import RICH, bound, readings
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from bayescal._model.parameters import bind
 from bayescal_models import ng_accelerometer
 from bayescal_models.mems_gyro import INSTRUMENT
 from bayescal_models.mems_gyro.effects import THERMOMETER
-from tests.support.rich_gyro import bound, readings
+from tests.support.made_up.rich_gyro import bound, readings
 
 GAUSSIAN = {
     "line": INSTRUMENT.baseline(),

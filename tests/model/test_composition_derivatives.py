@@ -9,7 +9,7 @@ import pytest
 
 from bayescal._model import forward
 from bayescal_models.mems_gyro import INSTRUMENT
-from tests.support.rich_gyro import RICH, bound, readings
+from tests.support.made_up.rich_gyro import RICH, bound, readings
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout
 from bayescal_models import INSTRUMENTS
-from tests.support.rich_gyro import bound
+from tests.support.made_up.rich_gyro import bound
 
 
 def instrument_effects() -> list:

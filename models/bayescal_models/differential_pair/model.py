@@ -25,7 +25,7 @@ The radius of the arm, where dΩ/dt is needed, is 1 m (`RADIUS`). Noise: white, 
 which stay six however many devices there are; λd, whose spread is learned, would make a funnel with it. A constant
 acceleration leaves each device's scale and the constant part of its environment indistinguishable: record steps.
 
-Pairs are chosen by `selection.py` (`bayescal pairs FILE`), and used by `measure.py`.
+Pairs are chosen by `pairing/selection.py` (`bayescal pairs FILE`), and used by `pairing/measure.py`.
 """
 
 from __future__ import annotations

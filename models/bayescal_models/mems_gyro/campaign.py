@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayescal_models.mems_gyro.resonance import Resonance
-from bayescal_models.mems_gyro.thermal_bodies import GRID, Array
+
+Array = NDArray[np.floating[Any]]
+
+GRID = 1.0
+"""Step of the grid on which a test is simulated, s."""
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayescal_models.mems_gyro.campaign import Campaign
+from bayescal_models.mems_gyro.campaign import Array, Campaign
 from bayescal_models.mems_gyro.chamber import World
-from bayescal_models.mems_gyro.thermal_bodies import Array
 
 SILICON_TEMPERATURE = 500.0
 """Characteristic temperature of the modulus in Varshni's law, K (ours: about silicon's)."""

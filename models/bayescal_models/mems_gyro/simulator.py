@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayescal_models.mems_gyro.campaign import Campaign
-from bayescal_models.mems_gyro.chamber import World, make_world
+from bayescal_models.mems_gyro.campaign import Array, Campaign
+from bayescal_models.mems_gyro.chamber import World, make_world, wander
 from bayescal_models.mems_gyro.laws import LAWS
-from bayescal_models.mems_gyro.thermal_bodies import Array, wander
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
 

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal_models.ng_accelerometer.campaign import Campaign
+from bayescal_models.ng_accelerometer.rig.world import Array, World
 from bayescal_models.ng_accelerometer.sizes import ARCSEC, BASELINE_SIZES, DEGREE, SIZES
-from bayescal_models.ng_accelerometer.world import Array, World
 
 SATURATION = 40.0  # °C, over which a curved law departs from its leading power
 UNEVEN = 0.002  # 1/°C, by which a warming fixture bends more, the warmer it is

@@ -4,7 +4,7 @@ Measurement equation, output in µg of nominal scale (volts become µg by the no
 
     output = K0 + (1 + κ)·a + K2·a² + K3·a³ + Kip·a·ap
 
-with a and ap from the exact geometry of `geometry.py`: the table's face is tilted by γ (column `tilt`) and turned
+with a and ap from the exact geometry of `rig/geometry.py`: the table's face is tilted by γ (column `tilt`) and turned
 to θ (column `position_angle`), nominally a = g·sin γ·sin θ; a in µg (mg under K2 and K3), ap in g. K0 is not
 multiplied by 1 + κ.
 
@@ -75,7 +75,7 @@ import bayescal as bc
 from bayescal_models.ng_accelerometer import effects
 from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A, Campaign
 from bayescal_models.ng_accelerometer.experiments import EXPERIMENTS
-from bayescal_models.ng_accelerometer.geometry import accelerations
+from bayescal_models.ng_accelerometer.rig.geometry import accelerations
 from bayescal_models.ng_accelerometer.simulator import simulated_columns
 
 VOLTS = 5e-4  # V per µg: 5 V at 10 mg, ours

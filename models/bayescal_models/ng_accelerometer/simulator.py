@@ -15,7 +15,7 @@ import numpy as np
 
 from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A, Campaign
 from bayescal_models.ng_accelerometer.laws import BY_CELL, BY_RUN, LAWS
-from bayescal_models.ng_accelerometer.world import Array, World, make_world
+from bayescal_models.ng_accelerometer.rig.world import Array, World, make_world
 
 G = 1e6  # µg
 STREAMS = ("noise", "thermometer", "chamber", "laboratory", "groups")

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 import bayescal as bc
-from bayescal_models.differential_pair import criteria
-from bayescal_models.differential_pair.devices import Devices, devices_of
-from bayescal_models.differential_pair.judgement import Figures, judge
-from bayescal_models.differential_pair.pair_table import Pair, PairTable, Ratio, remarks
+from bayescal_models.differential_pair.pairing import criteria
+from bayescal_models.differential_pair.pairing.devices import Devices, devices_of
+from bayescal_models.differential_pair.pairing.judgement import Figures, judge
+from bayescal_models.differential_pair.pairing.pair_table import Pair, PairTable, Ratio, remarks
 
 CRITERIA = ("residual", "ratio-variance", "ratio-variance-raw")
 SURE = 3.0  # standard deviations from zero, below which a ratio's denominator is said to be near it

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayescal_models.differential_pair import criteria
-from bayescal_models.differential_pair.devices import Devices
+from bayescal_models.differential_pair.pairing import criteria
+from bayescal_models.differential_pair.pairing.devices import Devices
 
 Array = NDArray[np.float64]
 

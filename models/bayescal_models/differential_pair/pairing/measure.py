@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bayescal as bc
-from bayescal_models.differential_pair import criteria
-from bayescal_models.differential_pair.devices import Devices, devices_of
+from bayescal_models.differential_pair.pairing import criteria
+from bayescal_models.differential_pair.pairing.devices import Devices, devices_of
 
 Array = NDArray[np.float64]
 

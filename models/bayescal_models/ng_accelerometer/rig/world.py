@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from bayescal_models.ng_accelerometer.campaign import GRID, Campaign, SetUp
+from bayescal_models.ng_accelerometer.rig.tide import DAY, tide
 from bayescal_models.ng_accelerometer.sizes import HOUR
-from bayescal_models.ng_accelerometer.tide import DAY, tide
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""Which two devices make the pair, with probabilities, and what the pair then measures."""
