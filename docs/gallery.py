@@ -33,8 +33,12 @@ def campaign() -> bc.Trail:
 
 
 def entries(trail: bc.Trail) -> list[Entry]:
+    return [*of_the_search(trail), *of_the_posterior(trail.final.calibration)]
+
+
+def of_the_search(trail: bc.Trail) -> list[Entry]:
+    """What the first model misses, and that the last one does not."""
     first, last = trail.steps[0], trail.final
-    before, after = first.calibration, last.calibration
     assert first.discovery is not None
     found = first.discovery
     return [
@@ -43,7 +47,7 @@ def entries(trail: bc.Trail) -> list[Entry]:
             "bc.plot.residuals(trail.steps[0].calibration)",
             "Where the first model fails: residuals against everything that was recorded, runs by colour, the noise in "
             "grey, the worst region in red.",
-            lambda: bc.plot.residuals(before, first.check),
+            lambda: bc.plot.residuals(first.calibration, first.check),
         ),
         Entry(
             "missing",
@@ -62,8 +66,14 @@ def entries(trail: bc.Trail) -> list[Entry]:
             "residuals_after",
             "bc.plot.residuals(trail.final.calibration)",
             "The same residuals with what was found in the model.",
-            lambda: bc.plot.residuals(after, last.check),
+            lambda: bc.plot.residuals(last.calibration, last.check),
         ),
+    ]
+
+
+def of_the_posterior(after: bc.Calibration) -> list[Entry]:
+    """What is known of the unknowns in the last model."""
+    return [
         Entry(
             "coefficients",
             "bc.plot.coefficients(trail.final.calibration)",

@@ -115,7 +115,7 @@ def test_groups_come_back_with_their_members_and_starts(tmp_path) -> None:
     found = bc.fit(INSTRUMENT.baseline() + "bias.run", data, bc.LeastSquares(draws=400))
     loaded = bc.load(found.save(tmp_path / "runs.nc"))
     same(found, loaded)
-    assert list(loaded.tree["posterior"]["run"].values) == ["1", "2", "3"]
+    assert list(loaded.tree["posterior"].to_dataset()["run"].values) == ["1", "2", "3"]
     later = data.select(data["run"] == "2")
     old, new = found.frame_of(later), loaded.frame_of(later)
     np.testing.assert_array_equal(old.elapsed, new.elapsed)

@@ -190,15 +190,29 @@ def test_the_framework_knows_no_instrument() -> None:
     assert not knowing, "\n".join(knowing)
 
 
+def written_by_hand() -> dict[str, str]:
+    """Texts of all Python files of the project, by their path."""
+    folders = [ROOT / name for name in ("bayescal", "models", "benchmarks", "tests")]
+    files = [file for folder in folders for file in sorted(folder.rglob("*.py"))]
+    files += sorted((ROOT / "docs").glob("*.py"))
+    return {str(file.relative_to(ROOT)): file.read_text("utf-8") for file in files}
+
+
 def test_files_can_be_read_in_one_sitting() -> None:
-    folders = [PACKAGE, MODELS, ROOT / "tests", ROOT / "benchmarks"]
-    lengths = {
-        str(file.relative_to(ROOT)): len(file.read_text("utf-8").splitlines())
-        for folder in folders
-        for file in folder.rglob("*.py")
-    }
+    lengths = {name: len(text.splitlines()) for name, text in written_by_hand().items()}
     long = {name: length for name, length in lengths.items() if length > LONGEST}
     assert not long, f"split along the concept: {long}"
+
+
+def test_functions_can_be_seen_at_once() -> None:
+    lengths = {
+        f"{name}, {node.name} in line {node.lineno}": node.end_lineno - node.lineno + 1
+        for name, text in written_by_hand().items()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.end_lineno is not None
+    }
+    tall = {name: length for name, length in lengths.items() if length > TALLEST}
+    assert not tall, f"split along the concept: {tall}"
 
 
 def test_one_version() -> None:

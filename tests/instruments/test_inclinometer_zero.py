@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -81,8 +82,8 @@ def test_aliases_of_the_zero_test_are_exact() -> None:
     np.testing.assert_array_equal(_columns("dividing.face", one), _columns("zero.constant", one))
     # m·sin ω enters through its own slot: as a coefficient of the output it is S_d·sin ω.
     frame = build_frame(one, reference_of(one))
-    slots = {s.name: np.zeros(len(one)) for s in INSTRUMENT.slots}
-    leaked = INSTRUMENT.response({**slots, "cross_axis": np.ones(len(one))}, frame)
+    slots = {s.name: jnp.zeros(len(one)) for s in INSTRUMENT.slots}
+    leaked = INSTRUMENT.response({**slots, "cross_axis": jnp.ones(len(one))}, frame)
     np.testing.assert_allclose(np.asarray(leaked), projection[:, 1], rtol=1e-12)
 
 
@@ -114,11 +115,11 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
     readings = inclinometer.simulate(seed=3, campaign=tilted)
     effect = INSTRUMENT.effect(name)
     frame = build_frame(readings, reference_of(readings))
-    slots = {s.name: np.zeros(len(readings)) for s in INSTRUMENT.slots}
+    slots = {s.name: jnp.zeros(len(readings)) for s in INSTRUMENT.slots}
     unit = effects.ARCSEC_PER[effect.coefficients[0].unit]
     share = np.where(readings["axis"] == "x", 1.0, -0.6)
     own = 1.0 if effect.coefficients[0].per is None or effect.slot == "base_tilt" else share
-    added = size * unit * own * np.asarray(effect.evaluate(frame, {})).sum(axis=1)
+    added = size * unit * own * effect.evaluate(frame, {}).sum(axis=1)
     expected = np.asarray(INSTRUMENT.response({**slots, effect.slot: added}, frame)) - np.asarray(
         INSTRUMENT.response(slots, frame)
     )

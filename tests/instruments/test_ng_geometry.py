@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -53,7 +54,7 @@ def test_small_angles_are_the_document_s() -> None:
     tilt = 0.45 * DEGREE
     angle = rng.uniform(0, 2 * np.pi, 50)
     fixture, parallel, perp = 1e-5 * rng.standard_normal((3, 50))
-    exact = accelerations(tilt, angle, fixture, parallel, perp).along
+    exact = accelerations(jnp.asarray(tilt), jnp.asarray(angle), fixture, parallel, perp).along
     small = 1e6 * (
         np.sin(tilt) * np.sin(angle)
         + fixture * np.cos(tilt)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -161,7 +162,7 @@ def test_the_simulated_laws_are_the_catalogues() -> None:
         hidden = still_sensor.simulate({effect.name: 7.0}, seed=2)["output"] - plain["output"]
         if effect.name == "bias.run":
             continue
-        shapes = {shape.name: np.asarray(taus[effect.name]) for shape in effect.shapes}
+        shapes = {shape.name: jnp.asarray(taus[effect.name]) for shape in effect.shapes}
         basis = np.asarray(effect.evaluate(frame, shapes))[:, 0]
         factor = 60.0 if effect.name == "bias.rate" else 1.0  # per °C/min, of a rate in °C/s
         rms = np.sqrt(np.mean((hidden - 7.0 * factor * basis) ** 2) / np.mean(hidden**2))

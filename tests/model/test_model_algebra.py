@@ -8,7 +8,7 @@ import pytest
 import bayescal as bc
 from bayescal import effects
 from bayescal_models.mems_gyro import INSTRUMENT
-from tests.support.humid_gyro import BASELINE, HUMIDITY, readings
+from tests.support.made_up.humid_gyro import BASELINE, HUMIDITY, readings
 
 # Adding and taking away.
 

@@ -9,7 +9,7 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._model.parameters import Layout, bind
 from bayescal_models.mems_gyro import INSTRUMENT
-from tests.support.humid_gyro import BASELINE, HUMIDITY, readings
+from tests.support.made_up.humid_gyro import BASELINE, HUMIDITY, readings
 
 
 def test_missing_columns_are_named_with_what_there_is() -> None:

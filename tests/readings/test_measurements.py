@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -253,7 +254,8 @@ def test_some_of_the_readings_can_be_chosen(grouped):
 
 
 def test_a_further_column_may_carry_its_unit_as_in_a_file():
-    m = Measurements.from_arrays(SCALE, **{"output": [1.0, 2.0], "humidity [%]": [45.0, 50.0]})
+    columns: dict[str, Any] = {"output": [1.0, 2.0], "humidity [%]": [45.0, 50.0]}
+    m = Measurements.from_arrays(SCALE, **columns)
     assert m.unit("humidity") == "1"
     np.testing.assert_allclose(m["humidity"], [0.45, 0.5])
 

@@ -17,8 +17,9 @@ def test_group_factor_is_the_ratio_of_normal_evidences(columns):
     rng = np.random.default_rng(columns)
     X, y = rng.standard_normal((30, columns)), rng.standard_normal(30)
     W = rng.uniform(0.1, 9, columns)
-    evidence = multivariate_normal(np.zeros(30), np.eye(30) + (X * W) @ X.T).logpdf(y)
-    nothing = multivariate_normal(np.zeros(30), np.eye(30)).logpdf(y)
+    covariance = np.eye(30) + (X * W) @ X.T
+    evidence = multivariate_normal.logpdf(y, np.zeros(30), covariance)
+    nothing = multivariate_normal.logpdf(y, np.zeros(30), np.eye(30))  # pyright: ignore[reportArgumentType]
     assert log_bayes_factor(X.T @ y, X.T @ X, W) == pytest.approx(evidence - nothing, abs=1e-9)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -37,6 +38,7 @@ def test_its_amplitude_is_the_size_that_is_reported(trail: bc.Trail) -> None:
     humidity = trail.final.calibration.readings["humidity"]
     true = 0.02 * 100 * float(np.std(humidity))  # percent are fractions inside
     assert found.kind == "finding"
+    assert found.size is not None
     assert 0.3 * true < found.size < 6 * true  # the range's standard deviation, known to a factor
     assert found.unit == "deg/s"
 
@@ -57,7 +59,8 @@ def test_far_beyond_the_range_of_the_fit_it_says_nothing() -> None:
     readings = mems_gyro.simulate(HUMID, seed=1)
     far = readings.with_column("humidity", readings["humidity"] + 10.0)
     frame = build_frame(far, reference_of(readings))
-    columns = INSTRUMENT.unknown("humidity").evaluate(frame, {"length": 0.3, "amplitude": 1.0})
+    shapes = {"length": jnp.asarray(0.3), "amplitude": jnp.asarray(1.0)}
+    columns = INSTRUMENT.unknown("humidity").evaluate(frame, shapes)
     assert np.allclose(columns, 0.0, atol=1e-12)
 
 
@@ -74,7 +77,8 @@ def test_its_prior_is_a_smooth_process_of_the_stated_amplitude() -> None:
     readings = mems_gyro.simulate({}, seed=1)
     frame = build_frame(readings, reference_of(readings))
     effect = INSTRUMENT.unknown("temperature")
-    columns = np.asarray(effect.evaluate(frame, {"length": 0.3, "amplitude": 2.0}))
+    shapes = {"length": jnp.asarray(0.3), "amplitude": jnp.asarray(2.0)}
+    columns = np.asarray(effect.evaluate(frame, shapes))
     position = np.asarray(frame.position("temperature"))
     kernel = columns @ columns.T
     inner = (position > 0.1) & (position < 0.9)
@@ -88,7 +92,7 @@ def test_its_gradient_is_finite_at_any_length() -> None:
     effect = INSTRUMENT.unknown("time")
 
     def total(length):
-        return effect.evaluate(frame, {"length": length, "amplitude": 1.0}).sum()
+        return effect.evaluate(frame, {"length": length, "amplitude": jnp.asarray(1.0)}).sum()
 
     for length in (1e-3, 0.3, 100.0):
         assert np.isfinite(jax.grad(total)(length))

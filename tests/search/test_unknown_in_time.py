@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -144,10 +145,17 @@ def test_a_law_gives_way_to_a_free_curve_only_at_odds_of_twenty(
         "laplace_evidence",
         lambda model, _: 0.0 if "bias.drift" in model.names else gain,
     )
-    loop = calibrate._Loop(None, (), None, 5, 0, None, frozenset(start.names))
-    model, dropped = loop._look_back(
-        start + "bias.drift" + newest, [SimpleNamespace(calibration=None)], newest
+    loop = calibrate._Loop(
+        mems_gyro.simulate({}, seed=1),
+        effects=(),
+        method=None,
+        max_effects=5,
+        seed=0,
+        reference=None,
+        start=frozenset(start.names),
     )
+    steps: list[Any] = [SimpleNamespace(calibration=None)]
+    model, dropped = loop._look_back(start + "bias.drift" + newest, steps, newest)
     assert ("bias.drift" in model.names) == kept
     assert dropped == (() if kept else ("bias.drift",))
 
@@ -156,6 +164,7 @@ def test_forms_need_enough_readings_and_their_names_bear_any_space() -> None:
     effect = INSTRUMENT.unknown("time,jump")
     assert effect.name == "unknown(time, jump)"
     readings = mems_gyro.simulate({}, seed=1)
+    assert effect.untestable is not None
     assert effect.untestable(readings) is None
     assert effect.untestable(readings.select(np.arange(29))) == (
         "needs 30 different times; there are 29"

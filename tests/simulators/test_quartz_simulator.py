@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -40,7 +41,7 @@ def test_a_hidden_effect_is_linear_in_its_size_and_near_its_basis(name: str) -> 
         return
     frame = build_frame(PLAIN, reference_of(PLAIN))
     shape = {"thermal_lag": 600.0, "warm_up": 900.0}.get(name.partition(".")[2])
-    basis = np.asarray(effect.evaluate(frame, {"tau": shape} if shape else {}))[:, 0]
+    basis = np.asarray(effect.evaluate(frame, {"tau": jnp.asarray(shape)} if shape else {}))[:, 0]
     a = PLAIN["acceleration"] / 1e6
     basis = basis * {"bias": 1.0, "scale": a, "second_order": a**2}[effect.slot]
     ramps = np.isnan(PLAIN["temperature_point"])

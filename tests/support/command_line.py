@@ -19,6 +19,10 @@ from bayescal_models import mems_gyro
 TABLE = mems_gyro.TABLE
 GYRO = ("--instrument", "mems_gyro")
 QUICK = ("--method", "least-squares")
+PRINTED_LINE = (
+    *("--reference", "T0=0"),
+    *("--fix", "bias.constant=19.80", "--fix", "bias.temperature=0.041"),
+)
 
 # An instrument is found by name where its package is installed, as `make test` does it.
 needs_installation = pytest.mark.skipif(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
-from scipy.special import logsumexp
 
 from bayescal._discovery.susie import Item, log_bayes_factor
 
@@ -38,5 +37,5 @@ def exact_two_rows(u, I, W, items, prior, nothing_prior=0.5):  # noqa: E741
     for (a, p), (b, q) in product(contents, contents):
         c = [*a, *b]
         terms.append(np.log(p * q) + (log_bayes_factor(u[c], I[np.ix_(c, c)], W[c]) if c else 0.0))
-    evidence = logsumexp(terms)
+    evidence = float(np.logaddexp.reduce(terms))
     return evidence, nothing_prior * np.exp(-evidence)

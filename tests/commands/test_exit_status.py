@@ -1,0 +1,47 @@
+"""A result that is not to be trusted is written, and its command leaves with 1."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import bayescal as bc
+from tests.support.command_line import (
+    GYRO,
+    PRINTED_LINE,
+    QUICK,
+    TABLE,
+    needs_installation,
+    run,
+)
+
+pytestmark = needs_installation
+
+
+def test_a_fit_that_did_not_converge_leaves_with_1_and_its_result(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    real = bc.fit
+
+    def never(*arguments: Any, **options: Any) -> bc.Calibration:
+        found = real(*arguments, **options)
+        return replace(found, verdict=bc.Verdict(False, ("It was told not to converge.",)))
+
+    monkeypatch.setattr(bc, "fit", never)
+    done = run("fit", TABLE, *GYRO, *QUICK, "--out", tmp_path, "--json")
+    assert done.status == 1
+    assert done.data["verdict"]["ok"] is False
+    assert done.said == ["bayescal: not to be trusted as it is: It was told not to converge."]
+    assert (tmp_path / "calibration.nc").is_file()
+
+
+def test_a_gate_that_failed_leaves_with_1_and_its_result(tmp_path: Path) -> None:
+    done = run("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE, "--out", tmp_path, "--json")
+    assert done.status == 1
+    assert done.data["gate"]["ok"] is False
+    assert done.data["gate"]["reason"] in done.said[-1]
+    assert done.data == json.loads((tmp_path / "result.json").read_text("utf-8"))

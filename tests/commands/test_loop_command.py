@@ -1,0 +1,79 @@
+"""The commands that run the whole loop find what is missing, and write what they say."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.command_line import (
+    GYRO,
+    PRINTED_LINE,
+    QUICK,
+    TABLE,
+    Ran,
+    needs_installation,
+    run,
+)
+
+pytestmark = needs_installation
+
+
+def test_the_loop_finds_what_is_missing_and_writes_what_it_says(loop: Ran, folder: Path) -> None:
+    assert loop.status == 0, loop.err
+    said = loop.data
+    assert said["steps"][-1]["added"] == "bias.temperature_quadratic"
+    assert json.loads((folder / "loop" / "result.json").read_text("utf-8")) == said
+    names = {p.name for p in (folder / "loop").iterdir()}
+    assert names == {"result.json", "calibration.nc", "loop.png"}
+
+
+def test_readings_kept_apart_change_nothing_but_their_own_error(loop: Ran, folder: Path) -> None:
+    without = run("calibrate", folder / "bent.csv", *GYRO, *QUICK, "--json").data
+    with_them = loop.data
+    assert without["holdout"] is None
+    assert with_them["holdout"]["rows"] == 18
+    errors = [step.pop("holdout_rmse") for step in with_them["steps"]]
+    assert [step.pop("holdout_rmse") for step in without["steps"]] == [None] * len(errors)
+    assert errors[-1] < 0.6 * errors[0]
+    with_them["holdout"] = None
+    assert with_them == without
+
+
+def test_the_last_model_of_the_loop_can_be_checked(loop: Ran, folder: Path) -> None:
+    assert loop.status == 0
+    checked = run("check", folder / "loop" / "calibration.nc", "--json").data
+    last = [e for e in loop.data["check"] if e["step"] == len(loop.data["steps"]) - 1]
+    assert [e["against"] for e in checked] == [e["against"] for e in last]
+
+
+def test_the_printed_line_leaves_every_residual_positive() -> None:
+    done = run("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE)
+    assert "18 of 18 residuals are positive, mean 0.51 (0.19 to 0.93) °/s" in done.out
+    assert "fixed: bias.constant = 19.8, bias.temperature = 0.041" in done.out
+    assert done.status == 1, "a calibration on trial failed, and nothing is added to save it"
+    assert "The fixed coefficients leave residuals of" in done.said[-1]
+
+
+@pytest.mark.slow
+def test_the_loop_finds_what_was_hidden_in_a_campaign(tmp_path: Path) -> None:
+    lag = ("--effect", "bias.thermal_lag=0.05")
+    for name, seed in (("lag.csv", 1), ("kept.csv", 2)):
+        run("simulate", *GYRO, *lag, "--seed", seed, "--out", tmp_path / name)
+    calibrate = ("calibrate", tmp_path / "lag.csv", *GYRO, "--json")
+    alone = run(*calibrate).data
+    kept = run(*calibrate, "--holdout", tmp_path / "kept.csv").data
+    assert [s["added"] for s in kept["steps"]] == [s["added"] for s in alone["steps"]]
+    assert [s["added"] for s in kept["steps"]] == [None, "bias.thermal_lag"]
+    first, last = (step["holdout_rmse"] for step in kept["steps"])
+    assert last < 0.3 * first
+
+
+@pytest.mark.slow
+def test_the_demonstration(tmp_path: Path) -> None:
+    done = run("demo", "--out", tmp_path / "demo", "--json")
+    assert done.status == 0, done.err
+    assert done.data["steps"][-1]["added"] == "bias.thermal_lag"
+    assert "AGAINST THE LINE ITS PAPER PRINTS" in done.err
+    assert (tmp_path / "demo" / "loop.png").is_file()

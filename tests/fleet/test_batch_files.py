@@ -1,0 +1,80 @@
+"""Files of many devices: read by device, written and loaded again, by Python and by the command."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayescal as bc
+from bayescal_models import mems_gyro
+from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.made_up.gyro_lot import MODEL, table
+
+
+def test_files_are_devices_and_labels_may_have_another_name(tmp_path, result) -> None:
+    made = table(count=3)
+    for name, own in made.groupby("device"):
+        own.drop(columns="device").to_csv(tmp_path / f"{name}.csv", index=False)
+    files = sorted(tmp_path.glob("*.csv"))
+    found = bc.fit_batch(MODEL, files)
+    assert found.devices == ("D00", "D01", "D02")
+    file = tmp_path / "serial.csv"
+    made.rename(columns={"device": "serial"}).to_csv(file, index=False)
+    split = bc.split_devices(file, mems_gyro.INSTRUMENT, columns={"device": "serial"})
+    again = bc.fit_batch(MODEL, split)
+    for name in found.devices:
+        np.testing.assert_allclose(found[name].mean, result[name].mean, rtol=1e-10)
+        np.testing.assert_allclose(again[name].mean, result[name].mean, rtol=1e-10)
+    made.to_csv(tmp_path / "lot.csv", index=False)
+    with pytest.raises(bc.InputError, match=r"'lot\.csv' holds device 'D00', which a file before"):
+        bc.split_devices([*files, tmp_path / "lot.csv"], mems_gyro.INSTRUMENT)
+
+
+def test_a_saved_batch_is_the_same(tmp_path, readings) -> None:
+    broken = readings["D02"].with_column("output", np.full(len(readings["D02"]), np.nan))
+    given = {
+        "good": readings["D00"],
+        "broken": broken,
+        "also": readings["D01"],
+        "3": readings["D03"],
+    }
+    found = bc.fit_batch(MODEL, given, population=["bias.temperature"])
+    back = bc.load_batch(found.save(tmp_path / "lot_result.parquet"))
+    pd.testing.assert_frame_equal(back.table(), found.table())
+    np.testing.assert_array_equal(back["good"].covariance, found["good"].covariance)
+    assert back.population is not None and found.population is not None
+    pd.testing.assert_frame_equal(back.population.table, found.population.table)
+    assert (back.about, back.devices) == (found.about, found.devices)
+    assert str(back) == str(found)
+    long = found.table()
+    assert list(long.columns) == ["device", "coefficient", "mean", "sd", "unit", "ok", "reason"]
+    assert list(dict.fromkeys(long.device)) == list(given)
+    assert long[long.device == "broken"].shape[0] == 1
+    (tmp_path / "other.parquet").write_bytes(b"nothing")
+    with pytest.raises(bc.InputError, match=r"other\.parquet is no batch"):
+        bc.load_batch(tmp_path / "other.parquet")
+    pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "other.parquet")
+    with pytest.raises(bc.InputError, match=r"other\.parquet is no batch"):
+        bc.load_batch(tmp_path / "other.parquet")
+
+
+@needs_installation
+def test_the_command_writes_the_table(tmp_path) -> None:
+    made = table(count=4)
+    made.loc[made.device == "D02", "temperature [degC]"] = 25.0
+    lot, out = tmp_path / "lot.csv", tmp_path / "result.parquet"
+    made.to_csv(lot, index=False)
+    ended = run("batch", lot, *GYRO, "-o", out)
+    assert ended.status == 1  # for D02; the others are written
+    assert "1 of 4 devices have no result, or none to rely on" in ended.err
+    assert "D02: device D02, column 'temperature': reads 25 °C" in ended.out
+    assert bc.load_batch(out).ok.tolist() == [True, True, False, True]
+    wrong = run("batch", lot, *GYRO, "-o", tmp_path / "result.csv")
+    assert wrong.status == 2
+    assert "a batch is saved as Parquet" in wrong.err
+    other = tmp_path / "other.parquet"
+    wrong = run("batch", tmp_path / "none.csv", *GYRO, "-o", other)
+    assert wrong.status == 2
+    assert "none.csv' cannot be read" in wrong.err
+    assert not other.exists()

@@ -1,0 +1,125 @@
+"""Many devices at once: each comes out as if it were fitted alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+import bayescal as bc
+from bayescal._fleet import closed_form, stacks
+from bayescal_models import mems_gyro
+from tests.support.made_up.gyro_lot import MODEL, NOISE
+
+
+def restricted(one: bc.Measurements) -> tuple[np.ndarray, np.ndarray, float]:
+    """x̂, its covariance and σ of the gyro's line, by the textbook's formulas and a scalar minimiser."""
+    t, y = one["temperature"], one["output"]
+    j = np.column_stack([np.ones(len(t)), t - np.round(t.mean())])
+    d = np.diag([e.coefficients[0].size ** 2 for e in MODEL.effects])
+
+    def negative(log_sd: float) -> float:
+        v = np.exp(2 * log_sd) * np.eye(len(y)) + j @ d @ j.T
+        return 0.5 * (np.linalg.slogdet(v)[1] + y @ np.linalg.solve(v, y))
+
+    low = np.log(NOISE) - 2
+    best = minimize_scalar(
+        negative, bounds=(low, low + 4), method="bounded", options={"xatol": 1e-10}
+    )
+    sd = float(np.exp(best.x))
+    covariance = np.linalg.inv(j.T @ j / sd**2 + np.linalg.inv(d))
+    return covariance @ j.T @ y / sd**2, covariance, sd
+
+
+def test_each_device_is_as_if_it_were_alone(readings, result) -> None:
+    assert result.ok.all()
+    for name in readings.names:
+        x, covariance, sd = restricted(readings[name])
+        one = result[name]
+        np.testing.assert_allclose(one.mean[:2], x, rtol=1e-7)
+        np.testing.assert_allclose(one.covariance[:2, :2], covariance, rtol=1e-5)
+        assert one["noise.white"][0] == pytest.approx(sd, rel=5e-6)
+
+
+def test_the_quick_way_is_least_squares(readings, monkeypatch) -> None:
+    few = {name: readings[name].select(np.arange(12)) for name in readings.names[:3]}
+    fast = bc.fit_batch(MODEL, few)
+    monkeypatch.setattr(closed_form, "applies", lambda *_: False)
+    ordinary = bc.fit_batch(MODEL, few)
+    assert ordinary.ok.all()
+    for one, other in zip(fast, ordinary, strict=True):
+        np.testing.assert_allclose(one.mean, other.mean, rtol=2e-4)
+        np.testing.assert_allclose(one.covariance[:2, :2], other.covariance[:2, :2], rtol=5e-4)
+
+
+def test_flat_priors_give_ordinary_least_squares(readings) -> None:
+    flat = [
+        bc.Effect(e.name, e.slot, e.basis, (bc.Coefficient(e.coefficients[0].unit, bc.Flat()),))
+        for e in MODEL.effects
+    ]
+    model = bc.Model(mems_gyro.INSTRUMENT, tuple(flat), MODEL.noise)
+    found = bc.fit_batch(model, [readings[name] for name in readings.names])
+    for name in readings.names:
+        t, y = readings[name]["temperature"], readings[name]["output"]
+        j = np.column_stack([np.ones(len(t)), t - np.round(t.mean())])
+        x, rest = np.linalg.lstsq(j, y)[:2]
+        variance = rest[0] / (len(y) - 2)
+        np.testing.assert_allclose(found[name].mean[:2], x, rtol=1e-9)
+        assert found[name]["noise.white"][0] == pytest.approx(np.sqrt(variance), rel=1e-9)
+        expected = variance * np.linalg.inv(j.T @ j)
+        np.testing.assert_allclose(found[name].covariance[:2, :2], expected, rtol=1e-8)
+
+
+def test_chunks_change_nothing(readings, result) -> None:
+    for name, one in zip(readings.names, bc.fit_batch(MODEL, readings, chunk=5), strict=True):
+        np.testing.assert_allclose(one.mean, result[name].mean, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_marginal_carries_the_noise_and_padding_weighs_nothing(readings, monkeypatch) -> None:
+    """Against the posterior in closed form at each noise, summed over a grid of it; padded and not."""
+    own = {name: readings[name].select(np.arange(11)) for name in readings.names[:3]}
+    for padded in (False, True):
+        monkeypatch.setattr(stacks, "EXACT", 0 if padded else 3)
+        found = bc.fit_batch(MODEL, own, method=bc.Marginal(proposals=4096, rounds=2))
+        assert found.ok.all()
+        for name, one in own.items():
+            mean, covariance = _over_noise(one)
+            sd = np.sqrt(np.diag(covariance))
+            np.testing.assert_allclose((found[name].mean[:2] - mean) / sd, 0, atol=0.1)
+            np.testing.assert_allclose(found[name].sd[:2], sd, rtol=0.06)
+
+
+def _over_noise(one: bc.Measurements) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of the gyro's line, its noise integrated out under its half-Cauchy prior."""
+    t, y = one["temperature"], one["output"]
+    j = np.column_stack([np.ones(len(t)), t - np.round(t.mean())])
+    d = np.diag([e.coefficients[0].size ** 2 for e in MODEL.effects])
+    scale = 0.1  # of the half-Cauchy
+    assert MODEL.noise.parameters()["noise.white"] == bc.HalfCauchy(scale)
+    logs, means, inners = [], [], []
+    for sd in np.exp(np.linspace(np.log(0.03), np.log(3.0), 400)):
+        v = sd**2 * np.eye(len(y)) + j @ d @ j.T
+        logs.append(-0.5 * (np.linalg.slogdet(v)[1] + y @ np.linalg.solve(v, y)))
+        logs[-1] += np.log(sd / (scale**2 + sd**2))
+        inners.append(np.linalg.inv(j.T @ j / sd**2 + np.linalg.inv(d)))
+        means.append(inners[-1] @ j.T @ y / sd**2)
+    w = np.exp(np.array(logs) - max(logs))
+    w /= w.sum()
+    mean, apart = w @ np.array(means), np.array(means) - w @ np.array(means)
+    return mean, np.einsum("k,kij->ij", w, inners) + np.einsum("k,ki,kj->ij", w, apart, apart)
+
+
+@pytest.mark.slow
+def test_records_in_time_are_fitted_as_alone() -> None:
+    model = MODEL + "bias.thermal_lag"
+    made = {f"G{s}": mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=s) for s in range(3)}
+    found = bc.fit_batch(model, made)
+    assert found.ok.all()
+    for name, one in made.items():
+        alone = bc.fit(model, one, bc.LeastSquares())
+        for unknown in ("bias.constant", "bias.temperature", "bias.thermal_lag"):
+            draws = alone.samples(unknown)
+            np.testing.assert_allclose(
+                found[name][unknown], (draws.mean(), draws.std(ddof=1)), rtol=1e-3
+            )

@@ -1,0 +1,74 @@
+"""A device that cannot be fitted is refused by itself and spoils no other."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from tests.support.made_up.gyro_lot import MODEL, table
+
+
+def test_bad_devices_are_refused_by_themselves(tmp_path, result) -> None:
+    made = table()
+    first = made.groupby("device").head(1).index
+    made = made.astype({"output [deg/s]": object})
+    made.loc[first[2], "output [deg/s]"] = float("nan")
+    made.loc[first[5], "output [deg/s]"] = "broken"
+    made.loc[made.device == "D07", "temperature [degC]"] = 25.0
+    made.loc[first[9], "temperature [degC]"] = 4000.0
+    made = made.drop(made.index[made.device == "D11"][2:])  # two readings are left
+    file = tmp_path / "lot.csv"
+    made.to_csv(file, index=False)
+    found = bc.fit_batch(MODEL, file)
+    said = {
+        "D02": "column 'output .deg/s.': is empty or NaN",
+        "D05": "reads 'broken', a number in °/s was expected",
+        "D07": "reads 25 °C, one temperature only",
+        "D09": "plausible is",
+        "D11": "leave no scatter about the model",
+    }
+    for name, message in said.items():
+        assert re.search(message, found[name].reason), found[name].reason
+        assert not found[name].ok
+    good = sorted(n for n in result.devices if n not in said)
+    assert [n for n in found.devices if found[n].ok] == good
+    for name in good:
+        np.testing.assert_allclose(found[name].mean, result[name].mean, rtol=1e-10)
+
+
+def test_measurements_that_differ_do_not_stop_each_other(readings, result) -> None:
+    lacking, broken = readings["D01"], readings["D02"]
+    lacking = bc.Measurements(lacking.data.drop_vars("temperature"))
+    broken = broken.with_column("output", np.where(np.arange(len(broken)) == 3, np.nan, 1.0))
+    found = bc.fit_batch(
+        MODEL,
+        {"whole": readings["D00"], "lacking": lacking, "broken": broken, "last": readings["D03"]},
+    )
+    assert "needs the column 'temperature'" in found["lacking"].reason
+    assert "reading 4 of device broken, column 'output': reads nan" in found["broken"].reason
+    np.testing.assert_allclose(found["whole"].mean, result["D00"].mean, rtol=1e-12)
+    np.testing.assert_allclose(found["last"].mean, result["D03"].mean, rtol=1e-12)
+
+
+def test_what_is_wrong_with_all_is_said_at_once(tmp_path, readings) -> None:
+    file = tmp_path / "lot.csv"
+    table(count=3).drop(columns="temperature [degC]").to_csv(file, index=False)
+    with pytest.raises(bc.InputError, match=r"'lot\.csv' lacks the column 'temperature'"):
+        bc.fit_batch(MODEL, file)
+    table(count=3).rename(columns={"output [deg/s]": "output [m]"}).to_csv(file, index=False)
+    with pytest.raises(bc.InputError, match=r"its unit is \[m\]"):
+        bc.fit_batch(MODEL, file)
+    unnamed = table(count=3)
+    unnamed.loc[4, "device"] = ""
+    unnamed.to_csv(file, index=False)
+    with pytest.raises(bc.InputError, match=r"line 6 of 'lot\.csv' names no device|row"):
+        bc.fit_batch(MODEL, file)
+    with pytest.raises(bc.ModelError, match="fit_batch maps"):
+        bc.fit_batch(MODEL, readings, method=bc.NUTS())
+    with pytest.raises(bc.ModelError, match="no coefficient that each device has one of"):
+        bc.fit_batch(MODEL, readings, population=["bias.colour"])
+    with pytest.raises(bc.InputError, match="there is no device"):
+        bc.fit_batch(MODEL, [])

@@ -1,0 +1,96 @@
+"""A differential pair, fitted: sensitivities, environment and acceleration are recovered, and the command says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal_models import differential_pair as dp
+from bayescal_models.differential_pair.environment import SHARED, order_names
+from bayescal_models.differential_pair.pairing import criteria
+from bayescal_models.differential_pair.pairing.judgement import judge
+from tests.support.command_line import needs_installation, run
+from tests.support.made_up.pairs import SMALL
+
+IN_PHI = bc.Marginal(promote=tuple(order_names(SHARED.name)))
+
+
+@pytest.fixture(scope="module")
+def batch() -> dp.SimulatedBatch:
+    return dp.simulate_batch(seed=5, campaign=SMALL)
+
+
+@pytest.fixture(scope="module")
+def calibration(batch: dp.SimulatedBatch) -> bc.Calibration:
+    return bc.fit(dp.INSTRUMENT.baseline(), batch.readings, IN_PHI)
+
+
+def test_sensitivities_are_recovered(calibration, batch) -> None:
+    drawn = calibration.samples("environment.shared[sensitivity]")
+    assert calibration.verdict.sampler == "importance sampling" and calibration.verdict.ess > 1000
+    z = (drawn.mean(axis=0) - batch.sensitivity) / drawn.std(axis=0)
+    assert np.abs(z).max() < 3.5
+    ratios = np.log(drawn[:, :3, None] / drawn[:, None, 3:])
+    true = np.log(batch.sensitivity[:3, None] / batch.sensitivity[None, 3:])
+    assert np.abs((ratios.mean(axis=0) - true) / ratios.std(axis=0)).max() < 3.5
+    assert ratios.std(axis=0).max() < 0.12  # the spread over devices alone would leave 0.28
+
+
+def test_the_environment_and_the_pairs_residual_are_recovered(calibration, batch) -> None:
+    devices = dp.devices_of(calibration)
+    assert devices.names == batch.names
+    off = devices.environment.mean(axis=0) - batch.environment
+    assert np.sqrt(np.mean(off**2)) < 25.0  # µg, of 1 mg; the noise of a reading is 18
+    found = judge(devices)
+    true = criteria.residual(batch.environment, batch.scale, found.calibrated)
+    sd = found.residual.std(axis=0)
+    assert np.abs((true - found.expected) / sd).max() < 4
+
+
+def test_a_pair_measures_acceleration_within_its_uncertainty(calibration, batch) -> None:
+    devices = dp.devices_of(calibration)
+    outputs = batch.readings["output"].reshape(len(batch.names), -1)
+    table = dp.select(devices)
+    i, j = (batch.names.index(name) for name in table.best)
+    found = dp.measure(devices, *table.best, outputs[i], outputs[j])
+    error = found.acceleration - batch.acceleration
+    rms = np.sqrt(np.mean(error**2))
+    assert 0.3 < rms / found.sd.mean() < 2.0
+    assert rms < 0.1 * np.sqrt(np.mean((outputs[i] - batch.acceleration) ** 2))
+
+
+def test_every_candidate_can_be_hidden_under_the_same_noise() -> None:
+    plain = dp.simulate(seed=2)["output"]
+    np.testing.assert_array_equal(plain, dp.simulate(seed=2)["output"])
+    for effect in dp.INSTRUMENT.candidates:
+        size = effect.coefficients[0].size
+        hidden = dp.simulate({effect.name: size}, seed=2)["output"] - plain
+        assert np.sqrt(np.mean(hidden**2)) > 20, effect.name  # µg
+        double = dp.simulate({effect.name: 2 * size}, seed=2)["output"] - plain
+        assert np.std(double - 2 * hidden) < 0.05 * np.std(double), effect.name
+
+
+@needs_installation
+@pytest.mark.slow
+def test_the_command_answers_in_json_and_in_text(batch, tmp_path: Path) -> None:
+    own = tmp_path / "pair.py"
+    own.write_text("from bayescal_models.differential_pair import INSTRUMENT\n", encoding="utf-8")
+    file = batch.readings.write(tmp_path / "batch.csv")
+    done = run("pairs", file, "--instrument", f"{own}:INSTRUMENT", "--json")
+    assert done.status == 0, done.err
+    assert len(done.data["pairs"]) == 9
+    text = run("pairs", file, "--instrument", f"{own}:INSTRUMENT", "--criterion", "ratio-variance")
+    assert "best pair by ratio-variance" in text.out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [3, 4])
+def test_a_factor_of_the_product_is_put_with_the_hyper_parameters(count: int) -> None:
+    plan = replace(SMALL, outer=count, inner=count)
+    found = bc.fit(dp.INSTRUMENT.baseline(), dp.simulate(seed=7, campaign=plan))
+    assert set(found.layout.promoted) == set(order_names(SHARED.name))
+    assert found.verdict.sampler == "importance sampling"

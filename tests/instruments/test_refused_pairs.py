@@ -1,0 +1,80 @@
+"""Readings and choices that make no pairs are refused, in words that say what is possible."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal_models import differential_pair as dp
+from bayescal_models.differential_pair.environment import SHARED, order_names
+from bayescal_models.differential_pair.pairing.devices import devices_from
+from tests.support.command_line import GYRO, TABLE, run
+from tests.support.made_up.pairs import made_up
+
+
+def columns(**changed) -> dict[str, Any]:
+    """Two records, as a file would have them."""
+    given = {
+        "device": np.repeat(["a", "b"], 10),
+        "group": np.repeat(["outer", "inner"], 10),
+        "time": np.tile(np.arange(10.0), 2),
+        "acceleration": np.full(20, 1e6),
+        "output": np.linspace(-1.0, 1.0, 20) ** 3,
+    }
+    return {**given, **changed}
+
+
+DRAWN = {
+    "environment.shared[sensitivity]": np.ones((5, 2)),
+    "noise.white": np.ones(5),
+    **{name: np.arange(5.0) for name in order_names(SHARED.name)},
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (
+            {"group": np.full(20, "outer")},
+            "has outer devices only; a pair is one outer and one inner",
+        ),
+        (
+            {"group": np.tile(["outer", "inner"], 10)},
+            "device 'a' is in both groups, inner and outer",
+        ),
+        (
+            {"time": np.r_[np.arange(10.0), np.arange(10.0) + 0.5]},
+            r"device 'b' was read at other times than 'a' \(10 and 10 readings\)",
+        ),
+    ],
+)
+def test_readings_that_make_no_pairs_are_refused(changed, said: str) -> None:
+    readings = bc.Measurements.from_arrays(dp.INSTRUMENT, **columns(**changed))
+    with pytest.raises(bc.InputError, match=said):
+        devices_from(DRAWN, readings)
+
+
+def test_other_refusals_say_what_is_possible() -> None:
+    with pytest.raises(bc.InputError, match=r"group.*'middle'"):
+        bc.Measurements.from_arrays(dp.INSTRUMENT, **columns(group=np.full(20, "middle")))
+    devices = made_up()
+    with pytest.raises(bc.InputError, match="'best' is not one of residual, ratio-variance"):
+        dp.select(devices, criterion="best")
+    with pytest.raises(bc.InputError, match="no inner device is called 'o 1'; there are: i 1, i 2"):
+        dp.measure(devices, "o 1", "o 1", np.ones(3), np.ones(3))
+    with pytest.raises(bc.InputError, match=r"have shapes \(3,\) and \(4,\)"):
+        dp.measure(devices, "o 1", "i 1", np.ones(3), np.ones(4))
+    with pytest.raises(bc.InputError, match=r"timing\.skew.*no place for them"):
+        dp.measure(replace(devices, others=("timing.skew",)), "o 1", "i 1", [1.0], [1.0])
+    with pytest.raises(ValueError, match=r"'bias\.humidity' can be hidden"):
+        dp.simulate({"bias.humidity": 1.0}, seed=0)
+
+
+def test_the_command_refuses_an_instrument_without_pairs() -> None:
+    done = run("pairs", TABLE, *GYRO)
+    assert done.status == 2
+    assert done.said == ["bayescal: instrument 'mems_gyro' does not choose its devices in pairs"]
