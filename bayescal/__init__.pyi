@@ -37,11 +37,11 @@ from ._readings.column import NominalScale as NominalScale
 from ._readings.measurements import Measurements as Measurements
 
 # noise laws and priors
-from ._model.noise import Noise as Noise
-from ._model.noise import White as White
-from ._model.noise import OrnsteinUhlenbeck as OrnsteinUhlenbeck
-from ._model.noise import StudentT as StudentT
-from ._model.noise import Quantised as Quantised
+from ._model.noise_laws import Noise as Noise
+from ._model.noise_laws import White as White
+from ._model.noise_laws import OrnsteinUhlenbeck as OrnsteinUhlenbeck
+from ._model.noise_laws import StudentT as StudentT
+from ._model.noise_laws import Quantised as Quantised
 from ._model.prior import Flat as Flat
 from ._model.prior import Normal as Normal
 from ._model.prior import HalfNormal as HalfNormal

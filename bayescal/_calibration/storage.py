@@ -21,21 +21,26 @@ from bayescal._core.errors import InputError
 from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
-from bayescal._model import noise as _noise
+from bayescal._model import noise_laws
 from bayescal._model.effect import Effect
 from bayescal._model.installed import installed_instruments
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
-from bayescal._model.placeholder import covariate_in
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal
+from bayescal._model.unknown_effect import covariate_in
 from bayescal._readings.column import Source
 from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.calibration/1"
 _NOISES = {
     c.__name__: c
-    for c in (_noise.White, _noise.OrnsteinUhlenbeck, _noise.StudentT, _noise.Quantised)
+    for c in (
+        noise_laws.White,
+        noise_laws.OrnsteinUhlenbeck,
+        noise_laws.StudentT,
+        noise_laws.Quantised,
+    )
 }
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal)}
 
@@ -88,7 +93,7 @@ def _stated(effect: Effect) -> str:
     return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
 
 
-def _noise_description(noise: _noise.Noise) -> dict[str, Any]:
+def _noise_description(noise: noise_laws.Noise) -> dict[str, Any]:
     name = type(noise).__name__
     if name not in _NOISES:
         raise InputError(
@@ -102,7 +107,7 @@ def _noise_description(noise: _noise.Noise) -> dict[str, Any]:
     return found
 
 
-def _noise_from(described: dict[str, Any]) -> _noise.Noise:
+def _noise_from(described: dict[str, Any]) -> noise_laws.Noise:
     arguments = {k: v for k, v in described.items() if k != "law"}
     for key, value in arguments.items():
         if isinstance(value, list):

@@ -13,7 +13,7 @@ from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, table, with_error
 from bayescal._inference import laplace
 from bayescal._model.parameters import CoefficientBlock
-from bayescal._readings.units import unit_label
+from bayescal._readings.unit_conversion import unit_label
 
 WEAK = 0.1  # information against the prior below which a direction counts as not measured
 SHARE = 0.1  # of a direction's squared length below which a coefficient is left out of its words

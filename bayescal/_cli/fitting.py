@@ -172,7 +172,7 @@ def predict(
     from bayescal._cli.output import write_prediction
     from bayescal._cli.saved import load_saved
     from bayescal._core.formatting import number
-    from bayescal._readings.units import unit_label
+    from bayescal._readings.unit_conversion import unit_label
 
     loaded = load_saved(calibration, own)
     readings = bc.read(list(files), loaded.model.instrument, **columns.for_read())

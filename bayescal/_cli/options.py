@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import typer
 
 from bayescal._core.errors import InputError
-from bayescal._readings.unit_registry import STANDARD_GRAVITY
+from bayescal._readings.unit_parsing import STANDARD_GRAVITY
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
 

@@ -21,7 +21,7 @@ from bayescal._discovery.draft_effect import template
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._readings.measurements import Measurements
-from bayescal._readings.units import unit_label
+from bayescal._readings.unit_conversion import unit_label
 from bayescal._report.result_json import clean
 
 Kinds = Mapping[str, Sequence[Effect]]

@@ -25,7 +25,7 @@ from bayescal._compensation.compensator import Compensator, compensator
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, table, with_error
 from bayescal._diagnostics.prior_influence import variance_by_origin
-from bayescal._readings.units import (
+from bayescal._readings.unit_conversion import (
     coefficient_factor,
     convert,
     needs_gravity,

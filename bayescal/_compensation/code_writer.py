@@ -9,8 +9,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bayescal._compensation.compensation_program import (
+    STEPS,
+    STIMULUS,
+    CompensationProgram,
+    from_data,
+)
 from bayescal._compensation.expression_graph import OPERATIONS, Graph
-from bayescal._compensation.firmware import STEPS, STIMULUS, CompensationProgram, from_data
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 

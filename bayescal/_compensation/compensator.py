@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._compensation import code_writer, inversion
-from bayescal._compensation.firmware import CompensationProgram, program_of
+from bayescal._compensation.compensation_program import CompensationProgram, program_of
 from bayescal._compensation.inputs import (
     Input,
     gathered,

@@ -11,7 +11,7 @@ from scipy import stats
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
-from bayescal._diagnostics import efficient_score, smooth_terms
+from bayescal._diagnostics import covariate_evidence, efficient_score
 from bayescal._diagnostics.check_result import Check, Entry, FixedComparison, Pair
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.worst_region import worst_regions
@@ -37,8 +37,8 @@ def check(calibration: Calibration) -> Check:
     noise = float(np.sqrt(np.mean(sd**2)))
     covariates = covariates_of(judged)
     duos = _duos(covariates)
-    products = [smooth_terms.together(a, b) for a, b in duos]
-    evidence = smooth_terms.log_bayes_factors(judged, [*covariates, *products], noise)
+    products = [covariate_evidence.together(a, b) for a, b in duos]
+    evidence = covariate_evidence.log_bayes_factors(judged, [*covariates, *products], noise)
     factors, of_duos = evidence[: len(covariates)], evidence[len(covariates) :]
     regions = worst_regions(judged, covariates, residual)
     entries = [
@@ -122,7 +122,7 @@ def known_noise(calibration: Calibration) -> dict[str, float]:
     return found
 
 
-def covariates_of(calibration: Calibration) -> list[smooth_terms.Covariate]:
+def covariates_of(calibration: Calibration) -> list[covariate_evidence.Covariate]:
     """Everything recorded or derived that residuals can be laid against."""
     readings, frame = calibration.readings, calibration.frame
     found = []
@@ -131,26 +131,28 @@ def covariates_of(calibration: Calibration) -> list[smooth_terms.Covariate]:
         skip = name in ("output", "output_uncertainty", "temperature_point") or unit is None
         if not skip and np.ptp(readings[name]) > 0:
             found.append(
-                smooth_terms.smooth(name, readings[name], unit or "", in_time=name == "time")
+                covariate_evidence.smooth(name, readings[name], unit or "", in_time=name == "time")
             )
     if "temperature" in frame.rates and np.ptp(np.asarray(frame.rates["temperature"])) > 0:
         rate = np.asarray(frame.rates["temperature"]) * 60
-        found.append(smooth_terms.smooth("temperature rate", rate, "degC/min"))
+        found.append(covariate_evidence.smooth("temperature rate", rate, "degC/min"))
     if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
         elapsed = np.asarray(frame.columns["elapsed"])
-        found.append(smooth_terms.smooth("elapsed", elapsed, "s", in_time=True))
+        found.append(covariate_evidence.smooth("elapsed", elapsed, "s", in_time=True))
     for group in GROUPS:
         levels, codes = readings.groups(group)
         if 1 < len(levels) <= MEMBERS:
-            found.append(smooth_terms.members(group, codes, levels))
+            found.append(covariate_evidence.members(group, codes, levels))
     if not readings.has("time"):
-        found.append(smooth_terms.smooth("order", np.arange(1.0, len(readings) + 1), in_time=True))
+        found.append(
+            covariate_evidence.smooth("order", np.arange(1.0, len(readings) + 1), in_time=True)
+        )
     return found
 
 
 def _duos(
-    covariates: list[smooth_terms.Covariate],
-) -> list[tuple[smooth_terms.Covariate, smooth_terms.Covariate]]:
+    covariates: list[covariate_evidence.Covariate],
+) -> list[tuple[covariate_evidence.Covariate, covariate_evidence.Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
     varied = [b for b in covariates if not b.levels]
     rank = {b.name: stats.rankdata(b.values) for b in varied}
@@ -177,7 +179,7 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
 
 
 def _spread_with(
-    covariates: list[smooth_terms.Covariate], standardised: np.ndarray
+    covariates: list[covariate_evidence.Covariate], standardised: np.ndarray
 ) -> dict[str, float]:
     """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
     found = {}

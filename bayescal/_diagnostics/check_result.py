@@ -9,7 +9,7 @@ import numpy as np
 from bayescal._core.formatting import number, table
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.worst_region import Region
-from bayescal._readings.units import unit_label
+from bayescal._readings.unit_conversion import unit_label
 
 
 @dataclass(frozen=True)

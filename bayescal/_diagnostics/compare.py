@@ -22,7 +22,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, table
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut, leave_one_group_out
 from bayescal._inference.trust import K_HAT
-from bayescal._readings.units import unit_label
+from bayescal._readings.unit_conversion import unit_label
 
 SAME_CURVE = (
     0.15  # largest difference, in noise standard deviations, of curves that count as the same

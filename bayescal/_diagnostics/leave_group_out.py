@@ -19,7 +19,7 @@ from bayescal._core.jit import compiled
 from bayescal._inference import gaussian
 from bayescal._model import forward
 from bayescal._model.frame import Frame
-from bayescal._model.noise import Gram
+from bayescal._model.noise_laws import Gram
 from bayescal._model.parameters import Layout
 from bayescal._readings.measurements import Measurements
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._diagnostics import efficient_score, smooth_terms
+from bayescal._diagnostics import covariate_evidence, efficient_score
 
 BINS = 12  # of a covariate
 FEWEST = 8  # readings that a run needs for a region of its own
@@ -44,7 +44,7 @@ class _Binned:
 
 
 def worst_regions(
-    calibration: Calibration, covariates: list[smooth_terms.Covariate], residual: np.ndarray
+    calibration: Calibration, covariates: list[covariate_evidence.Covariate], residual: np.ndarray
 ) -> list[Region]:
     """For each covariate the stretch of neighbouring bins whose mean residual is worst against its uncertainty.
 
@@ -81,7 +81,9 @@ def worst_regions(
     ]
 
 
-def _cut(index: int, block: smooth_terms.Covariate, own: np.ndarray, group: str | None) -> _Binned:
+def _cut(
+    index: int, block: covariate_evidence.Covariate, own: np.ndarray, group: str | None
+) -> _Binned:
     values = block.values[own]
     distinct = np.unique(values)
     bins = np.full(len(block.values), -1)
@@ -96,7 +98,7 @@ def _cut(index: int, block: smooth_terms.Covariate, own: np.ndarray, group: str 
 
 
 def _worst(
-    cut: _Binned, block: smooth_terms.Covariate, pull: np.ndarray, weight: np.ndarray
+    cut: _Binned, block: covariate_evidence.Covariate, pull: np.ndarray, weight: np.ndarray
 ) -> Region:
     best = (0.0, 0.0, 0, 1)
     for i in range(cut.count):

@@ -24,8 +24,8 @@ from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of
 from bayescal._model.model import Model
-from bayescal._model.noise import White, over_record
-from bayescal._model.placeholder import free_curve
+from bayescal._model.noise_laws import White, over_record
+from bayescal._model.unknown_effect import free_curve
 from bayescal._readings.measurements import Measurements
 
 WIDER = 1.0  # log evidence that correlated noise must gain over white before it is believed

@@ -11,7 +11,7 @@ from scipy.stats import chi2, norm
 
 from bayescal._diagnostics import efficient_score
 from bayescal._discovery import candidate_columns, susie
-from bayescal._model.placeholder import covariate_in
+from bayescal._model.unknown_effect import covariate_in
 
 FINDING = 0.05  # P(nothing is missing) at or below which an effect is reported as found
 POWER = 0.80

@@ -23,7 +23,7 @@ from bayescal._discovery.refit import LEAD
 from bayescal._model.effect import Effect
 from bayescal._model.frame import derived
 from bayescal._model.model import testable
-from bayescal._model.placeholder import FORMS, free_curve
+from bayescal._model.unknown_effect import FORMS, free_curve
 
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 VISIBLE = 0.01  # share of the information left after the nuisances, below which a plausible size must still be seen

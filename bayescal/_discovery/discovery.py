@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from bayescal._core.formatting import WIDTH, number, probability, table, with_error
 from bayescal._discovery.candidate import Candidate
 from bayescal._model.effect import Effect
-from bayescal._readings.units import unit_label
+from bayescal._readings.unit_conversion import unit_label
 
 
 @dataclass(frozen=True)

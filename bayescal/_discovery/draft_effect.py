@@ -15,7 +15,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import ModelError
 from bayescal._model.frame import derived
-from bayescal._model.placeholder import FORMS
+from bayescal._model.unknown_effect import FORMS
 
 ENOUGH = 0.97  # share of the shape's variance from which a simple curve will do
 POINTS = 101

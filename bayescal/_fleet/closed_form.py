@@ -27,7 +27,7 @@ from bayescal._inference import sampled_products
 from bayescal._inference.laplace import start_point
 from bayescal._model import forward
 from bayescal._model.frame import Frame
-from bayescal._model.noise import UNCERTAINTY, White
+from bayescal._model.noise_laws import UNCERTAINTY, White
 from bayescal._model.parameters import Layout
 
 GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum

@@ -36,7 +36,7 @@ from scipy.special import gammaln
 
 from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
-from bayescal._core.weights import smoothed
+from bayescal._core.importance_weights import smoothed
 from bayescal._inference import trust
 from bayescal._model.coefficient import Coefficient
 from bayescal._model.model import Model

@@ -26,7 +26,7 @@ from bayescal._model.frame import (
     reference_of,
 )
 from bayescal._model.model import Model
-from bayescal._model.noise import UNCERTAINTY
+from bayescal._model.noise_laws import UNCERTAINTY
 from bayescal._model.parameters import bind
 
 EXACT = 3  # so many different numbers of readings have a program each; more are padded to a common ladder

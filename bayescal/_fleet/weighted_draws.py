@@ -14,7 +14,7 @@ import numpy as np
 
 from bayescal._calibration.posterior_tree import named
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.weights import smoothed
+from bayescal._core.importance_weights import smoothed
 from bayescal._inference import importance_sampling, sampled_products
 from bayescal._inference.laplace import Mode
 from bayescal._inference.marginal import Marginal

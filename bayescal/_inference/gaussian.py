@@ -20,7 +20,7 @@ from bayescal._core.tall_qr import triangle
 from bayescal._inference import block_elimination
 from bayescal._model import forward as composition
 from bayescal._model.frame import Frame
-from bayescal._model.noise import Gram
+from bayescal._model.noise_laws import Gram
 from bayescal._model.parameters import Layout
 from bayescal._model.prior import Normal
 

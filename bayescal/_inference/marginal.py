@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._core.batched_map import over
+from bayescal._core.importance_weights import effective_size, resample, smoothed
 from bayescal._core.jit import compiled
 from bayescal._core.progress import stage
-from bayescal._core.weights import effective_size, resample, smoothed
 from bayescal._inference import (
     checkpoint,
     gaussian,

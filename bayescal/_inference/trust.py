@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.weights import effective_size
+from bayescal._core.importance_weights import effective_size
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Verdict
 from bayescal._inference.nuts_chains import Chains

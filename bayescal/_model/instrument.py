@@ -14,12 +14,12 @@ from jaxtyping import Array, Float
 from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
-from bayescal._model.noise import Noise, White
-from bayescal._model.placeholder import covariate_in, placeholder
+from bayescal._model.noise_laws import Noise, White
+from bayescal._model.unknown_effect import covariate_in, placeholder
 from bayescal._readings.column import Column, NominalScale
 from bayescal._readings.measurements import Measurements
-from bayescal._readings.unit_registry import ANY
-from bayescal._readings.units import coefficient_factor, same_dimension
+from bayescal._readings.unit_conversion import coefficient_factor, same_dimension
+from bayescal._readings.unit_parsing import ANY
 
 Slots = Mapping[str, Float[Array, "n"]]
 Columns = Mapping[str, Any]  # arrays by name, as a simulator gives them

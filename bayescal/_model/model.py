@@ -10,9 +10,9 @@ import equinox as eqx
 from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
-from bayescal._model.noise import Noise
+from bayescal._model.noise_laws import Noise
 from bayescal._readings.measurements import Measurements
-from bayescal._readings.unit_registry import ANY
+from bayescal._readings.unit_parsing import ANY
 
 
 class Model(eqx.Module):

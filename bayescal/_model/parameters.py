@@ -20,7 +20,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
-from bayescal._readings import units
+from bayescal._readings import unit_conversion
 from bayescal._readings.measurements import Measurements
 
 HyperKind = Literal["noise", "spread", "shape", "process", "promoted"]
@@ -113,7 +113,7 @@ class Layout(eqx.Module):
                     place = "row"
                 elif name in self.promoted:
                     place = "phi"
-                factor = units.coefficient_factor(coefficient.unit, slot.unit)
+                factor = unit_conversion.coefficient_factor(coefficient.unit, slot.unit)
                 blocks.append(
                     CoefficientBlock(
                         effect=effect,

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.errors import ModelError, NotConverged
+from bayescal._core.importance_weights import effective_size, resample, smoothed
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._core.progress import stage
-from bayescal._core.weights import effective_size, resample, smoothed
 from bayescal._inference import nuts_chains, trust
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import CHAINS, Method, Verdict, by_chain

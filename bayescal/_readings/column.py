@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
-from bayescal._readings.unit_registry import ANY
+from bayescal._readings.unit_parsing import ANY
 
 ROW = "reading"  # the one dimension of readings
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp

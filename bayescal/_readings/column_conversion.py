@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal._core.errors import InputError
-from bayescal._readings import units
+from bayescal._readings import unit_conversion
 from bayescal._readings.column import MAY_BE_EMPTY, Column
 from bayescal._readings.column_matching import (
     InstrumentLike,
@@ -142,14 +142,14 @@ class _ColumnReader:
         name, fixed, gravity = self.column.name, self.column.unit, self.options.local_gravity
         unit = unit_of(self.header, name, self.options)
         assert unit is not None and fixed is not None  # `extra_columns` keeps no other
-        values = units.convert(cells.values, unit, fixed, local_gravity=gravity)
+        values = unit_conversion.convert(cells.values, unit, fixed, local_gravity=gravity)
         unusable = np.flatnonzero(self._not_finite(values))
         if cells.bad or unusable.size:
             index = cells.bad[0] if cells.bad else int(unusable[0])
             seen = f"reads {cells.bad[1]!r}" if cells.bad else _reading(cells.values[index])
             self._flag(f"ignored: {self.table.place(index)} {seen}")
             return
-        if units.needs_gravity(unit, fixed):
+        if unit_conversion.needs_gravity(unit, fixed):
             self._flag(f"turned into local g by {gravity:g} m/s²")
         self.converted.values[name], self.converted.units[name] = values, fixed
 
@@ -169,7 +169,7 @@ class _ColumnReader:
                 f"(--unit {self.header.name}=…)"
             )
         try:
-            units.check_unit(unit)
+            unit_conversion.check_unit(unit)
         except InputError as error:
             raise InputError(f"{where} {error}. Correct the header, or give units=") from error
         if self.header.unit and unit != self.header.unit:
@@ -200,7 +200,7 @@ class _ColumnReader:
         if re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text):
             hint = "If that is a decimal comma, export the file with decimal points"
         raise InputError(
-            f"{self._at(index)} reads {text[:60]!r}, a number in {units.pretty(unit)} was "
+            f"{self._at(index)} reads {text[:60]!r}, a number in {unit_conversion.pretty(unit)} was "
             f"expected. {hint}"
         )
 
@@ -210,19 +210,21 @@ class _ColumnReader:
         output = output_name(self.instrument)
         difference = self.column.name == "output_uncertainty"
         scale = self.options.nominal_scale or self.instrument.nominal_scale
-        if units.same_dimension(unit, target):
-            if units.needs_gravity(unit, target):
+        if unit_conversion.same_dimension(unit, target):
+            if unit_conversion.needs_gravity(unit, target):
                 self._flag(f"turned into local g by {gravity:g} m/s²")
-            return units.convert(values, unit, target, local_gravity=gravity, difference=difference)
+            return unit_conversion.convert(
+                values, unit, target, local_gravity=gravity, difference=difference
+            )
         raw_output = self.column.name == output or difference
-        if raw_output and scale is not None and units.same_dimension(unit, scale.unit):
+        if raw_output and scale is not None and unit_conversion.same_dimension(unit, scale.unit):
             shifted = scale.offset and not difference
             reading = f"(reading − {scale.offset:g})" if shifted else "reading"
             self._flag(
-                f"turned into {units.pretty(target)} by the nominal scale: "
-                f"{reading}/{scale.gain:g}, reading in {units.pretty(scale.unit)}"
+                f"turned into {unit_conversion.pretty(target)} by the nominal scale: "
+                f"{reading}/{scale.gain:g}, reading in {unit_conversion.pretty(scale.unit)}"
             )
-            raw = units.convert(
+            raw = unit_conversion.convert(
                 values, unit, scale.unit, local_gravity=gravity, difference=difference
             )
             return scale.apply(raw, difference=difference)
@@ -246,7 +248,7 @@ class _ColumnReader:
             index = int(np.argmax(wrong))
             seen = _reading(raw[index]) + (", too large" if np.isfinite(raw[index]) else "")
             raise InputError(
-                f"{self._at(index)} {seen}, a number in {units.pretty(unit)} was expected. "
+                f"{self._at(index)} {seen}, a number in {unit_conversion.pretty(unit)} was expected. "
                 "Fill it in, or remove the row"
             )
 
@@ -256,10 +258,10 @@ class _ColumnReader:
         wrong = (values < low) | (values > high)
         if not wrong.any():
             return
-        index, shown = int(np.argmax(wrong)), units.pretty(self.column.unit or "1")
+        index, shown = int(np.argmax(wrong)), unit_conversion.pretty(self.column.unit or "1")
         limits = f"at least {low:g}" if high == np.inf else f"at most {high:g}"
         limits = f"{low:g} … {high:g}" if low > -np.inf and high < np.inf else limits
-        same = units.pretty(unit) == shown
+        same = unit_conversion.pretty(unit) == shown
         internal = "" if same else f", that is {values[index]:.6g} {shown}"
         likely = _LIKELY_UNITS if wrong.mean() >= 0.5 else ()  # a single slip says nothing of units
         better = [u for u in likely if u != unit and self._plausible_in(u, raw, low, high)]
@@ -269,15 +271,17 @@ class _ColumnReader:
             else "Check the unit and the number"
         )
         raise InputError(
-            f"{self._at(index)} reads {raw[index]:.6g} {units.pretty(unit)}{internal}; "
+            f"{self._at(index)} reads {raw[index]:.6g} {unit_conversion.pretty(unit)}{internal}; "
             f"plausible is {limits} {shown}. {hint}"
         )
 
     def _plausible_in(self, unit: str, raw: np.ndarray, low: float, high: float) -> bool:
         target = self.column.unit or "1"
-        if not units.same_dimension(unit, target):
+        if not unit_conversion.same_dimension(unit, target):
             return False
-        values = units.convert(raw, unit, target, local_gravity=self.options.local_gravity)
+        values = unit_conversion.convert(
+            raw, unit, target, local_gravity=self.options.local_gravity
+        )
         return bool(np.all(np.isnan(values) | ((values >= low) & (values <= high))))
 
 

@@ -16,8 +16,8 @@ from typing import Protocol
 from bayescal._core.errors import InputError
 from bayescal._readings.column import TAKEN, Column, NominalScale
 from bayescal._readings.raw_table import Header, Table
-from bayescal._readings.unit_registry import ANY, STANDARD_GRAVITY
-from bayescal._readings.units import base_unit, fixed_unit
+from bayescal._readings.unit_conversion import base_unit, fixed_unit
+from bayescal._readings.unit_parsing import ANY, STANDARD_GRAVITY
 
 
 class InstrumentLike(Protocol):

@@ -22,8 +22,8 @@ from bayescal._readings.column_matching import (
 )
 from bayescal._readings.dataset_checks import flags_of, refuse_backward_time, refuse_one_temperature
 from bayescal._readings.raw_table import Header, Table, cells_of
-from bayescal._readings.unit_registry import ANY, STANDARD_GRAVITY
-from bayescal._readings.units import check_unit
+from bayescal._readings.unit_conversion import check_unit
+from bayescal._readings.unit_parsing import ANY, STANDARD_GRAVITY
 from bayescal._readings.write import write
 
 _ARRAYS = "the given arrays"

@@ -17,7 +17,7 @@ from bayescal._readings.csv_reader import open_csv
 from bayescal._readings.measurements import Measurements, assemble
 from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet
 from bayescal._readings.raw_table import Table, bytes_text
-from bayescal._readings.unit_registry import STANDARD_GRAVITY
+from bayescal._readings.unit_parsing import STANDARD_GRAVITY
 from bayescal._readings.write import FORMATS
 
 MAX_BYTES = 2_000_000_000

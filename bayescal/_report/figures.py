@@ -17,7 +17,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._diagnostics.check_result import Check
-from bayescal._readings.units import unit_label
+from bayescal._readings.unit_conversion import unit_label
 from bayescal._report.section import Chapter
 
 SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}

@@ -19,7 +19,7 @@ from bayescal._discovery.search_path import Trail
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._plots.search import is_quiet
-from bayescal._readings.units import unit_label
+from bayescal._readings.unit_conversion import unit_label
 from bayescal._report import figures, sentences, tables
 from bayescal._report.section import Chapter, chapters, taken
 

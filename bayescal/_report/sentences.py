@@ -8,7 +8,7 @@ from typing import Any
 from bayescal._core.formatting import probability
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._plots.search import is_quiet
-from bayescal._readings.units import unit_label
+from bayescal._readings.unit_conversion import unit_label
 from bayescal._report.section import Chapter
 from bayescal._report.tables import READ, UNUSED, measured, ranges
 

@@ -15,7 +15,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
 from bayescal._readings.column import Source
 from bayescal._readings.measurements import Measurements
-from bayescal._readings.units import unit_label
+from bayescal._readings.unit_conversion import unit_label
 from bayescal._report.section import Chapter
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report

@@ -4,9 +4,9 @@ Each function returns an `Effect` for a slot, a size and a unit; an instrument p
 allows, under their canonical names.
 """
 
-from bayescal._model.placeholder import cycle as cycle
-from bayescal._model.placeholder import jump as jump
-from bayescal._model.placeholder import unknown as unknown
+from bayescal._model.unknown_effect import cycle as cycle
+from bayescal._model.unknown_effect import jump as jump
+from bayescal._model.unknown_effect import unknown as unknown
 from bayescal.effects.constant import constant as constant
 from bayescal.effects.constant import deviation as deviation
 from bayescal.effects.temperature import cubic as cubic

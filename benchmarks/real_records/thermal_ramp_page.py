@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bayescal._readings.units import pretty
+from bayescal._readings.unit_conversion import pretty
 from benchmarks.markdown import table
 from benchmarks.record import DOCS
 

@@ -20,7 +20,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._model import forward
-from bayescal._readings import units
+from bayescal._readings import unit_conversion
 from tests.support.contract_cases import Case
 from tests.support.contract_data_sheet import listed
 
@@ -142,7 +142,7 @@ def test_every_slot_is_linear_in_its_coefficients(case: Case) -> None:
         codes = np.zeros(b.frame.size, int) if per is None else np.asarray(b.frame.codes[per])
         share = np.where(codes >= 0, values[codes], 0.0)
         unit = case.instrument.slot(block.slot).unit
-        factor = units.coefficient_factor(block.coefficient.unit, unit)
+        factor = unit_conversion.coefficient_factor(block.coefficient.unit, unit)
         expected[block.slot] += basis * share * factor
     for slot, value in expected.items():
         scale = np.abs(value).max() + 1e-300

@@ -10,7 +10,7 @@ import pytest
 import bayescal as bc
 from bayescal._compensation.budget import READINGS
 from bayescal._diagnostics.prior_influence import prior_sensitivity
-from tests.support import bent_sensor
+from tests.support.made_up import bent_sensor
 
 
 @pytest.fixture(scope="module")

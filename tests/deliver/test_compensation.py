@@ -12,7 +12,7 @@ from bayescal._compensation.inputs import OutsideCalibration
 from bayescal_models import mems_gyro, still_sensor
 from benchmarks.accuracy.chunks import collect
 from benchmarks.instruments import compensation as campaigns
-from tests.support import bent_sensor
+from tests.support.made_up import bent_sensor
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayescal._compensation.inputs.OutsideCalibration")
 

@@ -14,8 +14,8 @@ import xarray as xr
 import bayescal as bc
 from bayescal._compensation import compensate_file
 from bayescal_models import mems_gyro
-from tests.support import bent_sensor
 from tests.support.command_line import run
+from tests.support.made_up import bent_sensor
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayescal._compensation.inputs.OutsideCalibration")
 TEXT = (

@@ -12,13 +12,13 @@ import pytest
 
 import bayescal as bc
 from bayescal._compensation.code_writer import as_text
+from bayescal._compensation.compensation_program import program_of
 from bayescal._compensation.expression_graph import Graph
-from bayescal._compensation.firmware import program_of
 from bayescal._compensation.inversion import Inverse
 from bayescal._compensation.posterior_moments import posterior_moments
 from bayescal_models import inclinometer
-from tests.support import bent_sensor
 from tests.support.export_check import needs_compiler, run_header
+from tests.support.made_up import bent_sensor
 
 ROWS = 10_000
 pytestmark = pytest.mark.filterwarnings("ignore::bayescal._compensation.inputs.OutsideCalibration")

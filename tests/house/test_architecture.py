@@ -25,21 +25,21 @@ MOST_ROOMS = 14
 # From the ground up. A module imports only what stands before it, wherever in the file the import stands.
 ROOMS = {
     "_core": "version errors atomic_file formatting jax_setup progress batched_map jit tall_qr "
-    "levenberg_marquardt null_space weights",
-    "_readings": "unit_registry units column raw_table dataset_checks write column_matching column_conversion "
+    "levenberg_marquardt null_space importance_weights",
+    "_readings": "unit_parsing unit_conversion column raw_table dataset_checks write column_matching column_conversion "
     "measurements csv_reader parquet_netcdf_reader read",
-    "_model": "prior coefficient frame effect placeholder noise instrument installed model parameters forward",
+    "_model": "prior coefficient frame effect unknown_effect noise_laws instrument installed model parameters forward",
     "effects": "constant temperature thermal thermometer time",
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains trust least_squares marginal nuts",
     "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",
     "_calibration": "named_draws fitted posterior_tree storage summary calibration predict fit evidence",
-    "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_floor smooth_terms "
+    "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_floor covariate_evidence "
     "worst_region check_result check leave_group_out compare",
     "_discovery": "susie candidate_columns candidate discovery refit discover next_experiment false_reports "
     "draft_effect outliers search_path calibrate",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
-    "firmware code_writer compensator compensate_file budget",
+    "compensation_program code_writer compensator compensate_file budget",
     "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack population "
     "device_result batch_result partial_pooling fit_batch",
     "_plots": "style residuals search posterior",

@@ -12,7 +12,7 @@ import bayescal as bc
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.pairing import criteria
-from bayescal_models.differential_pair.pairing.judgement import judge
+from bayescal_models.differential_pair.pairing.best_pair_probability import judge
 from tests.support.command_line import needs_installation, run
 from tests.support.made_up.pairs import SMALL
 

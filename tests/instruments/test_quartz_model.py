@@ -9,7 +9,7 @@ import bayescal as bc
 from bayescal._calibration.summary import null_directions
 from bayescal._core import null_space
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._readings import units
+from bayescal._readings import unit_conversion
 from bayescal_models import quartz_beam_accelerometer as quartz
 from bayescal_models.quartz_beam_accelerometer import effects as catalogue
 
@@ -32,7 +32,7 @@ def design(readings: bc.Measurements, effects, slot: str) -> np.ndarray:
     frame = build_frame(readings, reference_of(readings))
     columns = [np.asarray(e.evaluate(frame, {}))[:, 0] for e in effects]
     unit = quartz.INSTRUMENT.slot(slot).unit
-    factors = [units.coefficient_factor(e.coefficients[0].unit, unit) for e in effects]
+    factors = [unit_conversion.coefficient_factor(e.coefficients[0].unit, unit) for e in effects]
     weight = readings["acceleration"] if slot == "scale" else 1.0
     return (np.stack(columns) * np.array(factors)[:, None] * weight).T
 

@@ -15,7 +15,7 @@ from scipy.integrate import quad
 import bayescal as bc
 from bayescal import effects
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.noise import Parameters
+from bayescal._model.noise_laws import Parameters
 from bayescal_models.mems_gyro import INSTRUMENT
 
 CONSTANT = bc.Model(

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
-from bayescal._readings.units import (
+from bayescal._readings.unit_conversion import (
     base_unit,
     check_unit,
     coefficient_factor,

@@ -15,7 +15,7 @@ from bayescal._discovery.calibrate import _other_path
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.draft_effect import shape_of, template
 from bayescal._discovery.refit import nearly
-from bayescal._model.placeholder import free_curve
+from bayescal._model.unknown_effect import free_curve
 from bayescal_models import mems_gyro
 
 INSTRUMENT = mems_gyro.INSTRUMENT

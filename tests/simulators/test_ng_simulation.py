@@ -9,9 +9,10 @@ import pytest
 
 from bayescal_models import ng_accelerometer as ng
 from bayescal_models.ng_accelerometer.laws import LAWS
-from bayescal_models.ng_accelerometer.rig.tide import plumb_line, tide
+from bayescal_models.ng_accelerometer.rig.moon_and_sun import plumb_line, tide
+from bayescal_models.ng_accelerometer.rig.tidal_constituents import TIDE
 from bayescal_models.ng_accelerometer.simulator import Simulated, simulate_arrays
-from bayescal_models.ng_accelerometer.sizes import HOUR, SIZES, TIDE
+from bayescal_models.ng_accelerometer.sizes import HOUR, SIZES
 
 PLAN = replace(ng.INSTRUMENT_A, alternate=True, runs=2, positions=4)
 HIDDEN = [effect.name for effect in ng.INSTRUMENT.candidates]

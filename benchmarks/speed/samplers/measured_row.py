@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._core.weights import smoothed
+from bayescal._core.importance_weights import smoothed
 from bayescal._inference import importance_sampling, laplace, sampled_products
 from benchmarks import chains
 from benchmarks.speed.samplers.peers import (

@@ -124,3 +124,17 @@ RESONANCE = _resonance(
 RESONANCE_FORCE = _resonance(
     "bias.resonance_force", _held_force, "q·((1−ε_d)^−½·D(T0)/D(T) − 1), drive force held"
 )
+
+BASELINE = (CONSTANT, LINE)
+CANDIDATES = (
+    QUADRATIC,
+    CUBIC,
+    RATE,
+    LAG,
+    REFERENCE,
+    WARM_UP,
+    DRIFT,
+    RUN,
+    SCALE,
+    SCALE_TEMPERATURE,
+)

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 import bayescal as bc
 from bayescal import effects
 from bayescal_models.ng_accelerometer.hysteresis import hysteresis
-from bayescal_models.ng_accelerometer.sizes import BASELINE_SIZES, HOUR, SIZES, TIDE
+from bayescal_models.ng_accelerometer.rig.tidal_constituents import TIDE
+from bayescal_models.ng_accelerometer.sizes import BASELINE_SIZES, HOUR, SIZES
 
 SOURCE = "PHYSICS §1 after source 0; size ours"
 MINUTE = 60.0

@@ -69,14 +69,3 @@ SIZES: Mapping[str, Size] = MappingProxyType(
         "rotation.wobble": Size(1.0, "arcsec"),
     }
 )
-
-TIDE: Mapping[str, tuple[float, float]] = MappingProxyType(
-    {
-        "M2": (12.4206012, 50.0),
-        "S2": (12.0, 25.0),
-        "N2": (12.6583475, 10.0),
-        "K1": (23.9344721, 30.0),
-        "O1": (25.8193387, 20.0),
-    }
-)
-"""Tidal constituents: period, h, and prior standard deviation of each cosine and sine, nrad (ours)."""

@@ -13,8 +13,8 @@ from scipy.optimize import linear_sum_assignment
 
 import bayescal as bc
 from bayescal_models.differential_pair.pairing import criteria
+from bayescal_models.differential_pair.pairing.best_pair_probability import Figures, judge
 from bayescal_models.differential_pair.pairing.devices import Devices, devices_of
-from bayescal_models.differential_pair.pairing.judgement import Figures, judge
 from bayescal_models.differential_pair.pairing.pair_table import Pair, PairTable, Ratio, remarks
 
 CRITERIA = ("residual", "ratio-variance", "ratio-variance-raw")

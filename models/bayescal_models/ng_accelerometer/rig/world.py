@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from bayescal_models.ng_accelerometer.campaign import GRID, Campaign, SetUp
-from bayescal_models.ng_accelerometer.rig.tide import DAY, tide
+from bayescal_models.ng_accelerometer.rig.moon_and_sun import DAY, tide
 from bayescal_models.ng_accelerometer.sizes import HOUR
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from bayescal._calibration.calibration import Calibration
 from bayescal._diagnostics import efficient_score
 from bayescal._diagnostics.group_bayes_factor import log_bayes_factor
-from bayescal._model.placeholder import process_columns, resolution
+from bayescal._model.unknown_effect import process_columns, resolution
 
 SCALES = (
     3,

@@ -1,7 +1,7 @@
 """Units converted, compared and printed.
 
 A file's units become fixed ones when it is read: inside the library nothing is converted. What a unit
-means stands in `unit_registry`.
+means stands in `unit_parsing`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
-from bayescal._readings.unit_registry import (
+from bayescal._readings.unit_parsing import (
     ANY,
     BASE,
     EXPONENT,
