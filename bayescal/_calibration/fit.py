@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -145,9 +144,8 @@ def _fit_program(model, readings, method, seed, strict, reference, checkpoint) -
         raise ModelError(
             f"{name} is for bayescal's own models, and this is a program: leave it out"
         )
-    from bayescal._numpyro.fit_program import (
-        fit_program,
-    )  # loads NumPyro, which the default fit does without
+    # here, because it loads NumPyro, which the default fit does without
+    from bayescal._numpyro.fit_program import fit_program
 
     return fit_program(model, readings, method, seed=seed, strict=strict)
 
@@ -164,6 +162,6 @@ def load(
         InputError: not a calibration, another version, or an effect that is not installed.
     """
     found, tree = load_calibration(Path(path), effects, instruments)
-    calibration = Calibration(**{f.name: getattr(found, f.name) for f in fields(found)})
+    calibration = Calibration(**found)
     vars(calibration)["tree"] = tree  # as it was saved, not made again
     return calibration

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from bayescal._model import forward
-from bayescal._model.parameters import Layout
-
-Levels = Mapping[str, tuple[str, ...]]
+from bayescal._model.parameters import Layout, Levels
 
 
 def named(

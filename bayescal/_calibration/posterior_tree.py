@@ -14,7 +14,7 @@ from bayescal._core.jit import compiled
 from bayescal._inference.method import Draws
 from bayescal._model import forward
 from bayescal._model.frame import Frame
-from bayescal._model.parameters import CoefficientBlock, Layout
+from bayescal._model.parameters import Layout
 from bayescal._readings.measurements import Measurements
 
 PRIOR_DRAWS = 1000
@@ -118,7 +118,3 @@ def _prior_draws(layout: Layout, frame: Frame, seed: int) -> tuple | None:
         return None
     keys = jax.random.split(jax.random.key(seed + 2), PRIOR_DRAWS)
     return tuple(np.asarray(a)[None] for a in _draw_priors(layout, frame, keys))
-
-
-def block_of(layout: Layout, name: str) -> CoefficientBlock | None:
-    return next((b for b in layout.blocks if b.name == name), None)

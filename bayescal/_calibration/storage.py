@@ -134,8 +134,8 @@ _MODE_FIELDS = ("v", "covariance", "log_density", "log_evidence", "change", "fla
 
 def load_calibration(
     path: Path, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
-) -> tuple[Fitted, xr.DataTree]:
-    """Read a calibration and its tree back; see `bayescal.load`."""
+) -> tuple[dict[str, Any], xr.DataTree]:
+    """Read the fields of a calibration and its tree back; see `bayescal.load`."""
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     try:
@@ -158,21 +158,21 @@ def load_calibration(
     del tree["mode"]
     verdict = described["verdict"]
     evidence = described["log_evidence"]
-    found = Fitted(
-        model=model,
-        readings=readings,
-        joint=_draws_from(tree),
-        verdict=Verdict(
+    found = {
+        "model": model,
+        "readings": readings,
+        "joint": _draws_from(tree),
+        "verdict": Verdict(
             **{**verdict, "reasons": tuple(verdict["reasons"]), "notes": tuple(verdict["notes"])}
         ),
-        method=described["method"],
-        seed=described["seed"],
-        reference=described["reference"],
-        levels={k: tuple(v) for k, v in described["levels"].items()},
-        layout=layout,
-        mode=mode,
-        log_evidence=None if evidence is None else (evidence[0], evidence[1]),
-    )
+        "method": described["method"],
+        "seed": described["seed"],
+        "reference": described["reference"],
+        "levels": {k: tuple(v) for k, v in described["levels"].items()},
+        "layout": layout,
+        "mode": mode,
+        "log_evidence": None if evidence is None else (evidence[0], evidence[1]),
+    }
     return found, tree
 
 
