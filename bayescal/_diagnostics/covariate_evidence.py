@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from bayescal._calibration.calibration import Calibration
 from bayescal._diagnostics import efficient_score
 from bayescal._diagnostics.group_bayes_factor import log_bayes_factor
-from bayescal._model.unknown_effect import process_columns, resolution
+from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
 SCALES = (
     3,
@@ -44,9 +44,9 @@ def smooth(name: str, values: np.ndarray, unit: str = "", *, in_time: bool = Fal
     span = np.ptp(values)
     position = (values - values.min()) / (span if span > 0 else 1.0)
     lengths = np.geomspace(*plausible, SCALES[in_time])
-    return Covariate(
-        name, values, tuple(process_columns(position, length, terms) for length in lengths), unit
-    )
+    columns = process_columns(position, terms)
+    bases = tuple(columns * process_weights(length, terms) for length in lengths)
+    return Covariate(name, values, bases, unit)
 
 
 def members(name: str, codes: np.ndarray, levels: tuple[str, ...]) -> Covariate:

@@ -38,6 +38,8 @@ class Effect(eqx.Module):
         columns: what the readings must have.
         equation, source: for people; the source is a document, data sheet, standard or script.
         varies: a column that must take more than one value for the effect to be testable.
+        weights: function of some shapes (as keywords) that gives the prior standard deviation of each coefficient,
+            in parts of its plausible size. These shapes are no arguments of the basis.
         measure: the shape that says how large the effect is, as an amplitude of standard normal coefficients;
             None where its first coefficient does.
         untestable: why readings that have all this still cannot test the effect, or None where they can.
@@ -52,6 +54,7 @@ class Effect(eqx.Module):
     equation: str = eqx.field(static=True, default="")
     source: str = eqx.field(static=True, default="the user's own")
     varies: tuple[str, ...] = eqx.field(static=True, default=())
+    weights: Callable[..., Any] | None = eqx.field(static=True, default=None)
     measure: str | None = eqx.field(static=True, default=None)
     untestable: Callable[[Measurements], str | None] | None = eqx.field(static=True, default=None)
 
@@ -64,20 +67,31 @@ class Effect(eqx.Module):
                 f"effect {self.name!r}: its coefficients need different parts, not {parts}"
             )
         taken = inspect.signature(self.basis).parameters
-        shapes = {s.name for s in self.shapes}
+        shapes = {s.name for s in self.shapes} - set(self.weight_shapes)
         needed = {
             name for name, p in taken.items() if p.default is p.empty
         }  # not `lambda r, k=k: …`
         if not shapes <= set(taken) or len(needed - shapes) != 1:
             raise ModelError(
                 f"effect {self.name!r}: its basis must take the readings and then its shapes "
-                f"{[s.name for s in self.shapes]} by name; it takes {list(taken)}"
+                f"{sorted(shapes)} by name; it takes {list(taken)}"
             )
 
     @property
     def is_placeholder(self) -> bool:
         """Whether it stands for what no named effect describes: sized by an amplitude, not by a coefficient."""
         return self.measure is not None
+
+    @property
+    def weight_shapes(self) -> tuple[str, ...]:
+        """Shapes that say how large the coefficients may be, and not how the columns run."""
+        return () if self.weights is None else tuple(inspect.signature(self.weights).parameters)
+
+    @property
+    def column_shapes(self) -> tuple[Shape, ...]:
+        """Shapes that the columns depend on."""
+        apart = self.weight_shapes
+        return tuple(s for s in self.shapes if s.name not in apart)
 
     def coefficient_name(self, index: int) -> str:
         part = self.coefficients[index].part
@@ -92,13 +106,25 @@ class Effect(eqx.Module):
         Raises:
             ModelError: the basis has another number of columns than there are coefficients.
         """
-        columns = jnp.asarray(self.basis(frame, **shapes), dtype=float)
+        own = {s.name: shapes[s.name] for s in self.column_shapes}
+        return self.matrix(self.basis, len(self.coefficients), self.name, frame, own)
+
+    @staticmethod
+    def matrix(
+        basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float],
+        count: int,
+        name: str,
+        frame: Frame,
+        shapes: dict[str, Float[Array, ""]],
+    ) -> Float[Array, "n p"]:
+        """`evaluate` of a basis by itself: with how many coefficients, and whose it is."""
+        columns = jnp.asarray(basis(frame, **shapes), dtype=float)
         if columns.ndim < 2:
             columns = jnp.broadcast_to(columns, (frame.size,))[:, None]
-        if columns.shape != (frame.size, len(self.coefficients)):
+        if columns.shape != (frame.size, count):
             raise ModelError(
-                f"effect {self.name!r}: its basis returned shape {columns.shape}; with "
-                f"{len(self.coefficients)} coefficient(s) and {frame.size} readings it must return "
-                f"{(frame.size, len(self.coefficients))}"
+                f"effect {name!r}: its basis returned shape {columns.shape}; with "
+                f"{count} coefficient(s) and {frame.size} readings it must return "
+                f"{(frame.size, count)}"
             )
         return columns

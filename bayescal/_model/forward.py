@@ -56,11 +56,16 @@ def prior_sd(
     parts = []
     for b in layout.x_blocks:
         if b.coefficient.spread is not None:
-            parts.append(jnp.full(b.size, hyper[b.spread_name]))
+            sd = jnp.full(b.size, hyper[b.spread_name])
         elif b.coefficient.flat:
-            parts.append(flat[b.start : b.start + b.size])
+            sd = flat[b.start : b.start + b.size]
         else:
-            parts.append(jnp.full(b.size, b.coefficient.size))
+            sd = jnp.full(b.size, b.coefficient.size)
+        if b.effect.weights is not None:
+            named = {name: hyper[f"{b.effect.name}.{name}"] for name in b.effect.weight_shapes}
+            count = len(b.effect.coefficients)
+            sd = sd * jnp.broadcast_to(b.effect.weights(**named), (count,))[b.index]
+        parts.append(sd)
     return _fill(layout, parts)
 
 

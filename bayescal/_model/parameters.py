@@ -23,12 +23,8 @@ from bayescal._model.prior import Flat, FlatLine, Normal, Positive
 from bayescal._readings import unit_conversion
 from bayescal._readings.measurements import Measurements
 
-HyperKind = Literal["noise", "spread", "shape", "process", "promoted"]
-MOVING: tuple[HyperKind, ...] = (
-    "shape",
-    "process",
-    "promoted",
-)  # the output's Jacobian depends on them
+HyperKind = Literal["noise", "spread", "shape", "promoted"]
+MOVING: tuple[HyperKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
 _NOISE_UNITS = {
     "noise.freedom": "1",
     "noise.correlated.time": "s",
@@ -76,7 +72,7 @@ class CoefficientBlock:
 
 @dataclass(frozen=True)
 class Hyper:
-    """One entry of φ. A "process" entry is the amplitude or length of an unknown function."""
+    """One entry of φ. The amplitude and the length of an unknown function are spreads of its coefficients."""
 
     name: str
     unit: str
@@ -161,8 +157,8 @@ class Layout(eqx.Module):
                     )
                 )
         for effect in self.model.effects:
-            kind = "process" if effect.is_placeholder else "shape"
             for shape in effect.shapes:
+                kind = "spread" if shape.name in effect.weight_shapes else "shape"
                 found.append(Hyper(effect.shape_name(shape), shape.unit, shape.prior, kind))
         for block in self.blocks:
             if block.place == "phi":

@@ -13,6 +13,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._core.jax_setup import configure_jax
@@ -21,6 +22,11 @@ configure_jax()
 
 _LOG_2 = math.log(2.0)
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+
+
+def _of(v: Any) -> Any:
+    """Whose functions a coordinate takes: JAX's within programs, NumPy's on the host."""
+    return jnp if isinstance(v, jax.Array) else np
 
 
 class Normal(eqx.Module):
@@ -58,7 +64,7 @@ class LogNormal(eqx.Module):
     sd: float = eqx.field(static=True)
 
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return self.median * jnp.exp(self.sd * v)
+        return self.median * _of(v).exp(self.sd * v)
 
     def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return -0.5 * v**2 - _HALF_LOG_2PI
@@ -81,10 +87,10 @@ class HalfNormal(eqx.Module):
     scale: float = eqx.field(static=True, default=1.0)
 
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return self.scale * jnp.exp(v)
+        return self.scale * _of(v).exp(v)
 
     def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return _LOG_2 - _HALF_LOG_2PI - 0.5 * jnp.exp(2 * v) + v
+        return _LOG_2 - _HALF_LOG_2PI - 0.5 * _of(v).exp(2 * v) + v
 
     def coordinate(self, value: float) -> float:
         return math.log(value / self.scale)
@@ -104,10 +110,10 @@ class HalfCauchy(eqx.Module):
     scale: float = eqx.field(static=True, default=1.0)
 
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return self.scale * jnp.exp(v)
+        return self.scale * _of(v).exp(v)
 
     def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return math.log(2 / math.pi) - jnp.logaddexp(0.0, 2 * v) + v
+        return math.log(2 / math.pi) - _of(v).logaddexp(0.0, 2 * v) + v
 
     def coordinate(self, value: float) -> float:
         return math.log(value / self.scale)
@@ -131,7 +137,7 @@ class Flat(eqx.Module):
     scale: float = eqx.field(static=True, default=1.0)
 
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return self.scale * jnp.exp(v)
+        return self.scale * _of(v).exp(v)
 
     def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return v + math.log(self.scale)
@@ -160,7 +166,7 @@ class FlatLine(eqx.Module):
         return self.scale * v
 
     def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return jnp.zeros_like(v) + math.log(self.scale)
+        return 0.0 * v + math.log(self.scale)
 
     def coordinate(self, value: float) -> float:
         return value / self.scale

@@ -1,8 +1,8 @@
 """What no named effect describes: an unknown smooth dependence on one covariate; a step or a cycle in time.
 
 They stand beside the instrument and not in the catalogue, because the language of models has a word for them:
-`model + "unknown(humidity)"`. Each is linear in standard normal coefficients, given its shapes, the amplitude among
-them. `bayescal.effects` offers the same functions.
+`model + "unknown(humidity)"`. Each is linear in coefficients whose sizes the
+amplitude gives. `bayescal.effects` offers the same functions.
 
 The smooth one is a Gaussian process. Its columns are the eigenfunctions of the Laplacian on an interval somewhat wider
 than the covariate's range, weighted with the root of the process's spectral density (Solin & Särkkä, Stat. Comput. 30
@@ -19,6 +19,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -70,21 +71,30 @@ def placeholder(covariate: str, slot: str, low: float, high: float, unit: str) -
     return unknown(covariate, slot, low, high, unit)
 
 
-def process_columns(position: Any, length: Float[Array, ""] | float, terms: int) -> Any:
-    """Columns Φ with ΦΦᵀ near the squared-exponential kernel of unit amplitude.
+def process_columns(position: Any, terms: int) -> Any:
+    """Columns Φ with Φ·diag(w²)·Φᵀ near the squared-exponential kernel, w by `process_weights`.
 
     Args:
         position: of each reading in the covariate's range, 0 to 1; a NumPy or a JAX array (n,), as is the result.
-        length: of the process, in parts of the range.
         terms: how many eigenfunctions.
     """
     xp = position.__array_namespace__()  # NumPy's outside of a program, JAX's within
     centred = xp.clip(2 * position - 1, -WIDER, WIDER)
     order = xp.arange(1, terms + 1) * math.pi / (2 * WIDER)
+    return xp.sin(order * (centred[:, None] + WIDER)) / math.sqrt(WIDER)
+
+
+def process_weights(length: Any, terms: int) -> Any:
+    """Standard deviations of the columns' coefficients, of a process of unit amplitude.
+
+    Args:
+        length: of the process, in parts of the range.
+        terms: how many eigenfunctions.
+    """
+    xp = jnp if isinstance(length, jax.Array) else np
+    order = np.arange(1, terms + 1) * math.pi / (2 * WIDER)
     scale = 2 * length
-    root = xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
-    waves = xp.sin(order * (centred[:, None] + WIDER)) / math.sqrt(WIDER)
-    return root * waves
+    return xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
 
 
 def resolution(in_time: bool) -> tuple[int, tuple[float, float]]:
@@ -105,8 +115,11 @@ def unknown(
     """
     terms, lengths = resolution(covariate in ("time", "elapsed"))
 
-    def basis(r, length, amplitude):
-        return amplitude * process_columns(r.position(covariate), length, terms)
+    def basis(r):
+        return process_columns(r.position(covariate), terms)
+
+    def weights(length, amplitude):
+        return amplitude * process_weights(length, terms)
 
     measured = covariate.removesuffix(" rate")
     derived = covariate in ("elapsed", f"{measured} rate")
@@ -117,6 +130,7 @@ def unknown(
         basis,
         coefficients=_coefficients(unit, terms),
         shapes=(Shape("length", "1", *lengths), Shape("amplitude", unit, low, high)),
+        weights=weights,
         measure="amplitude",
         columns=columns + (("time",) if derived and covariate != "elapsed" else ()),
         varies=() if covariate == "elapsed" else (measured,),
@@ -134,13 +148,10 @@ def jump(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Ef
         name: canonical; `unknown(time, jump)` if not given.
     """
 
-    def basis(r, place, amplitude):
-        return 0.5 * amplitude * jnp.tanh((r.position("time") - place) / SHARP)
-
     return Effect(
         name or "unknown(time, jump)",
         slot,
-        basis,
+        _step,
         coefficients=_coefficients(unit, 1),
         shapes=(
             Shape("place", "1", *PLACES, scale="linear", ragged=True),
@@ -160,19 +171,28 @@ def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> E
         name: canonical; `unknown(time, cycle)` if not given.
     """
 
-    def basis(r, cycles, amplitude):
-        angle = 2 * math.pi * cycles * r.position("time")
-        return amplitude * jnp.stack([jnp.sin(angle), jnp.cos(angle)], axis=1)
-
     return Effect(
         name or "unknown(time, cycle)",
         slot,
-        basis,
+        _waves,
         coefficients=_coefficients(unit, 2),
         shapes=(Shape("cycles", "1", *CYCLES, ragged=True), Shape("amplitude", unit, low, high)),
         equation="a·sin(2π·cycles·t + φ)",
         **_IN_TIME,
     )
+
+
+def _step(r, place):
+    return 0.5 * jnp.tanh((r.position("time") - place) / SHARP)
+
+
+def _waves(r, cycles):
+    angle = 2 * math.pi * cycles * r.position("time")
+    return jnp.stack([jnp.sin(angle), jnp.cos(angle)], axis=1)
+
+
+def _even(amplitude):
+    return amplitude
 
 
 def _coefficients(unit: str, count: int) -> tuple[Coefficient, ...]:
@@ -185,6 +205,7 @@ def _too_few(readings: Measurements) -> str | None:
 
 
 _IN_TIME: dict[str, Any] = {  # what the two forms in time share
+    "weights": _even,
     "measure": "amplitude",
     "columns": ("time",),
     "varies": ("time",),

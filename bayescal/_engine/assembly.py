@@ -1,0 +1,287 @@
+"""A structure on a record: its expected output, Jacobian and priors, put together from columns and slopes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._engine.record import ColumnsOf, Record
+from bayescal._model.parameters import MOVING, CoefficientBlock, Layout
+
+Values = dict[str, float]
+NUDGE = 1e-6  # of a coordinate, for derivatives of priors
+
+
+class Prior(NamedTuple):
+    """Prior of a Gaussian vector: mean, scale, and weight (1 proper, 0 flat)."""
+
+    mean: Float[np.ndarray, "p"]
+    sd: Float[np.ndarray, "p"]
+    weight: Float[np.ndarray, "p"]
+
+
+class Point(NamedTuple):
+    """Where the expected output is linearised: x̂ and the per-reading coefficients."""
+
+    x: Float[np.ndarray, "p"]
+    rows: Float[np.ndarray, "n k"]
+
+
+class Line(NamedTuple):
+    """The expected output and its derivatives at one point: by x (n, p), by the per-reading coefficients (n, k)."""
+
+    mean: Float[np.ndarray, "n"]
+    jacobian: Float[np.ndarray, "n p"]
+    rows: Float[np.ndarray, "n k"]
+
+
+@dataclass(eq=False)
+class Assembly:
+    """A structure bound to a record.
+
+    Attributes:
+        layout: which unknowns there are, and where.
+        record: the readings.
+        spread: factor on the plausible size of an effect's coefficients, by the effect's name; one where not named.
+    """
+
+    layout: Layout
+    record: Record
+    spread: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        layout = self.layout
+        self.terms = tuple(_Term.of_block(b, self.spread or {}) for b in layout.blocks)
+        self.hypers = layout.hypers
+        self.size = sum(t.size for t in self.terms if t.place == "x")
+        self.row_sd = np.array([t.prior_sd for t in self.terms if t.place == "row"])
+        self.noise = layout.model.noise
+        self.fixed_values = dict(layout.model.fixed)
+        slots = self.record.slots
+        self.corrected = tuple(dict.fromkeys(t.slot for t in self.terms if t.slot not in slots))
+        # A promoted coefficient in units of a learned spread moves with that spread too.
+        scaled = {t.spread_name for t in self.terms if t.place == "phi"}
+        self.kinds = [h.kind for h in self.hypers]
+        self.moving = [i for i, h in enumerate(self.hypers) if h.kind in MOVING or h.name in scaled]
+        # The classes' own functions, for a bound method of a module costs more than what these compute.
+        self._coordinates = [
+            (h.name, partial(type(h.prior).value, h.prior), partial(type(h.prior).log_density, h.prior))
+            for h in self.hypers
+        ]
+
+    # φ and the priors -------------------------------------------------------------------------------------------
+
+    def hyper(self, v: Sequence[float] | np.ndarray) -> Values:
+        """The entries of φ at coordinate v, by name; fixed ones included."""
+        found = {name: value(one) for (name, value, _), one in zip(self._coordinates, v, strict=True)}
+        return {**self.fixed_values, **found}  # pyright: ignore[reportReturnType]
+
+    def log_prior(self, v: np.ndarray) -> float:
+        """Log prior density of φ in its coordinates."""
+        return float(sum(density(one) for (*_, density), one in zip(self._coordinates, v, strict=True)))
+
+    def value_slope(self, v: np.ndarray, i: int) -> float:
+        """Slope of the logarithm of one entry of φ by its coordinate."""
+        value = self._coordinates[i][1]
+        return float(np.log(value(v[i] + NUDGE) / value(v[i] - NUDGE))) / (2 * NUDGE)
+
+    def log_prior_slope(self, v: np.ndarray) -> np.ndarray:
+        def slope(density, one):
+            return float(density(one + NUDGE) - density(one - NUDGE)) / (2 * NUDGE)
+
+        return np.array([slope(d, one) for (*_, d), one in zip(self._coordinates, v, strict=True)])
+
+    def sizes(self, hyper: Values) -> Float[np.ndarray, "p"]:
+        """Prior standard deviation of x given φ; one where the prior is flat."""
+        sd = self._own_size.copy()
+        for place, name in self._learned:
+            sd[place] = hyper[name]
+        for weights, names, places in self._weighted:
+            made = weights(**{short: hyper[name] for short, name in names})
+            for at, one in zip(places, np.broadcast_to(made, (len(places),)), strict=True):
+                if at is not None:
+                    sd[at] *= one
+        return sd
+
+    @cached_property
+    def _own_size(self) -> np.ndarray:
+        sd = np.ones(self.size)
+        for t in self.in_x:
+            if not t.flat and t.spread_name is None:
+                sd[t.at] = t.prior_sd
+        return sd
+
+    @cached_property
+    def in_x(self) -> tuple[_Term, ...]:
+        return tuple(t for t in self.terms if t.place == "x")
+
+    @cached_property
+    def _learned(self) -> list[tuple[slice, str]]:
+        return [(t.at, t.spread_name) for t in self.in_x if t.spread_name is not None]
+
+    @cached_property
+    def _weighted(self) -> list[tuple[Any, list[tuple[str, str]], list[slice | None]]]:
+        found = []
+        for effect in self.layout.model.effects:
+            if effect.weights is not None:
+                names = [(name, f"{effect.name}.{name}") for name in effect.weight_shapes]
+                own = {t.index: t.at for t in self.in_x if t.of == effect.name}
+                places = [own.get(i) for i in range(len(effect.coefficients))]
+                found.append((effect.weights, names, places))
+        return found
+
+    @cached_property
+    def mean_of_x(self) -> Float[np.ndarray, "p"]:
+        found = np.zeros(self.size)
+        for t in self.in_x:
+            found[t.at] = t.mean
+        return found
+
+    @cached_property
+    def weight_of_x(self) -> Float[np.ndarray, "p"]:
+        found = np.ones(self.size)
+        for t in self.in_x:
+            if t.flat:
+                found[t.at] = 0.0
+        return found
+
+    def prior(self, hyper: Values, flat: np.ndarray) -> Prior:
+        sd = np.where(self.weight_of_x > 0, self.sizes(hyper), flat)
+        return Prior(self.mean_of_x, sd, self.weight_of_x)
+
+    @property
+    def start(self) -> Point:
+        return Point(self.mean_of_x.copy(), np.zeros((self.record.size, len(self.row_sd))))
+
+    # the expected output ----------------------------------------------------------------------------------------
+
+    def _values(self, point: Point, hyper: Values) -> list[Any]:
+        """Each term's coefficient at each reading; where there is one for all, one number."""
+        found, row = [], 0
+        for t in self.terms:
+            if t.place == "row":
+                found.append(point.rows[:, row])
+                row += 1
+                continue
+            if t.place == "x":
+                value = point.x[t.at]
+            elif t.place == "fixed":
+                value = np.full(t.size, t.value)
+            else:
+                value = np.array([hyper[name] for name in t.members])
+                if t.spread_name is not None:
+                    value = t.mean + hyper[t.spread_name] * value
+            # The code of no member is −1.
+            found.append(value[0] if t.per is None else np.append(value, 0.0)[self.record.codes[t.per]])
+        return found
+
+    def _columns(self, hyper: Values, moves: Mapping[str, np.ndarray]):
+        """The column of each term, slot units per reported unit, and its slopes by the moved columns."""
+        found, last, made = [], None, None
+        for t in self.terms:
+            if t.of != last:
+                shapes = tuple(float(hyper[name]) for name in t.shape_names)
+                if moves and t.slot not in moves:
+                    made = self.record.moved_columns(t.columns, shapes, moves)
+                else:
+                    made = self.record.columns(t.columns, shapes), {}
+                last = t.of
+            columns, slopes = made  # pyright: ignore[reportGeneralTypeIssues]
+            by_move = {name: s[:, t.index] * t.factor for name, s in slopes.items()}
+            found.append((columns[:, t.index] * t.factor, by_move))
+        return found
+
+    def linearise(self, point: Point, hyper: Values) -> Line:
+        """Expected output and Jacobian at a point, output unit per reported unit."""
+        values = self._values(point, hyper)
+        moves: dict[str, np.ndarray] = {}
+        if self.corrected:
+            moves = {name: np.zeros(self.record.size) for name in self.corrected}
+            for t, (column, _), value in zip(self.terms, self._columns(hyper, {}), values, strict=True):
+                if t.slot in moves:
+                    moves[t.slot] = moves[t.slot] + column * value
+        columns = self._columns(hyper, moves)
+        sums: dict[str, Any] = {}
+        for t, (column, _), value in zip(self.terms, columns, values, strict=True):
+            if t.slot not in moves:
+                sums[t.slot] = sums.get(t.slot, 0.0) + column * value
+        mean, slopes = self.record.response(sums, moves)
+        if moves:
+            slopes = dict(slopes)
+            for t, (_, by_move), value in zip(self.terms, columns, values, strict=True):
+                for name, slope in by_move.items():
+                    slopes[name] = slopes[name] + slopes[t.slot] * slope * value
+        n, row = self.record.size, 0
+        jacobian, rows = np.zeros((n, self.size), order="F"), np.zeros((n, len(self.row_sd)))
+        for t, (column, _) in zip(self.terms, columns, strict=True):
+            if t.place == "x":
+                self._place(t, slopes[t.slot] * column, jacobian)
+            elif t.place == "row":
+                rows[:, row] = slopes[t.slot] * column
+                row += 1
+        return Line(mean, jacobian, rows)
+
+    def _place(self, term: _Term, column: np.ndarray, jacobian: np.ndarray) -> None:
+        if term.per is None:
+            jacobian[:, term.start] = column
+            return
+        codes = self.record.codes[term.per]
+        known = np.flatnonzero(codes >= 0)
+        jacobian[known, term.start + codes[known]] = column[known]
+
+    @cached_property
+    def affine(self) -> bool:
+        """Whether the expected output is affine in x and in the per-reading coefficients."""
+        return not self.corrected and self.record.affine is not None
+
+
+class _Term(NamedTuple):
+    """One coefficient of the structure with all its members, in plain data."""
+
+    of: str
+    index: int
+    slot: str
+    size: int
+    start: int
+    place: str
+    per: str | None
+    factor: float
+    mean: float
+    prior_sd: float
+    flat: bool
+    value: float
+    spread_name: str | None
+    members: tuple[str, ...]
+    columns: ColumnsOf
+    shape_names: tuple[str, ...]
+
+    @property
+    def at(self) -> slice:
+        return slice(self.start, self.start + self.size)
+
+    @classmethod
+    def of_block(cls, block: CoefficientBlock, spread: Mapping[str, float]) -> _Term:
+        coefficient, effect = block.coefficient, block.effect
+        return cls(
+            of=effect.name,
+            index=block.index,
+            slot=block.slot,
+            size=block.size,
+            start=block.start,
+            place=block.place,
+            per=coefficient.per,
+            factor=block.factor,
+            mean=coefficient.mean,
+            prior_sd=coefficient.size * spread.get(effect.name, 1.0),
+            flat=coefficient.flat,
+            value=block.value,
+            spread_name=None if coefficient.spread is None else block.spread_name,
+            members=tuple(block.member_names()) if block.place == "phi" else (),
+            columns=ColumnsOf.of(effect),
+            shape_names=tuple(effect.shape_name(s) for s in effect.column_shapes),
+        )

@@ -1,0 +1,196 @@
+"""The mode of a structure: x̂ given φ̂ by Gauss–Newton, φ̂ by marginal likelihood, in turn; and its Laplace evidence.
+
+The joint mode of coefficients and spreads would run to a spread of zero; the mode of φ with x integrated out does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+
+from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.blas import on_one_thread
+from bayescal._engine.closed_form import LOG_2PI, NOWHERE, Conditional, Density
+
+STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
+ROUNDS = 12  # alternations of x̂ and φ̂ at most
+STARTS = 64  # prior draws of φ among which the start is chosen,
+RAGGED = 4  # times as many where a shape's evidence has many maxima
+HALVINGS = 8  # of a Gauss–Newton step that makes the sum of squares larger
+CURVED = 1e-3  # step of a coordinate for the curvature
+LEAST_CURVATURE = 0.05  # a coordinate is never known worse than a few units before its prior takes over
+STEEP = 1e-3  # gradient of the log density, below which φ̂ is found
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """φ̂ with x̂ at it, and the Gaussian fit of φ's coordinates there."""
+
+    point: Point
+    v: Float[np.ndarray, "d"]
+    covariance: Float[np.ndarray, "d d"]
+    log_density: float  # log p(y, φ̂), x integrated out
+    log_evidence: float  # Laplace
+    change: float  # of the last round, in standard deviations
+    flat: Float[np.ndarray, "p"]
+    indefinite: bool  # whether the curvature had to be mended
+
+
+def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
+    """A scale for coefficients with a flat prior: the change that moves the output by one unit."""
+    norm = np.sqrt(np.mean(jacobian**2, axis=0))
+    return np.where(norm > 0, 1 / np.where(norm > 0, norm, 1.0), 1.0)
+
+
+@on_one_thread
+def find_mode(assembly: Assembly, starts: Iterable[np.ndarray] | None = None) -> Mode:
+    """The mode, from the best of some coordinates of φ. Deterministic.
+
+    Args:
+        assembly: the structure on its record.
+        starts: coordinates to begin at; prior draws if not given. The most probable is taken.
+    """
+    point, dim = assembly.start, len(assembly.hypers)
+    hyper = assembly.hyper(np.zeros(dim))
+    flat = column_scale(assembly.linearise(point, hyper).jacobian)
+    density = Density(assembly, point, flat)
+    wanted = _prior_draws(assembly) if starts is None else list(starts)
+    v = max(wanted, key=lambda one: density.at(one)[0]) if dim else np.zeros(0)
+    change, found = math.inf, None
+    for _ in range(ROUNDS):
+        if not assembly.affine:
+            point = mode_of_x(assembly, point, v, flat)
+            density = Density(assembly, point, flat)
+        best = climb(density, v) if dim else v
+        found = density.at(best)[1]
+        if found is None:
+            return _lost(point, best, flat)
+        width = np.sqrt(np.diag(found.covariance)) + 1e-300
+        moved = float(np.max(np.abs((found.mean - point.x) / width), initial=0.0))
+        change = max(moved, float(np.max(np.abs(best - v), initial=0.0)))
+        v, point = best, _with_rows(assembly, density, found, best)
+        if assembly.affine:
+            change = 0.0
+            break
+        if change < STILL:
+            break
+    return at_mode(Density(assembly, point, flat), v, change)
+
+
+def climb(density: Density, start: np.ndarray) -> np.ndarray:
+    """φ̂ of a density, uphill from a coordinate."""
+
+    def downhill(v):
+        value, gradient = density.slope(v)
+        return -value, -gradient
+
+    with np.errstate(all="ignore"):
+        found = minimize(downhill, start, jac=True, method="BFGS", options={"gtol": STEEP, "maxiter": 200})
+    return found.x if found.fun <= -density.at(start)[0] else start
+
+
+def _prior_draws(assembly: Assembly) -> list[np.ndarray]:
+    ragged = any(s.ragged for e in assembly.layout.model.effects for s in e.column_shapes)
+    count, dim = STARTS * (RAGGED if ragged else 1), len(assembly.hypers)
+    draws = 1.5 * np.random.default_rng(0).standard_normal((count, dim))
+    return [np.zeros(dim), *draws]
+
+
+def mode_of_x(assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray) -> Point:
+    """x̂ given φ: Gauss–Newton on the residuals and the prior's, each step halved until the sum falls."""
+    hyper = assembly.hyper(v)
+
+    def look(at: Point) -> tuple[float, Conditional | None, Density]:
+        density = Density(assembly, at, flat)
+        found = density.at(v)[1]
+        if found is None:
+            return math.inf, None, density
+        # Squares at the point itself, not at the linear model's minimum.
+        prior = assembly.prior(hyper, flat)
+        z = prior.weight * (at.x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
+        return density.gram(v, hyper).rtr + float(z @ z), found, density
+
+    squares, found, density = look(point)
+    for _ in range(50):
+        if found is None:
+            return point
+        goal, share = found.mean, 1.0
+        width = np.sqrt(np.diag(found.covariance)) + 1e-300
+        if np.max(np.abs((goal - point.x) / width), initial=0.0) < 0.1 * STILL:
+            return point
+        for _ in range(HALVINGS):
+            trial = Point(point.x + share * (goal - point.x), point.rows)
+            there, next_found, next_density = look(trial)
+            if there <= squares or not math.isfinite(squares):
+                break
+            share *= 0.5
+        else:
+            return point
+        point = _with_rows(assembly, next_density, None, v, trial.x)
+        squares, found, density = look(point)
+    return point
+
+
+def _with_rows(assembly, density: Density, found, v, x=None) -> Point:
+    """A point with its per-reading coefficients at their conditional mean."""
+    x = found.mean if x is None else x
+    point = Point(x, density.point.rows)
+    if not len(assembly.row_sd):
+        return point
+    hyper = assembly.hyper(v)
+    line = assembly.linearise(point, hyper)
+    rest = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
+    variance = np.broadcast_to(noise_variance(assembly, hyper), rest.shape)
+    return Point(x, mean_of_rows(assembly, line.rows, rest, variance)[0])
+
+
+def noise_variance(assembly: Assembly, hyper) -> np.ndarray:
+    """Variance of each reading by the noise alone."""
+    from bayescal._engine.whitening import known_variance
+    own = hyper["noise.white"] ** 2 + known_variance(assembly.record)
+    return own
+
+
+def mean_of_rows(assembly: Assembly, slopes, residual, variance):
+    """Per-reading coefficients given all else, and the Cholesky factor of their precision."""
+    precision = slopes[:, :, None] * slopes[:, None, :] / variance[:, None, None]
+    precision = precision + np.diag(1 / assembly.row_sd**2)
+    pull = slopes * (residual / variance)[:, None]
+    return np.linalg.solve(precision, pull[:, :, None])[:, :, 0], precision
+
+
+def at_mode(density: Density, v: np.ndarray, change: float) -> Mode:
+    """The Gaussian fit of φ at its mode, and the Laplace evidence."""
+    value, found = density.at(v)
+    if found is None:
+        return _lost(density.point, v, density.flat)
+    mode = Mode(density.point, v, np.zeros((0, 0)), value, value, change, density.flat, False)
+    if not len(v):
+        return mode
+    covariance, volume, indefinite = gaussian_fit(density, v)
+    return replace(mode, covariance=covariance, log_evidence=value + volume, indefinite=indefinite)
+
+
+def gaussian_fit(density: Density, v: np.ndarray) -> tuple[np.ndarray, float, bool]:
+    """Covariance of the Gaussian fit at a mode, its log volume, and whether the curvature had to be mended."""
+    precision = np.zeros((len(v), len(v)))
+    for i in range(len(v)):
+        up, down = v.copy(), v.copy()
+        up[i] += CURVED
+        down[i] -= CURVED
+        precision[i] = (density.slope(down)[1] - density.slope(up)[1]) / (2 * CURVED)
+    weights, vectors = np.linalg.eigh(0.5 * (precision + precision.T))
+    mended = np.maximum(weights, LEAST_CURVATURE)
+    covariance = (vectors / mended) @ vectors.T
+    volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(mended)))
+    return covariance, volume, bool(np.any(weights < LEAST_CURVATURE))
+
+
+def _lost(point: Point, v: np.ndarray, flat: np.ndarray) -> Mode:
+    nothing = np.full((len(v), len(v)), np.nan)
+    return Mode(point, v, nothing, NOWHERE, -math.inf, math.inf, flat, True)

@@ -1,0 +1,163 @@
+"""The compiled pieces: an effect's columns, an instrument's slopes, the gains of a filter.
+
+None knows which effects a model has, so that a search over structures compiles nothing. Records are padded to a few
+lengths by repeating the last reading, so that another record of about the same length compiles nothing either.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import cache, wraps
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayescal._core.jit import QUICK, known
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Frame
+
+STEP = 1.25  # from one padded length to the next
+SHORTEST = 32
+
+
+def padded_length(size: int) -> int:
+    """The next of a few lengths that records are padded to."""
+    steps = max(0, math.ceil(math.log(size / SHORTEST, STEP) - 1e-9))
+    return max(size, round(SHORTEST * STEP**steps))
+
+
+def padded(frame: Frame) -> Frame:
+    """The same readings, the last of them repeated up to the padded length, each repetition a run of its own."""
+    size = frame.size
+    more = padded_length(size) - size
+
+    def longer(values: Any) -> np.ndarray:
+        return np.pad(np.asarray(values), (0, more), mode="edge")
+
+    def all_of(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: longer(v) for name, v in values.items()}
+
+    return Frame(
+        columns=all_of(frame.columns),  # pyright: ignore[reportArgumentType]
+        labels=all_of(frame.labels),
+        rates=all_of(frame.rates),
+        codes={g: np.pad(np.asarray(c), (0, more), constant_values=-1) for g, c in frame.codes.items()},  # pyright: ignore
+        reference={k: np.asarray(v) for k, v in frame.reference.items()},  # pyright: ignore
+        order=np.append(np.asarray(frame.order), np.arange(size, size + more, dtype=np.int32)),  # pyright: ignore
+        step=np.append(np.asarray(frame.step), -np.ones(more)),  # pyright: ignore
+        record=all_of(frame.record),
+    )
+
+
+def _program(statics: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Compile a function whose first arguments are no arrays, when it is first called."""
+
+    def wrap(function: Callable[..., Any]) -> Callable[..., Any]:
+        @cache
+        def program() -> Callable[..., Any]:
+            return jax.jit(
+                function, static_argnums=tuple(range(statics)), compiler_options=known(QUICK)
+            )
+
+        @wraps(function)
+        def call(*args: Any) -> Any:
+            return program()(*args)
+
+        return call
+
+    return wrap
+
+
+Basis = tuple[Callable[..., Any], int, str]  # a basis, how many columns it has, whose it is
+
+
+def basis_of(effect: Effect) -> Basis:
+    """What an effect's columns depend on: not its priors."""
+    return effect.basis, len(effect.coefficients), effect.name
+
+
+@_program(1)
+def fixed_columns(bases: tuple[Basis, ...], frame: Frame) -> list[Float[Array, "n k"]]:
+    """Columns of effects without shapes, all in one program."""
+    return [Effect.matrix(*basis, frame, {}) for basis in bases]
+
+
+@_program(1)
+def shaped_columns(
+    basis: Basis, frame: Frame, shapes: dict[str, Float[Array, ""]], moves: dict[str, Float[Array, "n"]]
+) -> tuple[Float[Array, "n k"], dict[str, Float[Array, "n k"]]]:
+    """Columns at some shapes and with columns of the readings moved, and their derivatives by these moves."""
+
+    def at(moves):
+        moved = frame
+        for name, shift in moves.items():
+            moved = moved.with_column(name, frame[name] + shift)
+        return Effect.matrix(*basis, moved, shapes)
+
+    zero = {name: jnp.zeros_like(shift) for name, shift in moves.items()}
+    slopes = {
+        name: jax.jvp(at, (moves,), ({**zero, name: jnp.ones_like(shift)},))[1]
+        for name, shift in moves.items()
+    }
+    return at(moves), slopes
+
+
+@_program(1)
+def response_slopes(
+    response: Callable[..., Any],
+    frame: Frame,
+    slots: dict[str, Float[Array, "n"]],
+    moves: dict[str, Float[Array, "n"]],
+) -> tuple[Float[Array, "n"], dict[str, Float[Array, "n"]]]:
+    """Expected output, and its derivatives by each slot and by each moved column, reading by reading."""
+
+    def respond(both):
+        slots, moves = both
+        moved = frame
+        for name, shift in moves.items():
+            moved = moved.with_column(name, frame[name] + shift)
+        return jnp.broadcast_to(response(slots, moved), (frame.size,))
+
+    both = (slots, moves)
+    zero = jax.tree.map(jnp.zeros_like, both)
+    slopes = {}
+    for part in (0, 1):
+        for name in both[part]:
+            along = [dict(zero[0]), dict(zero[1])]
+            along[part][name] = jnp.ones(frame.size)
+            slopes[name] = jax.jvp(respond, (both,), (tuple(along),))[1]
+    return respond(both), slopes
+
+
+@_program(1)
+def responses(
+    response: Callable[..., Any], frame: Frame, slots: dict[str, Float[Array, "b n"]]
+) -> Float[Array, "b n"]:
+    """Expected outputs of several sets of slots."""
+    return jax.vmap(lambda one: jnp.broadcast_to(response(one, frame), (frame.size,)))(slots)
+
+
+@_program(0)
+def filter_gains(
+    carry: Float[Array, "n"], fresh: Float[Array, "n"], white: Float[Array, "n"]
+) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+    """Variance of each innovation and gain of a Kalman filter whose state is one wandering number.
+
+    Args:
+        carry: what is left of the state from one reading to the next, 0 at a run's first.
+        fresh: variance that is new to the state at each reading.
+        white: variance of each reading about the state.
+    """
+
+    def advance(left, row):
+        carry, fresh, white = row
+        before = carry**2 * left + fresh
+        total = before + white
+        return before * white / total, (total, before / total)
+
+    _, (total, gain) = jax.lax.scan(advance, jnp.zeros(()), (carry, fresh, white))
+    return total, gain
