@@ -196,8 +196,12 @@ class Assembly:
             found.append((columns[:, t.index] * t.factor, by_move))
         return found
 
-    def linearise(self, point: Point, hyper: Values) -> Line:
-        """Expected output and Jacobian at a point, output unit per reported unit."""
+    def slopes(self, point: Point, hyper: Values) -> dict[str, Float[np.ndarray, "n"]]:
+        """Of the expected output by each slot, reading by reading."""
+        return self._responding(point, hyper)[1]
+
+    def _responding(self, point: Point, hyper: Values):
+        """Expected output, its slopes by slots and by corrected columns, and each term's column."""
         values = self._values(point, hyper)
         moves: dict[str, np.ndarray] = {}
         if self.corrected:
@@ -216,6 +220,11 @@ class Assembly:
             for t, (_, by_move), value in zip(self.terms, columns, values, strict=True):
                 for name, slope in by_move.items():
                     slopes[name] = slopes[name] + slopes[t.slot] * slope * value
+        return mean, slopes, columns
+
+    def linearise(self, point: Point, hyper: Values) -> Line:
+        """Expected output and Jacobian at a point, output unit per reported unit."""
+        mean, slopes, columns = self._responding(point, hyper)
         n, row = self.record.size, 0
         jacobian, rows = np.zeros((n, self.size), order="F"), np.zeros((n, len(self.row_sd)))
         for t, (column, _) in zip(self.terms, columns, strict=True):
