@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-HEAVY = ("jax", "numpy", "scipy", "pandas", "xarray", "matplotlib", "arviz_base", "numpyro", "pint")
+HEAVY = ("jax", "numpy", "scipy", "pandas", "xarray", "matplotlib", "arviz_base", "numpyro")
 OWN = ("NPROC", "BAYESCAL_CACHE", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
 
 # As a calibration does it: a loop, in its body factorisations that do not depend on each other.
