@@ -40,7 +40,7 @@ class _Scan:
 
     @property
     def blank(self) -> bytes:
-        """What a line may hold that counts as blank."""
+        """What a line may hold and count as blank."""
         return b" \r\n" if self.separator == "\t" else b" \t\r\n"
 
     def place(self, index: int) -> str:
@@ -68,15 +68,12 @@ def open_csv(path: Path, file: str) -> Table:
         scan = _scan(handle, file)
     rows = scan.lines - len(scan.blanks)
 
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        return _load(path, scan, wanted)
-
     return Table(
         file=file,
         headers=tuple(Header.parse(text) for text in scan.header),
         rows=rows,
         sha256=scan.sha256,
-        load=load,
+        load=lambda wanted: _load(path, scan, wanted),
         place=scan.place,
     )
 
@@ -229,11 +226,10 @@ def _scan_lines(scan: _Scan, data: bytes) -> None:
     _decode(data, scan.file, row)
     lines = data.split(b"\n")[:-1]
     separator, expected = scan.separator.encode(), len(scan.header)
-    blank = scan.blank
     for index, line in enumerate(lines):
         if b'"' in line:
             fields = _quoted_fields(scan, row + index, line)
-        elif line.strip(blank):
+        elif line.strip(scan.blank):
             fields = line.count(separator) + 1
         else:
             scan.blanks.append(row + index)
