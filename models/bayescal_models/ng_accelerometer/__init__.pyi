@@ -13,3 +13,4 @@ from .model import simulate as simulate
 
 COLUMNS: tuple[bc.Column, ...]
 NOMINAL_SCALE: bc.NominalScale
+VOLTS: float

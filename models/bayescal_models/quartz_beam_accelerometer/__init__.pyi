@@ -14,3 +14,5 @@ from .tables import from_tables as from_tables
 
 COLUMNS: tuple[bc.Column, ...]
 NOMINAL_SCALE: bc.NominalScale
+SCALE_FACTOR: float
+PER_G: float
