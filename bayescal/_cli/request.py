@@ -1,6 +1,6 @@
 """What the options ask for: an instrument, a model, readings, a method.
 
-Loads what an instrument and a file need and no sampler, so that a bad file is refused early.
+A bad file is refused first, before the instrument loads, and JAX with it; no sampler loads here.
 """
 
 from __future__ import annotations
@@ -15,17 +15,23 @@ from typing import TYPE_CHECKING
 import bayescal as bc
 from bayescal._cli.options import METHODS, ColumnOptions, ModelOptions, named_numbers
 from bayescal._core.errors import InputError
-from bayescal._model.effect import Effect
-from bayescal._model.frame import Reference
-from bayescal._model.frame import reference_of as constants_of
-from bayescal._model.installed import installed_instrument, installed_names
-from bayescal._model.instrument import Instrument
-from bayescal._model.model import Model
-from bayescal._readings.measurements import Measurements
+from bayescal._model.installed import (
+    FileColumns,
+    file_columns,
+    installed_instrument,
+    installed_names,
+)
 from bayescal._readings.read import read
 
 if TYPE_CHECKING:
     from bayescal._inference.method import Method
+    from bayescal._model.effect import Effect
+    from bayescal._model.frame import Reference
+    from bayescal._model.instrument import Instrument
+    from bayescal._model.model import Model
+    from bayescal._readings.measurements import Measurements
+
+LONG = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
 
 
 def open_request(
@@ -36,10 +42,16 @@ def open_request(
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
+    holds = None if _is_file(instrument) else file_columns(_known(instrument))
+    short = sum(path.stat().st_size for path in files if path.is_file()) <= LONG
+    early = read(list(files), holds, **columns.for_read()) if holds and short else None
     general = instrument_named(instrument)
     own = {effect.name: effect for effect in user_effects(choice.effects_file)}
-    model = compose(general, choice, own)  # before the files, which may be long
-    readings = read(list(files), general, **columns.for_read())
+    model = compose(general, choice, own)
+    if early is not None and holds == FileColumns.of(general):
+        readings = early
+    else:
+        readings = read(list(files), general, **columns.for_read())
     tailored = general.for_readings(readings)
     return tailored, model if tailored is general else compose(tailored, choice, own), readings
 
@@ -60,21 +72,37 @@ def instrument_named(name: str) -> Instrument:
     Raises:
         InputError: there is none.
     """
-    file, colon, attribute = name.rpartition(":")
-    if colon and file.endswith(".py"):
+    if _is_file(name):
+        from bayescal._model.instrument import Instrument
+
+        file, _, attribute = name.rpartition(":")
         instrument = getattr(_run_file(Path(file)), attribute, None)
         if not isinstance(instrument, Instrument):
             raise InputError(
                 f"{file} defines no instrument called {attribute!r}: give FILE.py:NAME"
             )
         return instrument
+    return installed_instrument(_known(name))
+
+
+def _is_file(name: str) -> bool:
+    """Whether an instrument is one in a file: my.py:INSTRUMENT."""
+    return name.rpartition(":")[0].endswith(".py")
+
+
+def _known(name: str) -> str:
+    """The name of an instrument that is installed.
+
+    Raises:
+        InputError: none is of that name.
+    """
     known = installed_names()
     if name not in known:
         raise InputError(
             f"no instrument is called {name!r}; installed: {', '.join(known) or 'none'}. "
             "For one of your own give my.py:INSTRUMENT"
         )
-    return installed_instrument(name)
+    return name
 
 
 def structure_named(instrument: Instrument, name: str) -> Model:
@@ -109,6 +137,8 @@ def user_effects(path: Path | None) -> tuple[Effect, ...]:
     """
     if path is None:
         return ()
+    from bayescal._model.effect import Effect
+
     module = _run_file(path)
     effects = getattr(module, "EFFECTS", None)
     if effects is None:
@@ -150,6 +180,8 @@ def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
     Raises:
         InputError: these readings have no such constant.
     """
+    from bayescal._model.frame import reference_of as constants_of
+
     reference = named_numbers(given, "--reference")
     known = [n for n, value in constants_of(readings).items() if not isinstance(value, dict)]
     for name in reference:

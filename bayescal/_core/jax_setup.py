@@ -5,7 +5,8 @@ each module that computes calls `configure_jax()` at its top.
 
 Environment variables:
     NPROC: worker threads of JAX on the CPU; respected where set.
-    BAYESCAL_CACHE: folder for what bayescal keeps between runs; empty for nothing kept.
+    BAYESCAL_CACHE: folder for what bayescal keeps between runs, at most 512 MiB of it from one start to the
+        next; empty for nothing kept.
     JAX_COMPILATION_CACHE_DIR: JAX's own; where set (or configured from Python), bayescal leaves the
         cache alone.
 """
@@ -14,10 +15,13 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
 MIN_WORKERS = 16
+
+MOST_KEPT = 512 * 1024**2  # bytes of programs on disk; a first calibration leaves some 5 MB
 
 MOST_MAPS = 30_000  # of 65,530 that Linux allows a process by default
 
@@ -82,7 +86,7 @@ def configure_jax() -> None:
 
     Every program is kept, however small: JAX's own threshold of one second of compilation would
     keep almost none of ours. A folder that cannot be written means no cache, never an error. The
-    folder may be deleted at any time.
+    folder may be deleted at any time; what has grown beyond `MOST_KEPT` is dropped here.
     """
     import jax  # heavy: not before something computes
 
@@ -92,9 +96,33 @@ def configure_jax() -> None:
     folder = cache_folder()
     if folder is None or not _writable(folder / "jax"):
         return
+    drop_oldest(folder / "jax", MOST_KEPT)
     jax.config.update("jax_compilation_cache_dir", str(folder / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def drop_oldest(folder: Path, most: int) -> None:
+    """Delete the programs in a folder that were not used for longest, until the rest fit into `most` bytes.
+
+    JAX can bound its cache itself, but then reads a file for every program kept whenever it keeps one more: 0.1 s
+    each time with 2,000 of them. Where the file system does not note when a file is read, the oldest go.
+    """
+    kept: list[tuple[float, int, str]] = []
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(OSError):  # another process may have deleted it
+                if entry.name.endswith("-cache") and entry.is_file():
+                    found = entry.stat()
+                    used = max(found.st_atime, found.st_mtime)
+                    kept.append((used, found.st_size, entry.path))
+    excess = sum(size for _, size, _ in kept) - most
+    for _, size, path in sorted(kept):
+        if excess <= 0:
+            return
+        with suppress(OSError):
+            os.unlink(path)
+        excess -= size
 
 
 def spare_memory_maps() -> None:

@@ -36,7 +36,7 @@ class TableRows:
         cells = self._cells(position, number)
         if cells.bad is None:
             return Cells(cells.values[rows])
-        return numbers_of(pd.Series(self._cells(position, False).values[rows], dtype=object))
+        return numbers_of(self._cells(position, False).values[rows].tolist())
 
 
 @dataclass

@@ -24,10 +24,9 @@ from bayescal._readings.column_matching import (
 )
 from bayescal._readings.csv_reader import open_csv
 from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet
-from bayescal._readings.raw_table import Cells, Table, load_whole
+from bayescal._readings.raw_table import FORMATS, Cells, Table, load_whole
 from bayescal._readings.unit_conversion import base_unit
 from bayescal._readings.unit_parsing import STANDARD_GRAVITY
-from bayescal._readings.write import FORMATS
 
 MAX_BYTES = 2_000_000_000
 

@@ -1,12 +1,38 @@
-"""Instruments that installed packages offer, through the entry-point group `bayescal.instruments`."""
+"""Instruments that installed packages offer, through the entry-point group `bayescal.instruments`.
+
+Light until an instrument is asked for. The module that an entry point names may hold beside its `INSTRUMENT` the
+`COLUMNS` of its files and, where it has one, its `NOMINAL_SCALE`: if they are there before anything heavy is
+imported, a file is refused at once.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import entry_points
+from typing import TYPE_CHECKING
 
-from bayescal._model.instrument import Instrument
+from bayescal._readings.column import Column, NominalScale
+from bayescal._readings.column_matching import InstrumentLike
+
+if TYPE_CHECKING:
+    from bayescal._model.instrument import Instrument
 
 GROUP = "bayescal.instruments"
+
+
+@dataclass(frozen=True)
+class FileColumns:
+    """What the files of an instrument hold: as much of it as reading them takes."""
+
+    name: str
+    columns: tuple[Column, ...]
+    nominal_scale: NominalScale | None = None
+
+    @classmethod
+    def of(cls, instrument: InstrumentLike) -> FileColumns:
+        """As the instrument itself says."""
+        return cls(instrument.name, instrument.columns, instrument.nominal_scale)
 
 
 def installed_names() -> list[str]:
@@ -21,6 +47,17 @@ def installed_instrument(name: str) -> Instrument:
         KeyError: none is installed under that name.
     """
     return entry_points(group=GROUP)[name].load()
+
+
+def file_columns(name: str) -> FileColumns | None:
+    """What the files of an installed instrument hold, where its module says so without the instrument.
+
+    Raises:
+        KeyError: none is installed under that name.
+    """
+    module = import_module(entry_points(group=GROUP)[name].module)
+    columns = getattr(module, "COLUMNS", None)
+    return columns and FileColumns(name, columns, getattr(module, "NOMINAL_SCALE", None))
 
 
 def installed_instruments() -> dict[str, Instrument]:

@@ -10,7 +10,6 @@ import unicodedata
 from dataclasses import dataclass, field
 
 import numpy as np
-import pandas as pd
 
 from bayescal._core.errors import InputError
 from bayescal._readings import unit_conversion
@@ -177,9 +176,10 @@ class _ColumnReader:
         return unit
 
     def _refuse_labels(self, values: np.ndarray) -> None:
-        codes, levels = pd.factorize(values)
-        for code, label in enumerate(levels):
-            index = int(np.argmax(codes == code))
+        first: dict[str, int] = {}
+        for index, label in enumerate(values.tolist()):
+            first.setdefault(label, index)
+        for label, index in first.items():
             if not label:
                 raise InputError(
                     f"{self._at(index)} is empty, a label was expected. Fill it in, or remove the "

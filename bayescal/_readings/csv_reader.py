@@ -9,21 +9,19 @@ from __future__ import annotations
 import csv
 import hashlib
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-import pandas as pd
 
 from bayescal._core.errors import InputError
 from bayescal._readings.raw_table import Cells, Header, Table, numbers_of
 
 _BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
-_ROWS = 500_000  # rows whose text is held at a time
+_ROWS = 100_000  # rows whose text is held at a time
 _SAVE = "Save it as 'CSV UTF-8'"
 
 
@@ -39,6 +37,11 @@ class _Scan:
     lines: int = 0  # after the header
     blanks: list[int] = field(default_factory=list)
     sha256: str = ""
+
+    @property
+    def blank(self) -> bytes:
+        """What a line may hold and count as blank."""
+        return b" \r\n" if self.separator == "\t" else b" \t\r\n"
 
     def place(self, index: int) -> str:
         """The row of a reading; blank lines count as rows but hold none."""
@@ -65,15 +68,12 @@ def open_csv(path: Path, file: str) -> Table:
         scan = _scan(handle, file)
     rows = scan.lines - len(scan.blanks)
 
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        return _load(path, scan, wanted)
-
     return Table(
         file=file,
         headers=tuple(Header.parse(text) for text in scan.header),
         rows=rows,
         sha256=scan.sha256,
-        load=load,
+        load=lambda wanted: _load(path, scan, wanted),
         place=scan.place,
     )
 
@@ -119,7 +119,7 @@ def csv_parts(path: Path, file: str, rows: int) -> Iterator[CsvLines]:
             if count:
 
                 def load(wanted: Mapping[int, bool], lines=lines) -> dict[int, Cells]:
-                    return _cells(BytesIO(b"".join(lines)), scan, wanted)
+                    return _cells(lines, scan, wanted)
 
                 table = Table(
                     file=file,
@@ -226,11 +226,10 @@ def _scan_lines(scan: _Scan, data: bytes) -> None:
     _decode(data, scan.file, row)
     lines = data.split(b"\n")[:-1]
     separator, expected = scan.separator.encode(), len(scan.header)
-    blank = b" \r" if scan.separator == "\t" else b" \t\r"
     for index, line in enumerate(lines):
         if b'"' in line:
             fields = _quoted_fields(scan, row + index, line)
-        elif line.strip(blank):
+        elif line.strip(scan.blank):
             fields = line.count(separator) + 1
         else:
             scan.blanks.append(row + index)
@@ -268,33 +267,32 @@ def _load(path: Path, scan: _Scan, wanted: Mapping[int, bool]) -> dict[int, Cell
         return _cells(handle, scan, wanted)
 
 
-def _cells(handle: BinaryIO, scan: _Scan, wanted: Mapping[int, bool]) -> dict[int, Cells]:
+def _cells(handle: Iterable[bytes], scan: _Scan, wanted: Mapping[int, bool]) -> dict[int, Cells]:
     """The wanted columns, a stretch of rows at a time, so that only one stretch is held as text."""
     parts: dict[int, list[np.ndarray]] = {position: [] for position in wanted}
     bad: dict[int, tuple[int, str]] = {}
-    done = 0
-    stretches = pd.read_csv(
-        handle,
-        sep=scan.separator,
-        header=None,
-        names=list(range(len(scan.header))),
-        usecols=sorted(wanted),
-        index_col=False,
-        dtype=str,
-        na_filter=False,
-        chunksize=_ROWS,
-    )
-    for frame in stretches:
+    done, lines = 0, iter(handle)
+    while stretch := list(islice(lines, _ROWS)):
+        fields = _fields([line for line in stretch if line.strip(scan.blank)], scan.separator)
         for position, number in wanted.items():
+            texts = fields[position :: len(scan.header)]
             if not number:
-                parts[position].append(frame[position].str.strip().to_numpy(object))
+                parts[position].append(np.array([text.strip() for text in texts], dtype=object))
                 continue
-            cells = numbers_of(frame[position])
+            cells = numbers_of(texts)
             parts[position].append(cells.values)
             if cells.bad and position not in bad:
                 bad[position] = (done + cells.bad[0], cells.bad[1])
-        done += len(frame)
+        done += len(fields) // len(scan.header)
     return {
         position: Cells(np.concatenate(found), bad.get(position))
         for position, found in parts.items()
     }
+
+
+def _fields(lines: Sequence[bytes], separator: str) -> list[str]:
+    """The fields of rows, one row after the other."""
+    text = b"".join(lines).decode("utf-8").replace("\r\n", "\n").removesuffix("\n")
+    if '"' in text:
+        return [field for row in csv.reader(text.split("\n"), delimiter=separator) for field in row]
+    return text.replace("\n", separator).split(separator) if lines else []

@@ -6,14 +6,15 @@ Every format ends here, so that what follows (which column is which, what is ref
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
 from bayescal._core.errors import InputError
 
+FORMATS = (".csv", ".parquet", ".nc")
 _WITH_UNIT = re.compile(r"(.*?)\s*\[([^\[\]]*)\]", re.DOTALL)
 
 
@@ -107,16 +108,28 @@ def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:
     return found
 
 
-def numbers_of(texts: pd.Series) -> Cells:
+def numbers_of(texts: Sequence[str]) -> Cells:
     """Text as numbers: empty and "nan" are NaN, the first that is no number is named."""
-    values = np.asarray(pd.to_numeric(texts, errors="coerce"), dtype=np.float64)
-    empty = np.flatnonzero(np.isnan(values))
-    if empty.size:
-        seen = texts.iloc[empty].str.strip()
-        wrong = np.flatnonzero(~seen.str.lower().isin(["", "nan"]).to_numpy(bool))
-        if wrong.size:
-            return Cells(values, (int(empty[wrong[0]]), str(seen.iloc[wrong[0]])))
+    together = "".join(texts)
+    if (
+        together.isascii() and "_" not in together
+    ):  # else Python takes for a number what nobody writes as one
+        with suppress(ValueError):
+            return Cells(np.fromiter(map(float, texts), np.float64, len(texts)))
+    values = np.fromiter(map(_number, texts), np.float64, len(texts))
+    for index in np.flatnonzero(np.isnan(values)).tolist():
+        seen = texts[index].strip()
+        if seen.lower() not in ("", "nan"):
+            return Cells(values, (index, seen))
     return Cells(values)
+
+
+def _number(text: str) -> float:
+    """A number as people write it, NaN if the text is none."""
+    try:
+        return float(text) if text.isascii() and "_" not in text else np.nan
+    except ValueError:
+        return np.nan
 
 
 def cells_of(values: object, number: bool) -> Cells:
@@ -126,24 +139,28 @@ def cells_of(values: object, number: bool) -> Cells:
         values: one entry per reading: numbers, text, or both.
         number: whether the column is one of numbers.
     """
+    import pandas as pd  # half a second that a CSV file does without
+
     array = np.asarray(values)
     if array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType):
         if not number and pd.api.types.infer_dtype(array, skipna=True) == "string":
             codes, levels = pd.factorize(array.astype(object))  # labels repeat: each is read once
-            texts = np.array([*map(_text, levels), ""], dtype=object)  # the last for −1, missing
+            texts = np.array(
+                [*(_text(v, pd.NA) for v in levels), ""], dtype=object
+            )  # the last for −1, missing
             return Cells(texts[codes])
-        texts = pd.Series([_text(value) for value in array.tolist()], dtype=object)
-        return numbers_of(texts) if number else Cells(texts.str.strip().to_numpy(object))
+        texts = [_text(value, pd.NA) for value in array.tolist()]
+        return numbers_of(texts) if number else Cells(np.array(texts, dtype=object))
     if not number:
-        return Cells(np.array([_text(value) for value in array.tolist()], dtype=object))
+        return Cells(np.array([_text(value, pd.NA) for value in array.tolist()], dtype=object))
     if array.dtype.kind in "iuf":
         return Cells(array.astype(np.float64))
     return Cells(np.full(len(array), np.nan), (0, str(array[0])) if len(array) else None)
 
 
-def _text(value: object) -> str:
-    """A cell as a label: whole numbers without a point, nothing for what is missing."""
-    if value is None or value is pd.NA or (isinstance(value, float) and np.isnan(value)):
+def _text(value: object, missing: object) -> str:
+    """A cell as a label: whole numbers without a point, nothing for what is `missing`."""
+    if value is None or value is missing or (isinstance(value, float) and np.isnan(value)):
         return ""
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace").strip()

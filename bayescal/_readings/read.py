@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,11 +15,11 @@ from bayescal._readings.column import MAY_BE_EMPTY, NominalScale, Source
 from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
 from bayescal._readings.column_matching import InstrumentLike, ReadOptions, refuse_unused_units
 from bayescal._readings.csv_reader import open_csv
-from bayescal._readings.measurements import Measurements, assemble
-from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet
-from bayescal._readings.raw_table import Table, bytes_text
+from bayescal._readings.raw_table import FORMATS, Table, bytes_text
 from bayescal._readings.unit_parsing import STANDARD_GRAVITY
-from bayescal._readings.write import FORMATS
+
+if TYPE_CHECKING:
+    from bayescal._readings.measurements import Measurements
 
 MAX_BYTES = 2_000_000_000
 _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".joblib")
@@ -67,6 +68,9 @@ def read(
         _label_runs(tables, parts, _runs(paths))
     joined = parts[0] if len(parts) == 1 else _join(tables, parts)
     joined = replace(joined, flags=[*joined.flags, *_equal_contents(tables)])
+
+    from bayescal._readings.measurements import assemble  # after what is refused: it needs a second
+
     sources = tuple(Source(table.file, table.sha256, table.rows) for table in tables)
     return assemble(
         tables,
@@ -159,6 +163,8 @@ def _open(path: Path, name: str, max_bytes: int) -> Table:
             )
         if suffix == ".csv":
             return open_csv(path, name)
+        from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet
+
         return (open_parquet if suffix == ".parquet" else open_netcdf)(path, name, max_bytes)
     except OSError as error:
         raise InputError(

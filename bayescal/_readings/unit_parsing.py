@@ -1,24 +1,21 @@
 """The units that are known, and what the text of a unit means: a factor, powers of base units, an offset.
 
-The registry is our own: the customary one reads g as gram and Hz as an angle rate, while here g is the
-local acceleration of gravity, angle and frequency are dimensions of their own, and dps is known. Base
-units are s, K (written degC where it is a difference), rad, µg of local g, V, Hz and m.
+The units are our own: customary tables read g as gram and Hz as an angle rate, while here g is the local
+acceleration of gravity, angle and frequency are dimensions of their own, and dps is known. Base units are
+s, K (written degC where it is a difference), rad, µg of local g, V, Hz and m.
 """
 
 from __future__ import annotations
 
+import ast
 import difflib
 import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Any
+from functools import lru_cache
 
 from bayescal._core.errors import InputError
-
-if TYPE_CHECKING:
-    from pint import UnitRegistry
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 ANY = "any"  # in place of a unit: the column is kept in the fixed unit of whatever it is in
@@ -90,14 +87,53 @@ def parse(text: str) -> ParsedUnit:
     """
     plain = normalised(text)
     try:
-        quantity = _registry().Quantity(1.0, "") * _registry().parse_expression(plain)
-    except Exception as error:  # pint raises whatever its tokenizer and its operators raise
+        product = _powers(ast.parse(_as_python(plain), mode="eval").body)
+        factor, powers = _in_base(product)
+    except (SyntaxError, ValueError, OverflowError) as error:
         raise InputError(
             f"[{text}] is not a unit: write one such as [ug/mg^2] or [deg/s/degC]"
         ) from error
-    base: Any = quantity.to_base_units()
-    powers = {str(name): float(power) for name, power in base.unit_items() if power}
-    return ParsedUnit(float(base.magnitude), powers, _OFFSETS.get(plain))
+    return ParsedUnit(factor, powers, _OFFSETS.get(plain))
+
+
+def _as_python(plain: str) -> str:
+    """A unit as a Python expression: what stands side by side is multiplied, ^ is a power."""
+    side_by_side = r"(?<=[\w)])\s*(?=\()|(?<=\))\s*(?=\w)|(?<=\w)\s+(?=\w)|(?<=\d)(?=[A-Za-z])"
+    return re.sub(side_by_side, "*", plain).replace("^", "**").strip()
+
+
+def _powers(part: ast.expr) -> dict[str, float]:
+    """The powers of the names in a parsed product, quotient or power.
+
+    Raises:
+        ValueError: anything else.
+    """
+    match part:
+        case ast.Name(id=name) if name in BASE or name in _DERIVED:
+            return {name: 1.0}
+        case ast.Constant(value=1):
+            return {}
+        case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as op, right=right):
+            found, sign = _powers(left), 1.0 if isinstance(op, ast.Mult) else -1.0
+            for name, power in _powers(right).items():
+                found[name] = found.get(name, 0.0) + sign * power
+            return found
+        case ast.BinOp(left=left, op=ast.Pow(), right=right):
+            power = float(ast.literal_eval(right))
+            return {name: own * power for name, own in _powers(left).items()}
+    raise ValueError("no product of units")
+
+
+def _in_base(product: Mapping[str, float]) -> tuple[float, dict[str, float]]:
+    """A product of known names in base units: a factor, and their powers."""
+    factor, powers = 1.0, dict[str, float]()
+    for name, power in product.items():
+        own, base = _DERIVED.get(name, (1.0, name))
+        factor *= own**power
+        inner = _powers(ast.parse(base, mode="eval").body) if base else {}
+        for unit, base_power in inner.items():
+            powers[unit] = powers.get(unit, 0.0) + power * base_power
+    return factor, {name: power for name, power in powers.items() if power}
 
 
 def normalised(text: str) -> str:
@@ -134,16 +170,3 @@ def _near(name: str) -> str:
     near = [k for k in known if k.lower() == name.lower()]
     near = near or difflib.get_close_matches(name, known, 3)
     return f" (is {' or '.join(near)} meant?)" if near else f" (known are {', '.join(known)})"
-
-
-@cache
-def _registry() -> UnitRegistry:
-    """The project's own registry; pint is loaded on first use, because `--help` needs none."""
-    import pint
-
-    registry = pint.UnitRegistry(None)  # pyright: ignore[reportArgumentType] (None: an empty one)
-    for name, dimension in BASE.items():
-        registry.define(f"{name} = [{dimension.replace(' ', '_')}]")
-    for name, (factor, unit) in _DERIVED.items():
-        registry.define(f"{name} = {factor!r} {'* ' + unit if unit else ''}")
-    return registry

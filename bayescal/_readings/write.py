@@ -16,8 +16,7 @@ import xarray as xr
 
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
-
-FORMATS = (".csv", ".parquet", ".nc")
+from bayescal._readings.raw_table import FORMATS
 
 
 def write(dataset: xr.Dataset, path: str | Path) -> Path:

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-HEAVY = ("jax", "numpy", "scipy", "pandas", "xarray", "matplotlib", "arviz_base", "numpyro", "pint")
+HEAVY = ("jax", "numpy", "scipy", "pandas", "xarray", "matplotlib", "arviz_base", "numpyro")
+COMPUTING = ("jax", "equinox", "numpyro", "scipy", "pandas", "xarray", "matplotlib", "arviz_base")
 OWN = ("NPROC", "BAYESCAL_CACHE", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
 
 # As a calibration does it: a loop, in its body factorisations that do not depend on each other.
@@ -76,6 +77,27 @@ def run_python(code: str, variables: Mapping[str, str] | None = None, seconds: f
     return done.stdout
 
 
+def refusal(*arguments: str | Path, seconds: float = 60) -> tuple[str, list[str]]:
+    """What a command that must be refused says, and which of `COMPUTING` it had imported by then."""
+    code = f"""
+import atexit, sys
+from bayescal._cli.main import main
+atexit.register(lambda: print(*(n for n in {COMPUTING!r} if n in sys.modules)))
+sys.argv[1:] = {[str(a) for a in arguments]!r}
+main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "models")])},
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    return done.stderr, done.stdout.split()
+
+
 def settings(variables: Mapping[str, str]) -> dict[str, str | float | None]:
     return json.loads(run_python(SETTINGS, variables))
 
@@ -85,6 +107,67 @@ def test_importing_bayescal_imports_nothing_heavy() -> None:
         f"import sys, bayescal; print([name for name in {HEAVY!r} if name in sys.modules])"
     )
     assert loaded.strip() == "[]"
+
+
+HEADER = "rate_input [deg/s],temperature [degC],output [deg/s]\n"
+BAD_FILES = {
+    "no bytes": (b"", "is empty"),
+    "blank lines only": (b"\n\n", "is empty"),
+    "no readings": (HEADER.encode(), "no readings"),
+    "UTF-16": (HEADER.encode("utf-16"), "UTF-16"),
+    "Latin-1": ((HEADER + "1,2,3 °\n").encode("latin-1"), "not UTF-8"),
+    "no header": (b"1,20,1\n2,30,1\n", "columns called '1'"),
+    "no unit": (b"rate_input,temperature,output\n1,20,1\n", "the header has no unit"),
+    "unknown unit": (HEADER.replace("degC", "furlong").encode() + b"1,20,1\n", "not a unit known"),
+    "column missing": (b"temperature [degC]\n1\n", "lacks the column 'output'"),
+    "ragged": (HEADER.encode() + b"1,20,1\n2,30\n", "row 3"),
+    "text": (HEADER.encode() + b"1,20,1\n2,30,abc\n", "reads 'abc'"),
+    "NaN": (HEADER.encode() + b"1,20,1\n2,nan,1\n", "is empty or NaN"),
+}
+
+
+@pytest.mark.parametrize("command", ["calibrate", "fit", "compare"])
+def test_a_bad_file_is_refused_before_anything_that_computes(command: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_bytes(BAD_FILES["NaN"][0])
+    said, loaded = refusal(command, path, "--instrument", "mems_gyro")
+    assert "is empty or NaN" in said
+    assert not loaded
+
+
+@pytest.mark.parametrize("kind", BAD_FILES)
+def test_whatever_is_wrong_with_it(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    content, expected = BAD_FILES[kind]
+    path.write_bytes(content)
+    said, loaded = refusal("calibrate", path, "--instrument", "mems_gyro")
+    assert expected in said
+    assert not loaded
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("none.csv", "--instrument", "mems_gyro"), "cannot be read"),
+        (("tests", "--instrument", "mems_gyro"), "is not a file"),
+        (("pyproject.toml", "--instrument", "gyroscope"), "no instrument is called"),
+        (("pyproject.toml", "--instrument", "mems_gyro"), "cannot be read"),
+        (("pyproject.toml", "--instrument", "mems_gyro", "--colour", "red"), "No such option"),
+        (("pyproject.toml", "--instrument", "mems_gyro", "--method", "guess"), "--method"),
+    ],
+)
+def test_a_bad_request_is_refused_as_early(arguments: tuple[str, ...], expected: str) -> None:
+    there = [str(ROOT / a) if (ROOT / a).exists() else a for a in arguments]
+    said, loaded = refusal("calibrate", *there)
+    assert expected in said
+    assert not loaded
+
+
+def test_an_instruments_module_says_what_its_files_hold_as_the_instrument_does() -> None:
+    from bayescal._model.installed import FileColumns, file_columns, installed_instruments
+
+    for name, instrument in installed_instruments().items():
+        assert file_columns(name) == FileColumns.of(instrument)
 
 
 def test_independent_batched_factorisations_in_a_loop_finish(tmp_path: Path) -> None:
@@ -111,6 +194,33 @@ def test_double_precision_and_a_cache_in_the_users_folder(tmp_path: Path) -> Non
 
 def test_an_own_cache_folder(tmp_path: Path) -> None:
     assert settings({"BAYESCAL_CACHE": str(tmp_path)})["cache"] == str(tmp_path / "jax")
+
+
+def test_a_start_drops_the_programs_not_used_for_longest(tmp_path: Path) -> None:
+    folder = tmp_path / "jax"
+    folder.mkdir()
+    for name, age in (("old-cache", 9), ("older-cache", 99), ("other", 999)):
+        with (folder / name).open("wb") as file:
+            file.truncate(400 * 1024**2)  # a hole: it takes no room on the disk
+        os.utime(folder / name, (1e9 - age, 1e9 - age))
+    settings({"BAYESCAL_CACHE": str(tmp_path)})
+    left = {path.name for path in folder.iterdir()}
+    assert {"old-cache", "other"} < left, "what fits into 512 MiB stays, and what is no program"
+    assert "older-cache" not in left
+
+
+def test_programs_are_dropped_one_by_one_until_the_rest_fit(tmp_path: Path) -> None:
+    from bayescal._core.jax_setup import drop_oldest
+
+    for age in range(5):
+        path = tmp_path / f"{age}-cache"
+        path.write_bytes(bytes(100))
+        os.utime(path, (1e9 - age, 1e9 - age))
+    drop_oldest(tmp_path, 500)
+    assert len(list(tmp_path.iterdir())) == 5
+    drop_oldest(tmp_path, 299)
+    assert {path.name for path in tmp_path.iterdir()} == {"0-cache", "1-cache"}
+    drop_oldest(tmp_path / "not there", 0)
 
 
 def test_an_empty_cache_variable_turns_the_cache_off() -> None:

@@ -1,14 +1,21 @@
-"""Differential pair: two accelerometers of one type, mounted opposed, whose difference cancels the environment."""
+"""Differential pair: two accelerometers of one type, mounted opposed, whose difference cancels the environment.
 
-from bayescal_models.differential_pair.batch import SimulatedBatch as SimulatedBatch
-from bayescal_models.differential_pair.batch import simulate_batch as simulate_batch
-from bayescal_models.differential_pair.campaign import Campaign as Campaign
-from bayescal_models.differential_pair.model import INSTRUMENT as INSTRUMENT
-from bayescal_models.differential_pair.model import simulate as simulate
-from bayescal_models.differential_pair.pairing.devices import Devices as Devices
-from bayescal_models.differential_pair.pairing.devices import devices_of as devices_of
-from bayescal_models.differential_pair.pairing.measure import Measured as Measured
-from bayescal_models.differential_pair.pairing.measure import measure as measure
-from bayescal_models.differential_pair.pairing.pair_table import Pair as Pair
-from bayescal_models.differential_pair.pairing.pair_table import PairTable as PairTable
-from bayescal_models.differential_pair.pairing.selection import select as select
+What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
+on first use.
+"""
+
+import lazy_loader
+
+import bayescal as bc
+
+COLUMNS = (
+    bc.Column("device", None, "label of the device"),
+    bc.Column("group", None, "side of the arm", allowed=("outer", "inner")),
+    bc.Column("time", "s", "the same for every device"),
+    bc.Column("acceleration", "ug", "commanded, outward along the arm", low=0.0),
+    bc.Column("temperature", "degC", "of the fixture", required=False, low=-273.15, high=400.0),
+    bc.Column("output", "ug", "output, or V with a nominal scale"),
+)
+NOMINAL_SCALE = bc.NominalScale("V", gain=1e-6, offset=0.0)
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -33,6 +33,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import bayescal as bc
+from bayescal_models.differential_pair import COLUMNS, NOMINAL_SCALE
 from bayescal_models.differential_pair.campaign import Campaign, G
 from bayescal_models.differential_pair.effects import (
     BASELINE,
@@ -61,14 +62,7 @@ def _response(slots, r):
 INSTRUMENT = bc.Instrument(
     name="differential_pair",
     title="accelerometers in two opposed groups on a centrifuge: which two make a differential pair",
-    columns=(
-        bc.Column("device", None, "label of the device"),
-        bc.Column("group", None, "side of the arm", allowed=("outer", "inner")),
-        bc.Column("time", "s", "the same for every device"),
-        bc.Column("acceleration", "ug", "commanded, outward along the arm", low=0.0),
-        bc.Column("temperature", "degC", "of the fixture", required=False, low=-273.15, high=400.0),
-        bc.Column("output", "ug", "output, or V with a nominal scale"),
-    ),
+    columns=COLUMNS,
     slots=(
         bc.Slot("bias", "ug", "output at no acceleration"),
         bc.Slot("scale", "1", "relative deviation of the scale factor"),
@@ -83,7 +77,7 @@ INSTRUMENT = bc.Instrument(
     effects=BASELINE,
     candidates=CANDIDATES,
     noise=bc.White(bc.HalfCauchy(100.0)),
-    nominal_scale=bc.NominalScale("V", gain=1e-6, offset=0.0),
+    nominal_scale=NOMINAL_SCALE,
     structures=(
         ("shared", lambda: INSTRUMENT.baseline()),
         ("shared, biases", lambda: INSTRUMENT.baseline() + BIAS),

@@ -1,15 +1,35 @@
-"""Two-axis quartz inclinometer: zero offset against placement angle, and its on-line compensation."""
+"""Two-axis quartz inclinometer: zero offset against placement angle, and its on-line compensation.
 
-from bayescal_models.inclinometer.campaign import VERIFICATION as VERIFICATION
-from bayescal_models.inclinometer.campaign import Accelerometer as Accelerometer
-from bayescal_models.inclinometer.campaign import Campaign as Campaign
-from bayescal_models.inclinometer.compensation import Compensated as Compensated
-from bayescal_models.inclinometer.compensation import compensate as compensate
-from bayescal_models.inclinometer.compensation import zero_of as zero_of
-from bayescal_models.inclinometer.files import accelerometers as accelerometers
-from bayescal_models.inclinometer.files import negated as negated
-from bayescal_models.inclinometer.files import read as read
-from bayescal_models.inclinometer.model import INSTRUMENT as INSTRUMENT
-from bayescal_models.inclinometer.model import simulate as simulate
-from bayescal_models.inclinometer.verification import Verification as Verification
-from bayescal_models.inclinometer.verification import read_verification as read_verification
+What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
+on first use.
+"""
+
+import math
+
+import lazy_loader
+
+import bayescal as bc
+
+COLUMNS = (
+    bc.Column("device", None, "label of the inclinometer", required=False),
+    bc.Column("axis", None, "label of the accelerometer, such as x or y", required=False),
+    bc.Column("run", None, "label of one mounting of one axis", required=False),
+    bc.Column(
+        "placement_angle",
+        "rad",
+        "from pendulum toward door attitude; the tilt of the other axis",
+        low=-math.pi,
+        high=math.pi,
+    ),
+    bc.Column(
+        "true_angle", "rad", "known tilt (none: no tilt)", required=False, low=-1.6, high=1.6
+    ),
+    bc.Column(
+        "temperature", "degC", "of the inclinometer", required=False, low=-273.15, high=400.0
+    ),
+    bc.Column("time", "s", "one origin over all runs", required=False),
+    bc.Column("direction", None, "of the sweep", required=False, allowed=("forward", "backward")),
+    bc.Column("output", "arcsec", "reading; at no tilt the zero offset", also=("zero_offset",)),
+)
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

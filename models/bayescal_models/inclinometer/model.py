@@ -63,13 +63,12 @@ Sizes are prior standard deviations for a first calibration, ours where no sourc
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import jax.numpy as jnp
 
 import bayescal as bc
-from bayescal_models.inclinometer import effects
+from bayescal_models.inclinometer import COLUMNS, effects
 from bayescal_models.inclinometer.campaign import Campaign
 from bayescal_models.inclinometer.experiments import EXPERIMENTS
 from bayescal_models.inclinometer.geometry import ARCSEC, sensed
@@ -112,29 +111,7 @@ def _hierarchy(devices: bool = False) -> bc.Model:
 INSTRUMENT = bc.Instrument(
     name="inclinometer",
     title="two-axis quartz inclinometer: zero offset against placement angle",
-    columns=(
-        bc.Column("device", None, "label of the inclinometer", required=False),
-        bc.Column("axis", None, "label of the accelerometer, such as x or y", required=False),
-        bc.Column("run", None, "label of one mounting of one axis", required=False),
-        bc.Column(
-            "placement_angle",
-            "rad",
-            "from pendulum toward door attitude; the tilt of the other axis",
-            low=-math.pi,
-            high=math.pi,
-        ),
-        bc.Column(
-            "true_angle", "rad", "known tilt (none: no tilt)", required=False, low=-1.6, high=1.6
-        ),
-        bc.Column(
-            "temperature", "degC", "of the inclinometer", required=False, low=-273.15, high=400.0
-        ),
-        bc.Column("time", "s", "one origin over all runs", required=False),
-        bc.Column(
-            "direction", None, "of the sweep", required=False, allowed=("forward", "backward")
-        ),
-        bc.Column("output", "arcsec", "reading; at no tilt the zero offset", also=("zero_offset",)),
-    ),
+    columns=COLUMNS,
     slots=(
         bc.Slot("zero", "arcsec", "zero offset of the accelerometer"),
         bc.Slot("scale", "1", "relative deviation of the scale factor"),

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from bayescal_models.mems_gyro.campaign import GRID, Array, Campaign
 
@@ -121,6 +120,8 @@ def first_order_body(drive: Array, time_constant: float, start: float | None = N
         time_constant: τ, s.
         start: first value of the body; None starts it soaked at the first value of `drive`.
     """
+    from scipy.signal import lfilter  # half a second that only a simulation needs
+
     start = float(drive[0]) if start is None else start
     decay = np.exp(-GRID / time_constant)
     now = 1.0 - (1.0 - decay) * time_constant / GRID
@@ -132,6 +133,8 @@ def first_order_body(drive: Array, time_constant: float, start: float | None = N
 
 def wander(generator: np.random.Generator, length: int, correlation_time: float) -> Array:
     """Stationary Ornstein-Uhlenbeck record of unit variance; `correlation_time` in s."""
+    from scipy.signal import lfilter  # half a second that only a simulation needs
+
     decay = np.exp(-GRID / correlation_time)
     kicks = generator.standard_normal(length)
     kicks[1:] *= np.sqrt(1.0 - decay**2)

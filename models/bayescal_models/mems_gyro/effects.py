@@ -11,17 +11,15 @@ has the same curves.) A second form holds the drive force instead of the amplitu
 
 from __future__ import annotations
 
-import math
-
 import jax.numpy as jnp
 
 import bayescal as bc
 from bayescal import effects
+from bayescal_models.mems_gyro import THERMOMETER_SD
 from bayescal_models.mems_gyro.laws import SIZES
 
 SOURCE = "source 1; size ours"
 RESONANCE_SOURCE = "source 1; values of K_ET, r and Q ours"
-THERMOMETER_SD = 0.5 / math.sqrt(3)  # °C; good to 0.5 °C, taken as uniform; source 1
 MINUTE = 60.0
 
 

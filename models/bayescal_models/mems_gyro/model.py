@@ -23,19 +23,14 @@ them with data-sheet values.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import bayescal as bc
-from bayescal_models.mems_gyro import effects
+from bayescal_models.mems_gyro import COLUMNS, NOMINAL_SCALE, VOLTAGE_STEP, effects
 from bayescal_models.mems_gyro.campaign import Campaign
 from bayescal_models.mems_gyro.effects import CUBIC, LINE, QUADRATIC, RESONANCE, THERMOMETER
 from bayescal_models.mems_gyro.experiments import EXPERIMENTS
 from bayescal_models.mems_gyro.simulator import simulated_columns
-
-SENSITIVITY = 0.83e-3  # V per °/s, source 1
-CONVERTER_STEP = 0.0311e-3 / SENSITIVITY  # °/s, source 1
-VOLTAGE_STEP = 0.1e-3 / SENSITIVITY  # °/s, rounding of the printed voltage, source 1
 
 
 def _response(slots, r):
@@ -46,31 +41,7 @@ def _response(slots, r):
 INSTRUMENT = bc.Instrument(
     name="mems_gyro",
     title="MEMS gyroscope: zero-rate drift over temperature",
-    columns=(
-        bc.Column("run", None, "label of the run", required=False),
-        bc.Column("time", "s", "one origin over all runs", required=False),
-        bc.Column(
-            "temperature",
-            "degC",
-            "ambient thermometer",
-            low=-273.15,
-            high=400.0,
-            known=(("thermometer", effects.THERMOMETER_SD),),
-        ),
-        bc.Column(
-            "board_temperature", "degC", "electronics", required=False, low=-273.15, high=400.0
-        ),
-        bc.Column("rate_input", "deg/s", "rate of the table about the input axis", required=False),
-        bc.Column(
-            "output",
-            "deg/s",
-            "output, or V with the nominal scale",
-            known=(
-                ("converter step", CONVERTER_STEP / math.sqrt(12)),
-                ("rounding of the voltage", VOLTAGE_STEP / math.sqrt(12)),
-            ),
-        ),
-    ),
+    columns=COLUMNS,
     slots=(
         bc.Slot("bias", "deg/s", "zero-rate output"),
         bc.Slot("scale", "1", "relative deviation of the scale factor"),
@@ -79,7 +50,7 @@ INSTRUMENT = bc.Instrument(
     effects=effects.BASELINE,
     candidates=effects.CANDIDATES,
     noise=bc.White(bc.HalfCauchy(0.1)),
-    nominal_scale=bc.NominalScale("V", gain=SENSITIVITY, offset=1.2),
+    nominal_scale=NOMINAL_SCALE,
     structures=(
         ("line", lambda: INSTRUMENT.baseline()),
         ("quadratic", lambda: INSTRUMENT.baseline() + QUADRATIC),

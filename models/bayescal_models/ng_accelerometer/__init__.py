@@ -1,10 +1,24 @@
-"""ng accelerometer on a tilted table: bias and scale factor over temperature."""
+"""ng accelerometer on a tilted table: bias and scale factor over temperature.
 
-from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A as INSTRUMENT_A
-from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_B as INSTRUMENT_B
-from bayescal_models.ng_accelerometer.campaign import Campaign as Campaign
-from bayescal_models.ng_accelerometer.campaign import fixed_point_heating as fixed_point_heating
-from bayescal_models.ng_accelerometer.classical import classical_estimates as classical_estimates
-from bayescal_models.ng_accelerometer.classical import fixed_point_tempcos as fixed_point_tempcos
-from bayescal_models.ng_accelerometer.model import INSTRUMENT as INSTRUMENT
-from bayescal_models.ng_accelerometer.model import simulate as simulate
+What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
+on first use.
+"""
+
+import lazy_loader
+
+import bayescal as bc
+
+COLUMNS = (
+    bc.Column("run", None, "label of the run, or of the set-up", required=False),
+    bc.Column("temperature_point", "degC", "set point of the chamber", low=-273.15, high=400.0),
+    bc.Column("time", "s", "one origin over all runs"),
+    bc.Column("temperature", "degC", "the device's own thermometer", low=-273.15, high=400.0),
+    bc.Column("lab_temperature", "degC", "of the laboratory", required=False, low=-50.0, high=60.0),
+    bc.Column("position_angle", "rad", "θ, to which the face is turned", low=-7.0, high=7.0),
+    bc.Column("tilt", "rad", "γ, of the face", low=-3.2, high=3.2),
+    bc.Column("output", "ug", "output, or V with the nominal scale"),
+)
+VOLTS = 5e-4  # V per µg: 5 V at 10 mg, ours
+NOMINAL_SCALE = bc.NominalScale("V", gain=VOLTS)
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

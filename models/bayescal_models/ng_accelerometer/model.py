@@ -72,13 +72,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import bayescal as bc
-from bayescal_models.ng_accelerometer import effects
+from bayescal_models.ng_accelerometer import COLUMNS, NOMINAL_SCALE, effects
 from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A, Campaign
 from bayescal_models.ng_accelerometer.experiments import EXPERIMENTS
 from bayescal_models.ng_accelerometer.rig.geometry import accelerations
 from bayescal_models.ng_accelerometer.simulator import simulated_columns
-
-VOLTS = 5e-4  # V per µg: 5 V at 10 mg, ours
 
 
 def _response(slots, r):
@@ -109,18 +107,7 @@ def _in_use(a, slots, r):
 INSTRUMENT = bc.Instrument(
     name="ng_accelerometer",
     title="ng accelerometer on a tilted table: bias and scale factor over temperature",
-    columns=(
-        bc.Column("run", None, "label of the run, or of the set-up", required=False),
-        bc.Column("temperature_point", "degC", "set point of the chamber", low=-273.15, high=400.0),
-        bc.Column("time", "s", "one origin over all runs"),
-        bc.Column("temperature", "degC", "the device's own thermometer", low=-273.15, high=400.0),
-        bc.Column(
-            "lab_temperature", "degC", "of the laboratory", required=False, low=-50.0, high=60.0
-        ),
-        bc.Column("position_angle", "rad", "θ, to which the face is turned", low=-7.0, high=7.0),
-        bc.Column("tilt", "rad", "γ, of the face", low=-3.2, high=3.2),
-        bc.Column("output", "ug", "output, or V with the nominal scale"),
-    ),
+    columns=COLUMNS,
     slots=(
         bc.Slot("bias", "ug", "K0"),
         bc.Slot("scale", "1", "κ, relative deviation of the scale factor"),
@@ -136,7 +123,7 @@ INSTRUMENT = bc.Instrument(
     effects=effects.BASELINE,
     candidates=effects.CANDIDATES,
     noise=bc.White(bc.HalfCauchy(1.0)),
-    nominal_scale=bc.NominalScale("V", gain=VOLTS),
+    nominal_scale=NOMINAL_SCALE,
     structures=(
         ("line", lambda: INSTRUMENT.baseline()),
         (

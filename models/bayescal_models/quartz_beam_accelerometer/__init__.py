@@ -1,11 +1,25 @@
-"""Quartz resonant beam accelerometer: bias and scale factor over temperature, with two thermometers."""
+"""Quartz resonant beam accelerometer: bias and scale factor over temperature, with two thermometers.
 
-from bayescal_models.quartz_beam_accelerometer.campaign import Campaign as Campaign
-from bayescal_models.quartz_beam_accelerometer.model import INSTRUMENT as INSTRUMENT
-from bayescal_models.quartz_beam_accelerometer.model import of_circuit as of_circuit
-from bayescal_models.quartz_beam_accelerometer.model import of_frequency_sum as of_frequency_sum
-from bayescal_models.quartz_beam_accelerometer.model import simulate as simulate
-from bayescal_models.quartz_beam_accelerometer.model import two_thermometers as two_thermometers
-from bayescal_models.quartz_beam_accelerometer.model import with_rate as with_rate
-from bayescal_models.quartz_beam_accelerometer.simulator import true_values as true_values
-from bayescal_models.quartz_beam_accelerometer.tables import from_tables as from_tables
+What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
+on first use.
+"""
+
+import lazy_loader
+
+import bayescal as bc
+
+COLUMNS = (
+    bc.Column("run", None, "label of the run, from power-on to power-off", required=False),
+    bc.Column("temperature_point", "degC", "soak temperature; empty on ramps", required=False),
+    bc.Column("time", "s", "one origin over all runs", required=False),
+    bc.Column("temperature_circuit", "degC", "t1, at the drive circuit", low=-273.15, high=400.0),
+    bc.Column("temperature_head", "degC", "t2, in the sensor head", low=-273.15, high=400.0),
+    bc.Column("acceleration", "ug", "known input along the input axis (file: g)"),
+    bc.Column("frequency_sum", "Hz", "sum of both beams' frequencies", required=False),
+    bc.Column("output", "ug", "output; or the beams' frequency difference in Hz"),
+)
+SCALE_FACTOR = 100.0  # Hz/g, nominal; ours (source 2 names none)
+PER_G = 1e-6  # g/µg
+NOMINAL_SCALE = bc.NominalScale("Hz", gain=SCALE_FACTOR * PER_G)
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -17,10 +17,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from bayescal_models.quartz_beam_accelerometer import SCALE_FACTOR
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.thermal import Array, World, body
 
-SCALE_FACTOR = 100.0  # Hz/g, nominal; ours (source 2 names none)
 BEAM_FREQUENCY = 40_000.0  # Hz, of one beam
 BEAM_TEMPCO = -20e-6  # 1/°C, of one beam's frequency: what makes the sum a thermometer
 LAG_MISMATCH = 0.005  # by how much one beam lags more than the other, relative

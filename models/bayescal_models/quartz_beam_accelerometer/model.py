@@ -49,13 +49,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import bayescal as bc
-from bayescal_models.quartz_beam_accelerometer import effects
+from bayescal_models.quartz_beam_accelerometer import COLUMNS, NOMINAL_SCALE, PER_G, effects
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
-from bayescal_models.quartz_beam_accelerometer.device import SCALE_FACTOR
 from bayescal_models.quartz_beam_accelerometer.experiments import EXPERIMENTS
 from bayescal_models.quartz_beam_accelerometer.simulator import simulated_columns
-
-PER_G = 1e-6  # g/µg
 
 
 def _response(slots, r):
@@ -108,18 +105,7 @@ def _bare() -> bc.Model:
 INSTRUMENT = bc.Instrument(
     name="quartz_beam_accelerometer",
     title="quartz resonant beam accelerometer with two thermometers",
-    columns=(
-        bc.Column("run", None, "label of the run, from power-on to power-off", required=False),
-        bc.Column("temperature_point", "degC", "soak temperature; empty on ramps", required=False),
-        bc.Column("time", "s", "one origin over all runs", required=False),
-        bc.Column(
-            "temperature_circuit", "degC", "t1, at the drive circuit", low=-273.15, high=400.0
-        ),
-        bc.Column("temperature_head", "degC", "t2, in the sensor head", low=-273.15, high=400.0),
-        bc.Column("acceleration", "ug", "known input along the input axis (file: g)"),
-        bc.Column("frequency_sum", "Hz", "sum of both beams' frequencies", required=False),
-        bc.Column("output", "ug", "output; or the beams' frequency difference in Hz"),
-    ),
+    columns=COLUMNS,
     slots=(
         bc.Slot("bias", "ug", "output at zero input"),
         bc.Slot("scale", "1", "relative deviation of the scale factor from nominal"),
@@ -129,7 +115,7 @@ INSTRUMENT = bc.Instrument(
     effects=effects.BASELINE,
     candidates=effects.CANDIDATES,
     noise=bc.White(bc.HalfCauchy(20.0)),
-    nominal_scale=bc.NominalScale("Hz", gain=SCALE_FACTOR * PER_G),
+    nominal_scale=NOMINAL_SCALE,
     structures=(
         ("cubic of t2", lambda: INSTRUMENT.baseline()),
         ("t1, order 1", lambda: of_circuit(1)),

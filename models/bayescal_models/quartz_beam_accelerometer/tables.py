@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import bayescal as bc
-from bayescal_models.quartz_beam_accelerometer.device import SCALE_FACTOR
+from bayescal_models.quartz_beam_accelerometer import SCALE_FACTOR
 from bayescal_models.quartz_beam_accelerometer.model import INSTRUMENT
 
 

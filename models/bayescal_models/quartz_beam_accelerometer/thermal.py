@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID, POSITIONS, Campaign
 
@@ -67,6 +66,8 @@ def body(drive: Array, time_constant: float, start: float | None = None) -> Arra
         time_constant: τ, s.
         start: its first value; None for that of the drive.
     """
+    from scipy.signal import lfilter  # half a second that only a simulation needs
+
     first = float(drive[0]) if start is None else start
     decay = np.exp(-GRID / time_constant)
     now = 1.0 - (1.0 - decay) * time_constant / GRID

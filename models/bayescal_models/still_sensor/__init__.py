@@ -1,5 +1,18 @@
-"""Any sensor at rest: one output, temperature and time."""
+"""Any sensor at rest: one output, temperature and time.
 
-from bayescal_models.still_sensor.model import INSTRUMENT as INSTRUMENT
-from bayescal_models.still_sensor.model import instrument as instrument
-from bayescal_models.still_sensor.model import simulate as simulate
+What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
+on first use.
+"""
+
+import lazy_loader
+
+import bayescal as bc
+
+COLUMNS = (
+    bc.Column("run", None, "label of the run", required=False),
+    bc.Column("time", "s", "one origin over all runs"),
+    bc.Column("temperature", "degC", "any thermometer near by", low=-273.15, high=400.0),
+    bc.Column("output", "any", "the logged channel"),
+)
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 RAMPS = ((0.0, 25.0), (10.0, -15.0), (25.0, 65.0), (40.0, 25.0))  # min, °C: cooled, heated, cooled
 PAUSE = 3600.0  # s between runs
@@ -66,6 +65,8 @@ def make_world(runs: int, turn_on: np.ndarray) -> tuple[np.ndarray, World]:
 
 def _body(drive: np.ndarray, time_constant: float) -> np.ndarray:
     """A body that follows `drive` from equilibrium: τ·dT/dt = drive − T, exact on lines."""
+    from scipy.signal import lfilter  # half a second that only a simulation needs
+
     decay = np.exp(-1 / time_constant)
     now = 1 - (1 - decay) * time_constant
     push = [now, 1 - decay - now]

@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal_models.still_sensor import effects
+from bayescal_models.still_sensor import COLUMNS, effects
 from bayescal_models.still_sensor.simulator import simulated_columns
 
 MINUTE = 60.0
@@ -70,7 +70,7 @@ def instrument(
     made = bc.Instrument(
         name="still_sensor",
         title="any sensor at rest: its output over temperature and time",
-        columns=_columns(unit),
+        columns=tuple(replace(c, unit=unit) if c.name == "output" else c for c in COLUMNS),
         slots=(bc.Slot("bias", unit, "output at rest"),),
         response=lambda slots, r: slots["bias"],
         effects=(effects.constant(unit, constant), line),
@@ -133,16 +133,7 @@ def _pace(readings: bc.Measurements) -> float:
     return moved / minutes if moved > 0 else 1.0
 
 
-def _columns(unit: str) -> tuple[bc.Column, ...]:
-    return (
-        bc.Column("run", None, "label of the run", required=False),
-        bc.Column("time", "s", "one origin over all runs"),
-        bc.Column("temperature", "degC", "any thermometer near by", low=-273.15, high=400.0),
-        bc.Column("output", unit, "the logged channel"),
-    )
-
-
-INSTRUMENT = replace(instrument(), columns=_columns("any"), tailor=tailored, settings=())
+INSTRUMENT = replace(instrument(), columns=COLUMNS, tailor=tailored, settings=())
 
 
 def simulate(

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from bayescal_models.still_sensor.campaign import PAUSE, World, make_world
 
@@ -73,6 +72,8 @@ def simulated_columns(
 
 def _wander(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     """Ornstein–Uhlenbeck records of unit variance, one a row."""
+    from scipy.signal import lfilter  # half a second that only a simulation needs
+
     decay = np.exp(-1 / WANDER_TIME)
     kicks = rng.standard_normal(shape)
     kicks[:, 1:] *= np.sqrt(1 - decay**2)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from bayescal_models.ng_accelerometer.campaign import GRID, Campaign, SetUp
 from bayescal_models.ng_accelerometer.rig.moon_and_sun import DAY, tide
@@ -194,6 +193,8 @@ def _hysteresis(grid: Array, temperature: Array, power: list[tuple[float, float]
 
 def _body(drive: Array, time_constant: float) -> Array:
     """τ·dT/dt = drive − T from equilibrium, exact for a drive that is linear between grid points."""
+    from scipy.signal import lfilter  # half a second that only a simulation needs
+
     decay = np.exp(-GRID / time_constant)
     now = 1.0 - (1.0 - decay) * time_constant / GRID
     return drive[0] + lfilter([now, 1.0 - decay - now], [1.0, -decay], drive - drive[0])
@@ -201,6 +202,8 @@ def _body(drive: Array, time_constant: float) -> Array:
 
 def _wander(generator: np.random.Generator, length: int, time_constant: float) -> Array:
     """Stationary Ornstein–Uhlenbeck record of unit variance."""
+    from scipy.signal import lfilter  # half a second that only a simulation needs
+
     decay = np.exp(-GRID / time_constant)
     kicks = generator.standard_normal(length)
     kicks[1:] *= np.sqrt(1.0 - decay**2)

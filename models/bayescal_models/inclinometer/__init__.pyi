@@ -1,0 +1,19 @@
+"""The public names. `lazy_loader` reads this file when the package is imported."""
+
+import bayescal as bc
+
+from .campaign import VERIFICATION as VERIFICATION
+from .campaign import Accelerometer as Accelerometer
+from .campaign import Campaign as Campaign
+from .compensation import Compensated as Compensated
+from .compensation import compensate as compensate
+from .compensation import zero_of as zero_of
+from .files import accelerometers as accelerometers
+from .files import negated as negated
+from .files import read as read
+from .model import INSTRUMENT as INSTRUMENT
+from .model import simulate as simulate
+from .verification import Verification as Verification
+from .verification import read_verification as read_verification
+
+COLUMNS: tuple[bc.Column, ...]

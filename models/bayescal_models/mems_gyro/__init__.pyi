@@ -1,0 +1,18 @@
+"""The public names. `lazy_loader` reads this file when the package is imported."""
+
+import bayescal as bc
+
+from .campaign import Campaign as Campaign
+from .effects import RESONANCE as RESONANCE
+from .effects import RESONANCE_FORCE as RESONANCE_FORCE
+from .model import INSTRUMENT as INSTRUMENT
+from .model import simulate as simulate
+from .tables import TABLE as TABLE
+from .tables import TABLE_VOLTS as TABLE_VOLTS
+
+COLUMNS: tuple[bc.Column, ...]
+NOMINAL_SCALE: bc.NominalScale
+SENSITIVITY: float
+CONVERTER_STEP: float
+VOLTAGE_STEP: float
+THERMOMETER_SD: float
