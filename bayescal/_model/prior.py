@@ -1,6 +1,7 @@
 """Prior distributions: what is believed of an unknown before the readings.
 
-Coefficients take `Normal` or `Flat`; spreads and noise scales take `HalfNormal`, `HalfCauchy` or `Flat`.
+Coefficients take `Normal` or `Flat`; spreads and noise scales take `HalfNormal`, `HalfCauchy` or `Flat`;
+what has an order of magnitude takes `LogNormal`, what has bounds `LogUniform`.
 A hyper-parameter is sampled in a coordinate v on the whole real line; each positive prior here knows its
 value at v and its log density *in v* (the Jacobian included), so that nothing else transforms anything.
 """
@@ -13,6 +14,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float
 
 from bayescal._core.jax_setup import configure_jax
@@ -21,6 +23,7 @@ configure_jax()
 
 _LOG_2 = math.log(2.0)
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+_EDGE = 1e-15  # of the probability, within which a bounded value counts as at its bound: Φ⁻¹ is ±7.9 there
 
 
 class Normal(eqx.Module):
@@ -73,6 +76,42 @@ class LogNormal(eqx.Module):
         import numpyro.distributions as dist
 
         return dist.LogNormal(math.log(self.median), self.sd)
+
+
+class LogUniform(eqx.Module):
+    """A positive quantity between two bounds, its logarithm uniform between theirs; `low` and `high` in its own unit.
+
+    Its coordinate is standard normal: value = low·(high/low)^Φ(v), so that no v leaves the bounds.
+    """
+
+    low: float = eqx.field(static=True)
+    high: float = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        if not (0 < self.low < self.high and math.isfinite(self.high)):
+            raise ValueError(f"LogUniform needs finite bounds with 0 < low < high, not {self}")
+
+    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+        return self.low * jnp.exp(math.log(self.high / self.low) * ndtr(v))
+
+    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+        return -0.5 * v**2 - _HALF_LOG_2PI
+
+    def coordinate(self, value: float) -> float:
+        return float(self.coordinates(jnp.asarray(float(value))))
+
+    def coordinates(self, values: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Coordinates of values; finite at the bounds, where rounding may have put a value."""
+        share = jnp.log(values / self.low) / math.log(self.high / self.low)
+        return ndtri(jnp.clip(share, _EDGE, 1 - _EDGE))
+
+    def sample(self, key: Array) -> Float[Array, ""]:
+        return jax.random.normal(key)
+
+    def distribution(self) -> Any:
+        import numpyro.distributions as dist
+
+        return dist.LogUniform(self.low, self.high)
 
 
 class HalfNormal(eqx.Module):
@@ -148,7 +187,16 @@ class Flat(eqx.Module):
         return dist.ImproperUniform(dist.constraints.positive, (), ())
 
 
-Positive = HalfNormal | HalfCauchy | LogNormal | Flat
+Positive = HalfNormal | HalfCauchy | LogNormal | LogUniform | Flat
+
+
+def multiplied(prior: Positive, factor: float) -> Positive:
+    """The prior of a positive quantity times a positive factor."""
+    if isinstance(prior, LogNormal):
+        return LogNormal(prior.median * factor, prior.sd)
+    if isinstance(prior, LogUniform):
+        return LogUniform(prior.low * factor, prior.high * factor)
+    return type(prior)(prior.scale * factor)
 
 
 class FlatLine(eqx.Module):
