@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import abc
 import math
-from typing import ClassVar, NamedTuple
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -132,7 +133,7 @@ class White(Noise):
         return mean + sd * jax.random.normal(key, mean.shape)
 
 
-def correlated_size(parameters: Parameters) -> Float[Array, "..."]:
+def correlated_size(parameters: Mapping[str, Any]) -> Float[Array, "..."]:
     """σ = q·√(τ/2), the stationary standard deviation of correlated noise, output unit."""
     return parameters[DIFFUSION] * jnp.sqrt(0.5 * parameters[CORRELATION_TIME])
 
