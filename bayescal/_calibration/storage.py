@@ -27,7 +27,7 @@ from bayescal._model.installed import installed_instruments
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._readings.column import Source
 from bayescal._readings.measurements import Measurements
@@ -42,7 +42,7 @@ _NOISES = {
         noise_laws.Quantised,
     )
 }
-_PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal)}
+_PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform)}
 
 
 def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
@@ -150,6 +150,11 @@ def load_calibration(
         raise InputError(
             f"{path.name} is no calibration of this version: its schema is {described.get('schema')!r}, "
             f"expected {SCHEMA!r}"
+        )
+    if "noise.correlated" in tree["posterior"]:  # its draws would be read as of the diffusion
+        raise InputError(
+            f"{path.name} was saved when correlated noise was described by its size, now by its diffusion: "
+            "fit the readings again"
         )
     readings = _readings_from(tree, described)
     model = _model_from(path, described, readings, effects, instruments)

@@ -107,6 +107,11 @@ def _prior_sd(prior: Any) -> float | None:
     if kind == "LogNormal":
         s2 = prior.sd**2
         return float(prior.median * np.sqrt((np.exp(s2) - 1) * np.exp(s2)))
+    if kind == "LogUniform":
+        low, high = prior.low, prior.high
+        width = np.log(high / low)
+        mean = (high - low) / width
+        return float(np.sqrt((high**2 - low**2) / (2 * width) - mean**2))
     return prior.sd if kind == "Normal" else None
 
 

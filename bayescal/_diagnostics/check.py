@@ -15,7 +15,6 @@ from bayescal._diagnostics import covariate_evidence, efficient_score
 from bayescal._diagnostics.check_result import Check, Entry, FixedComparison, Pair
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.worst_region import worst_regions
-from bayescal._inference import laplace
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model.frame import GROUPS
 
@@ -23,6 +22,8 @@ ALIKE = 0.95  # rank correlation from which two covariates are taken for one
 DUOS = 15  # pairs of covariates, at most
 MEMBERS = 64  # of a group that is looked at member by member, at most
 OUTLIER = 4.0  # leave-one-out standard deviations
+BOUND = 0.99  # expected autocorrelation from which neighbours are what the fit leaves, such as two about a free level
+ROUNDING = 1e-9  # share of a sum, below which it is the rounding of its terms
 SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
 
 
@@ -164,18 +165,60 @@ def _duos(
 
 
 def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
-    """Lag-1 autocorrelation of neighbours in time within runs, and its z under independence."""
+    """Lag-1 autocorrelation of neighbours in time within runs beyond what the fit itself leaves, and its z.
+
+    A fit takes from residuals what it follows: about a fitted level, n independent readings have −1/(n − 1). With
+    r that of the residuals and ρ that expected of independent noise under this model, the coefficient is the
+    difference on Fisher's scale, tanh(artanh r − artanh ρ), which is within ±1.
+
+    Args:
+        calibration: the fitted model.
+        standardised: its whitened residuals.
+    """
     frame = calibration.frame
     order = np.asarray(frame.order)
-    ordered = standardised[order]
-    linked = np.asarray(frame.step)[1:] > 0
+    linked = np.asarray(frame.step)[1:] >= 0
     if not calibration.readings.has("time"):
-        linked = np.ones(len(ordered) - 1, bool)
-    pairs = (ordered[1:] * ordered[:-1])[linked]
-    if not pairs.size:
+        linked = np.ones(order.size - 1, bool)
+    first = np.flatnonzero(linked)
+    ordered = standardised[order]
+    before, after = ordered[first], ordered[first + 1]
+    size = float(np.linalg.norm(before) * np.linalg.norm(after))
+    if not size > 0:
         return 0.0, 0.0
-    coefficient = float(pairs.mean() / np.mean(ordered**2))
-    return coefficient, coefficient * float(np.sqrt(pairs.size))
+    directions = efficient_score.fitted_directions(calibration)[order]
+    expected, sd = _of_independent_noise(directions, first)
+    product, squares = float(before @ after), 0.5 * float(before @ before + after @ after)
+    found = product / size
+    if sd == 0 or abs(expected) > BOUND:
+        return 0.0, 0.0
+    coefficient = float(np.clip((found - expected) / (1 - found * expected), -1, 1))
+    return coefficient, (product / squares - expected) / sd
+
+
+def _of_independent_noise(directions: np.ndarray, first: np.ndarray) -> tuple[float, float]:
+    """Mean and standard deviation of the lag-1 autocorrelation of residuals e ~ N(0, C), C = I − G·Gᵀ.
+
+    The sum over neighbours of eᵢ·eᵢ₊₁ is eᵀBe, that of their squares, halved, eᵀDe. Their means have the ratio
+    ρ = tr(BC)/tr(DC), and the variance of eᵀKe, K = B − ρ·D, is 2·tr(KCKC).
+
+    Args:
+        directions: G (n, q), in the order of time.
+        first: where the first of each two neighbours stands.
+    """
+    halves = 0.5 * np.bincount(np.append(first, first + 1), minlength=len(directions))  # D
+    squares = float(halves @ (1 - np.sum(directions**2, axis=1)))
+    if squares < ROUNDING * first.size:
+        return 0.0, 0.0
+    expected = -float(np.sum(directions[first] * directions[first + 1])) / squares
+    kg = -expected * halves[:, None] * directions
+    kg[first] += 0.5 * directions[first + 1]
+    kg[first + 1] += 0.5 * directions[first]
+    own = 0.5 * first.size + expected**2 * float(halves @ halves)  # tr(KK)
+    trace = own - 2 * float(np.sum(kg**2)) + float(np.sum((directions.T @ kg) ** 2))
+    if trace < ROUNDING * first.size:
+        return expected, 0.0
+    return expected, float(np.sqrt(2 * trace)) / squares
 
 
 def _spread_with(
@@ -198,11 +241,6 @@ def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
     """
     if not calibration.model.noise.independent:
         return white
-    y = jnp.asarray(calibration.readings["output"])
-    null = laplace.linearised(calibration.layout, calibration.frame, y, calibration.mode)
-    noise = calibration.model.noise.variance(null.hyper, calibration.frame) + null.extra
-    scaled = np.asarray(null.nuisance * null.prior.sd) / np.sqrt(np.asarray(noise))[:, None]
-    inner = scaled.T @ scaled + np.diag(np.asarray(null.prior.weight))
-    leverage = np.einsum("ij,ij->i", scaled, np.linalg.solve(inner, scaled.T).T)
+    leverage = np.sum(efficient_score.fitted_directions(calibration) ** 2, axis=1)
     # V⁻¹r over the root of V⁻¹'s diagonal, both from the leverages.
     return white / np.sqrt(np.maximum(1 - leverage, 1e-12))

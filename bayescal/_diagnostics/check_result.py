@@ -68,7 +68,7 @@ class Check:
         unit: of the output.
         rms: of the residuals, output unit.
         noise: standard deviation that they are judged against.
-        autocorrelation: (lag-1 coefficient within runs, its z).
+        autocorrelation: (lag-1 coefficient within runs beyond what the fit itself leaves, its z).
         spread_with: covariates with which the scatter changes, and the p-value of each.
         outliers: (row, leave-one-out standard deviations).
         pit_p: p-value of uniform leave-one-out probability integral transforms.

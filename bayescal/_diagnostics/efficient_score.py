@@ -19,6 +19,8 @@ from bayescal._inference.laplace import linearised
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
+RANK = 1e-12  # of the largest eigenvalue, below which a direction was not fitted
+
 
 class Score(NamedTuple):
     """Score and information of P columns.
@@ -96,6 +98,34 @@ def residuals(calibration: Calibration) -> Residuals:
     y = jnp.asarray(calibration.readings["output"])
     found = _residuals(calibration.layout, calibration.frame, y, calibration.mode)
     return Residuals(*(np.asarray(a) for a in found))
+
+
+@compiled
+def _fitted_directions(layout: Layout, frame: Frame, y: Array, mode):
+    line = linearised(layout, frame, y, mode)
+    if not line.nuisance.shape[1]:
+        return jnp.zeros((frame.size, 0))
+    noise = layout.model.noise
+    white, _ = noise.whiten(line.nuisance * line.prior.sd, line.extra, line.hyper, frame)
+    inner = white.T @ white + jnp.diag(line.prior.weight)
+    size = jnp.sqrt(jnp.diag(inner))
+    size = jnp.where(size > 0, size, 1.0)
+    weights, vectors = jnp.linalg.eigh(inner / size / size[:, None])
+    known = weights > RANK * weights[-1]
+    root = jnp.where(known, 1 / jnp.sqrt(jnp.where(known, weights, 1.0)), 0.0)
+    return (white / size) @ (vectors * root)
+
+
+def fitted_directions(calibration: Calibration) -> np.ndarray:
+    """G (n, q): the whitened residuals at the fit have the covariance I − G·Gᵀ if the model is right.
+
+    With A the whitened columns of the nuisances, per prior sd, and W their prior weights (0 where flat), whitened
+    readings have the covariance I + A·W⁻¹·Aᵀ, and the residuals are (I − H) times them, H = A·(AᵀA + W)⁻¹·Aᵀ = G·Gᵀ,
+    the leverage matrix; so (I − H)·(I + A·W⁻¹·Aᵀ)·(I − H) = I − H.
+    """
+    y = jnp.asarray(calibration.readings["output"])
+    found = _fitted_directions(calibration.layout, calibration.frame, y, calibration.mode)
+    return np.asarray(found)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""The compiled pieces: an effect's columns, an instrument's slopes, the gains of a filter.
+"""The compiled pieces: an effect's columns, an instrument's slopes.
 
 None knows which effects a model has, so that a search over structures compiles nothing. Records are padded to a few
 lengths by repeating the last reading, so that another record of about the same length compiles nothing either.
@@ -139,25 +139,3 @@ def responses(
 ) -> Float[Array, "b n"]:
     """Expected outputs of several sets of slots."""
     return jax.vmap(lambda one: jnp.broadcast_to(response(one, frame), (frame.size,)))(slots)
-
-
-@_program(0)
-def filter_gains(
-    carry: Float[Array, "n"], fresh: Float[Array, "n"], white: Float[Array, "n"]
-) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-    """Variance of each innovation and gain of a Kalman filter whose state is one wandering number.
-
-    Args:
-        carry: what is left of the state from one reading to the next, 0 at a run's first.
-        fresh: variance that is new to the state at each reading.
-        white: variance of each reading about the state.
-    """
-
-    def advance(left, row):
-        carry, fresh, white = row
-        before = carry**2 * left + fresh
-        total = before + white
-        return before * white / total, (total, before / total)
-
-    _, (total, gain) = jax.lax.scan(advance, jnp.zeros(()), (carry, fresh, white))
-    return total, gain

@@ -65,6 +65,11 @@ class Record:
         return {group: np.asarray(codes, dtype=np.intp) for group, codes in self.frame.codes.items()}
 
     @cached_property
+    def in_time(self) -> tuple[np.ndarray, np.ndarray]:
+        """The order of time within runs, and the steps in it, s; −1 at a run's first reading."""
+        return np.asarray(self.frame.order), np.asarray(self.frame.step)
+
+    @cached_property
     def slots(self) -> tuple[str, ...]:
         return tuple(s.name for s in self.instrument.slots)
 

@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dtbtrs
+from scipy.linalg.lapack import dpttrf, dtbtrs
 
-from bayescal._engine import pieces
 from bayescal._engine.record import Record
-from bayescal._model.noise_laws import UNCERTAINTY, Noise, OrnsteinUhlenbeck, White
+from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, UNCERTAINTY, Noise, OrnsteinUhlenbeck, White
 
 Values = dict[str, float]
 
@@ -21,14 +20,14 @@ class Whitening(NamedTuple):
     Attributes:
         sd: of each reading given those before it, in the order of time within runs where there is a recursion.
         order: that order; None for independent readings.
-        band: the recursion, for LAPACK; None for independent readings.
-        carry: what passes from one prediction to the next.
+        band: the unit lower factor of what is new in each reading, for LAPACK.
+        carry: what passes from one reading to the next; 0 at a run's first.
     """
 
     sd: Float[np.ndarray, "n"]
     order: np.ndarray | None = None
     band: np.ndarray | None = None
-    push: np.ndarray | None = None
+    carry: np.ndarray | None = None
 
     @property
     def logdet(self) -> float:
@@ -39,11 +38,8 @@ class Whitening(NamedTuple):
         if self.order is None:
             return table / self.sd[:, None]
         values = np.asfortranarray(table[self.order])
-        # The prediction m obeys m[i] = leave[i−1]·m[i−1] + push[i−1]·y[i−1].
-        right = np.zeros_like(values, order="F")
-        right[1:] = self.push[:-1, None] * values[:-1]  # pyright: ignore[reportOptionalSubscript]
-        predicted, _ = dtbtrs(self.band, right, uplo="L", diag="U")
-        return (values - predicted) / self.sd[:, None]
+        values[1:] -= self.carry[1:, None] * values[:-1]  # pyright: ignore[reportOptionalSubscript]
+        return dtbtrs(self.band, values, uplo="L", diag="U")[0] / self.sd[:, None]
 
 
 def known_variance(record: Record) -> Float[np.ndarray, "n"] | float:
@@ -62,22 +58,17 @@ def whitening(
     white = np.broadcast_to(values["noise.white"] ** 2 + known_variance(record) + extra, (record.size,))
     if isinstance(noise, White):
         return Whitening(np.sqrt(white))
-    order, step = np.asarray(record.frame.order), np.asarray(record.frame.step)
-    tau, variance = values["noise.correlated.time"], _wander(values)
-    first = step < 0
-    carry = np.where(first, 0.0, np.exp(-np.where(first, 0.0, step) / tau))
-    fresh = np.where(first, variance, variance * -np.expm1(-2 * np.where(first, 0.0, step) / tau))
-    more = record.padded.size - record.size
-    longer = [np.pad(a, (0, more), constant_values=1.0) for a in (carry, fresh, white[order])]
-    total, gain = (np.asarray(a)[: record.size] for a in pieces.filter_gains(*longer))
-    leave, push = carry[1:] * (1 - gain[:-1]), np.append(carry[1:] * gain[:-1], 0.0)
+    order, step = record.in_time
+    tau, variance = values[CORRELATION_TIME], 0.5 * values[DIFFUSION] ** 2 * values[CORRELATION_TIME]
+    white = white[order]
+    # What is new in a reading, y[i] − carry[i]·y[i−1], hangs together with its neighbours alone.
+    carry = np.where(step < 0, 0.0, np.exp(-step / tau))
+    fresh = np.where(step < 0, 1.0, -np.expm1(-2 * step / tau))  # part of the variance that is new
+    diagonal = variance * fresh + white
+    diagonal[1:] += carry[1:] ** 2 * white[:-1]
+    pivots, below, failed = dpttrf(diagonal, -carry[1:] * white[:-1])
+    if failed:
+        pivots = np.full(record.size, np.nan)
     band = np.zeros((2, record.size), order="F")
-    band[0], band[1, :-1] = 1.0, -leave
-    return Whitening(np.sqrt(total), order, band, push)
-
-
-def _wander(values: Values) -> float:
-    """Variance of the wandering part."""
-    if "noise.correlated" in values:
-        return values["noise.correlated"] ** 2
-    return 0.5 * values["noise.diffusion"] ** 2 * values["noise.correlated.time"]
+    band[0], band[1, :-1] = 1.0, below
+    return Whitening(np.sqrt(pivots), order, band, carry)

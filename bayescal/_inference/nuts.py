@@ -16,7 +16,7 @@ from bayescal._inference.method import Draws, Method, Outcome
 from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
-from bayescal._model.prior import FlatLine, LogNormal, Normal
+from bayescal._model.prior import FlatLine, LogNormal, LogUniform, Normal
 
 
 class NUTS(Method):
@@ -100,6 +100,8 @@ def _coordinate(prior, value: Array) -> Array:
         return value / prior.scale
     if isinstance(prior, LogNormal):
         return jnp.log(value / prior.median) / prior.sd
+    if isinstance(prior, LogUniform):
+        return prior.coordinates(value)
     return jnp.log(value / prior.scale)
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import abc
 import math
-from typing import ClassVar, NamedTuple
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,10 +18,11 @@ from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 
 from bayescal._model.frame import Frame
-from bayescal._model.prior import HalfCauchy, LogNormal, Positive
+from bayescal._model.prior import HalfCauchy, LogNormal, LogUniform, Positive, multiplied
 
 Parameters = dict[str, Float[Array, ""]]
 UNCERTAINTY = "output_uncertainty"  # column: known standard uncertainty per reading
+DIFFUSION, CORRELATION_TIME = "noise.diffusion", "noise.correlated.time"
 _LOG_2PI = math.log(2 * math.pi)
 
 
@@ -46,7 +48,7 @@ class Noise(eqx.Module):
 
     @abc.abstractmethod
     def parameters(self) -> dict[str, Positive]:
-        """Names and priors of its unknowns; `noise.white` is in the unit of the output."""
+        """Names and priors of its unknowns; `noise.white` is in the unit of the output, `noise.diffusion` per √s."""
 
     @abc.abstractmethod
     def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
@@ -127,20 +129,26 @@ class White(Noise):
         return -0.5 * ((y - mean) ** 2 / variance + jnp.log(variance) + _LOG_2PI)
 
     def sample(self, key, mean, parameters, frame):
-        return mean + jnp.sqrt(self.variance(parameters, frame)) * jax.random.normal(
-            key, mean.shape
-        )
+        sd = jnp.sqrt(self.variance(parameters, frame))
+        return mean + sd * jax.random.normal(key, mean.shape)
+
+
+def correlated_size(parameters: Mapping[str, Any]) -> Float[Array, "..."]:
+    """σ = q·√(τ/2), the stationary standard deviation of correlated noise, output unit."""
+    return parameters[DIFFUSION] * jnp.sqrt(0.5 * parameters[CORRELATION_TIME])
 
 
 class OrnsteinUhlenbeck(Noise):
-    """White noise and correlated (Ornstein–Uhlenbeck) noise of unknown size and time within each run.
+    """White noise and correlated (Ornstein–Uhlenbeck) noise of unknown diffusion and time within each run.
 
-    Runs are independent. Solves are linear in the readings (tinygp's quasi-separable solver).
+    The correlated part has the covariance (q²·τ/2)·exp(−|Δt|/τ) within a run; runs are independent. Readings close
+    together against the time τ know only the diffusion q, the coefficient of the random walk (IEEE 952: rate random
+    walk); hence τ is bounded. Solves are linear in the readings (tinygp's quasi-separable solver).
 
     Attributes:
-        shortest, longest: 95 % of the prior of the correlation time, s; `over_record` takes them from a record.
+        shortest, longest: bounds of the correlation time, s, its logarithm uniform between; see `over_record`.
         scale: prior of the white part's standard deviation, output unit.
-        correlated: prior of the correlated part's standard deviation, output unit.
+        correlated: prior of the correlated part's, output unit, at the geometric middle of the correlation times.
     """
 
     shortest: float = eqx.field(static=True)
@@ -158,17 +166,15 @@ class OrnsteinUhlenbeck(Noise):
             )
 
     def parameters(self) -> dict[str, Positive]:
-        spread = math.log(self.longest / self.shortest) / (2 * 1.959963984540054)
-        time = LogNormal(math.sqrt(self.shortest * self.longest), spread)
+        middle = math.sqrt(self.shortest * self.longest)
         return {
             "noise.white": self.scale,
-            "noise.correlated": self.correlated,
-            "noise.correlated.time": time,
+            DIFFUSION: multiplied(self.correlated, math.sqrt(2 / middle)),
+            CORRELATION_TIME: LogUniform(self.shortest, self.longest),
         }
 
     def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
-        both = parameters["noise.white"] ** 2 + parameters["noise.correlated"] ** 2
-        return both + _known(frame)
+        return parameters["noise.white"] ** 2 + correlated_size(parameters) ** 2 + _known(frame)
 
     def _solver(self, extra: Float[Array, "n"] | float, parameters: Parameters, frame: Frame):
         """Cholesky factor of the covariance, in the order of time within runs."""
@@ -176,11 +182,11 @@ class OrnsteinUhlenbeck(Noise):
         from tinygp.noise import Diagonal
         from tinygp.solvers import QuasisepSolver
 
-        tau = parameters["noise.correlated.time"]
-        # Runs follow each other on one axis, so far apart that they share nothing.
-        axis = jnp.cumsum(jnp.where(frame.step > 0, frame.step, 60.0 * tau))
+        tau = parameters[CORRELATION_TIME]
+        # Runs follow each other on one axis, so far apart that they share nothing. Readings at one time share it.
+        axis = jnp.cumsum(jnp.where(frame.step < 0, 60.0 * tau, frame.step))
         white = parameters["noise.white"] ** 2 + _known(frame) + extra
-        kernel = Exp(scale=tau, sigma=parameters["noise.correlated"])
+        kernel = Exp(scale=tau, sigma=correlated_size(parameters))
         return QuasisepSolver(kernel, axis, Diagonal(white[frame.order]), assume_sorted=True)
 
     def whiten(self, columns, extra, parameters, frame):
@@ -197,9 +203,8 @@ class OrnsteinUhlenbeck(Noise):
         return jnp.zeros_like(each).at[frame.order].set(each)
 
     def sample(self, key, mean, parameters, frame):
-        made = self._solver(0.0, parameters, frame).dot_triangular(
-            jax.random.normal(key, mean.shape)
-        )
+        solver = self._solver(0.0, parameters, frame)
+        made = solver.dot_triangular(jax.random.normal(key, mean.shape))
         return mean + jnp.zeros_like(made).at[frame.order].set(made)
 
 
@@ -283,16 +288,13 @@ class Quantised(Noise):
         # On the side of the mean where both tails are small, so that the difference keeps its digits.
         centre = -jnp.abs(y - mean) / sd
         half = 0.5 * self.step / sd
-        upper, lower = (
-            jax.scipy.stats.norm.logcdf(centre + half),
-            jax.scipy.stats.norm.logcdf(centre - half),
-        )
+        upper = jax.scipy.stats.norm.logcdf(centre + half)
+        lower = jax.scipy.stats.norm.logcdf(centre - half)
         return (
             upper + jnp.log(-jnp.expm1(jnp.minimum(lower - upper, -1e-300))) - math.log(self.step)
         )
 
     def sample(self, key, mean, parameters, frame):
-        exact = mean + jnp.sqrt(self._before(parameters, frame)) * jax.random.normal(
-            key, mean.shape
-        )
+        sd = jnp.sqrt(self._before(parameters, frame))
+        exact = mean + sd * jax.random.normal(key, mean.shape)
         return jnp.round(exact / self.step) * self.step

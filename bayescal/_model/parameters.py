@@ -19,16 +19,14 @@ from bayescal._model.coefficient import Coefficient
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.model import Model
+from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
 from bayescal._readings import unit_conversion
 from bayescal._readings.measurements import Measurements
 
 HyperKind = Literal["noise", "spread", "shape", "promoted"]
 MOVING: tuple[HyperKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
-_NOISE_UNITS = {
-    "noise.freedom": "1",
-    "noise.correlated.time": "s",
-}  # the others: that of the output
+_NOISE_UNITS = {"noise.freedom": "1", CORRELATION_TIME: "s"}  # the others: from that of the output
 
 
 Levels = Mapping[str, Sequence[str]]  # the members of each group
@@ -145,7 +143,7 @@ class Layout(eqx.Module):
         unit, fixed = self.model.instrument.unit, dict(self.model.fixed)
         found: list[Hyper] = []
         for name, prior in self.model.noise.parameters().items():
-            found.append(Hyper(name, _NOISE_UNITS.get(name, unit), prior, "noise"))
+            found.append(Hyper(name, _noise_unit(name, unit), prior, "noise"))
         for block in self.blocks:
             if block.coefficient.spread is not None and block.place != "fixed":
                 found.append(
@@ -188,6 +186,13 @@ class Layout(eqx.Module):
         return any(b.coefficient.flat for b in self.blocks if b.place in ("x", "phi")) or any(
             isinstance(h.prior, (Flat, FlatLine)) for h in self.hypers
         )
+
+
+def _noise_unit(name: str, unit: str) -> str:
+    """Of a noise law's unknown, where the output is in `unit`."""
+    if name == DIFFUSION and unit != unit_conversion.ANY:
+        return f"{unit}/s^0.5"
+    return _NOISE_UNITS.get(name, unit)
 
 
 def _promoted_prior(coefficient: Coefficient) -> Normal | FlatLine:

@@ -1,6 +1,7 @@
 """Prior distributions: what is believed of an unknown before the readings.
 
-Coefficients take `Normal` or `Flat`; spreads and noise scales take `HalfNormal`, `HalfCauchy` or `Flat`.
+Coefficients take `Normal` or `Flat`; spreads and noise scales take `HalfNormal`, `HalfCauchy` or `Flat`;
+what has an order of magnitude takes `LogNormal`, what has bounds `LogUniform`.
 A hyper-parameter is sampled in a coordinate v on the whole real line; each positive prior here knows its
 value at v and its log density *in v* (the Jacobian included), so that nothing else transforms anything.
 """
@@ -8,20 +9,31 @@ value at v and its log density *in v* (the Jacobian included), so that nothing e
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy import special as in_jax
 from jaxtyping import Array, Float
+from scipy import special as on_host
+from typing_extensions import dataclass_transform
 
 from bayescal._core.jax_setup import configure_jax
 
 configure_jax()
 
+_T = TypeVar("_T")
 _LOG_2 = math.log(2.0)
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+_EDGE = 1e-15  # of the probability, within which a bounded value counts as at its bound: Φ⁻¹ is ±7.9 there
+
+
+@dataclass_transform(frozen_default=True)
+def _static(cls: type[_T]) -> type[_T]:
+    """A frozen dataclass that JAX takes as structure and not as data."""
+    return jax.tree_util.register_static(dataclass(frozen=True)(cls))
 
 
 def _of(v: Any) -> Any:
@@ -29,13 +41,14 @@ def _of(v: Any) -> Any:
     return jnp if isinstance(v, jax.Array) else np
 
 
-class Normal(eqx.Module):
+@_static
+class Normal:
     """A Gaussian prior; `mean` and `sd` in the coefficient's own unit."""
 
-    mean: float = eqx.field(static=True, default=0.0)
-    sd: float = eqx.field(static=True, default=1.0)
+    mean: float = 0.0
+    sd: float = 1.0
 
-    def __check_init__(self) -> None:
+    def __post_init__(self) -> None:
         if not (math.isfinite(self.mean) and math.isfinite(self.sd) and self.sd > 0):
             raise ValueError(f"Normal needs a finite mean and a positive sd, not {self}")
 
@@ -57,11 +70,12 @@ class Normal(eqx.Module):
         return dist.Normal(self.mean, self.sd)
 
 
-class LogNormal(eqx.Module):
+@_static
+class LogNormal:
     """A positive quantity whose logarithm is Gaussian; `median` in its own unit, `sd` of the logarithm."""
 
-    median: float = eqx.field(static=True)
-    sd: float = eqx.field(static=True)
+    median: float
+    sd: float
 
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.median * _of(v).exp(self.sd * v)
@@ -81,10 +95,51 @@ class LogNormal(eqx.Module):
         return dist.LogNormal(math.log(self.median), self.sd)
 
 
-class HalfNormal(eqx.Module):
+@_static
+class LogUniform:
+    """A positive quantity between two bounds, its logarithm uniform between theirs; `low` and `high` in its own unit.
+
+    Its coordinate is standard normal: value = low·(high/low)^Φ(v), so that no v leaves the bounds.
+    """
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not (0 < self.low < self.high and math.isfinite(self.high)):
+            raise ValueError(f"LogUniform needs finite bounds with 0 < low < high, not {self}")
+
+    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+        share = (in_jax if isinstance(v, jax.Array) else on_host).ndtr(v)
+        return self.low * _of(v).exp(math.log(self.high / self.low) * share)
+
+    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+        return -0.5 * v**2 - _HALF_LOG_2PI
+
+    def coordinate(self, value: float) -> float:
+        return float(self.coordinates(np.float64(value)))
+
+    def coordinates(self, values: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Coordinates of values; finite at the bounds, where rounding may have put a value."""
+        xp = _of(values)
+        share = xp.log(values / self.low) / math.log(self.high / self.low)
+        special = in_jax if isinstance(values, jax.Array) else on_host
+        return special.ndtri(xp.clip(share, _EDGE, 1 - _EDGE))
+
+    def sample(self, key: Array) -> Float[Array, ""]:
+        return jax.random.normal(key)
+
+    def distribution(self) -> Any:
+        import numpyro.distributions as dist
+
+        return dist.LogUniform(self.low, self.high)
+
+
+@_static
+class HalfNormal:
     """The positive half of N(0, scale²), for spreads and noise scales."""
 
-    scale: float = eqx.field(static=True, default=1.0)
+    scale: float = 1.0
 
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.scale * _of(v).exp(v)
@@ -104,10 +159,11 @@ class HalfNormal(eqx.Module):
         return dist.HalfNormal(self.scale)
 
 
-class HalfCauchy(eqx.Module):
+@_static
+class HalfCauchy:
     """The positive half of a Cauchy: a scale known to an order of magnitude or two."""
 
-    scale: float = eqx.field(static=True, default=1.0)
+    scale: float = 1.0
 
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.scale * _of(v).exp(v)
@@ -127,14 +183,15 @@ class HalfCauchy(eqx.Module):
         return dist.HalfCauchy(self.scale)
 
 
-class Flat(eqx.Module):
+@_static
+class Flat:
     """No preference at all. Improper: the evidence of a model that holds one is not defined.
 
     For a coefficient: flat on the real line. For a spread or a noise scale: flat on the positive half line,
     `scale` only setting the unit of its coordinate.
     """
 
-    scale: float = eqx.field(static=True, default=1.0)
+    scale: float = 1.0
 
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.scale * _of(v).exp(v)
@@ -154,13 +211,23 @@ class Flat(eqx.Module):
         return dist.ImproperUniform(dist.constraints.positive, (), ())
 
 
-Positive = HalfNormal | HalfCauchy | LogNormal | Flat
+Positive = HalfNormal | HalfCauchy | LogNormal | LogUniform | Flat
 
 
-class FlatLine(eqx.Module):
+def multiplied(prior: Positive, factor: float) -> Positive:
+    """The prior of a positive quantity times a positive factor."""
+    if isinstance(prior, LogNormal):
+        return LogNormal(prior.median * factor, prior.sd)
+    if isinstance(prior, LogUniform):
+        return LogUniform(prior.low * factor, prior.high * factor)
+    return type(prior)(prior.scale * factor)
+
+
+@_static
+class FlatLine:
     """A flat prior on the whole line, for a flat coefficient that is sampled with the hyper-parameters."""
 
-    scale: float = eqx.field(static=True, default=1.0)
+    scale: float = 1.0
 
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.scale * v

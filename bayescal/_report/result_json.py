@@ -9,6 +9,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.atomic_file import replacing
 from bayescal._diagnostics.check_result import Check
@@ -17,6 +19,7 @@ from bayescal._discovery.discovery import Discovery
 from bayescal._discovery.next_experiment import NextExperiment
 from bayescal._discovery.search_path import Step, Trail
 from bayescal._model.frame import GROUPS
+from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, correlated_size
 from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.result/1"
@@ -108,13 +111,12 @@ def _groups(readings: Measurements) -> dict[str, Any]:
 def step_data(step: Step) -> dict[str, Any]:
     calibration = step.calibration
     evidence = calibration.log_evidence
-    drawn = {
-        n: float(calibration.samples(n).mean())
-        for n in map(str, calibration.posterior)
-        if n.startswith("noise.")
-    }
-    held = {k: v for k, v in calibration.model.fixed if k.startswith("noise.")}
-    noise = {**drawn, **held}
+    names = [n for n in map(str, calibration.posterior) if n.startswith("noise.")]
+    held = {k: np.asarray(v) for k, v in calibration.model.fixed if k.startswith("noise.")}
+    noise = {**{n: calibration.samples(n) for n in names}, **held}
+    if DIFFUSION in noise:
+        noise["size"] = np.asarray(correlated_size(noise))
+    mean = {n: float(values.mean()) for n, values in noise.items()}
     return {
         "effects": list(calibration.model.names),
         "added": step.added,
@@ -123,9 +125,10 @@ def step_data(step: Step) -> dict[str, Any]:
         "log_evidence": None if evidence is None else {"value": evidence[0], "se": evidence[1]},
         "noise": {
             "law": calibration.model.noise.law,
-            "white": noise.get("noise.white"),
-            "correlated": noise.get("noise.correlated"),
-            "tau": noise.get("noise.correlated.time"),
+            "white": mean.get("noise.white"),
+            "correlated": mean.get("size"),
+            "diffusion": mean.get(DIFFUSION),
+            "tau": mean.get(CORRELATION_TIME),
         },
         "verdict": vars(calibration.verdict),
     }

@@ -12,7 +12,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.formatting import number, with_error
 from bayescal._model.effect import Effect
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._readings.column import Source
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
@@ -193,6 +193,7 @@ def _prior(prior: Any) -> str:
         HalfNormal: lambda p: f"half-normal prior of scale {number(p.scale)}",
         HalfCauchy: lambda p: f"half-Cauchy prior of scale {number(p.scale)}",
         LogNormal: lambda p: f"log-normal prior about {number(p.median)}",
+        LogUniform: lambda p: f"log-uniform prior from {number(p.low)} to {number(p.high)}",
         Flat: lambda p: "flat prior",
     }
     return words.get(type(prior), repr)(prior)

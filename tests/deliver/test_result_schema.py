@@ -42,7 +42,7 @@ KEYS = {
     "log_evidence noise noise_floor verdict",
     "steps[].leave_one_group_out": "group n rmse",
     "steps[].log_evidence": "value se",
-    "steps[].noise": "law white correlated tau",
+    "steps[].noise": "law white correlated diffusion tau",
     "check[]": "step against log_bayes_factor worst",
     "check[].worst": "from to group size unit",
     "missing[]": "step nothing_missing_probability sets candidates unknown",

@@ -30,11 +30,11 @@ def dense_density(b: Bound) -> float:
     """log p(y, φ) by the Cholesky factor of the whole covariance, coefficients and all, in numpy alone."""
     from scipy.linalg import cho_factor, cho_solve
 
-    white, size, tau = (AT[k] for k in ("noise.white", "noise.correlated", "noise.correlated.time"))
+    white, q, tau = (AT[k] for k in ("noise.white", "noise.diffusion", "noise.correlated.time"))
     time_s = np.asarray(b.frame["time"])
     j = np.column_stack([np.ones(len(b.y)), np.asarray(b.frame["temperature"]) - T0])
     j = j * [e.coefficients[0].size for e in b.layout.model.effects]
-    covariance = size**2 * np.exp(-np.abs(time_s[:, None] - time_s) / tau) + j @ j.T
+    covariance = 0.5 * q**2 * tau * np.exp(-np.abs(time_s[:, None] - time_s) / tau) + j @ j.T
     covariance[np.diag_indices(len(time_s))] += white**2
     factor = cho_factor(covariance, lower=True, overwrite_a=True)
     y = np.asarray(b.y)

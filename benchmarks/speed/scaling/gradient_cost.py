@@ -9,7 +9,11 @@ import numpy as np
 
 T0, STEP, NOISE, SEED = 20.0, 1.0, 0.2, 3  # °C, s, °/s
 WANDER, TIME = 0.1, 100.0  # °/s, s
-AT = {"noise.white": 0.21, "noise.correlated": 0.11, "noise.correlated.time": 90.0}
+AT = {
+    "noise.white": 0.21,
+    "noise.diffusion": 0.0164,
+    "noise.correlated.time": 90.0,
+}  # 0.11 °/s of correlated noise
 
 
 class Bound(NamedTuple):

@@ -1,0 +1,203 @@
+"""Correlated noise is the Gaussian process that it claims to be, and its time and size cannot run away."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import bayescal as bc
+from bayescal._model.frame import Frame, build_frame, reference_of
+from bayescal._model.noise_laws import correlated_size, over_record
+from bayescal._model.prior import LogNormal, LogUniform, Positive, multiplied
+from bayescal_models import mems_gyro, still_sensor
+
+FAST = bc.LeastSquares(draws=200)
+LAW = bc.OrnsteinUhlenbeck(1.0, 1000.0, bc.HalfCauchy(0.3), bc.HalfCauchy(0.3))
+AT = {"noise.white": 0.2, "noise.diffusion": 0.1, "noise.correlated.time": 40.0}
+SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
+WHITE, DIFFUSION, STEP = 1.0, 0.5, 10.0  # µg, µg/√s, s
+
+
+def readings_of(instrument: bc.Instrument, runs: list[np.ndarray], **columns: Any):
+    """Readings with one array of times for each run."""
+    time = np.concatenate(runs)
+    labels = np.repeat([str(k) for k in range(len(runs))], [len(t) for t in runs])
+    more = {"temperature": np.linspace(10.0, 50.0, time.size), "output": np.zeros(time.size)}
+    return bc.Measurements.from_arrays(instrument, run=labels, time=time, **{**more, **columns})
+
+
+def dense(frame: Frame, labels: np.ndarray) -> np.ndarray:
+    """The covariance by its definition."""
+    time = np.asarray(frame["time"])
+    tau = AT["noise.correlated.time"]
+    size = 0.5 * AT["noise.diffusion"] ** 2 * tau
+    within = labels[:, None] == labels
+    white = AT["noise.white"] ** 2 * np.eye(time.size)
+    return white + size * within * np.exp(-np.abs(time[:, None] - time) / tau)
+
+
+# Three readings at one time in the middle of a run, two at the start of another, one run of one reading.
+TOGETHER = [
+    np.array([0.0, 3.0, 3.0, 3.0, 50.0]),
+    np.array([100.0, 100.0, 104.0]),
+    np.array([900.0]),
+]
+
+
+def test_readings_at_one_time_share_the_correlated_part(rng) -> None:
+    data = readings_of(SENSOR, TOGETHER)
+    frame = build_frame(data, reference_of(data))
+    covariance = dense(frame, np.asarray(data["run"]))
+    at = {name: jnp.asarray(value) for name, value in AT.items()}
+    columns, extra = rng.standard_normal((frame.size, 3)), 0.01
+    white, logdet = LAW.whiten(jnp.asarray(columns), extra, at, frame)
+    wide = covariance + extra * np.eye(frame.size)
+    np.testing.assert_allclose(white.T @ white, columns.T @ np.linalg.solve(wide, columns), 1e-9)
+    assert float(logdet) == pytest.approx(np.linalg.slogdet(wide)[1], rel=1e-10)
+    density = LAW.log_density(jnp.asarray(columns[:, 0]), jnp.zeros(frame.size), at, frame)
+    normal: Any = stats.multivariate_normal
+    exact = normal.logpdf(columns[:, 0], np.zeros(frame.size), covariance)
+    assert float(density.sum()) == pytest.approx(exact, rel=1e-10)
+    np.testing.assert_allclose(LAW.variance(at, frame), np.diag(covariance), 1e-12)
+
+
+def test_samples_have_the_covariance(key) -> None:
+    data = readings_of(SENSOR, TOGETHER)
+    frame = build_frame(data, reference_of(data))
+    at = {name: jnp.asarray(value) for name, value in AT.items()}
+    made = jax.vmap(lambda k: LAW.sample(k, jnp.zeros(frame.size), at, frame))(
+        jax.random.split(key, 20000)
+    )
+    exact = dense(frame, np.asarray(data["run"]))
+    np.testing.assert_allclose(np.cov(np.asarray(made).T), exact, atol=4 * exact.max() / 141)
+
+
+def test_the_size_follows_from_diffusion_and_time() -> None:
+    at = {name: jnp.asarray(value) for name, value in AT.items()}
+    assert float(correlated_size(at)) == pytest.approx(0.1 * np.sqrt(20.0))
+
+
+# Priors.
+
+
+def test_log_uniform_prior_keeps_its_bounds(key) -> None:
+    prior: Any = LogUniform(2.0, 300.0)
+    exact: Any = stats.loguniform(2.0, 300.0)
+    for v in (-2.0, 0.0, 0.7):
+        value, slope = jax.value_and_grad(prior.value)(v)
+        assert float(prior.log_density(v)) == pytest.approx(
+            exact.logpdf(value) + np.log(slope), rel=1e-9
+        )
+        assert prior.coordinate(float(value)) == pytest.approx(v, abs=1e-12)
+        assert float(prior.distribution().log_prob(value)) == pytest.approx(
+            exact.logpdf(value), rel=1e-6
+        )
+    drawn = jax.vmap(lambda k: prior.value(prior.sample(k)))(jax.random.split(key, 4000))
+    assert stats.kstest(np.asarray(drawn), exact.cdf).pvalue > 0.01
+    ends = prior.value(jnp.array([-1e3, 1e3]))
+    np.testing.assert_allclose(ends, [2.0, 300.0], rtol=1e-12)
+    assert np.isfinite([prior.coordinate(2.0), prior.coordinate(300.0)]).all()
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (2.0, 2.0), (1.0, np.inf)])
+def test_log_uniform_needs_bounds(low, high) -> None:
+    with pytest.raises(ValueError, match="0 < low < high"):
+        LogUniform(low, high)
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [
+        bc.HalfNormal(0.2),
+        bc.HalfCauchy(0.2),
+        LogNormal(0.2, 1.0),
+        LogUniform(0.1, 2.0),
+        bc.Flat(0.2),
+    ],
+    ids=lambda p: type(p).__name__,
+)
+def test_the_diffusion_has_the_prior_of_the_size_at_the_middle_time(prior: Positive) -> None:
+    priors = bc.OrnsteinUhlenbeck(2.0, 200.0, bc.HalfCauchy(0.3), prior).parameters()
+    assert priors["noise.correlated.time"] == LogUniform(2.0, 200.0)
+    diffusion = priors["noise.diffusion"]
+    assert type(diffusion) is type(prior)
+    at = {"noise.diffusion": diffusion.value(jnp.asarray(0.4)), "noise.correlated.time": 20.0}
+    assert float(correlated_size(at)) == pytest.approx(float(prior.value(jnp.asarray(0.4))))
+    assert multiplied(prior, 1.0) == prior
+
+
+# The limit of a random walk, where readings know the diffusion and nothing of the time.
+
+
+def walks(seed: int, lengths: list[int]) -> bc.Measurements:
+    """A line over temperature, white noise, and a random walk in each run."""
+    random = np.random.default_rng(seed)
+    runs = [1e5 * k + STEP * np.arange(n) for k, n in enumerate(lengths)]
+    slow = [np.cumsum(np.sqrt(STEP) * DIFFUSION * random.standard_normal(n)) for n in lengths]
+    temperature = np.concatenate(
+        [30 + 20 * np.sin(2 * np.pi * np.arange(n) / max(n, 20)) for n in lengths]
+    )
+    output = np.concatenate(slow) + 3 + 0.8 * (temperature - 30)
+    output += WHITE * random.standard_normal(output.size)
+    return readings_of(SENSOR, runs, temperature=temperature, output=output)
+
+
+def law_of(data: bc.Measurements) -> bc.OrnsteinUhlenbeck:
+    """Bounds as `calibrate` takes them from a record."""
+    span = max(float(np.ptp(data["time"][data["run"] == r])) for r in np.unique(data["run"]))
+    return bc.OrnsteinUhlenbeck(STEP, max(span, 10 * STEP), bc.HalfCauchy(3.0), bc.HalfCauchy(3.0))
+
+
+WALKS = {
+    "one run": [300],
+    "many runs": [60] * 8,
+    "short runs": [5] * 40,
+    "runs of unlike length": [200, 40, 12, 3, 1, 90],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [FAST, bc.Marginal(draws=1000)], ids=lambda m: type(m).__name__)
+@pytest.mark.parametrize("lengths", WALKS.values(), ids=WALKS)
+def test_a_random_walk_does_not_run_away(lengths, method) -> None:
+    data = walks(5, lengths)
+    law = law_of(data)
+    found = bc.fit(SENSOR.baseline().with_noise(law), data, method, strict=False)
+    tau, diffusion = (found.samples(n) for n in ("noise.correlated.time", "noise.diffusion"))
+    assert ((tau >= law.shortest) & (tau <= law.longest)).all()
+    assert DIFFUSION / 1.5 < np.median(diffusion) < 1.5 * DIFFUSION
+    size = diffusion * np.sqrt(tau / 2)
+    assert np.median(size) < np.ptp(data["output"])
+    slope = found.samples("bias.temperature")
+    assert abs(slope.mean() - 0.8) < 4 * slope.std() + 0.02
+    # From runs of five readings a short correlation time is hardly told from white noise.
+    assert found.samples("noise.white").mean() == pytest.approx(WHITE, rel=0.6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("missing", [True, False], ids=["lag missing", "lag in the model"])
+def test_correlated_noise_does_not_take_the_place_of_a_constant(missing) -> None:
+    """A nominal zero that is wrong by 1.2 V: the constant stands 28 prior standard deviations from its mean.
+
+    A model that lacks the lag needs correlated noise; with its time unbounded it left the constant to it.
+    """
+    model = mems_gyro.INSTRUMENT.baseline()
+    model = model if missing else model + "bias.thermal_lag"
+    right = mems_gyro.simulate({"bias.thermal_lag": 1.0}, seed=61)
+    wrong = right.with_column("output", right["output"] + 1446.0)
+    frame = build_frame(right, reference_of(right))
+    steps, span = np.asarray(frame.step), float(np.max(np.asarray(frame.elapsed)))
+    law = over_record(bc.White(bc.HalfCauchy(0.1)), jnp.asarray(steps[steps > 0]), span)
+    errors = []
+    for data in (right, wrong):
+        found = bc.fit(model.with_noise(law), data, FAST, strict=False)
+        errors.append(bc.predict(found).rmse)
+        tau, diffusion = (found.samples(n) for n in ("noise.correlated.time", "noise.diffusion"))
+        assert ((tau >= law.shortest) & (tau <= law.longest)).all()
+        assert np.median(diffusion * np.sqrt(tau / 2)) < np.ptp(right["output"])
+    assert errors[1] == pytest.approx(errors[0], rel=0.02)

@@ -1,0 +1,112 @@
+"""Neighbouring residuals count as correlated by what the fit does not explain of their correlation."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._diagnostics.check import autocorrelation
+from bayescal._diagnostics.efficient_score import fitted_directions
+from bayescal._inference.laplace import linearised
+from bayescal_models import still_sensor
+
+SENSOR = still_sensor.instrument("ug", size=20.0, constant=200.0, span=20.0)
+FAST = bc.LeastSquares(draws=100)
+LEVELS = SENSOR.baseline() + "bias.run"
+
+
+def runs_of(counts: list[int], noise: np.ndarray, levels: np.ndarray, step: np.ndarray | float):
+    """Readings a minute apart or as given, runs of these counts a day apart, each with its level."""
+    run = np.repeat(np.arange(len(counts)), counts)
+    within = np.concatenate([np.arange(n) for n in counts])
+    temperature = 30 + 20 * np.sin(1.7 * np.arange(run.size))
+    output = 5 + 0.4 * (temperature - 30) + levels[run] + noise
+    return bc.Measurements.from_arrays(
+        SENSOR,
+        run=run.astype(str),
+        time=86400.0 * run + step * within,
+        temperature=temperature,
+        output=output,
+    )
+
+
+def of(model: bc.Model, readings: bc.Measurements) -> tuple[bc.Calibration, tuple[float, float]]:
+    found = bc.fit(model, readings, FAST, strict=False)
+    return found, bc.check(found).autocorrelation
+
+
+def test_levels_of_short_runs_are_allowed_for() -> None:
+    """Forty white runs of three readings: about its own level each run's residuals have −1/2."""
+    scores = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        data = runs_of([3] * 40, rng.standard_normal(120), 20 * rng.standard_normal(40), 60.0)
+        _, (coefficient, z) = of(LEVELS, data)
+        assert abs(coefficient) < 0.3
+        scores.append(z)
+    assert np.abs(scores).max() < 3
+    assert abs(np.mean(scores)) < 3 / np.sqrt(6)
+
+
+def test_z_is_standard_under_the_model(rng) -> None:
+    data = runs_of(
+        [3] * 12 + [2, 1, 9], rng.standard_normal(48), 20 * rng.standard_normal(15), 60.0
+    )
+    found, _ = of(LEVELS, data)
+    g = fitted_directions(found)
+    line = linearised(found.layout, found.frame, jnp.asarray(data["output"]), found.mode)
+    noise = found.model.noise.variance(line.hyper, found.frame)
+    a = np.asarray(line.nuisance * line.prior.sd) / np.sqrt(np.asarray(noise))[:, None]
+    h = a @ np.linalg.solve(a.T @ a + np.diag(line.prior.weight), a.T)
+    np.testing.assert_allclose(g @ g.T, h, atol=1e-9)
+    values, vectors = np.linalg.eigh(np.eye(len(data)) - h)
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    drawn = [autocorrelation(found, root @ rng.standard_normal(len(data))) for _ in range(400)]
+    coefficients, z = np.array(drawn).T
+    assert abs(z.mean()) < 0.2
+    assert 0.85 < z.std() < 1.15
+    assert np.abs(coefficients).max() <= 1
+
+
+@pytest.mark.parametrize("counts", [[300], [10] * 30], ids=["one run", "runs of ten"])
+def test_a_correlated_record_is_caught(counts, rng) -> None:
+    noise = rng.standard_normal(300)
+    for i in range(1, 300):
+        noise[i] += 0.5 * noise[i - 1]
+    data = runs_of(counts, noise, 20 * rng.standard_normal(len(counts)), 60.0)
+    _, (coefficient, z) = of(LEVELS if len(counts) > 1 else SENSOR.baseline(), data)
+    assert 0.3 < coefficient < 0.7
+    assert z > 4
+
+
+@pytest.mark.slow
+def test_readings_at_one_time_are_neighbours(rng) -> None:
+    shared = np.repeat(rng.standard_normal(60), 2) + 0.3 * rng.standard_normal(120)
+    twice = np.repeat(np.arange(60), 2) - np.arange(
+        120
+    )  # each second reading at the time of the first
+    data = runs_of([120], shared, np.zeros(1), 60.0)
+    both = data.with_column("time", data["time"] + 60.0 * twice)
+    _, (coefficient, z) = of(SENSOR.baseline(), both)
+    assert coefficient > 0.3
+    assert z > 4
+
+
+def test_a_correlation_is_at_most_one(rng) -> None:
+    data = runs_of([3] * 40, rng.standard_normal(120), 20 * rng.standard_normal(40), 60.0)
+    found, _ = of(LEVELS, data)
+    for extreme in (np.ones(120), np.resize([1.0, -1.0], 120), np.resize([1.0, 1.0, 9.0], 120)):
+        assert abs(autocorrelation(found, extreme)[0]) <= 1
+    assert autocorrelation(found, np.zeros(120)) == (0.0, 0.0)
+
+
+@pytest.mark.slow
+def test_two_readings_about_a_level_say_little(rng) -> None:
+    for size in (2.0, 60.0):
+        data = runs_of([2] * 20, rng.standard_normal(40), size * rng.standard_normal(20), 60.0)
+        _, (coefficient, z) = of(LEVELS, data)
+        assert abs(coefficient) <= 1
+        assert abs(z) < 3
+    assert (coefficient, z) == (0.0, 0.0)  # about a free level, nothing
