@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -17,20 +18,99 @@ from scipy.special import logsumexp, ndtri
 from scipy.stats import qmc
 
 from bayescal._discovery.structures import SIZES, Structures, Weighed
-from bayescal._engine.closed_form import Density
+from bayescal._engine.blas import on_one_thread
 from bayescal._engine.linear_model import LinearModel, linear_model
-from bayescal._engine.record import ColumnsOf, Record
-from bayescal._model.coefficient import Shape
+from bayescal._engine.record import ColumnsOf
+from bayescal._model.coefficient import Coefficient, Shape
 from bayescal._model.effect import Effect
-from bayescal._model.parameters import Layout
 from bayescal._readings.unit_conversion import coefficient_factor
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
 SEVERAL_SHAPES = 32  # of several at once, a Sobol sequence
 RAGGED_SHAPES = 128  # where the evidence has many maxima over one of them
-LEVELS = 5  # of a learned spread, of an amplitude
+LEVELS = 4  # of a learned spread, of an amplitude
 HINTS = 2  # grid points at which a refit begins
 IN_PAIRS = 2  # grid points of each candidate that are tried in pairs
+
+
+class Size(NamedTuple):
+    """One plausible size of an effect: standard deviations of its columns, what stands for them in φ, a probability."""
+
+    sd: Float[np.ndarray, "k"]
+    hint: dict[str, float]
+    log_weight: float
+
+
+class GridPoint(NamedTuple):
+    """One candidate at one point of its shapes."""
+
+    effect: str
+    shapes: dict[str, float]
+    hint: dict[str, float]
+    basis: Float[np.ndarray, "n c"]
+    at: slice  # its columns among all
+
+
+@dataclass(eq=False)
+class Library:
+    """All candidates at all points of their shapes, with their sizes: the same for every structure.
+
+    Attributes:
+        points: of each candidate.
+        sizes: of each candidate.
+        width: columns in all.
+    """
+
+    structures: Structures
+    points: dict[str, list[GridPoint]] = field(default_factory=dict)
+    sizes: dict[str, list[Size]] = field(default_factory=dict)
+    width: int = 0
+    _columns: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        record, counts = self.structures.record, dict(self.structures.layout.counts)
+        for name, effect in self.structures.candidates.items():
+            of, width = ColumnsOf.of(effect), [_members(c, counts) for c in effect.coefficients]
+            self.sizes[name] = _sizes(effect, np.cumsum([0, *width]))
+            self.points[name] = []
+            for v in _grid(effect.column_shapes):
+                values = [
+                    float(s.prior.value(x)) for s, x in zip(effect.column_shapes, v, strict=True)
+                ]
+                named = [effect.shape_name(s) for s in effect.column_shapes]
+                self.points[name].append(
+                    GridPoint(
+                        name,
+                        dict(zip(of.shapes, values, strict=True)),
+                        dict(zip(named, v.tolist(), strict=True)),
+                        record.columns(of, tuple(values)),
+                        slice(self.width, self.width + sum(width)),
+                    )
+                )
+                self.width += sum(width)
+
+    def columns(self, slopes: Mapping[str, np.ndarray]) -> Float[np.ndarray, "n P"]:
+        """∂μ/∂θ of all, output unit per reported unit, where the output has these slopes by the slots."""
+        if self._columns is not None and self.structures.record.affine is not None:
+            return self._columns
+        record, instrument = self.structures.record, self.structures.base.instrument
+        made = np.zeros((record.size, self.width), order="F")
+        for name, points in self.points.items():
+            effect, at = self.structures.candidates[name], 0
+            for i, c in enumerate(effect.coefficients):
+                slot = instrument.slot(c.slot or effect.slot)
+                slope = slopes[slot.name] * coefficient_factor(c.unit, slot.unit)
+                codes = None if c.per is None else record.codes[c.per]
+                for p in points:
+                    column = slope * p.basis[:, i]
+                    if codes is None:
+                        made[:, p.at.start + at] = column
+                    else:
+                        known = np.flatnonzero(codes >= 0)
+                        made[known, p.at.start + at + codes[known]] = column[known]
+                at += _members(c, dict(self.structures.layout.counts))
+        self._columns = made
+        return made
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,38 +118,62 @@ class Scored:
     """One candidate at one point of its shapes, at the likeliest size there.
 
     Attributes:
-        effect: canonical name.
+        point: which.
         gain: log Bayes factor by score, averaged over sizes.
-        hint: coordinates of φ by name, to begin a refit at.
-        shapes: by name, in their units.
-        sd: prior standard deviations of its columns at the likeliest size.
+        size: the likeliest.
         columns: whitened (n, k), in output units per reported unit.
-        u, information: score and information after the nuisances, in the same units.
-        weight: of the grid point.
+        inside: what the nuisances take of them (q, k).
+        u: score after the nuisances.
     """
 
-    effect: str
+    point: GridPoint
     gain: float
-    hint: dict[str, float]
-    shapes: dict[str, float]
-    sd: Float[np.ndarray, "k"]
+    size: Size
     columns: Float[np.ndarray, "n k"]
+    inside: Float[np.ndarray, "q k"]
     u: Float[np.ndarray, "k"]
-    information: Float[np.ndarray, "k k"]
-    before: Float[np.ndarray, "k"]
-    weight: float = 1.0
-    levels: tuple[np.ndarray, ...] = field(default_factory=tuple)
+
+    @property
+    def effect(self) -> str:
+        return self.point.effect
+
+    @property
+    def hint(self) -> dict[str, float]:
+        """Coordinates of φ by name, to begin a refit at."""
+        return {**self.point.hint, **self.size.hint}
+
+    @property
+    def information(self) -> Float[np.ndarray, "k k"]:
+        return self.columns.T @ self.columns - self.inside.T @ self.inside
 
 
-def scores(structures: Structures, at: Weighed, names: Sequence[str]) -> dict[str, list[Scored]]:
+@on_one_thread
+def scores(library: Library, at: Weighed, names: Sequence[str]) -> dict[str, list[Scored]]:
     """Every grid point of these candidates, each candidate's most probable first."""
     line = linear_model(at.assembly, at.mode)
-    found = {}
-    for name in names:
-        effect = structures.candidates[name]
-        points = [_scored(structures, line, effect, v) for v in _grid(effect.column_shapes)]
-        found[name] = sorted(points, key=lambda p: -p.gain)
-    return found
+    columns = line.whiten(library.columns(line.slopes))
+    inside, u = line.projected(columns), columns.T @ line.white_residual
+    return {
+        name: sorted(
+            (
+                _scored(library, line, p, columns[:, p.at], inside[:, p.at], u[p.at])
+                for p in library.points[name]
+            ),
+            key=lambda s: -s.gain,
+        )
+        for name in names
+    }
+
+
+def _scored(library, line: LinearModel, point: GridPoint, columns, inside, u) -> Scored:
+    sizes = library.sizes[point.effect]
+    information = columns.T @ columns - inside.T @ inside
+    gains = [
+        log_bayes_factor(s.sd * u, s.sd[:, None] * information * s.sd, line) + s.log_weight
+        for s in sizes
+    ]
+    best = int(np.argmax(gains))
+    return Scored(point, float(logsumexp(gains)), sizes[best], columns, inside, u)
 
 
 def gain_of(points: Sequence[Scored]) -> float:
@@ -77,19 +181,21 @@ def gain_of(points: Sequence[Scored]) -> float:
     return float(logsumexp([p.gain for p in points]) - math.log(len(points)))
 
 
-def pairs(found: dict[str, list[Scored]], line: LinearModel) -> list[tuple[float, Scored, Scored]]:
+@on_one_thread
+def pairs(
+    found: Mapping[str, list[Scored]], line: LinearModel
+) -> list[tuple[float, Scored, Scored]]:
     """Log Bayes factors of two candidates at once, the best first."""
     points = [p for own in found.values() for p in own[:IN_PAIRS]]
-    if not points:
-        return []
-    inside = [line.projected(p.columns * p.sd) for p in points]
     made = []
-    for (i, a), (j, b) in itertools.combinations(enumerate(points), 2):
+    for a, b in itertools.combinations(points, 2):
         if a.effect != b.effect:
-            cross = (a.columns * a.sd).T @ (b.columns * b.sd) - inside[i].T @ inside[j]
-            own = [p.sd[:, None] * p.information * p.sd for p in (a, b)]
+            cross = (
+                a.size.sd[:, None] * (a.columns.T @ b.columns - a.inside.T @ b.inside) * b.size.sd
+            )
+            own = [p.size.sd[:, None] * p.information * p.size.sd for p in (a, b)]
             whole = np.block([[own[0], cross], [cross.T, own[1]]])
-            u = np.concatenate([a.sd * a.u, b.sd * b.u])
+            u = np.concatenate([a.size.sd * a.u, b.size.sd * b.u])
             made.append((log_bayes_factor(u, whole, line), a, b))
     return sorted(made, key=lambda m: -m[0])
 
@@ -106,68 +212,36 @@ def log_bayes_factor(u: np.ndarray, information: np.ndarray, line: LinearModel) 
     return -float(np.sum(np.log(np.diag(chol)))) - 0.5 * line.size * math.log1p(-taken)
 
 
-def _scored(structures: Structures, line: LinearModel, effect: Effect, v: np.ndarray) -> Scored:
-    named = {s.name: float(s.prior.value(one)) for s, one in zip(effect.column_shapes, v, strict=True)}
-    columns, at = line.columns_of(structures.layout, effect, named)
-    u = columns.T @ line.white_residual
-    inside = line.projected(columns)
-    own = columns.T @ columns
-    information = own - inside.T @ inside
-    sizes = _sizes(effect, at)
-    gains = [
-        log_bayes_factor(sd * u, sd[:, None] * information * sd, line) + log_weight
-        for sd, _, log_weight in sizes
-    ]
-    best = int(np.argmax(gains))
-    hint = {effect.shape_name(s): float(one) for s, one in zip(effect.column_shapes, v, strict=True)}
-    return Scored(
-        effect=effect.name,
-        gain=float(logsumexp(gains)),
-        hint={**hint, **sizes[best][1]},
-        shapes=named,
-        sd=sizes[best][0],
-        columns=columns,
-        u=u,
-        information=information,
-        before=np.diag(own),
-        levels=tuple(sd for sd, *_ in sizes),
-    )
+def _members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:
+    return 1 if coefficient.per is None else counts[coefficient.per]
 
 
-def _sizes(
-    effect: Effect, at: Sequence[tuple[int, int]]
-) -> list[tuple[np.ndarray, dict[str, float], float]]:
-    """Prior standard deviations of an effect's columns, coordinates that stand for them, and log probabilities.
-
-    Args:
-        effect: whose.
-        at: for each coefficient, where its columns begin and end.
-    """
-    width = at[-1][1]
-    plain = np.zeros(width)
-    for (low, high), c in zip(at, effect.coefficients, strict=True):
-        plain[low:high] = c.size
+def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
+    """Plausible sizes of an effect whose coefficients' columns begin at these places."""
+    plain = np.zeros(at[-1])
+    for i, c in enumerate(effect.coefficients):
+        plain[at[i] : at[i + 1]] = c.size
     levels = (np.arange(LEVELS) + 0.5) / LEVELS
     if effect.weights is not None:
-        made = []
         scales = [s for s in effect.shapes if s.name in effect.weight_shapes]
+        made = []
         for v in itertools.product(ndtri(levels), repeat=len(scales)):
             named = {s.name: float(s.prior.value(one)) for s, one in zip(scales, v, strict=True)}
             weights = np.broadcast_to(effect.weights(**named), (len(effect.coefficients),))
             hint = {effect.shape_name(s): float(one) for s, one in zip(scales, v, strict=True)}
-            made.append((plain * weights, hint, -len(scales) * math.log(LEVELS)))
+            made.append(Size(plain * weights, hint, -len(scales) * math.log(LEVELS)))
         return made
-    learned = [(i, c) for i, c in enumerate(effect.coefficients) if c.spread is not None]
+    learned = [i for i, c in enumerate(effect.coefficients) if c.spread is not None]
     if learned:
         made = []
         for z in ndtri(0.5 + 0.5 * levels):  # a half-normal's quantiles
             sd = plain.copy()
-            for i, _ in learned:
-                sd[slice(*at[i])] *= z
-            hint = {f"{effect.coefficient_name(i)}.spread": math.log(z) for i, _ in learned}
-            made.append((sd, hint, -math.log(LEVELS)))
+            for i in learned:
+                sd[at[i] : at[i + 1]] *= z
+            hint = {f"{effect.coefficient_name(i)}.spread": math.log(z) for i in learned}
+            made.append(Size(sd, hint, -math.log(LEVELS)))
         return made
-    return [(plain * factor, {}, math.log(p)) for factor, p in SIZES.items()]
+    return [Size(plain * factor, {}, math.log(p)) for factor, p in SIZES.items()]
 
 
 def _grid(shapes: Sequence[Shape]) -> np.ndarray:

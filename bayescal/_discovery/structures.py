@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayescal._engine.assembly import Assembly
-from bayescal._engine.closed_form import Density
+from bayescal._engine.closed_form import NOWHERE, Density, condition
 from bayescal._engine.mode import Mode, find_mode
 from bayescal._engine.record import Record
 from bayescal._model.effect import Effect
@@ -112,8 +112,9 @@ class Structures:
 
     def model(self, structure: Structure) -> Model:
         """A structure as a model, effects in the catalogue's order."""
-        made = self.base + [self.candidates[n] for n in self.candidates if n in structure.effects]
-        return made.with_noise(self.wide) if structure.wanders and self.wide else made
+        added = (e for name, e in self.candidates.items() if name in structure.effects)
+        noise = self.wide if structure.wanders and self.wide else self.base.noise
+        return Model(self.base.instrument, (*self.base.effects, *added), noise, self.base.fixed)
 
     def weigh(
         self,
@@ -137,7 +138,10 @@ class Structures:
         model = self.model(structure)
         layout = Layout(model, self.layout.counts)
         assembly = Assembly(layout, self.record)
-        mode = find_mode(assembly, None if near is None else _starts(assembly, near, hints))
+        if near is None:
+            mode = find_mode(assembly)
+        else:
+            mode = find_mode(assembly, _starts(assembly, near, hints), _width(assembly, near))
         sized = [e for e in model.effects if e.name in structure.effects and _has_size(e)]
         assembly, mode, log_evidence = _averaged(assembly, mode, sized)
         return Weighed(structure, log_evidence, self.log_prior(structure), assembly, mode)
@@ -164,33 +168,63 @@ def _averaged(
     if not sized or not math.isfinite(mode.log_evidence):
         return assembly, mode, mode.log_evidence
     chosen = {e.name: 1.0 for e in sized}
+    at_sizes = _AtSizes(assembly, mode, chosen)
     for _ in range(2):
         before = dict(chosen)
         for name in chosen:
-            gains = _by_size(assembly, mode, chosen, name)
+            gains = at_sizes.of(name, chosen)
             chosen[name] = max(gains, key=gains.__getitem__)
         if chosen == before:
             break
     if any(factor != 1.0 for factor in chosen.values()):
         assembly = Assembly(assembly.layout, assembly.record, dict(chosen))
-        mode = find_mode(assembly, [mode.v])
+        mode = find_mode(assembly, [mode.v], mode.covariance)
+    at_sizes = _AtSizes(assembly, mode, chosen)
     log_evidence = mode.log_evidence
     for name in chosen:
-        gains = _by_size(assembly, mode, chosen, name)
+        gains = at_sizes.of(name, chosen)
         here = gains[chosen[name]] - math.log(SIZES[chosen[name]])
         log_evidence += float(logsumexp(list(gains.values()))) - here
     return assembly, mode, log_evidence
 
 
-def _by_size(
-    assembly: Assembly, mode: Mode, chosen: Mapping[str, float], name: str
-) -> dict[float, float]:
-    """Log density at the mode's φ, times the size's probability, for each size of one effect."""
-    found = {}
-    for factor, probability in SIZES.items():
-        one = Assembly(assembly.layout, assembly.record, {**chosen, name: factor})
-        value = Density(one, mode.point, mode.flat).at(mode.v)[0]
-        found[factor] = value + math.log(probability)
+class _AtSizes:
+    """Log density at a mode's φ for other sizes of its effects, times their probabilities."""
+
+    def __init__(self, assembly: Assembly, mode: Mode, made_at: Mapping[str, float]):
+        density, hyper = Density(assembly, mode.point, mode.flat), assembly.hyper(mode.v)
+        self.gram, self.at, self.size = (
+            density.gram(mode.v, hyper),
+            mode.point.x,
+            assembly.record.size,
+        )
+        self.prior, self.made_at = assembly.prior(hyper, mode.flat), dict(made_at)
+        self.places = {
+            name: [t.at for t in assembly.in_x if t.known.of == name and t.spread_name is None]
+            for name in made_at
+        }
+
+    def of(self, name: str, chosen: Mapping[str, float]) -> dict[float, float]:
+        """For each size of one effect, the others as chosen."""
+        found = {}
+        for factor, probability in SIZES.items():
+            sd = self.prior.sd.copy()
+            for other, places in self.places.items():
+                share = (factor if other == name else chosen[other]) / self.made_at[other]
+                for place in places:
+                    sd[place] *= share
+            got = condition(self.gram, self.size, self.prior._replace(sd=sd), self.at)
+            found[factor] = (got.log_marginal if got else NOWHERE) + math.log(probability)
+        return found
+
+
+def _width(assembly: Assembly, near: Weighed) -> np.ndarray:
+    """A first guess of φ's covariance: another structure's, and that of a badly known coordinate for the others."""
+    names, known = [h.name for h in assembly.hypers], list(near.values)
+    found = 0.1 * np.eye(len(names))
+    at = [i for i, n in enumerate(names) if n in near.values]
+    there = [known.index(names[i]) for i in at]
+    found[np.ix_(at, at)] = near.mode.covariance[np.ix_(there, there)]
     return found
 
 

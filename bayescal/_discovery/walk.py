@@ -8,8 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from bayescal._core.progress import stage
-from bayescal._discovery.scores import HINTS, Scored, gain_of, pairs, scores
+from bayescal._discovery.scores import HINTS, Library, Scored, gain_of, pairs, scores
 from bayescal._discovery.structures import Structure, Structures, Weighed
 from bayescal._engine.linear_model import linear_model
 
@@ -37,6 +36,7 @@ def walk(
     Returns:
         Whether it came to its end.
     """
+    library = Library(structures)
     root = structures.weigh(Structure())
     if structures.wide is not None:
         structures.weigh(Structure(wanders=True), root)
@@ -51,33 +51,30 @@ def walk(
         if time.monotonic() > ends_at:
             return False
         looked.add(fresh[0].structure)
-        _look_around(structures, fresh[0], max_effects, ends_at)
+        _look_around(library, fresh[0], max_effects, ends_at)
         told()
 
 
-def _look_around(
-    structures: Structures, at: Weighed, max_effects: int, ends_at: float
-) -> None:
+def _look_around(library: Library, at: Weighed, max_effects: int, ends_at: float) -> None:
     """Weigh the neighbours of a structure that promise most."""
-    here = at.structure
+    structures, here = library.structures, at.structure
     room = max_effects - len(here.effects)
     if structures.wide is not None:
         barred = {"unknown(time)"} if not here.wanders else set()
         structures.weigh(Structure(here.effects - barred, not here.wanders), at)
     for name in here.effects:
         without = structures.weigh(here.minus(name), at)
-        _add_best(structures, without, SWAPS, 0, {name})
+        _add_best(library, without, SWAPS, 0, {name})
     if time.monotonic() < ends_at:
-        _add_best(structures, at, min(SINGLES, SINGLES * room), TWOS if room > 1 else 0, set())
+        _add_best(library, at, min(SINGLES, SINGLES * room), TWOS if room > 1 else 0, set())
 
 
-def _add_best(
-    structures: Structures, at: Weighed, singles: int, twos: int, passed: set[str]
-) -> None:
+def _add_best(library: Library, at: Weighed, singles: int, twos: int, passed: set[str]) -> None:
+    structures = library.structures
     names = [n for n in structures.open_to(at.structure) if n not in passed]
     if not names or not singles:
         return
-    found = scores(structures, at, names)
+    found = scores(library, at, names)
     order = sorted(names, key=lambda n: -(gain_of(found[n]) + structures.log_odds[n]))
     for name in order[:singles]:
         hints = [p.hint for p in found[name][:HINTS]]

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._engine.record import ColumnsOf, Record
+from bayescal._model.effect import Effect
 from bayescal._model.parameters import MOVING, CoefficientBlock, Layout
 
 Values = dict[str, float]
@@ -56,7 +57,7 @@ class Assembly:
 
     def __post_init__(self) -> None:
         layout = self.layout
-        self.terms = tuple(_Term.of_block(b, self.spread or {}) for b in layout.blocks)
+        self.terms = tuple(_Term.of_block(b, self.record, self.spread or {}) for b in layout.blocks)
         self.hypers = layout.hypers
         self.size = sum(t.size for t in self.terms if t.place == "x")
         self.row_sd = np.array([t.prior_sd for t in self.terms if t.place == "row"])
@@ -70,7 +71,11 @@ class Assembly:
         self.moving = [i for i, h in enumerate(self.hypers) if h.kind in MOVING or h.name in scaled]
         # The classes' own functions, for a bound method of a module costs more than what these compute.
         self._coordinates = [
-            (h.name, partial(type(h.prior).value, h.prior), partial(type(h.prior).log_density, h.prior))
+            (
+                h.name,
+                partial(type(h.prior).value, h.prior),
+                partial(type(h.prior).log_density, h.prior),
+            )
             for h in self.hypers
         ]
 
@@ -78,12 +83,16 @@ class Assembly:
 
     def hyper(self, v: Sequence[float] | np.ndarray) -> Values:
         """The entries of φ at coordinate v, by name; fixed ones included."""
-        found = {name: value(one) for (name, value, _), one in zip(self._coordinates, v, strict=True)}
+        found = {
+            name: value(one) for (name, value, _), one in zip(self._coordinates, v, strict=True)
+        }
         return {**self.fixed_values, **found}  # pyright: ignore[reportReturnType]
 
     def log_prior(self, v: np.ndarray) -> float:
         """Log prior density of φ in its coordinates."""
-        return float(sum(density(one) for (*_, density), one in zip(self._coordinates, v, strict=True)))
+        return float(
+            sum(density(one) for (*_, density), one in zip(self._coordinates, v, strict=True))
+        )
 
     def value_slope(self, v: np.ndarray, i: int) -> float:
         """Slope of the logarithm of one entry of φ by its coordinate."""
@@ -112,7 +121,7 @@ class Assembly:
     def _own_size(self) -> np.ndarray:
         sd = np.ones(self.size)
         for t in self.in_x:
-            if not t.flat and t.spread_name is None:
+            if not t.known.flat and t.spread_name is None:
                 sd[t.at] = t.prior_sd
         return sd
 
@@ -130,7 +139,7 @@ class Assembly:
         for effect in self.layout.model.effects:
             if effect.weights is not None:
                 names = [(name, f"{effect.name}.{name}") for name in effect.weight_shapes]
-                own = {t.index: t.at for t in self.in_x if t.of == effect.name}
+                own = {t.index: t.at for t in self.in_x if t.known.of == effect.name}
                 places = [own.get(i) for i in range(len(effect.coefficients))]
                 found.append((effect.weights, names, places))
         return found
@@ -139,14 +148,14 @@ class Assembly:
     def mean_of_x(self) -> Float[np.ndarray, "p"]:
         found = np.zeros(self.size)
         for t in self.in_x:
-            found[t.at] = t.mean
+            found[t.at] = t.known.mean
         return found
 
     @cached_property
     def weight_of_x(self) -> Float[np.ndarray, "p"]:
         found = np.ones(self.size)
         for t in self.in_x:
-            if t.flat:
+            if t.known.flat:
                 found[t.at] = 0.0
         return found
 
@@ -175,22 +184,26 @@ class Assembly:
             else:
                 value = np.array([hyper[name] for name in t.members])
                 if t.spread_name is not None:
-                    value = t.mean + hyper[t.spread_name] * value
+                    value = t.known.mean + hyper[t.spread_name] * value
             # The code of no member is −1.
-            found.append(value[0] if t.per is None else np.append(value, 0.0)[self.record.codes[t.per]])
+            found.append(
+                value[0]
+                if t.known.per is None
+                else np.append(value, 0.0)[self.record.codes[t.known.per]]
+            )
         return found
 
     def _columns(self, hyper: Values, moves: Mapping[str, np.ndarray]):
         """The column of each term, slot units per reported unit, and its slopes by the moved columns."""
         found, last, made = [], None, None
         for t in self.terms:
-            if t.of != last:
-                shapes = tuple(float(hyper[name]) for name in t.shape_names)
+            if t.known.of != last:
+                shapes = tuple(float(hyper[name]) for name in t.known.shape_names)
                 if moves and t.slot not in moves:
-                    made = self.record.moved_columns(t.columns, shapes, moves)
+                    made = self.record.moved_columns(t.known.columns, shapes, moves)
                 else:
-                    made = self.record.columns(t.columns, shapes), {}
-                last = t.of
+                    made = self.record.columns(t.known.columns, shapes), {}
+                last = t.known.of
             columns, slopes = made  # pyright: ignore[reportGeneralTypeIssues]
             by_move = {name: s[:, t.index] * t.factor for name, s in slopes.items()}
             found.append((columns[:, t.index] * t.factor, by_move))
@@ -206,7 +219,9 @@ class Assembly:
         moves: dict[str, np.ndarray] = {}
         if self.corrected:
             moves = {name: np.zeros(self.record.size) for name in self.corrected}
-            for t, (column, _), value in zip(self.terms, self._columns(hyper, {}), values, strict=True):
+            for t, (column, _), value in zip(
+                self.terms, self._columns(hyper, {}), values, strict=True
+            ):
                 if t.slot in moves:
                     moves[t.slot] = moves[t.slot] + column * value
         columns = self._columns(hyper, moves)
@@ -236,12 +251,12 @@ class Assembly:
         return Line(mean, jacobian, rows)
 
     def _place(self, term: _Term, column: np.ndarray, jacobian: np.ndarray) -> None:
-        if term.per is None:
-            jacobian[:, term.start] = column
+        if term.known.per is None:
+            jacobian[:, term.at.start] = column
             return
-        codes = self.record.codes[term.per]
+        codes = self.record.codes[term.known.per]
         known = np.flatnonzero(codes >= 0)
-        jacobian[known, term.start + codes[known]] = column[known]
+        jacobian[known, term.at.start + codes[known]] = column[known]
 
     @cached_property
     def affine(self) -> bool:
@@ -249,48 +264,68 @@ class Assembly:
         return not self.corrected and self.record.affine is not None
 
 
-class _Term(NamedTuple):
-    """One coefficient of the structure with all its members, in plain data."""
+class _Known(NamedTuple):
+    """What does not change of a coefficient, in plain data."""
 
+    effect: Effect  # held, so that no other takes its place in memory
     of: str
-    index: int
-    slot: str
-    size: int
-    start: int
-    place: str
     per: str | None
-    factor: float
     mean: float
     prior_sd: float
     flat: bool
-    value: float
-    spread_name: str | None
-    members: tuple[str, ...]
+    learned: bool
     columns: ColumnsOf
     shape_names: tuple[str, ...]
 
-    @property
-    def at(self) -> slice:
-        return slice(self.start, self.start + self.size)
-
     @classmethod
-    def of_block(cls, block: CoefficientBlock, spread: Mapping[str, float]) -> _Term:
+    def of_block(cls, block: CoefficientBlock) -> _Known:
         coefficient, effect = block.coefficient, block.effect
         return cls(
+            effect=effect,
             of=effect.name,
+            per=coefficient.per,
+            mean=coefficient.mean,
+            prior_sd=coefficient.size,
+            flat=coefficient.flat,
+            learned=coefficient.spread is not None,
+            columns=ColumnsOf.of(effect),
+            shape_names=tuple(effect.shape_name(s) for s in effect.column_shapes),
+        )
+
+
+class _Term(NamedTuple):
+    """One coefficient of the structure with all its members."""
+
+    known: _Known
+    index: int
+    slot: str
+    size: int
+    place: str
+    factor: float
+    value: float
+    prior_sd: float
+    spread_name: str | None
+    members: tuple[str, ...]
+    at: slice  # its entries of x
+
+    @classmethod
+    def of_block(
+        cls, block: CoefficientBlock, record: Record, spread: Mapping[str, float]
+    ) -> _Term:
+        key = (id(block.effect), block.index)
+        if key not in record.plain:
+            record.plain[key] = _Known.of_block(block)
+        known: _Known = record.plain[key]
+        return cls(
+            known=known,
             index=block.index,
             slot=block.slot,
             size=block.size,
-            start=block.start,
             place=block.place,
-            per=coefficient.per,
             factor=block.factor,
-            mean=coefficient.mean,
-            prior_sd=coefficient.size * spread.get(effect.name, 1.0),
-            flat=coefficient.flat,
             value=block.value,
-            spread_name=None if coefficient.spread is None else block.spread_name,
+            prior_sd=known.prior_sd * spread.get(known.of, 1.0),
+            spread_name=block.spread_name if known.learned else None,
             members=tuple(block.member_names()) if block.place == "phi" else (),
-            columns=ColumnsOf.of(effect),
-            shape_names=tuple(effect.shape_name(s) for s in effect.column_shapes),
+            at=slice(block.start, block.start + block.size),
         )

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache, wraps
 from typing import ParamSpec, TypeVar
 
+import numpy as np
 from threadpoolctl import ThreadpoolController
 
 P = ParamSpec("P")
@@ -18,11 +19,11 @@ def _threads() -> ThreadpoolController:
 
 
 def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, BLAS held to one thread while it runs."""
+    """The function, BLAS held to one thread and overflow passed over while it runs."""
 
     @wraps(function)
     def held(*args: P.args, **kwargs: P.kwargs) -> R:
-        with _threads().limit(limits=1, user_api="blas"):
+        with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
             return function(*args, **kwargs)
 
     return held

@@ -71,7 +71,9 @@ class Conditional(NamedTuple):
         return float(np.sum(np.log(self.sd)) - np.sum(np.log(np.diag(self.chol))))
 
 
-def condition(gram: Gram, size: int, prior: Prior, at: Float[np.ndarray, "p"]) -> Conditional | None:
+def condition(
+    gram: Gram, size: int, prior: Prior, at: Float[np.ndarray, "p"]
+) -> Conditional | None:
     """Integrate x out; None where the precision has no Cholesky factor.
 
     Args:
@@ -81,24 +83,25 @@ def condition(gram: Gram, size: int, prior: Prior, at: Float[np.ndarray, "p"]) -
         at: x̂, where r was taken.
     """
     sd, weight = prior.sd, prior.weight
-    offset = np.where(weight > 0, prior.mean - at, 0.0)
+    offset = weight * (prior.mean - at)
     if not sd.size:
         log_marginal = -0.5 * (size * LOG_2PI + gram.logdet + gram.rtr)
         return Conditional(log_marginal, at, sd, np.zeros((0, 0)), sd, gram.rtr)
     pulled = sd * (gram.jtr - gram.jtj @ offset)
     precision = sd[:, None] * gram.jtj * sd
-    precision[np.diag_indices_from(precision)] += weight
-    chol, failed = dpotrf(precision, lower=1, clean=1)
-    if failed or not np.isfinite(chol[-1, -1]):
+    precision.flat[:: sd.size + 1] += weight
+    chol, failed = dpotrf(precision.T, lower=1, clean=1, overwrite_a=1)
+    if failed:
         return None
+    pivots = chol.diagonal()
     u = dtrtrs(chol, pulled, lower=1)[0]
     z = dtrtrs(chol, u, lower=1, trans=1)[0]
     move = offset + sd * z
-    rest = gram.rtr - move @ (2 * gram.jtr - gram.jtj @ move) + weight @ z**2
+    rest = gram.rtr - move @ (2 * gram.jtr - gram.jtj @ move) + weight @ (z * z)
     if not rest > 0:  # no digits left: noise far below any residual
         return None
-    flat = float((1 - weight) @ (np.log(sd) + 0.5 * LOG_2PI))
-    volume = gram.logdet + 2 * float(np.sum(np.log(np.diag(chol))))
+    flat = float((1 - weight) @ np.log(sd)) + float((1 - weight).sum()) * 0.5 * LOG_2PI
+    volume = gram.logdet + 2 * float(np.log(pivots).sum())
     log_marginal = flat - 0.5 * (size * LOG_2PI + volume + rest)
     return Conditional(float(log_marginal), at + offset, sd, chol, u, float(rest))
 
@@ -121,7 +124,9 @@ class Density:
         noise, record = self.assembly.noise, self.assembly.record
         known = known_variance(record)
         # One variance for all readings: products over them do not depend on it.
-        self.even = isinstance(noise, White) and not len(self.assembly.row_sd) and np.ndim(known) == 0
+        self.even = (
+            isinstance(noise, White) and not len(self.assembly.row_sd) and np.ndim(known) == 0
+        )
         self.evaluations = 0
         self._lines: dict[tuple[float, ...], tuple[Line, Gram | None]] = {}
 
@@ -157,7 +162,10 @@ class Density:
             variance = hyper["noise.white"] ** 2
             size = self.assembly.record.size
             return Gram(
-                gram.jtj / variance, gram.jtr / variance, gram.rtr / variance, size * math.log(variance)
+                gram.jtj / variance,
+                gram.jtr / variance,
+                gram.rtr / variance,
+                size * math.log(variance),
             )
         white = whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
         table = white(np.column_stack([line.jacobian, self._residual(line)]))
@@ -166,13 +174,12 @@ class Density:
 
     def at(self, v: np.ndarray) -> tuple[float, Conditional | None]:
         """The log density at a coordinate, and x given φ there; none where there is no density."""
-        with np.errstate(all="ignore"):
-            hyper = self.assembly.hyper(v)
-            prior = self.assembly.prior(hyper, self.flat)
-            gram = self.gram(v, hyper)
-            if not math.isfinite(gram.rtr + gram.logdet) or not np.all(np.isfinite(prior.sd)):
-                return NOWHERE, None
-            found = condition(gram, self.assembly.record.size, prior, self.point.x)
+        hyper = self.assembly.hyper(v)
+        prior = self.assembly.prior(hyper, self.flat)
+        gram = self.gram(v, hyper)
+        if not math.isfinite(gram.rtr + gram.logdet) or not np.all(np.isfinite(prior.sd)):
+            return NOWHERE, None
+        found = condition(gram, self.assembly.record.size, prior, self.point.x)
         if found is None:
             return NOWHERE, None
         total = found.log_marginal + self.assembly.log_prior(v)
@@ -206,12 +213,17 @@ class Density:
         up, down = v.copy(), v.copy()
         up[i] += NUDGE
         down[i] -= NUDGE
-        sizes = self.assembly.sizes(self.assembly.hyper(up)), self.assembly.sizes(self.assembly.hyper(down))
+        sizes = (
+            self.assembly.sizes(self.assembly.hyper(up)),
+            self.assembly.sizes(self.assembly.hyper(down)),
+        )
         with np.errstate(all="ignore"):
             found = (np.log(sizes[0]) - np.log(sizes[1])) / (2 * NUDGE)
         return np.where(np.isfinite(found), found, 0.0)
 
-    def _white_slope(self, v: np.ndarray, found: Conditional, z: np.ndarray, covariance: np.ndarray) -> float:
+    def _white_slope(
+        self, v: np.ndarray, found: Conditional, z: np.ndarray, covariance: np.ndarray
+    ) -> float:
         """By the coordinate of one white standard deviation s: −(n − squares/s² − tr C·JᵀJ/s²) times dlog s/dv."""
         weight = self.assembly.weight_of_x
         squares = found.rest - weight @ z**2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,11 +12,7 @@ from scipy.linalg import solve_triangular
 from bayescal._engine.assembly import Assembly, Line
 from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import Mode
-from bayescal._engine.record import ColumnsOf
 from bayescal._engine.whitening import Whitening, whitening
-from bayescal._model.effect import Effect
-from bayescal._model.parameters import Layout
-from bayescal._readings.unit_conversion import coefficient_factor
 
 STEP = 1e-4  # of a shape's coordinate, for the slope of the output by it
 
@@ -70,27 +65,6 @@ class LinearModel:
     def projected(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "q k"]:
         """What of whitened columns the nuisances take: the information left is CᵀC − PᵀP."""
         return solve_triangular(self._chol, self.white_nuisance.T @ columns, lower=True)
-
-    def columns_of(
-        self, layout: Layout, effect: Effect, shapes: Mapping[str, float]
-    ) -> tuple[Float[np.ndarray, "n k"], list[tuple[int, int]]]:
-        """Whitened ∂μ/∂θ of an effect that is not in the structure, and where each coefficient's columns stand."""
-        instrument, record = self.assembly.layout.model.instrument, self.assembly.record
-        of, counts = ColumnsOf.of(effect), dict(layout.counts)
-        basis = record.columns(of, tuple(shapes[name] for name in of.shapes))
-        parts, at = [], []
-        for i, c in enumerate(effect.coefficients):
-            slot = instrument.slot(c.slot or effect.slot)
-            column = self.slopes[slot.name] * basis[:, i] * coefficient_factor(c.unit, slot.unit)
-            if c.per is None:
-                own = column[:, None]
-            else:
-                codes = record.codes[c.per]
-                own = np.where(codes[:, None] == np.arange(counts[c.per]), column[:, None], 0.0)
-            low = at[-1][1] if at else 0
-            at.append((low, low + own.shape[1]))
-            parts.append(own)
-        return self.whiten(np.concatenate(parts, axis=1)), at
 
     @cached_property
     def slopes(self) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -16,19 +16,21 @@ from scipy.optimize import minimize
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.blas import on_one_thread
 from bayescal._engine.closed_form import LOG_2PI, NOWHERE, Conditional, Density
+from bayescal._engine.whitening import known_variance
 
 STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ among which the start is chosen,
 RAGGED = 4  # times as many where a shape's evidence has many maxima
 HALVINGS = 8  # of a Gauss–Newton step that makes the sum of squares larger
-CURVED = 1e-3  # step of a coordinate for the curvature
-LEAST_CURVATURE = 0.05  # a coordinate is never known worse than a few units before its prior takes over
+CURVED = 1e-4  # step of a coordinate for the curvature
+LEAST_CURVATURE = (
+    0.05  # a coordinate is never known worse than a few units before its prior takes over
+)
 STEEP = 1e-3  # gradient of the log density, below which φ̂ is found
 
 
-@dataclass(frozen=True, eq=False)
-class Mode:
+class Mode(NamedTuple):
     """φ̂ with x̂ at it, and the Gaussian fit of φ's coordinates there."""
 
     point: Point
@@ -48,12 +50,17 @@ def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
 
 
 @on_one_thread
-def find_mode(assembly: Assembly, starts: Iterable[np.ndarray] | None = None) -> Mode:
+def find_mode(
+    assembly: Assembly,
+    starts: Iterable[np.ndarray] | None = None,
+    covariance: np.ndarray | None = None,
+) -> Mode:
     """The mode, from the best of some coordinates of φ. Deterministic.
 
     Args:
         assembly: the structure on its record.
         starts: coordinates to begin at; prior draws if not given. The most probable is taken.
+        covariance: what the Gaussian fit at the mode may look like; the climb is shorter for it.
     """
     point, dim = assembly.start, len(assembly.hypers)
     hyper = assembly.hyper(np.zeros(dim))
@@ -66,7 +73,7 @@ def find_mode(assembly: Assembly, starts: Iterable[np.ndarray] | None = None) ->
         if not assembly.affine:
             point = mode_of_x(assembly, point, v, flat)
             density = Density(assembly, point, flat)
-        best = climb(density, v) if dim else v
+        best = climb(density, v, covariance) if dim else v
         found = density.at(best)[1]
         if found is None:
             return _lost(point, best, flat)
@@ -82,15 +89,18 @@ def find_mode(assembly: Assembly, starts: Iterable[np.ndarray] | None = None) ->
     return at_mode(Density(assembly, point, flat), v, change)
 
 
-def climb(density: Density, start: np.ndarray) -> np.ndarray:
+def climb(density: Density, start: np.ndarray, covariance: np.ndarray | None) -> np.ndarray:
     """φ̂ of a density, uphill from a coordinate."""
+    options = {"gtol": STEEP, "maxiter": 200}
+    if covariance is not None and np.all(np.isfinite(covariance)):
+        options["hess_inv0"] = covariance
 
     def downhill(v):
         value, gradient = density.slope(v)
         return -value, -gradient
 
     with np.errstate(all="ignore"):
-        found = minimize(downhill, start, jac=True, method="BFGS", options={"gtol": STEEP, "maxiter": 200})
+        found = minimize(downhill, start, jac=True, method="BFGS", options=options)
     return found.x if found.fun <= -density.at(start)[0] else start
 
 
@@ -151,9 +161,7 @@ def _with_rows(assembly, density: Density, found, v, x=None) -> Point:
 
 def noise_variance(assembly: Assembly, hyper) -> np.ndarray:
     """Variance of each reading by the noise alone."""
-    from bayescal._engine.whitening import known_variance
-    own = hyper["noise.white"] ** 2 + known_variance(assembly.record)
-    return own
+    return hyper["noise.white"] ** 2 + known_variance(assembly.record)
 
 
 def mean_of_rows(assembly: Assembly, slopes, residual, variance):
@@ -173,20 +181,20 @@ def at_mode(density: Density, v: np.ndarray, change: float) -> Mode:
     if not len(v):
         return mode
     covariance, volume, indefinite = gaussian_fit(density, v)
-    return replace(mode, covariance=covariance, log_evidence=value + volume, indefinite=indefinite)
+    return mode._replace(covariance=covariance, log_evidence=value + volume, indefinite=indefinite)
 
 
 def gaussian_fit(density: Density, v: np.ndarray) -> tuple[np.ndarray, float, bool]:
     """Covariance of the Gaussian fit at a mode, its log volume, and whether the curvature had to be mended."""
-    precision = np.zeros((len(v), len(v)))
+    precision, here = np.zeros((len(v), len(v))), density.slope(v)[1]
     for i in range(len(v)):
-        up, down = v.copy(), v.copy()
+        up = v.copy()
         up[i] += CURVED
-        down[i] -= CURVED
-        precision[i] = (density.slope(down)[1] - density.slope(up)[1]) / (2 * CURVED)
+        precision[i] = (here - density.slope(up)[1]) / CURVED
     weights, vectors = np.linalg.eigh(0.5 * (precision + precision.T))
     mended = np.maximum(weights, LEAST_CURVATURE)
     covariance = (vectors / mended) @ vectors.T
+    covariance = 0.5 * (covariance + covariance.T)
     volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(mended)))
     return covariance, volume, bool(np.any(weights < LEAST_CURVATURE))
 

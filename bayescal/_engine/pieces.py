@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import cache, wraps
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,9 @@ def padded(frame: Frame) -> Frame:
         columns=all_of(frame.columns),  # pyright: ignore[reportArgumentType]
         labels=all_of(frame.labels),
         rates=all_of(frame.rates),
-        codes={g: np.pad(np.asarray(c), (0, more), constant_values=-1) for g, c in frame.codes.items()},  # pyright: ignore
+        codes={
+            g: np.pad(np.asarray(c), (0, more), constant_values=-1) for g, c in frame.codes.items()
+        },  # pyright: ignore
         reference={k: np.asarray(v) for k, v in frame.reference.items()},  # pyright: ignore
         order=np.append(np.asarray(frame.order), np.arange(size, size + more, dtype=np.int32)),  # pyright: ignore
         step=np.append(np.asarray(frame.step), -np.ones(more)),  # pyright: ignore
@@ -53,23 +55,21 @@ def padded(frame: Frame) -> Frame:
     )
 
 
-def _program(statics: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Compile a function whose first arguments are no arrays, when it is first called."""
+def _program(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function of something that is no array, of a frame, and of arrays, when it is first called."""
 
-    def wrap(function: Callable[..., Any]) -> Callable[..., Any]:
-        @cache
-        def program() -> Callable[..., Any]:
-            return jax.jit(
-                function, static_argnums=tuple(range(statics)), compiler_options=known(QUICK)
-            )
+    @cache
+    def program() -> Callable[..., Any]:
+        def whole(what: Any, form: Any, arrays: tuple[Array, ...], *args: Any) -> Any:
+            return function(what, jax.tree.unflatten(form, arrays), *args)
 
-        @wraps(function)
-        def call(*args: Any) -> Any:
-            return program()(*args)
+        return jax.jit(whole, static_argnums=(0, 1), compiler_options=known(QUICK))
 
-        return call
+    @wraps(function)
+    def call(what: Any, leaves: Leaves, *args: Any) -> Any:
+        return program()(what, leaves.form, leaves.arrays, *args)
 
-    return wrap
+    return call
 
 
 Basis = tuple[Callable[..., Any], int, str]  # a basis, how many columns it has, whose it is
@@ -80,15 +80,30 @@ def basis_of(effect: Effect) -> Basis:
     return effect.basis, len(effect.coefficients), effect.name
 
 
-@_program(1)
+class Leaves(NamedTuple):
+    """A frame taken apart, so that handing it to a program costs little."""
+
+    arrays: tuple[Array, ...]
+    form: Any
+
+    @classmethod
+    def of(cls, frame: Frame) -> Leaves:
+        arrays, form = jax.tree.flatten(frame)
+        return cls(tuple(map(jnp.asarray, arrays)), form)
+
+
+@_program
 def fixed_columns(bases: tuple[Basis, ...], frame: Frame) -> list[Float[Array, "n k"]]:
     """Columns of effects without shapes, all in one program."""
     return [Effect.matrix(*basis, frame, {}) for basis in bases]
 
 
-@_program(1)
+@_program
 def shaped_columns(
-    basis: Basis, frame: Frame, shapes: dict[str, Float[Array, ""]], moves: dict[str, Float[Array, "n"]]
+    basis: Basis,
+    frame: Frame,
+    shapes: dict[str, Float[Array, ""]],
+    moves: dict[str, Float[Array, "n"]],
 ) -> tuple[Float[Array, "n k"], dict[str, Float[Array, "n k"]]]:
     """Columns at some shapes and with columns of the readings moved, and their derivatives by these moves."""
 
@@ -106,7 +121,15 @@ def shaped_columns(
     return at(moves), slopes
 
 
-@_program(1)
+@_program
+def columns_along(
+    basis: Basis, frame: Frame, shapes: dict[str, Float[Array, "s"]]
+) -> Float[Array, "s n k"]:
+    """Columns at several values of the shapes, one after the other."""
+    return jax.lax.map(lambda one: Effect.matrix(*basis, frame, one), shapes)
+
+
+@_program
 def response_slopes(
     response: Callable[..., Any],
     frame: Frame,
@@ -133,7 +156,7 @@ def response_slopes(
     return respond(both), slopes
 
 
-@_program(1)
+@_program
 def responses(
     response: Callable[..., Any], frame: Frame, slots: dict[str, Float[Array, "b n"]]
 ) -> Float[Array, "b n"]:

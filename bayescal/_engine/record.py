@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -22,15 +21,35 @@ KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 
 
+REACH = 4.0  # prior standard deviations of a shape, up to which columns are interpolated along it,
+NODES = REACH * np.cos((np.arange(40) + 0.5) * np.pi / 40)  # between Chebyshev's points,
+INTERPOLATED = 1e-9  # as good as this part of the largest number in a column, tried half way between some of them
+BETWEEN = REACH * np.cos(np.array([1.0, 7.0, 16.0, 24.0, 33.0, 39.0]) * np.pi / 40)
+_WEIGHTS = (-1.0) ** np.arange(40) * np.sin((np.arange(40) + 0.5) * np.pi / 40)
+
+
+def shares(v: float) -> Float[np.ndarray, "s"]:
+    """Of the nodes in an interpolated column (Lagrange's polynomials in barycentric form)."""
+    apart = v - NODES
+    if not apart.all():
+        return (apart == 0).astype(float)
+    share = _WEIGHTS / apart
+    return share / share.sum()
+
+
 class ColumnsOf(NamedTuple):
     """What an effect's columns depend on: its basis, and the shapes that this takes."""
 
     basis: pieces.Basis
     shapes: tuple[str, ...]
+    priors: tuple[Any, ...]  # of the shapes
 
     @classmethod
     def of(cls, effect: Effect) -> ColumnsOf:
-        return cls(pieces.basis_of(effect), tuple(s.name for s in effect.column_shapes))
+        shapes = effect.column_shapes
+        return cls(
+            pieces.basis_of(effect), tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
+        )
 
 
 @dataclass(eq=False)
@@ -50,19 +69,25 @@ class Record:
     library: tuple[Effect, ...] = ()
     _fixed: dict[pieces.Basis, np.ndarray] = field(default_factory=dict)
     _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
+    _curves: dict[Any, np.ndarray | None] = field(default_factory=dict)
     _bytes: int = 0
+    plain: dict[Any, Any] = field(
+        default_factory=dict
+    )  # of assemblies: what they know of a coefficient
 
     @property
     def size(self) -> int:
         return self.frame.size
 
     @cached_property
-    def padded(self) -> Frame:
-        return jax.tree.map(jnp.asarray, pieces.padded(self.frame))
+    def padded(self) -> pieces.Leaves:
+        return pieces.Leaves.of(pieces.padded(self.frame))
 
     @cached_property
     def codes(self) -> dict[str, np.ndarray]:
-        return {group: np.asarray(codes, dtype=np.intp) for group, codes in self.frame.codes.items()}
+        return {
+            group: np.asarray(codes, dtype=np.intp) for group, codes in self.frame.codes.items()
+        }
 
     @cached_property
     def in_time(self) -> tuple[np.ndarray, np.ndarray]:
@@ -76,12 +101,18 @@ class Record:
     def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
         """Columns of an effect on the readings as they were measured; not to be written to.
 
+        Those of one shape are interpolated along it where they run smoothly.
+
         Args:
             effect: whose.
             values: of its shapes.
         """
         if not effect.shapes:
             return self._fixed_columns(effect.basis)
+        if len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH:
+            curve = self._curve(effect)
+            if curve is not None:
+                return (shares(v) @ curve).reshape(self.size, -1, order="F")
         key = (effect.basis, values)
         found = self._shaped.get(key)
         if found is None:
@@ -93,6 +124,25 @@ class Record:
         else:
             self._shaped.move_to_end(key)
         return found
+
+    def _curve(self, effect: ColumnsOf) -> Float[np.ndarray, "s m"] | None:
+        """Columns at the nodes of a shape's coordinate; None where they run too sharply to be interpolated."""
+        key = (effect.basis, effect.priors)
+        if key not in self._curves:
+            prior = effect.priors[0]
+            at = np.concatenate([NODES, BETWEEN])
+            found = pieces.columns_along(
+                effect.basis, self.padded, {effect.shapes[0]: prior.value(at)}
+            )
+            found = np.asarray(found)[:, : self.size].transpose(0, 2, 1).reshape(len(at), -1)
+            nodes, there = found[: len(NODES)], found[len(NODES) :]
+            apart = max(
+                np.max(np.abs(shares(v) @ nodes - row))
+                for v, row in zip(BETWEEN, there, strict=True)
+            )
+            smooth = apart <= INTERPOLATED * np.max(np.abs(nodes), initial=1e-300)
+            self._curves[key] = nodes if smooth else None
+        return self._curves[key]
 
     def _fixed_columns(self, key: pieces.Basis) -> Float[np.ndarray, "n k"]:
         if key not in self._fixed:
@@ -149,7 +199,9 @@ class Record:
             _, there = self._response(slots, {})
             for name in self.slots:
                 scale = np.max(np.abs(slopes[name]), initial=0.0)
-                if np.max(np.abs(there[name] - slopes[name]), initial=0.0) > AFFINE * (scale + 1e-300):
+                if np.max(np.abs(there[name] - slopes[name]), initial=0.0) > AFFINE * (
+                    scale + 1e-300
+                ):
                     return None
         return base, slopes
 
@@ -162,14 +214,16 @@ class Record:
         return np.asarray(made)[:, : self.size]
 
     def _longer(self, values: Mapping[str, np.ndarray]) -> dict[str, Array]:
-        more = self.padded.size - self.size
+        more = pieces.padded_length(self.size) - self.size
         return {
             name: np.pad(v, [(0, 0)] * (np.ndim(v) - 1) + [(0, more)], mode="edge")  # pyright: ignore
             for name, v in values.items()
         }
 
 
-def library_of(instrument: Instrument, frame: Frame, more: Iterable[Effect] = ()) -> tuple[Effect, ...]:
+def library_of(
+    instrument: Instrument, frame: Frame, more: Iterable[Effect] = ()
+) -> tuple[Effect, ...]:
     """Effects of the instrument that these readings have the columns for, and some more."""
     known = {e.name: e for e in (*instrument.effects, *instrument.candidates, *more)}
     text = {label.split("=")[0] for label in frame.labels}

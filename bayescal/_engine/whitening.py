@@ -9,7 +9,14 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dpttrf, dtbtrs
 
 from bayescal._engine.record import Record
-from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, UNCERTAINTY, Noise, OrnsteinUhlenbeck, White
+from bayescal._model.noise_laws import (
+    CORRELATION_TIME,
+    DIFFUSION,
+    UNCERTAINTY,
+    Noise,
+    OrnsteinUhlenbeck,
+    White,
+)
 
 Values = dict[str, float]
 
@@ -55,11 +62,16 @@ def whitening(
     if not isinstance(noise, (White, OrnsteinUhlenbeck)):  # as if Gaussian, of the same variance
         own = np.asarray(noise.variance(values, record.frame))  # pyright: ignore[reportArgumentType]
         return Whitening(np.sqrt(np.broadcast_to(own + extra, (record.size,))))
-    white = np.broadcast_to(values["noise.white"] ** 2 + known_variance(record) + extra, (record.size,))
+    white = np.broadcast_to(
+        values["noise.white"] ** 2 + known_variance(record) + extra, (record.size,)
+    )
     if isinstance(noise, White):
         return Whitening(np.sqrt(white))
     order, step = record.in_time
-    tau, variance = values[CORRELATION_TIME], 0.5 * values[DIFFUSION] ** 2 * values[CORRELATION_TIME]
+    tau, variance = (
+        values[CORRELATION_TIME],
+        0.5 * values[DIFFUSION] ** 2 * values[CORRELATION_TIME],
+    )
     white = white[order]
     # What is new in a reading, y[i] − carry[i]·y[i−1], hangs together with its neighbours alone.
     carry = np.where(step < 0, 0.0, np.exp(-step / tau))

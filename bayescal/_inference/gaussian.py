@@ -17,6 +17,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from bayescal._core.tall_qr import triangle
+from bayescal._engine.assembly import Point
 from bayescal._inference import block_elimination
 from bayescal._model import forward as composition
 from bayescal._model.frame import Frame
@@ -35,13 +36,6 @@ class Prior(NamedTuple):
     mean: Float[Array, "p"]
     sd: Float[Array, "p"]
     weight: Float[Array, "p"]
-
-
-class Point(NamedTuple):
-    """Where the expected output is linearised: x̂ and the per-reading coefficients."""
-
-    x: Float[Array, "p"]
-    rows: Float[Array, "n k"]
 
 
 class DenseFactor(NamedTuple):

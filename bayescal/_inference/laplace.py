@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
 from bayescal._core.levenberg_marquardt import least_squares
+from bayescal._engine.mode import Mode
 from bayescal._inference import gaussian
 from bayescal._model import forward
 from bayescal._model.frame import Frame
@@ -26,19 +27,6 @@ STILL = 1e-4  # standard deviations that a round moves anything by, below which 
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ among which the start is chosen,
 RAGGED = 4  # times as many where a shape's evidence has many maxima
-
-
-class Mode(NamedTuple):
-    """φ̂ with x̂ at it, and the Gaussian fit of φ's coordinates there."""
-
-    point: gaussian.Point
-    v: Float[Array, "d"]
-    covariance: Float[Array, "d d"]
-    log_density: Float[Array, ""]  # log p(y, φ̂), x integrated out
-    log_evidence: Float[Array, ""]  # Laplace
-    change: Float[Array, ""]  # of the last round, in standard deviations
-    flat: Float[Array, "p"]
-    indefinite: Array  # whether the curvature had to be mended
 
 
 def column_scale(jacobian: Float[Array, "n p"]) -> Float[Array, "p"]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import equinox as eqx
@@ -91,7 +92,7 @@ class Layout(eqx.Module):
     counts: tuple[tuple[str, int], ...] = eqx.field(static=True)
     promoted: tuple[str, ...] = eqx.field(static=True, default=())
 
-    @property
+    @cached_property
     def blocks(self) -> tuple[CoefficientBlock, ...]:
         counts, fixed = dict(self.counts), dict(self.model.fixed)
         blocks, start = [], 0
@@ -137,7 +138,7 @@ class Layout(eqx.Module):
         """Length of x."""
         return sum(b.size for b in self.x_blocks)
 
-    @property
+    @cached_property
     def hypers(self) -> tuple[Hyper, ...]:
         """The entries of φ in order: noise, spreads, shapes, promoted coefficients."""
         unit, fixed = self.model.instrument.unit, dict(self.model.fixed)

@@ -22,7 +22,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from bayescal._model.coefficient import Coefficient, Shape
 from bayescal._model.effect import Effect
