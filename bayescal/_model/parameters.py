@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-import equinox as eqx
+import jax
 
 from bayescal._core.errors import ModelError
 from bayescal._model.coefficient import Coefficient
@@ -79,7 +79,9 @@ class Hyper:
     kind: HyperKind
 
 
-class Layout(eqx.Module):
+@jax.tree_util.register_static
+@dataclass(frozen=True)
+class Layout:
     """A model bound to group sizes. It has no arrays: equal layouts share one compiled program.
 
     Attributes:
@@ -89,8 +91,8 @@ class Layout(eqx.Module):
     """
 
     model: Model
-    counts: tuple[tuple[str, int], ...] = eqx.field(static=True)
-    promoted: tuple[str, ...] = eqx.field(static=True, default=())
+    counts: tuple[tuple[str, int], ...]
+    promoted: tuple[str, ...] = ()
 
     @cached_property
     def blocks(self) -> tuple[CoefficientBlock, ...]:
