@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import combinations
 
-import jax.numpy as jnp
 import numpy as np
-from scipy import stats
+from scipy.special import kolmogorov, ndtr, smirnov, stdtr
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
@@ -24,6 +23,7 @@ MEMBERS = 64  # of a group that is looked at member by member, at most
 OUTLIER = 4.0  # leave-one-out standard deviations
 BOUND = 0.99  # expected autocorrelation from which neighbours are what the fit leaves, such as two about a free level
 ROUNDING = 1e-9  # share of a sum, below which it is the rounding of its terms
+RARE = 0.05  # p-value, up to which that the largest difference stands on both sides at once counts for nothing
 SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
 
 
@@ -60,7 +60,7 @@ def check(calibration: Calibration) -> Check:
         # Where the mean is off, so is the size of the residuals: scatter is judged only where it is not.
         spread_with=_spread_with(covariates, white) if max(factors, default=0.0) < STRONG else {},
         outliers=tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
-        pit_p=float(stats.kstest(stats.norm.cdf(loo), "uniform").pvalue),
+        pit_p=_uniform(ndtr(loo)),
         fixed=None
         if free_noise is None
         else _compare_fixed(calibration, residual, noise, free_noise),
@@ -86,7 +86,7 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
     for i, h in enumerate(free.layout.hypers):
         if h.name in names:
             v[names[h.name]] = free.mode.v[i]
-    mode = calibration.mode._replace(v=jnp.asarray(v))
+    mode = calibration.mode._replace(v=v)
     judged = replace(calibration, mode=mode) if names else calibration
     return judged, float(np.sqrt(np.mean(sd**2)))
 
@@ -156,7 +156,7 @@ def _duos(
 ) -> list[tuple[covariate_evidence.Covariate, covariate_evidence.Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
     varied = [b for b in covariates if not b.levels]
-    rank = {b.name: stats.rankdata(b.values) for b in varied}
+    rank = {b.name: _ranks(b.values) for b in varied}
     return [
         (a, b)
         for a, b in combinations(varied, 2)
@@ -175,9 +175,8 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
         calibration: the fitted model.
         standardised: its whitened residuals.
     """
-    frame = calibration.frame
-    order = np.asarray(frame.order)
-    linked = np.asarray(frame.step)[1:] >= 0
+    order, step = calibration.assembly.record.in_time
+    linked = step[1:] >= 0
     if not calibration.readings.has("time"):
         linked = np.ones(order.size - 1, bool)
     first = np.flatnonzero(linked)
@@ -225,10 +224,10 @@ def _spread_with(
     covariates: list[covariate_evidence.Covariate], standardised: np.ndarray
 ) -> dict[str, float]:
     """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
-    found = {}
+    found, sizes = {}, _ranks(np.abs(standardised))
     for block in covariates:
         if not block.levels:
-            p = float(np.asarray(stats.spearmanr(np.abs(standardised), block.values))[1])
+            p = _uncorrelated(sizes, _ranks(block.values))
             if p < SIGNIFICANT:
                 found[block.name] = p
     return found
@@ -244,3 +243,36 @@ def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
     leverage = np.sum(efficient_score.fitted_directions(calibration) ** 2, axis=1)
     # V⁻¹r over the root of V⁻¹'s diagonal, both from the leverages.
     return white / np.sqrt(np.maximum(1 - leverage, 1e-12))
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """1 for the smallest; equal values share the mean of their ranks."""
+    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(count) - 0.5 * (count - 1))[place]
+
+
+def _uncorrelated(one: np.ndarray, other: np.ndarray) -> float:
+    """p-value of two rankings that know nothing of each other, by Student's t; not a number where one is constant."""
+    free = len(one) - 2
+    if np.ptp(one) == 0 or np.ptp(other) == 0 or free < 1:
+        return float("nan")
+    r = float(np.clip(np.corrcoef(one, other)[0, 1], -1, 1))
+    with np.errstate(divide="ignore"):
+        return float(2 * stdtr(free, -abs(r) * np.sqrt(free / np.float64((1 - r) * (1 + r)))))
+
+
+def _uniform(values: np.ndarray) -> float:
+    """p-value of values drawn uniformly from 0 to 1, two-sided, by Kolmogorov and Smirnov.
+
+    Twice the exact one-sided one where that is small; else its limit at an argument corrected for the number of values
+    (Vrbik, Pioneer J. Theor. Appl. Stat. 15 (2018) 15).
+    """
+    n, ordered = len(values), np.sort(values)
+    steps = np.arange(n + 1) / n
+    apart = float(max(np.max(steps[1:] - ordered), np.max(ordered - steps[:-1])))
+    twice = 2 * float(smirnov(n, apart))
+    if twice < RARE:
+        return twice
+    root = np.sqrt(n)
+    x = root * apart
+    return float(kolmogorov(x + 1 / (6 * root) + (x - 1) / (4 * n)))

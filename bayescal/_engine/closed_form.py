@@ -154,6 +154,16 @@ class Density:
             return 0.0
         return np.sum((line.rows * self.assembly.row_sd) ** 2, axis=1)
 
+    def whitened(
+        self, v: np.ndarray, x: Float[np.ndarray, "p"]
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n q"], float]:
+        """Residuals at φ and x, output unit; whitened Jacobian and these residuals beside each other; log|Σ|."""
+        hyper = self.assembly.hyper(v)
+        line = self._line(v, hyper)[0]
+        residual = self._residual(line) - line.jacobian @ (x - self.point.x)
+        white = whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
+        return residual, white(np.column_stack([line.jacobian, residual])), white.logdet
+
     def gram(self, v: np.ndarray, hyper: Values) -> Gram:
         """Weighted products of the readings at φ."""
         self.evaluations += 1

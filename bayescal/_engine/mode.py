@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg.lapack import dpotrf
 from scipy.optimize import minimize
 
 from bayescal._engine.assembly import Assembly, Point
@@ -41,6 +42,17 @@ class Mode(NamedTuple):
     change: float  # of the last round, in standard deviations
     flat: Float[np.ndarray, "p"]
     indefinite: bool  # whether the curvature had to be mended
+
+
+def in_numpy(mode: Mode) -> Mode:
+    """The same, its arrays NumPy's whoever found it."""
+    point = Point(np.asarray(mode.point.x), np.asarray(mode.point.rows))
+    return mode._replace(
+        point=point,
+        v=np.asarray(mode.v),
+        covariance=np.asarray(mode.covariance),
+        flat=np.asarray(mode.flat),
+    )
 
 
 def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
@@ -89,11 +101,13 @@ def find_mode(
     return at_mode(Density(assembly, point, flat), v, change)
 
 
-def climb(density: Density, start: np.ndarray, covariance: np.ndarray | None) -> np.ndarray:
-    """φ̂ of a density, uphill from a coordinate."""
-    options = {"gtol": STEEP, "maxiter": 200}
-    if covariance is not None and np.all(np.isfinite(covariance)):
-        options["hess_inv0"] = covariance
+def climb(
+    density: Density, start: np.ndarray, covariance: np.ndarray | None, steep: float = STEEP
+) -> np.ndarray:
+    """φ̂ of a density, uphill from a coordinate until its gradient is no steeper than `steep`."""
+    options = {"gtol": steep, "maxiter": 200}
+    if covariance is not None and _definite(covariance):
+        options["hess_inv0"] = 0.5 * (covariance + covariance.T)
 
     def downhill(v):
         value, gradient = density.slope(v)
@@ -102,6 +116,11 @@ def climb(density: Density, start: np.ndarray, covariance: np.ndarray | None) ->
     with np.errstate(all="ignore"):
         found = minimize(downhill, start, jac=True, method="BFGS", options=options)
     return found.x if found.fun <= -density.at(start)[0] else start
+
+
+def _definite(covariance: np.ndarray) -> bool:
+    with np.errstate(all="ignore"):
+        return bool(np.all(np.isfinite(covariance))) and not dpotrf(covariance, lower=1)[1]
 
 
 def _prior_draws(assembly: Assembly) -> list[np.ndarray]:
