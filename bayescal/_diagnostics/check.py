@@ -14,6 +14,7 @@ from bayescal._diagnostics import covariate_evidence, efficient_score
 from bayescal._diagnostics.check_result import Check, Entry, FixedComparison, Pair
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.worst_region import worst_regions
+from bayescal._engine.blas import on_one_thread
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model.frame import GROUPS
 
@@ -27,6 +28,7 @@ RARE = 0.05  # p-value, up to which that the largest difference stands on both s
 SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
 
 
+@on_one_thread
 def check(calibration: Calibration) -> Check:
     """Where a fitted model fails.
 

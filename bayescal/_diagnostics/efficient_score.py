@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._engine.blas import on_one_thread
 
 
 class Score(NamedTuple):
@@ -38,7 +37,6 @@ class Score(NamedTuple):
         return Score(self.u - cross.T @ pull[:, -1], left, self.before)
 
 
-@on_one_thread
 def score(calibration: Calibration, columns: np.ndarray) -> Score:
     """Score and information of columns (n, P) at a fitted model, output unit per prior sd."""
     linear = calibration.linear
