@@ -102,20 +102,39 @@ def find_mode(
 
 
 def climb(
-    density: Density, start: np.ndarray, covariance: np.ndarray | None, steep: float = STEEP
+    density: Density,
+    start: np.ndarray,
+    covariance: np.ndarray | None,
+    steep: float = STEEP,
+    gain: float = 0.0,
 ) -> np.ndarray:
-    """φ̂ of a density, uphill from a coordinate until its gradient is no steeper than `steep`."""
+    """φ̂ of a density, uphill from a coordinate.
+
+    Args:
+        density: of φ.
+        start: where to begin.
+        covariance: what the Gaussian fit at φ̂ may look like.
+        steep: gradient of the log density, below which φ̂ is found.
+        gain: of the log density in a step, below which that step was the last.
+    """
     options = {"gtol": steep, "maxiter": 200}
     if covariance is not None and _definite(covariance):
         options["hess_inv0"] = 0.5 * (covariance + covariance.T)
+    lowest = first = -density.at(start)[0]
 
     def downhill(v):
         value, gradient = density.slope(v)
         return -value, -gradient
 
+    def look(intermediate_result):
+        nonlocal lowest
+        if lowest - intermediate_result.fun < gain:
+            raise StopIteration
+        lowest = intermediate_result.fun
+
     with np.errstate(all="ignore"):
-        found = minimize(downhill, start, jac=True, method="BFGS", options=options)
-    return found.x if found.fun <= -density.at(start)[0] else start
+        found = minimize(downhill, start, jac=True, method="BFGS", options=options, callback=look)
+    return found.x if found.fun <= first else start
 
 
 def _definite(covariance: np.ndarray) -> bool:
