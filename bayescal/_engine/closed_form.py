@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dpotrf, dpotri, dtrtrs
+from scipy.linalg.lapack import dpotrf, dpotri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from bayescal._engine.assembly import NUDGE, Assembly, Line, Point, Prior, Values
 from bayescal._engine.whitening import known_variance, whitening
@@ -239,4 +239,4 @@ class Density:
         squares = found.rest - weight @ z**2
         spent = z.size - float(np.sum(np.diag(covariance) * weight))
         slope = self.assembly.value_slope(v, self.assembly.kinds.index("noise"))
-        return -(self.assembly.record.size - squares - spent) * slope
+        return float(-(self.assembly.record.size - squares - spent) * slope)

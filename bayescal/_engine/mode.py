@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dpotrf
+from scipy.linalg.lapack import dpotrf  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.optimize import minimize
 
 from bayescal._engine.assembly import Assembly, Point
@@ -163,7 +163,7 @@ def mode_of_x(assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray)
         z = prior.weight * (at.x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
         return density.gram(v, hyper).rtr + float(z @ z), found, density
 
-    squares, found, density = look(point)
+    squares, found, _ = look(point)
     for _ in range(50):
         if found is None:
             return point
@@ -173,14 +173,14 @@ def mode_of_x(assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray)
             return point
         for _ in range(HALVINGS):
             trial = Point(point.x + share * (goal - point.x), point.rows)
-            there, next_found, next_density = look(trial)
+            there, _, next_density = look(trial)
             if there <= squares or not math.isfinite(squares):
                 break
             share *= 0.5
         else:
             return point
         point = _with_rows(assembly, next_density, None, v, trial.x)
-        squares, found, density = look(point)
+        squares, found, _ = look(point)
     return point
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dpttrf, dtbtrs
+from scipy.linalg.lapack import dpttrf, dtbtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from bayescal._engine.record import Record
 from bayescal._model.noise_laws import (
