@@ -63,9 +63,8 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
         if b.place == "fixed":
             continue
         values = calibration.samples(b.name)
-        prior = (
-            None if b.coefficient.flat or b.coefficient.spread is not None else b.coefficient.size
-        )
+        learned = b.coefficient.spread is not None or b.effect.weights is not None
+        prior = None if b.coefficient.flat or learned else b.coefficient.size
         per = b.coefficient.per
         if per is None:
             coefficients.append(_row(b.name, b.effect.name, b.coefficient.unit, values, prior))

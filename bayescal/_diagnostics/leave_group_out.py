@@ -18,8 +18,7 @@ from bayescal._engine.mode import Mode, climb, in_numpy
 from bayescal._engine.part import Part
 from bayescal._readings.measurements import Measurements
 
-STEEP = 1e-4  # gradient of the log density, below which φ̂ of a fold is found,
-GAIN = 1e-9  # or what a step adds to it, nats
+NOTHING_LEFT = 1e-10  # that a fold's φ̂ could still gain, nats: its score, unlike its density, is at no maximum there
 BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
 
 
@@ -82,7 +81,7 @@ def _fold(
 ) -> tuple[float, np.ndarray | float]:
     """Log density and residuals of the readings left out, given the kept ones; not a number where these say nothing."""
     fitted, predicted = (_density(whole, mode, rows) for rows in (kept, out))
-    v = climb(fitted, mode.v, mode.covariance, STEEP, GAIN) if len(mode.v) else mode.v
+    v = climb(fitted, mode.v, mode.covariance, NOTHING_LEFT) if len(mode.v) else mode.v
     found = fitted.at(v)[1]
     if found is None:
         return np.nan, np.nan

@@ -1,15 +1,14 @@
-"""The loop: compare with the readings, see where it fails, add what is missing, watch the error fall."""
+"""The loop: compare with the readings, see where it fails, learn what is missing, add it, watch the error fall."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
 
-from bayescal._calibration.evidence import laplace_evidence
 from bayescal._calibration.fit import fit
 from bayescal._calibration.predict import predict
 from bayescal._core.progress import stage
@@ -17,22 +16,18 @@ from bayescal._diagnostics.check import check
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
 from bayescal._diagnostics.noise_floor import noise_floor
-from bayescal._discovery.discover import discover
-from bayescal._discovery.outliers import without_spikes
-from bayescal._discovery.search_path import OtherPath, Step, Trail, gate
+from bayescal._diagnostics.outliers import without_spikes
+from bayescal._discovery.discover import structures_over, told
+from bayescal._discovery.posterior import Posterior
+from bayescal._discovery.scores import Library
+from bayescal._discovery.search_path import OtherPath, Search, Step, Trail, gate
+from bayescal._discovery.structures import Structure, Structures
+from bayescal._discovery.walk import walk
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Reference, build_frame, reference_of
+from bayescal._model.frame import Reference
 from bayescal._model.model import Model
-from bayescal._model.noise_laws import White, over_record
-from bayescal._model.unknown_effect import free_curve
 from bayescal._readings.measurements import Measurements
-
-WIDER = 1.0  # log evidence that correlated noise must gain over white before it is believed
-SHORT = (
-    2000  # readings up to which white noise is followed to its end before correlated noise is tried
-)
-FEWEST = 30  # readings from which the noise law can be told at all
 
 
 def calibrate(
@@ -47,13 +42,14 @@ def calibrate(
     keep_spikes: bool = False,
     seed: int = 0,
     reference: Reference | None = None,
+    time_limit: float | None = None,
+    seeds: Sequence[Structure] = (),
+    follow: Callable[[Trail], None] = lambda _: None,
 ) -> Trail:
-    """Fit, check, discover, add and fit again, until nothing more is found.
+    """Fit, check, find what is missing, add it and fit again: the most probable structure, and the way to it.
 
-    White noise is widened to an Ornstein–Uhlenbeck process per run where that is more probable, before any effect
-    is believed: a screen that takes wandering noise for white reports effects that are not there. On short
-    records white noise with effects and wandering noise with effects are both followed to their ends, and the
-    more probable end is kept; the other one is named where it is nearly as probable.
+    The structures weighed differ by the effects added and by the noise law, white or wandering. What has a
+    probability of 0.95 is added; the steps shown lead from the model given to the one chosen, at each what gains most.
 
     Args:
         model: to begin with.
@@ -66,6 +62,9 @@ def calibrate(
         keep_spikes: False sets single readings far from both neighbours aside, and flags them.
         seed: of every random number.
         reference: constants of the bases to use in place of the readings' own.
+        time_limit: seconds of search after which the best so far is taken.
+        seeds: structures to weigh first, of a search that was ended early.
+        follow: called with the trail so far, as soon as the first model stands and whenever it grows.
 
     Raises:
         ModelError: the readings lack what the model needs.
@@ -75,19 +74,37 @@ def calibrate(
     if not keep_spikes:
         readings = without_spikes(readings)
         holdout = None if holdout is None else without_spikes(holdout)
-    loop = _Loop(
-        readings=readings,
-        effects=tuple(effects),
-        method=method,
-        max_effects=max_effects,
-        seed=seed,
-        reference=reference,
-        start=frozenset(model.names),
+    loop = _Loop(readings, holdout, method, seed, reference)
+    first = loop.step(model)
+    wrong = first.check.fixed is not None and first.check.fixed.wrong
+    if not first.calibration.verdict.ok or wrong:
+        # Where the fit did not converge there are no probabilities; and a published calibration on trial is not made
+        # to look right.
+        max_effects, widen_noise = 0, False
+    structures, shut = structures_over(
+        model, readings, first.calibration.reference, effects=effects, widen_noise=widen_noise
     )
-    steps, other = loop.follow(model, widen_noise)
-    if holdout is not None:
-        steps = [replace(s, holdout_rmse=predict(s.calibration, holdout).rmse) for s in steps]
-    return Trail(tuple(steps), gate(steps[-1]), holdout, other)
+    library, steps = Library(structures), [first]
+    follow(loop.trail(steps, structures, complete=False))
+    with stage("looking for missing effects"):
+        stopped = walk(
+            library,
+            max_effects,
+            time_limit,
+            lambda found: follow(loop.trail(steps, found, complete=False)),
+            seeds,
+        )
+    chosen = Posterior.of(structures).chosen
+    path = structures.path(chosen)
+    for before, at in pairwise(path):
+        steps.append(loop.step(structures.model(at), before, at))
+        follow(loop.trail(steps, structures, complete=False))
+    if first.calibration.verdict.ok:
+        steps = [
+            replace(s, discovery=told(library, at, shut, stopped))
+            for s, at in zip(steps, path, strict=True)
+        ]
+    return loop.trail(steps, structures, complete=not stopped, stopped=stopped)
 
 
 @dataclass(frozen=True)
@@ -95,97 +112,15 @@ class _Loop:
     """What stays the same from step to step."""
 
     readings: Measurements
-    effects: tuple[Effect, ...]
+    holdout: Measurements | None
     method: Method | None
-    max_effects: int
     seed: int
     reference: Reference | None
-    start: frozenset[str]
-
-    def follow(self, model: Model, widen_noise: bool) -> tuple[list[Step], OtherPath | None]:
-        """The steps from a model to the end, the noise law chosen on the way; and the end nearly chosen."""
-        first = self.step(model)
-        wide = self._wide(model) if widen_noise and first.calibration.verdict.ok else None
-        if wide is None:
-            return self.forward([first]), None
-        wanders = self._gain(first, wide) > WIDER
-        if not wanders or len(self.readings) <= SHORT:
-            white = self.forward([first])
-            behind = -np.inf
-            if wanders:
-                behind = laplace_evidence(wide, first.calibration) - _evidence(white[-1])
-            if self._gain(white[-1], wide) <= WIDER and behind <= 0:
-                return white, _other_path(white, wide.noise.law, [], behind)
-            paths = [white, self._correlated(first, wide)]
-            chosen, other = sorted(paths, key=lambda steps: -_evidence(steps[-1]))
-            behind = _evidence(other[-1]) - _evidence(chosen[-1])
-            law = other[-1].calibration.model.noise.law
-            return chosen, _other_path(chosen, law, other, behind)
-        return self._correlated(first, wide), None
-
-    def _correlated(self, first: Step, wide: Model) -> list[Step]:
-        """The path under correlated noise; white noise again at its end, if that then suffices."""
-        widened = self.step(wide, noise_changed="noise widened: wandering")
-        steps = self.forward([first, widened])
-        final = steps[-1].calibration
-        narrow = final.model.with_noise(first.calibration.model.noise)
-        with stage("trying white noise again"):
-            suffices = laplace_evidence(narrow, final) >= _evidence(steps[-1])
-        if not suffices or len(steps) == 2:
-            return steps
-        return self.forward([*steps, self.step(narrow, noise_changed="noise white again")])
-
-    def forward(self, steps: list[Step]) -> list[Step]:
-        """Add what is found until nothing is, dropping what an addition makes superfluous."""
-        steps = list(steps)
-        while sum(s.added is not None for s in steps) < self.max_effects:
-            last = steps[-1]
-            if last.discovery is None or not last.discovery.best:
-                break
-            if last.check.fixed is not None and last.check.fixed.wrong:
-                break  # a published calibration is on trial: nothing is added to make it look right
-            added = last.discovery.best[0]
-            if any(added.name in s.dropped for s in steps):
-                break  # it was dropped before: adding it again would go in a circle
-            model = last.calibration.model + added
-            model, dropped = self._look_back(model, steps, added.name)
-            steps.append(self.step(model, added.name, dropped))
-        turn = _wrong_turn(steps)
-        if turn is None:
-            return steps
-        index, name = turn
-        model = steps[index].calibration.model + name
-        return self.forward([*steps[: index + 1], self.step(model, name)])
-
-    def _look_back(
-        self, model: Model, steps: list[Step], newest: str
-    ) -> tuple[Model, tuple[str, ...]]:
-        """Drop what was added before and is superfluous now: the model is more probable without it.
-
-        A free curve can stand in for any effect, so what has a name gives way to it only at odds of twenty to one.
-        """
-        dropped: list[str] = []
-        earlier = [n for n in model.names if n not in self.start and n != newest]
-        if not earlier:
-            return model, ()
-        calibration = steps[-1].calibration
-        with stage("looking back"):
-            best = laplace_evidence(model, calibration)
-            for name in earlier:
-                without = laplace_evidence(model - name, calibration)
-                if without >= best + (STRONG if free_curve(newest) and not free_curve(name) else 0):
-                    model, best = model - name, without
-                    dropped.append(name)
-        return model, tuple(dropped)
 
     def step(
-        self,
-        model: Model,
-        added: str | None = None,
-        dropped: tuple[str, ...] = (),
-        noise_changed: str = "",
+        self, model: Model, before: Structure | None = None, at: Structure | None = None
     ) -> Step:
-        """Fit a model, check it, and ask what is missing from it."""
+        """Fit a model and check it."""
         calibration = fit(
             model,
             self.readings,
@@ -197,84 +132,43 @@ class _Loop:
         with stage("checking"):
             checked = check(calibration)
             left_out = leave_one_group_out(calibration)
-        discovery = None
-        if calibration.verdict.ok:
-            discovery = discover(calibration, effects=self.effects, max_effects=self.max_effects)
+        added, noise_changed = None, ""
+        if before is not None and at is not None:
+            added = next(iter(at.effects - before.effects), None)
+            if at.wanders != before.wanders:
+                noise_changed = "noise widened: wandering"
         return Step(
             calibration=calibration,
             added=added,
-            dropped=dropped,
+            dropped=(),
             rmse=predict(calibration).rmse,
             rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
-            holdout_rmse=None,
+            holdout_rmse=None if self.holdout is None else predict(calibration, self.holdout).rmse,
             left_out=left_out,
             noise_floor=noise_floor(calibration),
             check=checked,
-            discovery=discovery,
+            discovery=None,
             noise_changed=noise_changed,
         )
 
-    def _wide(self, model: Model) -> Model | None:
-        """The model under correlated noise; None where the readings cannot tell, or noise is not white."""
-        together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
-        fixed = any(name.startswith("noise.") for name, _ in model.fixed)
-        if not self.readings.has("time") or len(self.readings) < FEWEST or together or fixed:
-            return None
-        if not isinstance(model.noise, White):
-            return None
-        frame = build_frame(
-            self.readings, {**reference_of(self.readings), **(self.reference or {})}
-        )
-        steps = np.asarray(frame.step)
-        if not (steps > 0).any():
-            return None
-        span = float(np.max(np.asarray(frame.columns["elapsed"])))
-        return model.with_noise(over_record(model.noise, jnp.asarray(steps[steps > 0]), span))
-
-    def _gain(self, step: Step, wide: Model) -> float:
-        """Log evidence that correlated noise gains over white for a step's model."""
-        with stage("asking whether the noise wanders"):
-            widened = step.calibration.model.with_noise(wide.noise)
-            return laplace_evidence(widened, step.calibration) - _evidence(step)
+    def trail(
+        self, steps: Sequence[Step], structures: Structures, *, complete: bool, stopped: str = ""
+    ) -> Trail:
+        search = None
+        if structures.visited:
+            search = Search.of(structures, complete=complete, stopped=stopped)
+        other = _other_path(structures) if complete or stopped else None
+        return Trail(tuple(steps), gate(steps), self.holdout, other, search)
 
 
-def _wrong_turn(steps: list[Step]) -> tuple[int, str] | None:
-    """Where an effect with a name was preferred to an unknown function that explains more than all added since.
-
-    One effect alone keeps its preference: real physics departs a little from the catalogue's form. Where several are
-    needed and do not suffice, they only imitate.
-
-    Returns:
-        The step after which it was, and the function; None if there is none.
-    """
-    end = _evidence(steps[-1]) + STRONG
-    for i, (step, following) in enumerate(pairwise(steps)):
-        if step.discovery is None or following.added is None or i + 2 == len(steps):
-            continue
-        unknown = {c.effect for c in step.discovery.candidates if c.unknown}
-        gains = {n: g for n, g in step.discovery.verified.items() if n in unknown}
-        best = max(gains, key=gains.__getitem__, default=following.added)
-        if best != following.added and _evidence(step) + gains[best] > end:
-            return i, best
-    return None
-
-
-def _other_path(
-    chosen: list[Step], noise: str, other: list[Step], behind: float
-) -> OtherPath | None:
-    """The path that was not chosen, if it ends elsewhere and is nearly as probable.
-
-    Args:
-        chosen, other: the paths' steps.
-        noise: the other one's law.
-        behind: log Bayes factor of its end against the chosen one.
-    """
-    here, there = (tuple(s.added for s in steps if s.added) for steps in (chosen, other))
-    same = noise == chosen[-1].calibration.model.noise.law and set(here) == set(there)
-    if same or behind < -STRONG:
+def _other_path(structures: Structures) -> OtherPath | None:
+    """The best end under the other noise law, if it is another end and nearly as probable."""
+    best = structures.best
+    ends = [w for w in structures.visited.values() if w.structure.wanders != best.structure.wanders]
+    other = max(ends, key=lambda w: w.total, default=None)
+    if other is None or not math.isfinite(other.total) or other.total < best.total - STRONG:
         return None
-    return OtherPath(noise, there, behind)
-
-
-def _evidence(step: Step) -> float:
-    return float(step.calibration.mode.log_evidence)
+    if other.structure.effects == best.structure.effects:
+        return None
+    law = other.assembly.noise.law
+    return OtherPath(law, tuple(sorted(other.structure.effects)), other.total - best.total)

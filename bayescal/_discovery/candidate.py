@@ -1,22 +1,26 @@
-"""What the readings say of one candidate effect on its own, by the efficient score."""
+"""What the readings say of one effect that is not in a model: by refit where there was one, else by the score."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import logsumexp, ndtri
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, logsumexp, ndtri
 
-from bayescal._diagnostics import efficient_score
-from bayescal._discovery import candidate_columns, susie
+from bayescal._discovery.posterior import FOUND
+from bayescal._discovery.scores import Library, Scored, gain_of
+from bayescal._discovery.structures import Weighed
+from bayescal._engine.closed_form import Density
 from bayescal._model.unknown_effect import covariate_in
 
-FINDING = 0.05  # P(nothing is missing) at or below which an effect is reported as found
 POWER = 0.80
 FINE = np.geomspace(1 / 30, 30, 61)  # amplitudes of a group, about the likeliest of its grid
 ALIKE = 0.95  # cosine of fitted contributions from which two candidates are hard to tell apart
+LEAD = 0.2  # probability from which what is not found is a lead
+VISIBLE = 0.01  # share of the information left after the nuisances, below which a plausible size must still be seen
+HOPELESS = 10.0  # plausible sizes that an effect would need to be found, above which this experiment cannot see it
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,7 @@ class Candidate:
         effect: canonical name.
         probability: that it is missing from the model; None if it cannot be tested.
         log_bayes_factor: of the model with it against the model as it is, natural logarithm.
-        source: "score", or "refit" where the model was fitted again with it.
+        source: "refit" where the model was fitted again with it, else "score".
         z: size over its uncertainty (a group's chi-square as the z of equal probability).
         size, size_sd: expected coefficient and its uncertainty, in `unit`; for a group effect its spread, for an
             unknown dependence its amplitude.
@@ -37,8 +41,6 @@ class Candidate:
         kind: "finding", "lead", "not visible", "not testable", or None: no evidence for it.
         indistinguishable_from: others that these readings cannot tell from it.
         reason: why it is not testable or not visible.
-        prior: share of the prior probability that an effect is missing.
-        conditional: log Bayes factor by score given the leading finding; None where there is none.
     """
 
     effect: str
@@ -55,8 +57,6 @@ class Candidate:
     kind: str | None = None
     indistinguishable_from: tuple[str, ...] = ()
     reason: str = ""
-    prior: float = 0.0
-    conditional: float | None = None
 
     @property
     def unknown(self) -> bool:
@@ -64,83 +64,85 @@ class Candidate:
         return covariate_in(self.effect) is not None
 
 
-@dataclass(frozen=True)
-class _Grid:
-    """A candidate's grid points, each with its score."""
-
-    parts: tuple[efficient_score.Score, ...]
-    log_weight: np.ndarray
-    points: tuple[candidate_columns.GridPoint, ...]
-
-    @property
-    def log_factors(self) -> np.ndarray:
-        return np.array(
-            [susie.log_bayes_factor(p.u, p.information, np.ones(len(p.u))) for p in self.parts]
-        )
-
-
-def _grid(columns: candidate_columns.Columns, score: efficient_score.Score, index: int) -> _Grid:
-    at = columns.of(index)
-    return _Grid(
-        tuple(score.part(list(columns.items[i].columns)) for i in at),
-        np.log([columns.items[i].weight for i in at]),
-        tuple(columns.points[i] for i in at),
-    )
-
-
 def judge(
-    columns: candidate_columns.Columns, score: efficient_score.Score, index: int, probability: float
+    library: Library, points: Sequence[Scored], at: Weighed, with_it: Weighed | None
 ) -> Candidate:
-    """One candidate on its own, its shapes and spreads averaged over their priors."""
-    effect = columns.effects[index]
-    first, unit = candidate_columns.reported(effect)
-    grid = _grid(columns, score, index)
-    log_weight = grid.log_weight + grid.log_factors
-    total = float(np.asarray(logsumexp(log_weight)))
-    share = np.exp(log_weight - total)
-    top = int(np.argmax(share))
-    sizes = [
-        _size(part, point, first.size) for part, point in zip(grid.parts, grid.points, strict=True)
-    ]
-    means = np.array([mean for mean, _ in sizes])
-    size = float(share @ means)
-    spread = float(share @ (np.array([v for _, v in sizes]) + (means - size) ** 2))
-    main, amplitude = grid.parts[top], grid.points[top].amplitude
-    prior = columns.prior[index]
-    return Candidate(
-        effect=effect.name,
-        probability=probability,
-        log_bayes_factor=total,
-        z=_z(main, amplitude is not None),
-        size=size,
-        size_sd=float(np.sqrt(spread)),
-        unit=unit,
-        shape={
-            s.name: float(share @ [g.shapes[s.name] for g in grid.points]) for s in effect.shapes
-        },
-        visibility=_visibility(main),
-        minimum_detectable=_minimum_detectable(main, first.size, prior, amplitude),
-        prior=prior,
-    )
+    """One candidate on its own.
 
-
-def _size(
-    part: efficient_score.Score, point: candidate_columns.GridPoint, prior: float
-) -> tuple[float, float]:
-    """Expected size and its variance at one grid point: of the first coefficient, or of a group's spread.
-
-    A spread is averaged over a grid finer than that of the search, under its half-normal prior of scale `prior`. The
-    amplitude of an unknown dependence is that of the grid point.
+    Args:
+        library: of all candidates.
+        points: its scores, the most probable first.
+        at: the structure that it is missing from.
+        with_it: the same with it, refitted; None where it was not.
     """
-    if point.amplitude is None:
-        inverse = np.linalg.inv(np.eye(len(part.u)) + part.information)
-        return float((inverse @ part.u)[0] * prior), float(inverse[0, 0] * prior**2)
-    if not point.spread:
-        return point.amplitude, 0.0
-    values, vectors = np.linalg.eigh(part.information)
-    values, along = np.maximum(values, 0.0), (vectors.T @ part.u) ** 2
-    square = FINE[:, None] ** 2
-    size = FINE * point.amplitude
+    top = points[0]
+    effect = library.structures.candidates[top.effect]
+    size = effect.coefficients[0].size
+    found = Candidate(
+        effect=effect.name,
+        log_bayes_factor=gain_of(points),
+        z=_z(top, library.grouped(effect.name)),
+        unit=effect.coefficients[0].unit,
+        shape={**top.point.shapes, **top.size.scales},
+        visibility=_visibility(top),
+        minimum_detectable=_minimum_detectable(library, top, size),
+    )
+    if with_it is not None and math.isfinite(with_it.log_evidence):
+        factor = with_it.log_evidence - at.log_evidence
+        found = replace(found, log_bayes_factor=factor, source="refit")
+        return replace(found, **_by_refit(effect, with_it))
+    mean, variance = _size(library, points)
+    return replace(found, size=mean, size_sd=math.sqrt(variance))
+
+
+def _by_refit(effect, with_it: Weighed) -> dict:
+    """Size with its uncertainty, and shapes, at the refit's mode."""
+    assembly, mode = with_it.assembly, with_it.mode
+    hyper = assembly.hyper(mode.v)
+    shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
+    first = effect.coefficients[0]
+    learned = f"{effect.coefficient_name(0)}.spread" if first.spread is not None else None
+    if effect.measure:
+        learned = f"{effect.name}.{effect.measure}"
+    if learned is not None:
+        i = [h.name for h in assembly.hypers].index(learned)
+        value = float(hyper[learned])
+        sd = abs(value * assembly.value_slope(mode.v, i)) * math.sqrt(mode.covariance[i, i])
+        return {"size": value, "size_sd": sd, "shape": shapes}
+    term = next(t for t in assembly.in_x if t.known.of == effect.name)
+    _, got = Density(assembly, mode.point, mode.flat).at(mode.v)
+    sd = 0.0 if got is None else math.sqrt(got.covariance[term.at.start, term.at.start])
+    return {"size": float(mode.point.x[term.at.start]), "size_sd": sd, "shape": shapes}
+
+
+def _size(library: Library, points: Sequence[Scored]) -> tuple[float, float]:
+    """Expected size and its variance by score, over the grid: of the first coefficient, a spread or an amplitude."""
+    gains = np.array([p.gain for p in points])
+    share = np.exp(gains - logsumexp(gains))
+    each = np.array([_at_point(library, p) for p in points])
+    mean = float(share @ each[:, 0])
+    return mean, float(share @ (each[:, 1] + (each[:, 0] - mean) ** 2))
+
+
+def _at_point(library: Library, point: Scored) -> tuple[float, float]:
+    effect = library.structures.candidates[point.effect]
+    if effect.measure:
+        return point.size.scales[effect.measure], 0.0
+    sd = point.size.sd
+    information = sd[:, None] * point.information * sd
+    if library.grouped(point.effect):
+        return _spread(information, sd * point.u, float(sd[0]), effect.coefficients[0].size)
+    inverse = np.linalg.inv(np.eye(len(sd)) + information)
+    return float((inverse @ (sd * point.u))[0] * sd[0]), float(inverse[0, 0] * sd[0] ** 2)
+
+
+def _spread(
+    information: np.ndarray, u: np.ndarray, scale: float, prior: float
+) -> tuple[float, float]:
+    """Expected spread of a group and its variance, under its half-normal prior."""
+    values, vectors = np.linalg.eigh(information)
+    values, along = np.maximum(values, 0.0), (vectors.T @ u) ** 2
+    square, size = FINE[:, None] ** 2, FINE * scale
     factor = 0.5 * np.sum(
         along * square / (1 + values * square) - np.log1p(values * square), axis=1
     )
@@ -150,46 +152,48 @@ def _size(
     return mean, float(weight @ (size - mean) ** 2)
 
 
-def _main(part: efficient_score.Score, group: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Score and information of what speaks for the effect: all members of a group, or the first coefficient
-    with its companions marginalised."""
-    if group or len(part.u) == 1:
-        return part.u, part.information
-    rest = part.information[1:, 1:] + np.eye(len(part.u) - 1)
-    pull = np.linalg.solve(rest, np.column_stack([part.information[1:, :1], part.u[1:]]))
-    cross = part.information[:1, 1:]
-    return part.u[:1] - cross @ pull[:, 1], part.information[:1, :1] - cross @ pull[:, :1]
+def _main(point: Scored, group: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Score and information of what speaks for the effect, in plausible sizes: all members of a group, or the first
+    coefficient with its companions marginalised."""
+    sd = point.size.sd
+    u, information = sd * point.u, sd[:, None] * point.information * sd
+    if group or len(u) == 1:
+        return u, information
+    rest = information[1:, 1:] + np.eye(len(u) - 1)
+    pull = np.linalg.solve(rest, np.column_stack([information[1:, :1], u[1:]]))
+    cross = information[:1, 1:]
+    return u[:1] - cross @ pull[:, 1], information[:1, :1] - cross @ pull[:, :1]
 
 
-def _z(part: efficient_score.Score, group: bool) -> float:
-    u, information = _main(part, group)
+def _z(point: Scored, group: bool) -> float:
+    u, information = _main(point, group)
     if len(u) == 1:
         return float(u[0] / np.sqrt(information[0, 0])) if information[0, 0] > 0 else 0.0
     values, vectors = np.linalg.eigh(information)
     keep = values > 1e-10 * max(values.max(), 1e-300)
     square = float(np.sum((vectors.T @ u)[keep] ** 2 / values[keep]))
-    return float(norm.isf(max(chi2.sf(square, keep.sum()), 1e-300)))
+    return float(-ndtri(max(chdtrc(keep.sum(), square), 1e-300)))
 
 
-def _visibility(part: efficient_score.Score) -> float:
-    before = float(np.sum(part.before))
-    return float(np.trace(part.information)) / before if before > 0 else 0.0
+def _visibility(point: Scored) -> float:
+    before = float(np.sum(point.columns**2))
+    return float(np.trace(point.information)) / before if before > 0 else 0.0
 
 
-def _minimum_detectable(
-    part: efficient_score.Score, size: float, prior: float, amplitude: float | None
-) -> float | None:
-    """Size found with 80 % power: the log Bayes factor reaches what a finding needs under its share of the prior."""
-    needed = np.log((1 - FINDING) / FINDING / prior)
-    group = amplitude is not None
-    _, information = _main(part, group)
+def _minimum_detectable(library: Library, point: Scored, size: float) -> float | None:
+    """Size found with 80 % power: the log Bayes factor reaches what a finding needs under its prior odds."""
+    needed = math.log(FOUND / (1 - FOUND)) - library.structures.log_odds[point.effect]
+    group = library.grouped(point.effect)
+    _, information = _main(point, group)
     if group:
-        return _detectable_amplitude(information, amplitude or size, needed)
+        effect = library.structures.candidates[point.effect]
+        amplitude = point.size.scales[effect.measure] if effect.measure else float(point.size.sd[0])
+        return _detectable_amplitude(information, amplitude, needed)
     i = float(information[0, 0])
     if i <= 1e-12:
         return None
     threshold = np.sqrt(2 * (needed + 0.5 * np.log1p(i)) * (1 + i) / i)
-    return float((threshold + ndtri(POWER)) / np.sqrt(i) * size)
+    return float((threshold + ndtri(POWER)) / np.sqrt(i) * point.size.sd[0])
 
 
 def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: float) -> float | None:
@@ -208,59 +212,34 @@ def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: flo
     return None
 
 
-def name_aliases(
-    judged: Sequence[Candidate],
-    columns: candidate_columns.Columns,
-    score: efficient_score.Score,
-    found: susie.SingleEffects,
-) -> list[Candidate]:
+def alike(points: Mapping[str, Sequence[Scored]]) -> dict[str, set[str]]:
     """Which candidates' fitted contributions are one and the same to these readings."""
-    best = []
-    for index in range(len(judged)):
-        at = _likeliest(columns, score, index)
-        part = score.part(at)
-        vector = np.zeros(len(score.u))
-        vector[at] = np.linalg.solve(np.eye(len(at)) + part.information, part.u)
-        best.append(vector)
-    stack = np.array(best)
-    gram = stack @ score.information @ stack.T
+    outside, inside = [], []
+    for own in points.values():
+        p = own[0]
+        sd = p.size.sd
+        information = sd[:, None] * p.information * sd
+        fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, sd * p.u)
+        outside.append(p.columns @ fitted)
+        inside.append(p.inside @ fitted)
+    names, c, p = list(points), np.array(outside), np.array(inside)
+    gram = c @ c.T - p @ p.T
     norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     cosine = np.abs(gram / np.outer(norms, norms))
-    names = [c.effect for c in judged]
-    named = []
-    for i, c in enumerate(judged):
-        same = {names[j] for j in np.flatnonzero(cosine[i] > ALIKE) if j != i}
-        for s in found.sets:
-            if i in s.members:
-                same |= {names[m] for m in s.members if m != i}
-        named.append(replace(c, indistinguishable_from=tuple(sorted(same))))
-    return named
+    return {
+        name: {names[j] for j in np.flatnonzero(cosine[i] > ALIKE) if j != i}
+        for i, name in enumerate(names)
+    }
 
 
-def given(
-    judged: Sequence[Candidate],
-    columns: candidate_columns.Columns,
-    score: efficient_score.Score,
-    leading: int,
-) -> list[Candidate]:
-    """Every candidate's log Bayes factor once the leading one is in the model: the next step's view, by score."""
-    held = _likeliest(columns, score, leading)
-    after = score.given(held)
-    updated = []
-    for index, c in enumerate(judged):
-        if index == leading:
-            updated.append(c)
-            continue
-        grid = _grid(columns, after, index)
-        updated.append(
-            replace(c, conditional=float(np.asarray(logsumexp(grid.log_weight + grid.log_factors))))
-        )
-    return updated
-
-
-def _likeliest(
-    columns: candidate_columns.Columns, score: efficient_score.Score, index: int
-) -> list[int]:
-    """Columns of a candidate's likeliest grid point."""
-    grid = _grid(columns, score, index)
-    return list(grid.points[int(np.argmax(grid.log_weight + grid.log_factors))].columns)
+def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
+    """The candidate with its kind: whether it is found, a lead, or not to be seen."""
+    if found:
+        return replace(candidate, kind="finding")
+    if (candidate.probability or 0.0) >= LEAD:
+        return replace(candidate, kind="lead")
+    least = candidate.minimum_detectable
+    hidden = (candidate.visibility or 0.0) < VISIBLE
+    if least is None or least > HOPELESS * plausible or (hidden and least > plausible):
+        return replace(candidate, kind="not visible", reason="this experiment cannot see it")
+    return candidate

@@ -1,8 +1,4 @@
-"""Which effect is missing: a ranked list, with what cannot be told apart and what cannot be seen.
-
-The sum of single effects on the efficient score gives credible sets (*findings*) under a prior in which "nothing is
-missing" has probability one half; the leading sets are then verified by refitting.
-"""
+"""Which effect is missing: the posterior over structures that hold the fitted model's effects."""
 
 from __future__ import annotations
 
@@ -13,21 +9,23 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.progress import stage
-from bayescal._diagnostics import efficient_score
-from bayescal._discovery import candidate as judgement
-from bayescal._discovery import candidate_columns as candidates
-from bayescal._discovery import refit, susie
-from bayescal._discovery.candidate import FINDING, Candidate
-from bayescal._discovery.discovery import Discovery, Found
-from bayescal._discovery.refit import LEAD
+from bayescal._discovery.candidate import Candidate, alike, judge, kind_of
+from bayescal._discovery.discovery import Discovery
+from bayescal._discovery.posterior import Posterior
+from bayescal._discovery.scores import Library, scores
+from bayescal._discovery.structures import Structure, Structures
+from bayescal._discovery.walk import walk
+from bayescal._engine.record import Record, library_of
 from bayescal._model.effect import Effect
-from bayescal._model.frame import derived
-from bayescal._model.model import testable
-from bayescal._model.unknown_effect import FORMS, free_curve
+from bayescal._model.frame import Frame, Reference, build_frame, derived
+from bayescal._model.model import Model, testable
+from bayescal._model.noise_laws import Noise, White, over_record
+from bayescal._model.parameters import bind
+from bayescal._model.unknown_effect import FORMS
+from bayescal._readings.measurements import Measurements
 
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
-VISIBLE = 0.01  # share of the information left after the nuisances, below which a plausible size must still be seen
-HOPELESS = 10.0  # plausible sizes that an effect would need to be found, above which this experiment cannot see it
+FEWEST = 30  # readings from which the noise law can be told at all
 
 
 def discover(
@@ -35,7 +33,8 @@ def discover(
     *,
     effects: Sequence[Effect] = (),
     max_effects: int = 5,
-    verify: bool = True,
+    widen_noise: bool = True,
+    time_limit: float | None = None,
 ) -> Discovery:
     """Which effect is missing from a fitted model.
 
@@ -43,167 +42,49 @@ def discover(
         calibration: a converged fit.
         effects: further candidates of the user's own, beside the instrument's.
         max_effects: most effects that may be missing at once.
-        verify: refit the leading set's members and demand that their evidence agrees.
+        widen_noise: False holds the noise law as it is.
+        time_limit: seconds after which the search ends with the best so far.
     """
-    known, tested, shut = _candidates_of(calibration, effects)
-    if not tested:
-        return Discovery(nothing_missing=1.0, sets=(), candidates=tuple(shut), best=(), verified={})
-    with stage("looking for missing effects"):
-        columns = candidates.lay_out(calibration, tested)
-        score = efficient_score.score(calibration, columns.matrix)
-        found = susie.single_effects(
-            score.u,
-            score.information,
-            np.ones(len(score.u)),
-            columns.items,
-            rows=max_effects,
-            candidate_prior=columns.prior,
-        )
-        shares = [float(share) for share in found.inclusion]
-        judged = [judgement.judge(columns, score, i, share) for i, share in enumerate(shares)]
-        judged = judgement.name_aliases(judged, columns, score, found)
-    sets = tuple(Found(tuple(tested[m].name for m in s.members), s.probability) for s in found.sets)
-    learned = any(h.kind == "spread" for h in calibration.layout.hypers)
-    leading = refit.leading(found, judged, learned)
-    nothing, best, verified = float(found.nothing_probability), (), {}
-    if leading and verify:
-        verified = refit.verify(calibration, [tested[m] for m in leading])
-    if verified:
-        nothing = refit.nothing_after(judged, verified, nothing)
-        judged = refit.after_refit(judged, verified, nothing)
-        sets = (Found(refit.members(judged, verified), 1 - nothing), *sets[1:])
-        if nothing <= FINDING and known[sets[0].effects[0]].is_placeholder:
-            together = _together(columns, score, max_effects)
-            leaders = [known[s.effects[0]] for s in together]
-            share = refit.share_of(calibration, leaders, judged, verified)
-            sets, judged = _named(
-                sets, together, share, judged, verified, len(calibration.readings)
-            )
-    if nothing <= FINDING and sets:
-        best = (_first(sets[0], known),)
-        judged = judgement.given(judged, columns, score, tested.index(best[0]))
-    else:
-        sets = ()
-    return _ranked(known, tested, shut, nothing, sets, judged, best, verified)
-
-
-def _ranked(
-    known: dict[str, Effect],
-    tested: list[Effect],
-    shut: list[Candidate],
-    nothing: float,
-    sets: tuple[Found, ...],
-    judged: list[Candidate],
-    best: tuple[Effect, ...],
-    verified: dict[str, float],
-) -> Discovery:
-    """The answer, its candidates in order, each with its kind."""
-    in_sets = {name for s in sets for name in s.effects}
-    plausible = {e.name: _plausible(e) for e in tested}
-    judged = [_kind(c, in_sets, plausible[c.effect]) for c in judged]
-    ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
-    rivals = tuple(known[name] for name in _rivals(sets, ranked))
-    return Discovery(
-        nothing_missing=nothing,
-        sets=sets,
-        candidates=(*ranked, *shut),
-        best=best,
-        verified=verified,
-        rivals=rivals,
-    )
-
-
-def _candidates_of(
-    calibration: Calibration, effects: Sequence[Effect]
-) -> tuple[dict[str, Effect], list[Effect], list[Candidate]]:
-    """All effects by name; those to test; and those that these readings cannot test, each with the reason."""
     model, readings = calibration.model, calibration.readings
-    known = {e.name: e for e in (*model.instrument.candidates, *model.instrument.effects, *effects)}
-    for effect in unknowns(calibration):
+    structures, shut = structures_over(
+        model, readings, calibration.reference, effects=effects, widen_noise=widen_noise
+    )
+    library = Library(structures)
+    with stage("looking for missing effects"):
+        stopped = walk(library, max_effects, time_limit)
+    return told(library, Structure(), shut, stopped)
+
+
+def structures_over(
+    model: Model,
+    readings: Measurements,
+    reference: Reference,
+    *,
+    effects: Sequence[Effect] = (),
+    widen_noise: bool = True,
+) -> tuple[Structures, list[Candidate]]:
+    """All structures over a model, and the candidates that these readings cannot test, each with the reason."""
+    instrument = model.instrument
+    known = {e.name: e for e in (*instrument.candidates, *instrument.effects, *effects)}
+    for effect in placeholders(model, readings):
         known.setdefault(effect.name, effect)
     reasons = {n: testable(e, readings) for n, e in known.items() if n not in model.names}
-    tested = [known[n] for n, reason in reasons.items() if reason is None]
+    open_ = {n: known[n] for n, reason in reasons.items() if reason is None}
     shut = [
         Candidate(n, kind="not testable", reason=reason)
         for n, reason in reasons.items()
         if reason is not None and not known[n].is_placeholder
     ]
-    return known, tested, shut
+    frame = build_frame(readings, reference)
+    library = library_of(instrument, frame, (*open_.values(), *model.effects))
+    record = Record(instrument, frame, np.asarray(readings["output"]), library)
+    wide = wandering(model, frame) if widen_noise else None
+    return Structures(model, bind(model, readings)[0], record, open_, wide), shut
 
 
-def _named(
-    sets: tuple[Found, ...],
-    together: tuple[Found, ...],
-    share: float,
-    judged: list[Candidate],
-    verified: dict[str, float],
-    readings: int,
-) -> tuple[tuple[Found, ...], list[Candidate]]:
-    """Sets and candidates where an unknown function leads, after effects with a name have been set beside it.
-
-    Args:
-        sets: the unknown's first.
-        together: of named effects.
-        share: their probability together, against the unknown's.
-        judged, verified: candidates, and log Bayes factors by refit.
-        readings: how many there are.
-    """
-    if share > 0.5:
-        names = {name for found in together for name in found.effects}
-        return together, refit.shared_out(judged, names, share, sets[0].probability)
-    leader, near = sets[0].effects[0], ()
-    if free_curve(leader):
-        near = refit.nearly(verified, judged, leader, readings)
-    beside = dict.fromkeys((*sets[0].effects, *near))
-    return (Found(tuple(beside), sets[0].probability), *sets[1:]), judged
-
-
-def _together(
-    columns: candidates.Columns, score: efficient_score.Score, max_effects: int
-) -> tuple[Found, ...]:
-    """What named effects together would explain: an unknown function can imitate a sum of several of them."""
-    named = [i for i, e in enumerate(columns.effects) if not e.is_placeholder]
-    place = {candidate: i for i, candidate in enumerate(named)}
-    if not named:
-        return ()
-    found = susie.single_effects(
-        score.u,
-        score.information,
-        np.ones(len(score.u)),
-        [replace(i, candidate=place[i.candidate]) for i in columns.items if i.candidate in place],
-        rows=max_effects,
-        candidate_prior=columns.prior[named] / columns.prior[named].sum(),
-    )
-    return tuple(
-        Found(tuple(columns.effects[named[m]].name for m in s.members), s.probability)
-        for s in found.sets
-    )
-
-
-def _first(found: Found, known: dict[str, Effect]) -> Effect:
-    """What to add of a set: its likeliest effect that has a name, if any has one; a placeholder comes last."""
-    effects = [known[name] for name in found.effects]
-    return next((e for e in effects if not e.is_placeholder), effects[0])
-
-
-def _rivals(sets: tuple[Found, ...], ranked: Sequence[Candidate]) -> list[str]:
-    """Names of what another experiment should tell apart, the most probable first."""
-    first = sets[0].effects if sets else ()
-    if len(first) > 1:
-        return list(first)
-    near = [
-        c.effect
-        for c in ranked
-        if c.effect not in first
-        and (c.kind == "lead" or set(first) & set(c.indistinguishable_from))
-        and not (first and c.unknown)
-    ]
-    return [*first, *near][:RIVALS]
-
-
-def unknowns(calibration: Calibration) -> list[Effect]:
+def placeholders(model: Model, readings: Measurements) -> list[Effect]:
     """An unknown smooth dependence on each covariate, a jump and a cycle in time, beside the catalogue's effects."""
-    instrument, readings = calibration.model.instrument, calibration.readings
+    instrument = model.instrument
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
     names = [name for name, values in derived(readings).items() if np.ptp(values) > 0]
@@ -211,22 +92,64 @@ def unknowns(calibration: Calibration) -> list[Effect]:
     return [instrument.unknown(name) for name in (*names, *forms)]
 
 
+def wandering(model: Model, frame: Frame) -> Noise | None:
+    """The wandering law over a record; None where the readings cannot tell, or the model's noise is not white."""
+    together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
+    fixed = any(name.startswith("noise.") for name, _ in model.fixed)
+    steps = np.asarray(frame.step)
+    if together or fixed or frame.size < FEWEST or not (steps > 0).any():
+        return None
+    if not isinstance(model.noise, White):
+        return None
+    span = float(np.max(np.asarray(frame.columns["elapsed"])))
+    return over_record(model.noise, steps[steps > 0], span)
+
+
+def told(
+    library: Library, at: Structure, shut: Sequence[Candidate], stopped: str = ""
+) -> Discovery:
+    """What the posterior over structures says is missing from one of them."""
+    structures = library.structures
+    posterior = Posterior.of(structures, at.effects)
+    here = structures.weigh(at)
+    names = [n for n in structures.candidates if n not in at.effects]
+    points = scores(library, here, names) if names else {}
+    same = alike(points) if points else {}
+    found = posterior.findings
+    in_sets = {name: set(f.effects) for f in found for name in f.effects}
+    judged = []
+    for name in names:
+        with_it = structures.visited.get(at.plus(name))
+        candidate = judge(library, points[name], here, with_it)
+        near = (same[name] | in_sets.get(name, set())) - {name}
+        candidate = replace(
+            candidate,
+            probability=posterior.inclusion(name),
+            indistinguishable_from=tuple(sorted(near)),
+        )
+        judged.append(kind_of(candidate, name in in_sets, _plausible(structures.candidates[name])))
+    ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
+    chosen = posterior.chosen.effects - at.effects
+    best = [structures.candidates[n] for f in found for n in f.effects if n in chosen]
+    rivals = _rivals(posterior, [c.effect for c in ranked if c.kind == "lead"])
+    return Discovery(
+        nothing_missing=posterior.nothing,
+        sets=found,
+        candidates=(*ranked, *shut),
+        best=tuple(dict.fromkeys(best)),
+        rivals=tuple(structures.candidates[n] for n in rivals),
+        noise_wanders=None if structures.wide is None else posterior.wanders,
+        stopped=stopped,
+    )
+
+
+def _rivals(posterior: Posterior, leads: list[str]) -> list[str]:
+    """Names of what another experiment should tell apart, the most probable first."""
+    first = list(posterior.findings[0].effects) if posterior.findings else []
+    return list(dict.fromkeys([*first, *(leads if len(first) < 2 else [])]))[:RIVALS]
+
+
 def _plausible(effect: Effect) -> float:
     """The size that an effect plausibly has, in the unit in which it is reported."""
     amplitude = next((s for s in effect.shapes if s.name == effect.measure), None)
     return effect.coefficients[0].size if amplitude is None else amplitude.high
-
-
-def _kind(candidate: Candidate, in_sets: set[str], plausible: float) -> Candidate:
-    if candidate.effect in in_sets:
-        return replace(candidate, kind="finding")
-    by_itself = candidate.log_bayes_factor or 0.0
-    # Beside a finding, what its neighbours merely share with it does not count.
-    factor = by_itself if candidate.conditional is None else min(by_itself, candidate.conditional)
-    if factor > LEAD:
-        return replace(candidate, kind="lead")
-    least = candidate.minimum_detectable
-    hidden = (candidate.visibility or 0.0) < VISIBLE
-    if least is None or least > HOPELESS * plausible or (hidden and least > plausible):
-        return replace(candidate, kind="not visible", reason="this experiment cannot see it")
-    return candidate

@@ -7,16 +7,9 @@ from dataclasses import dataclass
 
 from bayescal._core.formatting import WIDTH, number, probability, table, with_error
 from bayescal._discovery.candidate import Candidate
+from bayescal._discovery.posterior import Found
 from bayescal._model.effect import Effect
 from bayescal._readings.unit_conversion import unit_label
-
-
-@dataclass(frozen=True)
-class Found:
-    """One of these effects is missing; the readings cannot tell which."""
-
-    effects: tuple[str, ...]
-    probability: float
 
 
 @dataclass(frozen=True)
@@ -27,8 +20,9 @@ class Discovery:
         nothing_missing: probability that none of the candidates is.
         sets: findings, the most probable first.
         candidates: every candidate, the most probable first.
-        best: the effects to add, so that `model + discovery.best` is the next model; empty for none.
-        verified: log Bayes factor by refit, of each effect refitted.
+        best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
+        noise_wanders: probability that the noise wanders; None where the readings cannot tell.
+        stopped: why the search ended before its end; empty where it did not.
         rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
             with those that come nearest; without a set, the leads.
     """
@@ -37,8 +31,9 @@ class Discovery:
     sets: tuple[Found, ...]
     candidates: tuple[Candidate, ...]
     best: tuple[Effect, ...]
-    verified: dict[str, float]
     rivals: tuple[Effect, ...] = ()
+    noise_wanders: float | None = None
+    stopped: str = ""
 
     def __str__(self) -> str:
         return discovery_text(self)
@@ -51,6 +46,10 @@ def discovery_text(found: Discovery) -> str:
         names = " or ".join(s.effects)
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
+    if found.noise_wanders is not None:
+        lines.append(f"the noise wanders: probability {probability(found.noise_wanders)}")
+    if found.stopped:
+        lines.append(found.stopped)
     quiet = (None, "not visible")  # an unknown dependence without evidence is not worth a line
     tested = [
         c

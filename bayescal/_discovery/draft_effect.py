@@ -68,7 +68,7 @@ def shape_of(calibration: Calibration, name: str) -> Shape:
         [calibration.samples(effect.coefficient_name(i)) for i in range(len(effect.coefficients))],
         axis=1,
     )
-    shapes = {s.name: calibration.samples(effect.shape_name(s)) for s in effect.shapes}
+    shapes = {s.name: calibration.samples(effect.shape_name(s)) for s in effect.column_shapes}
     step = max(1, len(coefficients) // 200)
     draws = []
     waves = _Ramp(jnp.linspace(0.0, 1.0, POINTS))

@@ -15,8 +15,8 @@ from bayescal._calibration.fit import fit
 from bayescal._calibration.posterior_tree import replicate
 from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
-from bayescal._discovery.candidate import FINDING
 from bayescal._discovery.discover import discover
+from bayescal._discovery.posterior import FOUND
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model.effect import Effect
 
@@ -44,7 +44,7 @@ class FalseReports:
         what = ", ".join(f"{name} ({count})" for name, count in self.effects.items())
         return (
             f"false reports: {self.reported} of {self.campaigns} campaigns simulated from this model, in which "
-            f"nothing is missing (95 % interval {100 * low:.1f} to {100 * high:.1f} %; at most {100 * FINDING:.0f} % "
+            f"nothing is missing (95 % interval {100 * low:.1f} to {100 * high:.1f} %; at most {100 * (1 - FOUND):.0f} % "
             "were meant)" + (f": {what}" if what else "")
         )
 

@@ -38,6 +38,7 @@ class Size(NamedTuple):
 
     sd: Float[np.ndarray, "k"]
     hint: dict[str, float]
+    scales: dict[str, float]  # shapes that it is made of, in their units
     log_weight: float
 
 
@@ -88,6 +89,11 @@ class Library:
                     )
                 )
                 self.width += sum(width)
+
+    def grouped(self, name: str) -> bool:
+        """Whether a candidate's size is that of many coefficients together: learned, or an amplitude."""
+        effect = self.structures.candidates[name]
+        return effect.is_placeholder or effect.coefficients[0].spread is not None
 
     def columns(self, slopes: Mapping[str, np.ndarray]) -> Float[np.ndarray, "n P"]:
         """∂μ/∂θ of all, output unit per reported unit, where the output has these slopes by the slots."""
@@ -229,7 +235,7 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
             named = {s.name: float(s.prior.value(one)) for s, one in zip(scales, v, strict=True)}
             weights = np.broadcast_to(effect.weights(**named), (len(effect.coefficients),))
             hint = {effect.shape_name(s): float(one) for s, one in zip(scales, v, strict=True)}
-            made.append(Size(plain * weights, hint, -len(scales) * math.log(LEVELS)))
+            made.append(Size(plain * weights, hint, named, -len(scales) * math.log(LEVELS)))
         return made
     learned = [i for i, c in enumerate(effect.coefficients) if c.spread is not None]
     if learned:
@@ -239,9 +245,9 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
             for i in learned:
                 sd[at[i] : at[i + 1]] *= z
             hint = {f"{effect.coefficient_name(i)}.spread": math.log(z) for i in learned}
-            made.append(Size(sd, hint, -math.log(LEVELS)))
+            made.append(Size(sd, hint, {}, -math.log(LEVELS)))
         return made
-    return [Size(plain * factor, {}, math.log(p)) for factor, p in SIZES.items()]
+    return [Size(plain * factor, {}, {}, math.log(p)) for factor, p in SIZES.items()]
 
 
 def _grid(shapes: Sequence[Shape]) -> np.ndarray:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.guards import conflicts
 from bayescal._core.formatting import number, probability, table
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
 from bayescal._discovery.discovery import Discovery
+from bayescal._discovery.posterior import Posterior
+from bayescal._discovery.structures import Structures
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 
 AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
 NOTICEABLE = 0.1  # if the coefficient itself is above this
+WORSE = 1.05  # error against that of an earlier step, above which an effect does harm
+SHOWN = 20  # structures kept of a search
 
 
 @dataclass(frozen=True)
@@ -105,20 +112,58 @@ class OtherPath:
 
 
 @dataclass(frozen=True)
+class Shown:
+    """A structure as a search leaves it: what it adds, its noise law, how probable it is."""
+
+    effects: tuple[str, ...]
+    wanders: bool
+    log_evidence: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class Search:
+    """How a search ended.
+
+    Attributes:
+        structures: the most probable ones.
+        weighed: how many were.
+        complete: whether it came to its end.
+        stopped: why it did not, in words.
+    """
+
+    structures: tuple[Shown, ...]
+    weighed: int
+    complete: bool
+    stopped: str = ""
+
+    @classmethod
+    def of(cls, structures: Structures, *, complete: bool, stopped: str = "") -> Search:
+        posterior = Posterior.of(structures)
+        shown = tuple(
+            Shown(tuple(sorted(w.structure.effects)), w.structure.wanders, w.log_evidence, float(p))
+            for w, p in zip(posterior.weighed, posterior.probability, strict=True)
+        )
+        return cls(shown[:SHOWN], len(structures.visited), complete, stopped)
+
+
+@dataclass(frozen=True)
 class Trail:
-    """The sequence of models from the baseline to the last, and whether to trust the last.
+    """The sequence of models from the first to the chosen one, and whether to trust the last.
 
     Attributes:
         steps: in order.
         gate: of the last model.
         holdout: the readings kept apart.
         other_path: an end under another noise law that is nearly as probable; None where there is none.
+        search: the structures weighed; None before the search.
     """
 
     steps: tuple[Step, ...]
     gate: Gate
     holdout: Measurements | None
     other_path: OtherPath | None = None
+    search: Search | None = None
 
     @property
     def final(self) -> Step:
@@ -138,11 +183,18 @@ class Trail:
 
 
 def trail_text(trail: Trail) -> str:
-    """The error, step by step."""
+    """The error, step by step: as fitted, of a new run, held out, and the floor."""
     unit = unit_label(trail.final.calibration.unit)
+    held_out = trail.holdout is not None
     head = [
-        *("step", f"rmse [{unit}]", "left-out", "held-out", "noise", "floor"),
-        *("log evidence", "nothing missing"),
+        *(
+            "step",
+            f"as fitted [{unit}]",
+            "new run",
+            "left-out",
+            *(["held-out"] if held_out else []),
+        ),
+        *("floor", "log evidence", "nothing missing"),
     ]
     rows = []
     for i, s in enumerate(trail.steps):
@@ -150,10 +202,10 @@ def trail_text(trail: Trail) -> str:
         rows.append(
             [
                 f"{i} {s.title}",
+                number(s.rmse_fitted),
                 number(s.rmse),
                 number(s.left_out.rmse if s.left_out else None),
-                number(s.holdout_rmse),
-                number(s.check.noise),
+                *([number(s.holdout_rmse)] if held_out else []),
                 number(s.noise_floor),
                 "–" if evidence is None else f"{evidence[0]:z.1f}",
                 probability(s.discovery.nothing_missing if s.discovery else None),
@@ -162,23 +214,55 @@ def trail_text(trail: Trail) -> str:
     return table(head, rows)
 
 
-def gate(step: Step) -> Gate:
-    """Whether the last model's noise is as independent as its probabilities assume."""
+def gate(steps: Sequence[Step]) -> Gate:
+    """Whether the last model is to be used and its probabilities believed; if not, every reason."""
+    reasons = [*_of_noise(steps[-1]), *_against_the_steps_before(steps)]
+    reasons += conflicts(steps[-1].calibration)
+    if reasons:
+        return Gate(False, " ".join(reasons))
+    return Gate(True, "converged; neighbouring residuals are not correlated")
+
+
+def _of_noise(step: Step) -> list[str]:
     verdict = step.calibration.verdict
     if not verdict.ok:
-        return Gate(False, "The fit did not converge: " + " ".join(verdict.reasons))
+        return ["The fit did not converge: " + " ".join(verdict.reasons)]
     if step.check.fixed is not None and step.check.fixed.wrong:
-        return Gate(
-            False,
+        return [
             f"The fixed coefficients leave residuals of {step.check.fixed.rms:.3g} {step.check.unit} rms, "
-            f"{step.check.fixed.rms / step.check.fixed.noise:.1f} times the noise of the same model set free.",
-        )
+            f"{step.check.fixed.rms / step.check.fixed.noise:.1f} times the noise of the same model set free."
+        ]
     coefficient, z = step.check.autocorrelation
     if abs(z) > AUTOCORRELATED and abs(coefficient) > NOTICEABLE:
-        return Gate(
-            False,
+        return [
             f"Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), "
             "so the probabilities of missing effects are too confident. Either the noise is correlated in "
-            "time or something is missing that no candidate describes.",
-        )
-    return Gate(True, "converged; neighbouring residuals are not correlated")
+            "time or something is missing that no candidate describes."
+        ]
+    return []
+
+
+def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
+    """What an added effect made worse: the error as fitted, left-out groups, readings kept apart."""
+    reasons, unit = [], unit_label(steps[-1].calibration.unit)
+    for before, after in pairwise(steps):
+        if after.rmse_fitted > WORSE * before.rmse_fitted:
+            reasons.append(
+                f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
+                f"{after.rmse_fitted:.3g} {unit}: do not use it."
+            )
+    first, last = steps[0], steps[-1]
+    pairs = {
+        "left-out groups": (
+            first.left_out and first.left_out.rmse,
+            last.left_out and last.left_out.rmse,
+        ),
+        "the readings kept apart": (first.holdout_rmse, last.holdout_rmse),
+    }
+    for what, (early, late) in pairs.items():
+        if early is not None and late is not None and late > WORSE * early:
+            reasons.append(
+                f"The last model predicts {what} worse than the first, {early:.3g} → {late:.3g} {unit}: "
+                "what was added holds for these readings alone."
+            )
+    return reasons

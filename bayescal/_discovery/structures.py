@@ -105,10 +105,27 @@ class Structures:
         """Of a structure, against that of the base under the same law."""
         return sum(self.log_odds[name] for name in structure.effects)
 
+    def barred(self, structure: Structure) -> set[str]:
+        """Candidates that a structure may not have: a free curve in time beside a wander is the wander again."""
+        wanders = structure.wanders or not self.base.noise.independent
+        return {"unknown(time)"} if wanders else set()
+
     def open_to(self, structure: Structure) -> list[str]:
-        """Candidates that may be added to it. A free curve in time beside wandering noise is the wander again."""
-        barred = {"unknown(time)"} if structure.wanders else set()
-        return [n for n in self.candidates if n not in structure.effects and n not in barred]
+        """Candidates that may be added to it."""
+        barred = structure.effects | self.barred(structure)
+        return [n for n in self.candidates if n not in barred]
+
+    def path(self, to: Structure) -> list[Structure]:
+        """From the base to a structure, at each step what gains most."""
+        steps = [Structure()]
+        while steps[-1] != to:
+            here = steps[-1]
+            ways = [here.plus(name) for name in sorted(to.effects - here.effects)]
+            if here.wanders != to.wanders:
+                ways.append(Structure(here.effects, to.wanders))
+            near = self.weigh(here)
+            steps.append(max(ways, key=lambda s: self.weigh(s, near).total))
+        return steps
 
     def model(self, structure: Structure) -> Model:
         """A structure as a model, effects in the catalogue's order."""

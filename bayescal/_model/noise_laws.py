@@ -14,6 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 
@@ -216,7 +217,7 @@ def over_record(white: White, steps: Float[Array, "n"], span: float) -> Ornstein
         steps: times between neighbours, s.
         span: of the longest run, s.
     """
-    shortest = float(jnp.median(steps))
+    shortest = float(np.median(steps))
     return OrnsteinUhlenbeck(shortest, max(span, 10 * shortest), white.scale, white.scale)
 
 

@@ -181,7 +181,7 @@ def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) 
                 discovery=discover(c, effects=(*own, *effects)) if c.verdict.ok else None,
             )
         )
-    return Trail(tuple(steps), gate(steps[-1]), None)
+    return Trail(tuple(steps), gate(steps[-1:]), None)
 
 
 def _titles(calibrations: list[Calibration]) -> list[str]:

@@ -34,11 +34,11 @@ ROOMS = {
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains trust least_squares marginal nuts",
     "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",
-    "_calibration": "named_draws fitted posterior_tree storage summary calibration predict fit evidence",
+    "_calibration": "named_draws fitted posterior_tree storage summary guards calibration predict fit evidence",
     "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_floor covariate_evidence "
-    "worst_region check_result check leave_group_out compare",
-    "_discovery": "susie candidate_columns candidate discovery refit discover next_experiment false_reports "
-    "draft_effect outliers search_path calibrate",
+    "worst_region check_result check leave_group_out compare outliers",
+    "_discovery": "structures scores walk posterior candidate discovery discover next_experiment false_reports "
+    "draft_effect search_path calibrate",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
     "compensation_program code_writer compensator compensate_file budget",
     "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack population "

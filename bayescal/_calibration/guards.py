@@ -1,0 +1,74 @@
+"""Guards: what a fit may not be, however well its optimiser converged."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bayescal._calibration.fitted import Fitted
+from bayescal._calibration.summary import summary
+from bayescal._core.formatting import number
+from bayescal._model.noise_laws import CORRELATION_TIME
+from bayescal._readings.unit_conversion import same_dimension, unit_label
+
+CONFLICT = 4.0  # prior standard deviations from the prior's mean, beyond which readings and prior contradict each other
+SIZES = 10.0  # times a candidate's plausible size, which is known to an order of magnitude only
+WIDER = -1.0  # contraction below which the posterior is wider than the prior can be
+RECORDS = 10.0  # records, beyond which no time can be told
+
+
+def conflicts(calibration: Fitted) -> list[str]:
+    """Why a fit is not to be trusted although it converged, each a sentence; empty for most."""
+    coefficients, spreads = summary(calibration)
+    by_name = {row["name"]: row for row in coefficients}
+    found = _against_priors(calibration, by_name)
+    for row in (*coefficients, *spreads):
+        if row["contraction"] is not None and row["contraction"] < WIDER:
+            found.append(
+                f"{row['name']} is known worse than before the readings (contraction "
+                f"{row['contraction']:.1f}): the fit has lost its way."
+            )
+    return [*found, *_too_large(calibration, spreads)]
+
+
+def _against_priors(calibration: Fitted, rows: dict[str, dict[str, Any]]) -> list[str]:
+    found = []
+    baseline = {e.name for e in calibration.model.instrument.effects}
+    for b in calibration.layout.blocks:
+        c = b.coefficient
+        plain = b.place in ("x", "phi") and b.effect.weights is None
+        if not plain or c.flat or c.spread is not None or c.per == "reading":
+            continue
+        most = CONFLICT if b.effect.name in baseline else CONFLICT * SIZES
+        for name in b.member_names(calibration.levels):
+            away = abs(rows[name]["mean"] - c.mean) / c.size
+            if away > most:
+                found.append(
+                    f"{name} stands {away:.0f} times its plausible size from its prior's mean "
+                    f"({number(rows[name]['mean'])} against {number(c.mean)} ± {number(c.size)} "
+                    f"{unit_label(c.unit)}): check the nominal zero and scale, or give it a wider prior."
+                )
+    return found
+
+
+def _too_large(calibration: Fitted, spreads: list[dict[str, Any]]) -> list[str]:
+    """Scales beyond the output's whole range, times beyond ten records."""
+    found, unit = [], calibration.unit
+    reach = float(np.ptp(calibration.readings["output"]))
+    for row in spreads:
+        if row["name"] == CORRELATION_TIME:
+            continue  # bounded by the longest run
+        if row["unit"] == unit and same_dimension(row["unit"], unit) and row["mean"] > reach > 0:
+            found.append(
+                f"{row['name']} is larger than the output's whole range ({number(row['mean'])} against "
+                f"{number(reach)} {unit_label(unit)})."
+            )
+    if calibration.readings.has("time"):
+        record = float(np.ptp(calibration.readings["time"]))
+        found += [
+            f"{row['name']} is longer than {RECORDS:.0f} records ({number(row['mean'])} s): it cannot be told."
+            for row in spreads
+            if row["unit"] == "s" and record > 0 and row["mean"] > RECORDS * record
+        ]
+    return found
