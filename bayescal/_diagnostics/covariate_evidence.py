@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._diagnostics import efficient_score
-from bayescal._diagnostics.group_bayes_factor import log_bayes_factor
+from bayescal._diagnostics.group_bayes_factor import log_bayes_factors as at_sizes
 from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
 SCALES = (
@@ -26,14 +26,15 @@ WAVES = 2  # along each of two covariates together
 
 @dataclass(frozen=True)
 class Covariate:
-    """A covariate and its columns, each length a set of columns of unit amplitude.
+    """A covariate and its columns (n, k), with the weights (k,) that make them of unit amplitude at each length.
 
     `levels` are the members' names where the covariate is a group, whose values are their numbers.
     """
 
     name: str
     values: np.ndarray
-    bases: tuple[np.ndarray, ...]
+    columns: np.ndarray
+    weights: tuple[np.ndarray, ...]
     unit: str = ""
     levels: tuple[str, ...] = ()
 
@@ -44,15 +45,15 @@ def smooth(name: str, values: np.ndarray, unit: str = "", *, in_time: bool = Fal
     span = np.ptp(values)
     position = (values - values.min()) / (span if span > 0 else 1.0)
     lengths = np.geomspace(*plausible, SCALES[in_time])
-    columns = process_columns(position, terms)
-    bases = tuple(columns * process_weights(length, terms) for length in lengths)
-    return Covariate(name, values, bases, unit)
+    weights = tuple(process_weights(length, terms) for length in lengths)
+    return Covariate(name, values, process_columns(position, terms), weights, unit)
 
 
 def members(name: str, codes: np.ndarray, levels: tuple[str, ...]) -> Covariate:
     """One level for each member of a group."""
     indicator = (codes[:, None] == np.unique(codes[codes >= 0])[None, :]).astype(float)
-    return Covariate(name, codes.astype(float), (indicator,), levels=levels)
+    even = (np.ones(indicator.shape[1]),)
+    return Covariate(name, codes.astype(float), indicator, even, levels=levels)
 
 
 def together(first: Covariate, second: Covariate) -> Covariate:
@@ -60,7 +61,8 @@ def together(first: Covariate, second: Covariate) -> Covariate:
     one, two = _waves(first.values), _waves(second.values)
     basis = (one[:, :, None] * two[:, None, :]).reshape(len(one), -1)
     scale = np.sqrt(np.mean(np.sum(basis**2, axis=1)))
-    return Covariate(f"{first.name} × {second.name}", first.values, (basis / max(scale, 1e-300),))
+    weights = (np.full(basis.shape[1], 1 / max(scale, 1e-300)),)
+    return Covariate(f"{first.name} × {second.name}", first.values, basis, weights)
 
 
 def _waves(values: np.ndarray) -> np.ndarray:
@@ -78,19 +80,14 @@ def log_bayes_factors(
     Args:
         noise: standard deviation that amplitudes are counted in, output unit.
     """
-    if not covariates:
-        return []
-    bases = [basis for covariate in covariates for basis in covariate.bases]
-    score = efficient_score.score(calibration, np.concatenate(bases, axis=1) * noise)
-    found, at = [], 0
+    found = []
     for covariate in covariates:
-        terms = []
-        for basis in covariate.bases:
-            part = score.part(list(range(at, at + basis.shape[1])))
-            at += basis.shape[1]
-            terms += [
-                log_bayes_factor(part.u, part.information, np.full(len(part.u), a**2))
-                for a in AMPLITUDES
+        score = efficient_score.score(calibration, covariate.columns * noise)
+        terms = np.concatenate(
+            [
+                at_sizes(weight * score.u, weight[:, None] * score.information * weight, AMPLITUDES)
+                for weight in covariate.weights
             ]
+        )
         found.append(float(logsumexp(terms) - np.log(len(terms))))
     return found

@@ -9,17 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._core.jit import compiled
-from bayescal._inference.laplace import linearised
-from bayescal._model.frame import Frame
-from bayescal._model.parameters import Layout
-
-RANK = 1e-12  # of the largest eigenvalue, below which a direction was not fitted
 
 
 class Score(NamedTuple):
@@ -45,43 +37,14 @@ class Score(NamedTuple):
         return Score(self.u - cross.T @ pull[:, -1], left, self.before)
 
 
-@compiled
-def _score(layout: Layout, frame: Frame, y: Array, mode, columns: Float[Array, "n m"]):
-    line = linearised(layout, frame, y, mode)
-    q = line.nuisance.shape[1]
-    stacked = jnp.concatenate([line.nuisance * line.prior.sd, columns], axis=1)
-    gram = layout.model.noise.gram(stacked, line.residual, line.extra, line.hyper, frame)
-    inner = gram.jtj[:q, :q] + jnp.diag(line.prior.weight)
-    cross, own = gram.jtj[:q, q:], gram.jtj[q:, q:]
-    if q == 0:
-        return gram.jtr, own, jnp.diag(own)
-    solved = jnp.linalg.solve(inner, jnp.concatenate([cross, gram.jtr[:q, None]], axis=1))
-    u = gram.jtr[q:] - cross.T @ solved[:, -1]
-    return u, own - cross.T @ solved[:, :-1], jnp.diag(own)
-
-
 def score(calibration: Calibration, columns: np.ndarray) -> Score:
     """Score and information of columns (n, P) at a fitted model, output unit per prior sd."""
-    y = jnp.asarray(calibration.readings["output"])
-    found = _score(calibration.layout, calibration.frame, y, calibration.mode, jnp.asarray(columns))
-    u, information, before = (np.asarray(a) for a in found)
-    return Score(u, 0.5 * (information + information.T), before)
-
-
-@compiled
-def _residuals(layout: Layout, frame: Frame, y: Array, mode):
-    line = linearised(layout, frame, y, mode)
-    noise = layout.model.noise
-    q = line.nuisance.shape[1]
-    scaled = line.nuisance * line.prior.sd
-    gram = noise.gram(scaled, line.residual, line.extra, line.hyper, frame)
-    fitted = jnp.zeros(frame.size)
-    if q:
-        fitted = scaled @ jnp.linalg.solve(gram.jtj + jnp.diag(line.prior.weight), gram.jtr)
-    residual = line.residual - fitted
-    white, _ = noise.whiten(residual[:, None], line.extra, line.hyper, frame)
-    sd = jnp.sqrt(noise.variance(line.hyper, frame) + line.extra)
-    return residual, white[:, 0], sd
+    linear = calibration.linear
+    white = linear.whiten(np.asarray(columns, float))
+    taken = linear.directions.T @ white
+    own = white.T @ white
+    # V⁻¹r is Σ⁻¹ times the residuals at the fit.
+    return Score(white.T @ linear.white_settled, own - taken.T @ taken, np.diag(own).copy())
 
 
 class Residuals(NamedTuple):
@@ -95,51 +58,19 @@ class Residuals(NamedTuple):
 
 def residuals(calibration: Calibration) -> Residuals:
     """Residuals of the fitted readings, group deviations as fitted."""
-    y = jnp.asarray(calibration.readings["output"])
-    found = _residuals(calibration.layout, calibration.frame, y, calibration.mode)
-    return Residuals(*(np.asarray(a) for a in found))
-
-
-@compiled
-def _fitted_directions(layout: Layout, frame: Frame, y: Array, mode):
-    line = linearised(layout, frame, y, mode)
-    if not line.nuisance.shape[1]:
-        return jnp.zeros((frame.size, 0))
-    noise = layout.model.noise
-    white, _ = noise.whiten(line.nuisance * line.prior.sd, line.extra, line.hyper, frame)
-    inner = white.T @ white + jnp.diag(line.prior.weight)
-    size = jnp.sqrt(jnp.diag(inner))
-    size = jnp.where(size > 0, size, 1.0)
-    weights, vectors = jnp.linalg.eigh(inner / size / size[:, None])
-    known = weights > RANK * weights[-1]
-    root = jnp.where(known, 1 / jnp.sqrt(jnp.where(known, weights, 1.0)), 0.0)
-    return (white / size) @ (vectors * root)
+    linear = calibration.linear
+    white = linear.by_reading(linear.white_settled)
+    return Residuals(linear.settled, white, np.sqrt(linear.variance))
 
 
 def fitted_directions(calibration: Calibration) -> np.ndarray:
-    """G (n, q): the whitened residuals at the fit have the covariance I − G·Gᵀ if the model is right.
-
-    With A the whitened columns of the nuisances, per prior sd, and W their prior weights (0 where flat), whitened
-    readings have the covariance I + A·W⁻¹·Aᵀ, and the residuals are (I − H) times them, H = A·(AᵀA + W)⁻¹·Aᵀ = G·Gᵀ,
-    the leverage matrix; so (I − H)·(I + A·W⁻¹·Aᵀ)·(I − H) = I − H.
-    """
-    y = jnp.asarray(calibration.readings["output"])
-    found = _fitted_directions(calibration.layout, calibration.frame, y, calibration.mode)
-    return np.asarray(found)
-
-
-@compiled
-def _projections(layout: Layout, frame: Frame, y: Array, mode, residual: Array, columns: Array):
-    line = linearised(layout, frame, y, mode)
-    gram = layout.model.noise.gram(columns, residual, line.extra, line.hyper, frame)
-    return gram.jtr, gram.jtj
+    """G (n, q): the whitened residuals at the fit have the covariance I − G·Gᵀ if the model is right."""
+    return calibration.linear.by_reading(calibration.linear.directions)
 
 
 def projections(
     calibration: Calibration, residual: np.ndarray, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns (n, P) and the residuals at the fit: no nuisance is taken out again."""
-    y = jnp.asarray(calibration.readings["output"])
-    args = (y, calibration.mode, jnp.asarray(residual), jnp.asarray(columns))
-    found = _projections(calibration.layout, calibration.frame, *args)
-    return np.asarray(found[0]), np.asarray(found[1])
+    white = calibration.linear.whiten(np.column_stack([columns, residual]))
+    return white[:, :-1].T @ white[:, -1], white[:, :-1].T @ white[:, :-1]

@@ -91,6 +91,18 @@ def log_bayes_factor(score: ArrayLike, information: ArrayLike, prior_variance: A
     return float(Blocks(unit, np.arange(u.size)[None]).effects(u)[0][0])
 
 
+def log_bayes_factors(score: ArrayLike, information: ArrayLike, sizes: Sequence[float]) -> Array:
+    """Those of one group of columns at several prior standard deviations, each common to all of its columns."""
+    u, unit, _ = _in_prior_units(score, information, np.ones(np.size(score)))
+    values, vectors = np.linalg.eigh(unit)
+    variance = np.square(np.asarray(sizes, float))[:, None]
+    spread = variance * values
+    seen = spread > np.maximum(INVISIBLE, ROUNDING * spread[:, -1:])
+    spread = np.where(seen, spread, 0.0)
+    energy = np.where(seen, variance * (vectors.T @ u) ** 2, 0.0) / (1 + spread)
+    return 0.5 * np.sum(energy - np.log1p(spread), axis=1)
+
+
 def enumerate_models(
     score: ArrayLike,
     information: ArrayLike,

@@ -1,29 +1,24 @@
 """Leave one group out: the left-out group predicted as new, φ estimated again in each fold, x in closed form.
 
-The model is linearised once, at the full fit; a fold is the same linear model with the group's readings at zero
-weight. Deviations of the left-out group then come from their prior, as those of any group not yet seen.
+The model is linearised once, at the full fit; a fold is the same linear model without the group's readings. Deviations
+of the left-out group then come from their prior, as those of any group not yet seen.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
-from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._core.jit import compiled
-from bayescal._inference import gaussian
-from bayescal._model import forward
-from bayescal._model.frame import Frame
-from bayescal._model.noise_laws import Gram
-from bayescal._model.parameters import Layout
+from bayescal._engine.assembly import Assembly, Point, Prior
+from bayescal._engine.blas import on_one_thread
+from bayescal._engine.closed_form import Density, Gram, condition
+from bayescal._engine.mode import Mode, climb, in_numpy
+from bayescal._engine.part import Part
 from bayescal._readings.measurements import Measurements
 
-SILENT = 1e10  # variance of a reading that is left out, in noise variances
+NOTHING_LEFT = 1e-10  # that a fold's φ̂ could still gain, nats: its score, unlike its density, is at no maximum there
 BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
 
 
@@ -66,64 +61,42 @@ def groups_of(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]
     return kind, tuple(str(i + 1) for i in range(count)), codes
 
 
+@on_one_thread
 def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
     """Predict every group from the others; None where the noise is not Gaussian."""
     if not calibration.model.noise.gaussian:
         return None
     kind, members, codes = groups_of(calibration.readings)
-    keep = codes[None, :] != np.arange(len(members))[:, None]
-    y = jnp.asarray(calibration.readings["output"])
-    found = _folds(
-        calibration.layout, calibration.frame, y, calibration.mode, jnp.asarray(keep, float)
-    )
-    scores, residual = (np.asarray(a) for a in found)
-    return LeaveOneGroupOut(kind, members, scores, residual.sum(axis=0))
+    mode = in_numpy(calibration.mode)
+    scores, residual = np.full(len(members), np.nan), np.full(len(codes), np.nan)
+    for i in range(len(members)):
+        out = np.flatnonzero(codes == i)
+        found = _fold(calibration.assembly, mode, np.flatnonzero(codes != i), out)
+        scores[i], residual[out] = found
+    return LeaveOneGroupOut(kind, members, scores, residual)
 
 
-@compiled
-def _folds(layout: Layout, frame: Frame, y: Array, mode, keep: Float[Array, "g n"]):
-    return jax.lax.map(lambda k: _fold(layout, frame, y, mode, k), keep)
+def _fold(
+    whole: Assembly, mode: Mode, kept: np.ndarray, out: np.ndarray
+) -> tuple[float, np.ndarray | float]:
+    """Log density and residuals of the readings left out, given the kept ones; not a number where these say nothing."""
+    fitted, predicted = (_density(whole, mode, rows) for rows in (kept, out))
+    v = climb(fitted, mode.v, mode.covariance, NOTHING_LEFT) if len(mode.v) else mode.v
+    found = fitted.at(v)[1]
+    if found is None:
+        return np.nan, np.nan
+    centred, table, logdet = predicted.whitened(v, found.mean)
+    # The posterior of x from the kept readings as a prior of unit normals.
+    size = len(mode.point.x)
+    turned = table[:, :-1] @ (found.place(np.eye(size)) - found.mean[:, None])
+    pull = turned.T @ table[:, -1]
+    gram = Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
+    unit = Prior(np.zeros(size), np.ones(size), np.ones(size))
+    joint = condition(gram, len(out), unit, np.zeros(size))
+    return (np.nan if joint is None else joint.log_marginal), centred
 
 
-def _fold(layout: Layout, frame: Frame, y: Array, mode, keep: Float[Array, "n"]):
-    point = mode.point
-    noise = layout.model.noise
-
-    def gram_at(hyper, kept: Float[Array, "n"]):
-        """Products over the kept readings: the others are given a variance so large that they say nothing."""
-        line = forward.linearise(layout, frame, point.x, point.rows, hyper)
-        residual = y - line.mean + jnp.sum(line.rows * point.rows, axis=1)
-        extra = gaussian.row_variance(layout, line)
-        silent = SILENT * (jnp.mean(noise.variance(hyper, frame)) + jnp.mean(extra))
-        gram = noise.gram(line.jacobian, residual, extra + (1 - kept) * silent, hyper, frame)
-        gram = gram._replace(logdet=gram.logdet - jnp.sum(1 - kept) * jnp.log(silent))
-        return gram, line.jacobian, residual
-
-    def density(v):
-        hyper = forward.hyper_values(layout, v)
-        prior = gaussian.prior_of(layout, hyper, mode.flat)
-        found = gaussian.condition(gram_at(hyper, keep)[0], jnp.sum(keep), prior, point.x)
-        return found.log_marginal + forward.hyper_log_prior(layout, v), found
-
-    v = mode.v
-    if len(layout.hypers):
-        solver = optx.BFGS(rtol=1e-6, atol=1e-6)
-        found = optx.minimise(lambda v, _: -density(v)[0], solver, v, max_steps=64, throw=False)
-        v = jnp.where(jnp.all(jnp.isfinite(found.value)), found.value, v)
-    hyper = forward.hyper_values(layout, v)
-    fitted = density(v)[1]
-    out = 1 - keep
-    gram, jacobian, residual = gram_at(hyper, out)
-    # The left-out readings under the posterior of x from the kept ones, its covariance as a prior of unit normals.
-    centred = residual - jacobian @ (fitted.mean - point.x)
-    root = jnp.linalg.cholesky(fitted.covariance + 1e-14 * jnp.diag(jnp.diag(fitted.covariance)))
-    shift = fitted.mean - point.x
-    spread = gaussian.Prior(jnp.zeros(layout.size), jnp.ones(layout.size), jnp.ones(layout.size))
-    turned = Gram(
-        root.T @ gram.jtj @ root,
-        root.T @ (gram.jtr - gram.jtj @ shift),
-        gram.rtr - 2 * shift @ gram.jtr + shift @ gram.jtj @ shift,
-        gram.logdet,
-    )
-    score = gaussian.condition(turned, jnp.sum(out), spread, jnp.zeros(layout.size)).log_marginal
-    return score, out * centred
+def _density(whole: Assembly, mode: Mode, rows: np.ndarray) -> Density:
+    """Of some readings, linearised where all of them were."""
+    part = Assembly(whole.layout, Part(whole.record, rows), whole.spread)
+    return Density(part, Point(mode.point.x, mode.point.rows[rows]), mode.flat)

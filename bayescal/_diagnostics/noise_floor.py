@@ -15,9 +15,10 @@ def noise_floor(calibration: Calibration) -> float:
     is no time), as in a von Neumann ratio: what varies slowly cancels.
     """
     residual = residuals(calibration).raw
-    frame, readings = calibration.frame, calibration.readings
+    readings = calibration.readings
     if readings.has("time"):
-        order, linked = np.asarray(frame.order), np.asarray(frame.step) > 0
+        order, step = calibration.assembly.record.in_time
+        linked = step >= 0
     else:
         key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
         order, linked = np.argsort(key, kind="stable"), np.ones(len(readings), bool)

@@ -6,18 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Array
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fitted import PREDICTIVE_CELLS
 from bayescal._core.errors import InputError
-from bayescal._core.jit import compiled
-from bayescal._inference import laplace
-from bayescal._model.frame import Frame
-from bayescal._model.parameters import Layout
 
 
 @dataclass(frozen=True)
@@ -50,7 +44,7 @@ def variance_by_origin(
         The split; None if no unknown of the fit counts. Not a number where the readings and priors leave a
         direction open.
     """
-    layout, y = calibration.layout, jnp.asarray(calibration.readings["output"])
+    layout, linear = calibration.layout, calibration.linear
     moving = layout.moving
     weights = np.zeros(layout.size + len(moving))
     places = _places(calibration, moving)
@@ -60,10 +54,10 @@ def variance_by_origin(
             weights[place] += slope * unit
     if not weights.any():
         return None
-    found = _information(layout, calibration.frame, y, calibration.mode)
-    information, sd, proper = (np.asarray(a) for a in found)
+    proper = linear.weight
+    information = linear.white_nuisance.T @ linear.white_nuisance  # in units of the priors
     try:
-        pulled = np.linalg.solve(information + np.diag(proper), weights * sd)
+        pulled = np.linalg.solve(information + np.diag(proper), weights * linear.sd)
     except np.linalg.LinAlgError:
         return VarianceByOrigin(float("nan"), {})
     readings = max(0.0, float(pulled @ information @ pulled))  # zero, but for rounding
@@ -80,7 +74,7 @@ def _places(calibration: Calibration, moving: list[int]) -> dict[str, tuple[int,
 
     Coordinates of shapes are standard normal, so a reported unit is dvalue/dv of them.
     """
-    layout, v = calibration.layout, calibration.mode.v
+    layout, v = calibration.layout, np.asarray(calibration.mode.v)
     found: dict[str, tuple[int, float]] = {}
     promoted: dict[str, str] = {}
     for b in layout.blocks:
@@ -94,15 +88,6 @@ def _places(calibration: Calibration, moving: list[int]) -> dict[str, tuple[int,
         slope = float((h.prior.value(v[i] + step) - h.prior.value(v[i] - step)) / (2 * step))
         found[promoted.get(h.name, h.name)] = (layout.size + place, slope)
     return found
-
-
-@compiled
-def _information(layout: Layout, frame: Frame, y: Array, mode: Any):
-    """Information of the readings in units of the prior; prior standard deviations; 0 where a prior is flat."""
-    null = laplace.linearised(layout, frame, y, mode)
-    scaled = null.nuisance * null.prior.sd
-    gram = layout.model.noise.gram(scaled, null.residual, null.extra, null.hyper, frame)
-    return gram.jtj, null.prior.sd, null.prior.weight
 
 
 def prior_sensitivity(calibration: Calibration) -> Any:

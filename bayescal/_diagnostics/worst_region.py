@@ -58,18 +58,11 @@ def worst_regions(
             for k, level in enumerate(levels):
                 if (codes == k).sum() >= FEWEST:
                     cuts.append(_cut(i, block, codes == k, level))
-    if not cuts:
-        return []
-    indicators = np.concatenate(
-        [(c.bins[:, None] == np.arange(c.count)).astype(float) for c in cuts], axis=1
-    )
-    pull, weight = efficient_score.projections(calibration, residual, indicators)
     best: dict[int, tuple[float, Region]] = {}
-    at = 0
     for cut in cuts:
-        own = slice(at, at + cut.count)
-        at += cut.count
-        region = _worst(cut, covariates[cut.covariate], pull[own], weight[own, own])
+        indicators = (cut.bins[:, None] == np.arange(cut.count)).astype(float)
+        pull, weight = efficient_score.projections(calibration, residual, indicators)
+        region = _worst(cut, covariates[cut.covariate], pull, weight)
         # One run's own region must be clearly worse than the common one to be named.
         rank = abs(region.z) - (1.0 if cut.group is not None else 0.0)
         if cut.covariate not in best or rank > best[cut.covariate][0]:
@@ -100,15 +93,22 @@ def _cut(
 def _worst(
     cut: _Binned, block: covariate_evidence.Covariate, pull: np.ndarray, weight: np.ndarray
 ) -> Region:
-    best = (0.0, 0.0, 0, 1)
-    for i in range(cut.count):
-        for j in range(i + 1, min(i + cut.longest, cut.count) + 1):
-            information = weight[i:j, i:j].sum()
-            if information > 0:
-                z = pull[i:j].sum() / np.sqrt(information)
-                if abs(z) > abs(best[0]):
-                    best = (float(z), float(pull[i:j].sum() / information), i, j)
-    z, size, i, j = best
+    starts, ends = np.triu_indices(cut.count + 1, 1)
+    short = ends - starts <= cut.longest
+    starts, ends = starts[short], ends[short]
+    pulls = np.append(0.0, np.cumsum(pull))
+    weights = np.zeros((cut.count + 1, cut.count + 1))
+    weights[1:, 1:] = weight.cumsum(axis=0).cumsum(axis=1)
+    total = pulls[ends] - pulls[starts]
+    information = (weights[ends, ends] - weights[starts, ends]) - (
+        weights[ends, starts] - weights[starts, starts]
+    )
+    known = information > 0
+    scores = np.where(known, total, 0.0) / np.sqrt(np.where(known, information, 1.0))
+    at = int(np.argmax(np.abs(scores)))
+    i, j, z, size = starts[at], ends[at], float(scores[at]), 0.0
+    if z != 0:
+        size = float(total[at] / information[at])
     inside = (cut.bins >= i) & (cut.bins < j)
     values = block.values[inside] if inside.any() else block.values
     return Region(

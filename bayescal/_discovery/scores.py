@@ -10,13 +10,13 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtrs
-from scipy.special import logsumexp, ndtri
+from scipy.special import ndtri
 from scipy.stats import qmc
 
 from bayescal._discovery.structures import SIZES, Structures, Weighed
@@ -208,23 +208,50 @@ class Rest(NamedTuple):
     @on_one_thread
     def scores(self, names: Sequence[str]) -> dict[str, list[Scored]]:
         """Every grid point of these candidates, each candidate's most probable first."""
-        library = self.view.library
-        found = {name: [self._scored(p) for p in library.points[name]] for name in names}
-        return {name: sorted(own, key=lambda s: -s.gain) for name, own in found.items()}
+        found = {}
+        for name in names:
+            points = self.view.library.points[name]
+            alone = points[0].at.stop - points[0].at.start == 1
+            gains = self._of_columns(name) if alone else self._of_blocks(name)
+            made = [self._scored(p, own) for p, own in zip(points, gains, strict=True)]
+            found[name] = sorted(made, key=lambda s: -s.gain)
+        return found
 
-    def _scored(self, point: GridPoint) -> Scored:
-        columns, inside, u = (
-            self.view.columns[:, point.at],
-            self.inside[:, point.at],
-            self.u[point.at],
-        )
-        information = columns.T @ columns - inside.T @ inside
-        sizes = self.view.library.sizes[point.effect]
-        gains = [
-            self.gain(s.sd * u, s.sd[:, None] * information * s.sd) + s.log_weight for s in sizes
-        ]
-        best = int(np.argmax(gains))
-        return Scored(point, float(logsumexp(gains)), sizes[best], columns, inside, u)
+    def _of_columns(self, name: str) -> Float[np.ndarray, "points sizes"]:
+        """Log Bayes factors of a candidate of one column, at each point and size."""
+        library = self.view.library
+        at = slice(library.points[name][0].at.start, library.points[name][-1].at.stop)
+        columns, inside = self.view.columns[:, at], self.inside[:, at]
+        information = np.sum(columns**2, axis=0) - np.sum(inside**2, axis=0)
+        square = np.array([s.sd[0] ** 2 for s in library.sizes[name]])
+        weight = np.array([s.log_weight for s in library.sizes[name]])
+        inner = 1 + np.maximum(information, 0.0)[:, None] * square
+        taken = self.u[at, None] ** 2 * square / inner
+        return self._gain(0.5 * np.log(inner), taken) + weight
+
+    def _of_blocks(self, name: str) -> Float[np.ndarray, "points sizes"]:
+        """The same for a candidate of several columns."""
+        library, found = self.view.library, []
+        for point in library.points[name]:
+            columns, inside, u = (
+                self.view.columns[:, point.at],
+                self.inside[:, point.at],
+                self.u[point.at],
+            )
+            information = columns.T @ columns - inside.T @ inside
+            found.append(
+                [
+                    self.gain(s.sd * u, s.sd[:, None] * information * s.sd) + s.log_weight
+                    for s in library.sizes[name]
+                ]
+            )
+        return np.array(found)
+
+    def _scored(self, point: GridPoint, gains: Float[np.ndarray, "sizes"]) -> Scored:
+        best = self.view.library.sizes[point.effect][int(np.argmax(gains))]
+        columns, inside = self.view.columns[:, point.at], self.inside[:, point.at]
+        total = float(np.logaddexp.reduce(gains))
+        return Scored(point, total, best, columns, inside, self.u[point.at])
 
     @property
     def dropped(self) -> float:
@@ -237,18 +264,17 @@ class Rest(NamedTuple):
         The noise is taken as large as it then is likely to be.
         """
         if not len(u):
-            volume, taken = 0.0, 0.0
-        elif len(u) == 1:
-            volume, taken = 0.5 * math.log1p(information[0, 0]), u[0] ** 2 / (1 + information[0, 0])
-        else:
-            chol, failed = dpotrf(information + np.eye(len(u)), lower=1)
-            if failed:
-                return -math.inf
-            half = dtrtrs(chol, u, lower=1)[0]
-            volume, taken = float(np.sum(np.log(chol.diagonal()))), float(half @ half)
-        # Of the squares that the noise was as large as, not of those that a dropped effect leaves.
-        left = max((self.rest - taken) / self.view.line.rest, 1e-12)
-        return self.lost - volume - 0.5 * self.view.line.size * math.log(left)
+            return float(self._gain(0.0, 0.0))
+        chol, failed = dpotrf(information + np.eye(len(u)), lower=1)
+        if failed:
+            return -math.inf
+        half = dtrtrs(chol, u, lower=1)[0]
+        return float(self._gain(np.log(chol.diagonal()).sum(), half @ half))
+
+    def _gain(self, volume: Any, taken: Any) -> Any:
+        """By log volumes, and by the squares that columns take."""
+        left = np.maximum((self.rest - taken) / self.view.line.rest, 1e-12)
+        return self.lost - volume - 0.5 * self.view.line.size * np.log(left)
 
     @property
     def lost(self) -> float:
@@ -273,7 +299,7 @@ class Rest(NamedTuple):
 
 def gain_of(points: Sequence[Scored]) -> float:
     """A candidate's log Bayes factor by score, averaged over its grid."""
-    return float(logsumexp([p.gain for p in points]) - math.log(len(points)))
+    return float(np.logaddexp.reduce([p.gain for p in points]) - math.log(len(points)))
 
 
 def _members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.special import logsumexp
 
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import NOWHERE, Density, condition
@@ -207,7 +206,7 @@ def _averaged(
     for name in chosen:
         gains = at_sizes.of(name, chosen)
         here = gains[chosen[name]] - math.log(SIZES[chosen[name]])
-        log_evidence += float(logsumexp(list(gains.values()))) - here
+        log_evidence += float(np.logaddexp.reduce(list(gains.values()))) - here
     return assembly, mode, log_evidence
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dpotrf, dpotri, dtrtrs
+from scipy.linalg.lapack import dpotrf, dpotri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from bayescal._engine.assembly import NUDGE, Assembly, Line, Point, Prior, Values
 from bayescal._engine.whitening import Whitening, known_variance, whitening
@@ -162,6 +162,16 @@ class Density:
             return 0.0
         return np.sum((line.rows * self.assembly.row_sd) ** 2, axis=1)
 
+    def whitened(
+        self, v: np.ndarray, x: Float[np.ndarray, "p"]
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n q"], float]:
+        """Residuals at φ and x, output unit; whitened Jacobian and these residuals beside each other; log|Σ|."""
+        hyper = self.assembly.hyper(v)
+        line = self._line(v, hyper)[0]
+        residual = self._residual(line) - line.jacobian @ (x - self.point.x)
+        white = whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
+        return residual, white(np.column_stack([line.jacobian, residual])), white.logdet
+
     def gram(self, v: np.ndarray, hyper: Values) -> Gram:
         """Weighted products of the readings at φ."""
         self.evaluations += 1
@@ -246,21 +256,17 @@ class Density:
             return {}
         line, gram = self._line(v, hyper)
         slopes = assembly.slopes(self.point, hyper)
+        white, table, scale = None, self._beside(line), hyper.get("noise.white", 1.0) ** 2
         if gram is None:
             assert self._white is not None
-            white, table = self._white
-        else:
-            table = self._beside(line)
+            (white, table), scale = self._white, 1.0
         mean, made = found.mean, {}
         move, spread = mean - self.point.x, found.sd[:, None] * covariance * found.sd
         for i in shapes:
             known = assembly.jacobian_slopes(i, slopes, hyper)
             if known is not None:
                 at, columns = known
-                if gram is None:
-                    products = white(columns).T @ table
-                else:
-                    products = columns.T @ table / hyper["noise.white"] ** 2
+                products = (columns if white is None else white(columns)).T @ table / scale
                 left = products[:, -1] - products[:, :-1] @ move
                 made[i] = float(left @ mean[at] - np.sum(spread[at] * products[:, :-1]))
         return made
@@ -285,4 +291,4 @@ class Density:
         squares = found.rest - weight @ z**2
         spent = z.size - float(np.sum(np.diag(covariance) * weight))
         slope = self.assembly.value_slope(v, self.assembly.kinds.index("noise"))
-        return -(self.assembly.record.size - squares - spent) * slope
+        return float(-(self.assembly.record.size - squares - spent) * slope)

@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
-from bayescal._engine.assembly import Assembly, Line
+from bayescal._engine.assembly import Assembly, Line, Point
 from bayescal._engine.closed_form import Density
-from bayescal._engine.mode import Mode
-from bayescal._engine.whitening import Whitening, whitening
+from bayescal._engine.mode import Mode, in_numpy
+from bayescal._engine.whitening import Whitening, variance_of, whitening
 
 STEP = 1e-4  # of a shape's coordinate, for the slope of the output by it
+RANK = 1e-12  # of the largest eigenvalue, below which a direction was not fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +29,9 @@ class LinearModel:
         nuisance: slopes by x and by the moving entries of φ, times their prior's standard deviations (n, q).
         weight: 1 where the prior is proper, 0 where it is flat (q,).
         owners: of each of these columns, the effect (q,).
-        z: posterior mean of θ less its prior's, in these standard deviations (q,).
+        z: where θ stands, in standard deviations from its prior mean; 0 where the prior is flat (q,).
         whiten: of the readings.
+        extra: variance that the per-reading coefficients add (n,), or 0.
     """
 
     assembly: Assembly
@@ -42,6 +44,7 @@ class LinearModel:
     owners: tuple[str, ...]
     z: Float[np.ndarray, "q"]
     whiten: Whitening
+    extra: Float[np.ndarray, "n"] | float
 
     @property
     def size(self) -> int:
@@ -54,6 +57,54 @@ class LinearModel:
     @cached_property
     def white_nuisance(self) -> Float[np.ndarray, "n q"]:
         return self.whiten(self.nuisance)
+
+    def by_reading(self, white: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "n ..."]:
+        """What was whitened, in the order of the readings."""
+        if self.whiten.order is None:
+            return white
+        found = np.empty_like(white)
+        found[self.whiten.order] = white
+        return found
+
+    @cached_property
+    def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
+        """R with R·Rᵀ the inverse of AᵀA + W, A whitened and W the weights, where this has one; and A·R."""
+        white = self.white_nuisance
+        inner = white.T @ white + np.diag(self.weight)
+        size = np.sqrt(np.diag(inner))
+        size = np.where(size > 0, size, 1.0)
+        weights, vectors = np.linalg.eigh(inner / size / size[:, None])
+        known = weights > RANK * weights[-1:]
+        root = np.where(known, 1 / np.sqrt(np.where(known, weights, 1.0)), 0.0)
+        root = vectors * root / size[:, None]
+        return root, white @ root
+
+    @property
+    def directions(self) -> Float[np.ndarray, "n q"]:
+        """G, in the order of the whitened readings: whitened residuals have the covariance I − G·Gᵀ.
+
+        That is if the model is right. With A the whitened nuisances and W their weights (0 where flat), whitened
+        readings have the covariance I + A·W⁻¹·Aᵀ, and the residuals are (I − H) times them, with the leverages
+        H = A·(AᵀA + W)⁻¹·Aᵀ = G·Gᵀ; so (I − H)·(I + A·W⁻¹·Aᵀ)·(I − H) = I − H.
+        """
+        return self._eigen[1]
+
+    @cached_property
+    def settled(self) -> Float[np.ndarray, "n"]:
+        """Residual once all of θ is fitted together, shapes too, output unit."""
+        root, _ = self._eigen
+        pull = self.white_nuisance.T @ self.white_residual - self.weight * self.z
+        return self.residual - self.nuisance @ (root @ (root.T @ pull))
+
+    @cached_property
+    def white_settled(self) -> Float[np.ndarray, "n"]:
+        return self.whiten(self.settled[:, None])[:, 0]
+
+    @cached_property
+    def variance(self) -> Float[np.ndarray, "n"]:
+        """Of each reading about its expected output."""
+        hyper, extra = self.assembly.hyper(self.mode.v), self.extra
+        return variance_of(self.assembly.noise, hyper, self.assembly.record, extra)
 
     @cached_property
     def rest(self) -> float:
@@ -77,6 +128,7 @@ class LinearModel:
 
 def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
     """A structure about its mode."""
+    mode = in_numpy(mode)
     density = Density(assembly, mode.point, mode.flat)
     hyper = assembly.hyper(mode.v)
     line = assembly.linearise(mode.point, hyper)
@@ -86,7 +138,7 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
     back = np.sum(line.rows * mode.point.rows, axis=1)
     residual = assembly.record.y - line.mean + back - line.jacobian @ (x - mode.point.x)
     columns, sd = [line.jacobian * prior.sd], [prior.sd]
-    there = type(mode.point)(x, mode.point.rows)
+    there = Point(x, mode.point.rows)
     for i in assembly.moving:
         up, down = mode.v.copy(), mode.v.copy()
         up[i] += STEP
@@ -96,6 +148,7 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
         sd.append(np.ones(1))
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
     own = [t.known.of for t in assembly.in_x for _ in range(t.at.start, t.at.stop)]
+    extra = density.extra(line)
     return LinearModel(
         assembly=assembly,
         mode=mode,
@@ -105,6 +158,7 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
         weight=np.append(prior.weight, np.ones(len(assembly.moving))),
         sd=np.concatenate(sd),
         owners=(*own, *(assembly.hypers[i].name.rpartition(".")[0] for i in assembly.moving)),
-        z=np.append(z, np.zeros(len(assembly.moving))),
-        whiten=whitening(assembly.noise, hyper, assembly.record, density.extra(line)),
+        z=np.append(prior.weight * z, mode.v[assembly.moving]),
+        whiten=whitening(assembly.noise, hyper, assembly.record, extra),
+        extra=extra,
     )

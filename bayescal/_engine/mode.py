@@ -44,6 +44,17 @@ class Mode(NamedTuple):
     indefinite: bool  # whether the curvature had to be mended
 
 
+def in_numpy(mode: Mode) -> Mode:
+    """The same, its arrays NumPy's whoever found it."""
+    point = Point(np.asarray(mode.point.x), np.asarray(mode.point.rows))
+    return mode._replace(
+        point=point,
+        v=np.asarray(mode.v),
+        covariance=np.asarray(mode.covariance),
+        flat=np.asarray(mode.flat),
+    )
+
+
 def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
     """A scale for coefficients with a flat prior: the change that moves the output by one unit."""
     norm = np.sqrt(np.mean(jacobian**2, axis=0))
@@ -90,13 +101,19 @@ def find_mode(
     return at_mode(Density(assembly, point, flat), v, change)
 
 
-def climb(density: Density, start: np.ndarray, covariance: np.ndarray | None) -> np.ndarray:
+def climb(
+    density: Density,
+    start: np.ndarray,
+    covariance: np.ndarray | None,
+    nothing: float = NOTHING_LEFT,
+) -> np.ndarray:
     """φ̂ of a density, uphill from a coordinate: BFGS, until what is left to gain is nothing.
 
     Args:
         density: of φ.
         start: where to begin.
         covariance: first guess of the inverse curvature.
+        nothing: what counts as such, nats.
     """
     v, wide = start, 0.1 * np.eye(len(start))
     if covariance is not None and np.all(np.isfinite(covariance)):
@@ -106,7 +123,7 @@ def climb(density: Density, start: np.ndarray, covariance: np.ndarray | None) ->
         step = wide @ slope
         step *= min(1.0, LONGEST / max(float(np.max(np.abs(step))), 1e-300))
         gain = float(slope @ step)
-        if not gain > NOTHING_LEFT:
+        if not gain > nothing:
             break
         for _ in range(HALVINGS):
             there, next_slope = density.slope(v + step)
@@ -144,7 +161,7 @@ def mode_of_x(assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray)
         z = prior.weight * (at.x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
         return density.gram(v, hyper).rtr + float(z @ z), found, density
 
-    squares, found, density = look(point)
+    squares, found, _ = look(point)
     for _ in range(50):
         if found is None:
             return point
@@ -154,14 +171,14 @@ def mode_of_x(assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray)
             return point
         for _ in range(HALVINGS):
             trial = Point(point.x + share * (goal - point.x), point.rows)
-            there, next_found, next_density = look(trial)
+            there, _, next_density = look(trial)
             if there <= squares or not math.isfinite(squares):
                 break
             share *= 0.5
         else:
             return point
         point = _with_rows(assembly, next_density, None, v, trial.x)
-        squares, found, density = look(point)
+        squares, found, _ = look(point)
     return point
 
 

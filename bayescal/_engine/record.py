@@ -131,6 +131,15 @@ class Record:
             self._shaped.move_to_end(key)
         return found
 
+    def columns_along(
+        self, effect: ColumnsOf, values: Float[np.ndarray, "s shapes"]
+    ) -> Float[np.ndarray, "s n k"]:
+        """Columns at several values of an effect's shapes."""
+        if not effect.shapes:
+            return self._fixed_columns(effect.basis)[None]
+        named = dict(zip(effect.shapes, values.T, strict=True))
+        return np.asarray(pieces.columns_along(effect.basis, self.padded, named))[:, : self.size]
+
     def column_slopes(self, effect: ColumnsOf, value: float) -> Float[np.ndarray, "n k"] | None:
         """Slopes of an effect's columns by the coordinate of its one shape; None where they are not interpolated."""
         v = effect.priors[0].coordinate(value)
@@ -145,10 +154,8 @@ class Record:
         if key not in self._curves:
             prior = effect.priors[0]
             at = np.concatenate([NODES, BETWEEN])
-            found = pieces.columns_along(
-                effect.basis, self.padded, {effect.shapes[0]: prior.value(at)}
-            )
-            found = np.asarray(found)[:, : self.size].transpose(0, 2, 1).reshape(len(at), -1)
+            found = self.columns_along(effect, prior.value(at)[:, None])
+            found = found.transpose(0, 2, 1).reshape(len(at), -1)
             nodes, there = found[: len(NODES)], found[len(NODES) :]
             apart = max(
                 np.max(np.abs(shares(v) @ nodes - row))

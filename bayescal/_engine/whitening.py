@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dpttrf, dtbtrs
+from scipy.linalg.lapack import dpttrf, dtbtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from bayescal._engine.record import Record
 from bayescal._model.noise_laws import (
@@ -44,6 +44,8 @@ class Whitening(NamedTuple):
         """L⁻¹ times a table, in the order of the readings (in that of time, where they hang together)."""
         if self.order is None:
             return table / self.sd[:, None]
+        if not table.shape[1]:
+            return table
         values = np.asfortranarray(table[self.order])
         values[1:] -= self.carry[1:, None] * values[:-1]  # pyright: ignore[reportOptionalSubscript]
         return dtbtrs(self.band, values, uplo="L", diag="U")[0] / self.sd[:, None]
@@ -55,23 +57,37 @@ def known_variance(record: Record) -> Float[np.ndarray, "n"] | float:
     return np.asarray(columns[UNCERTAINTY]) ** 2 if UNCERTAINTY in columns else 0.0
 
 
+def variance_of(
+    noise: Noise, values: Values, record: Record, extra: Float[np.ndarray, "n"] | float
+) -> Float[np.ndarray, "n"]:
+    """Of each reading about the expected output, with the variance `extra` beside it."""
+    if not isinstance(noise, (White, OrnsteinUhlenbeck)):
+        own = np.asarray(noise.variance(values, record.frame))  # pyright: ignore[reportArgumentType]
+    else:
+        own = values["noise.white"] ** 2 + known_variance(record)
+        if isinstance(noise, OrnsteinUhlenbeck):
+            own = own + _wandering(values)
+    return np.broadcast_to(own + extra, (record.size,))
+
+
+def _wandering(values: Values) -> float:
+    """Variance of the correlated part."""
+    return 0.5 * values[DIFFUSION] ** 2 * values[CORRELATION_TIME]
+
+
 def whitening(
     noise: Noise, values: Values, record: Record, extra: Float[np.ndarray, "n"] | float
 ) -> Whitening:
     """Of a noise law at its parameters, with the variance `extra` beside it."""
     if not isinstance(noise, (White, OrnsteinUhlenbeck)):  # as if Gaussian, of the same variance
-        own = np.asarray(noise.variance(values, record.frame))  # pyright: ignore[reportArgumentType]
-        return Whitening(np.sqrt(np.broadcast_to(own + extra, (record.size,))))
+        return Whitening(np.sqrt(variance_of(noise, values, record, extra)))
     white = np.broadcast_to(
         values["noise.white"] ** 2 + known_variance(record) + extra, (record.size,)
     )
     if isinstance(noise, White):
         return Whitening(np.sqrt(white))
     order, step = record.in_time
-    tau, variance = (
-        values[CORRELATION_TIME],
-        0.5 * values[DIFFUSION] ** 2 * values[CORRELATION_TIME],
-    )
+    tau, variance = values[CORRELATION_TIME], _wandering(values)
     white = white[order]
     # What is new in a reading, y[i] − carry[i]·y[i−1], hangs together with its neighbours alone.
     carry = np.where(step < 0, 0.0, np.exp(-step / tau))

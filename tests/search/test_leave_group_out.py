@@ -1,0 +1,49 @@
+"""A fold's readings are a part of the record: what is left out says nothing, and its time still passes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.closed_form import Density
+from bayescal._engine.part import Part
+from bayescal._engine.record import Record
+from bayescal._engine.whitening import whitening
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
+from bayescal._model.parameters import bind
+from bayescal_models import still_sensor
+
+VALUES = {"noise.white": 20.0, DIFFUSION: 1.5, CORRELATION_TIME: 300.0}
+
+
+@pytest.fixture(scope="module")
+def whole() -> Assembly:
+    readings = still_sensor.simulate({}, seed=3, interval=120)
+    noise = OrnsteinUhlenbeck(10.0, 1e4)
+    model = still_sensor.instrument("ug").baseline().with_noise(noise)
+    frame = build_frame(readings, reference_of(readings))
+    record = Record(model.instrument, frame, np.asarray(readings["output"]))
+    return Assembly(bind(model, readings)[0], record)
+
+
+def test_wandering_noise_skips_what_is_left_out(whole, rng) -> None:
+    record = whole.record
+    rows = np.sort(rng.permutation(record.size)[: record.size // 2])
+    white = whitening(whole.noise, VALUES, Part(record, rows), 0.0)
+    table = white(np.eye(len(rows)))
+    time, run = np.asarray(record.frame["time"])[rows], record.codes["run"][rows]
+    apart = np.abs(time[:, None] - time)
+    size = 0.5 * VALUES[DIFFUSION] ** 2 * VALUES[CORRELATION_TIME]
+    dense = size * np.exp(-apart / VALUES[CORRELATION_TIME]) * (run[:, None] == run)
+    dense += VALUES["noise.white"] ** 2 * np.eye(len(rows))
+    np.testing.assert_allclose(table.T @ table, np.linalg.inv(dense), rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(white.logdet, np.linalg.slogdet(dense)[1])
+
+
+def test_a_part_with_all_readings_is_the_whole(whole) -> None:
+    flat, v = np.ones(whole.size), np.zeros(len(whole.hypers))
+    part = Assembly(whole.layout, Part(whole.record, np.arange(whole.record.size)))
+    both = [Density(a, whole.start, flat).at(v)[0] for a in (whole, part)]
+    assert both[0] == both[1]
