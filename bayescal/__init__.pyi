@@ -57,7 +57,7 @@ from ._calibration.calibration import Calibration as Calibration
 from ._inference.method import Verdict as Verdict
 from ._diagnostics.check_result import Check as Check
 from ._diagnostics.compare import Comparison as Comparison
-from ._discovery.discovery import Discovery as Discovery
+from ._discovery.discover import Discovery as Discovery
 from ._report.save_search import Trail as Trail  # with `save`, which save_search.py attaches
 from ._discovery.next_experiment import NextExperiment as NextExperiment
 from ._discovery.false_reports import FalseReports as FalseReports

@@ -17,9 +17,10 @@ from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
 from bayescal._diagnostics.noise_floor import noise_floor
 from bayescal._diagnostics.outliers import without_spikes
+from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over, told
+from bayescal._discovery.library import Library
 from bayescal._discovery.posterior import Posterior
-from bayescal._discovery.scores import Library
 from bayescal._discovery.search_path import OtherPath, Search, Step, Trail, gate
 from bayescal._discovery.structures import Structure, Structures
 from bayescal._discovery.walk import walk
@@ -81,21 +82,34 @@ def calibrate(
         # Where the fit did not converge there are no probabilities; and a published calibration on trial is not made
         # to look right.
         max_effects, widen_noise = 0, False
+    reference = first.calibration.reference
     structures, shut = structures_over(
-        model, readings, first.calibration.reference, effects=effects, widen_noise=widen_noise
+        model, readings, reference, effects=effects, widen_noise=widen_noise
     )
-    library, steps = Library(structures), [first]
-    follow(loop.trail(steps, structures, complete=False))
+    library = Library(structures)
+    follow(loop.trail([first], structures, complete=False))
     with stage("looking for missing effects"):
         stopped = walk(
             library,
             max_effects,
             time_limit,
-            lambda found: follow(loop.trail(steps, found, complete=False)),
+            lambda found: follow(loop.trail([first], found, complete=False)),
             seeds,
         )
-    chosen = Posterior.of(structures).chosen
-    path = structures.path(chosen)
+    return _path_shown(loop, library, first, shut, stopped, follow)
+
+
+def _path_shown(
+    loop: _Loop,
+    library: Library,
+    first: Step,
+    shut: Sequence[Candidate],
+    stopped: str,
+    follow: Callable[[Trail], None],
+) -> Trail:
+    """The steps from the first model to the one chosen, each fitted and checked."""
+    structures, steps = library.structures, [first]
+    path = structures.path(Posterior.of(structures).chosen)
     for before, at in pairwise(path):
         steps.append(loop.step(structures.model(at), before, at))
         follow(loop.trail(steps, structures, complete=False))

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
+from bayescal._discovery.library import Library
 from bayescal._discovery.posterior import FOUND
-from bayescal._discovery.scores import Library, Scored, gain_of
+from bayescal._discovery.scores import Scored, gain_of
 from bayescal._discovery.structures import Weighed
 from bayescal._engine.closed_form import Density
 from bayescal._model.unknown_effect import covariate_in

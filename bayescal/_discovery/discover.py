@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._core.formatting import WIDTH, number, probability, table, with_error
 from bayescal._core.progress import stage
 from bayescal._discovery.candidate import Candidate, alike, judge, kind_of
-from bayescal._discovery.discovery import Discovery
-from bayescal._discovery.posterior import Posterior
-from bayescal._discovery.scores import Library, View
+from bayescal._discovery.library import Library
+from bayescal._discovery.posterior import Found, Posterior
+from bayescal._discovery.scores import View
 from bayescal._discovery.structures import Structure, Structures
 from bayescal._discovery.walk import walk
 from bayescal._engine.record import Record, library_of
@@ -23,9 +25,37 @@ from bayescal._model.noise_laws import Noise, White, over_record
 from bayescal._model.parameters import bind
 from bayescal._model.unknown_effect import FORMS
 from bayescal._readings.measurements import Measurements
+from bayescal._readings.unit_conversion import unit_label
 
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 FEWEST = 30  # readings from which the noise law can be told at all
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """The answer to "which effect is missing?".
+
+    Attributes:
+        nothing_missing: probability that none of the candidates is.
+        sets: findings, the most probable first.
+        candidates: every candidate, the most probable first.
+        best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
+        noise_wanders: probability that the noise wanders; None where the readings cannot tell.
+        stopped: why the search ended before its end; empty where it did not.
+        rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
+            with those that come nearest; without a set, the leads.
+    """
+
+    nothing_missing: float
+    sets: tuple[Found, ...]
+    candidates: tuple[Candidate, ...]
+    best: tuple[Effect, ...]
+    rivals: tuple[Effect, ...] = ()
+    noise_wanders: float | None = None
+    stopped: str = ""
+
+    def __str__(self) -> str:
+        return discovery_text(self)
 
 
 def discover(
@@ -102,7 +132,7 @@ def wandering(model: Model, frame: Frame) -> Noise | None:
     if not isinstance(model.noise, White):
         return None
     span = float(np.max(np.asarray(frame.columns["elapsed"])))
-    return over_record(model.noise, steps[steps > 0], span)
+    return over_record(model.noise, float(np.median(steps[steps > 0])), span)
 
 
 def told(
@@ -153,3 +183,67 @@ def _plausible(effect: Effect) -> float:
     """The size that an effect plausibly has, in the unit in which it is reported."""
     amplitude = next((s for s in effect.shapes if s.name == effect.measure), None)
     return effect.coefficients[0].size if amplitude is None else amplitude.high
+
+
+def discovery_text(found: Discovery) -> str:
+    """What is missing, and every candidate, the most probable first."""
+    lines = [f"nothing is missing: probability {probability(found.nothing_missing)}"]
+    for s in found.sets:
+        names = " or ".join(s.effects)
+        tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
+        lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
+    if found.noise_wanders is not None:
+        lines.append(f"the noise wanders: probability {probability(found.noise_wanders)}")
+    if found.stopped:
+        lines.append(found.stopped)
+    quiet = (None, "not visible")  # an unknown dependence without evidence is not worth a line
+    tested = [
+        c
+        for c in found.candidates
+        if c.kind != "not testable" and not (c.unknown and c.kind in quiet)
+    ]
+    head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
+    lines.append(table(head, [_candidate_row(c) for c in tested], fold=29) if tested else "")
+    if any(c.source == "refit" for c in tested):
+        lines.append("* log Bayes factor by refit; the others by score")
+    lines += _alike(found) + _not_testable(found)
+    return "\n".join(line for line in lines if line)
+
+
+def _candidate_row(c: Candidate) -> list[str]:
+    remark = "this experiment cannot see it" if c.kind == "not visible" else c.kind or ""
+    factor = "–" if c.log_bayes_factor is None else f"{c.log_bayes_factor:z.1f}"
+    return [
+        c.effect,
+        probability(c.probability),
+        factor + ("*" if c.source == "refit" else " "),
+        f"{with_error(c.size or 0.0, c.size_sd or 0.0)} {unit_label(c.unit)}".rstrip(),
+        number(c.minimum_detectable, 2),
+        remark,
+    ]
+
+
+def _alike(found: Discovery) -> list[str]:
+    """One line for each group of candidates that these readings can hardly tell apart."""
+    groups: dict[frozenset[str], str] = {}
+    for c in found.candidates:
+        if c.indistinguishable_from:
+            members = (c.effect, *c.indistinguishable_from)
+            if not any(frozenset(members) <= known for known in groups):
+                groups[frozenset(members)] = ", ".join(members)
+    return [
+        textwrap.fill(f"hard to tell apart: {names}", WIDTH, subsequent_indent="  ")
+        for names in groups.values()
+    ]
+
+
+def _not_testable(found: Discovery) -> list[str]:
+    """One line for each reason, with the effects that it holds back."""
+    by_reason: dict[str, list[str]] = {}
+    for c in found.candidates:
+        if c.kind == "not testable":
+            by_reason.setdefault(c.reason, []).append(c.effect)
+    return [
+        textwrap.fill(f"not testable, {reason}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
+        for reason, names in by_reason.items()
+    ]

@@ -13,7 +13,7 @@ from bayescal._calibration.guards import conflicts
 from bayescal._core.formatting import number, probability, table
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
-from bayescal._discovery.discovery import Discovery
+from bayescal._discovery.discover import Discovery
 from bayescal._discovery.posterior import Posterior
 from bayescal._discovery.structures import Structures
 from bayescal._readings.measurements import Measurements

@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from bayescal._discovery.scores import HINTS, Library, Scored, View, gain_of
+from bayescal._discovery.library import Library
+from bayescal._discovery.scores import HINTS, Scored, View, gain_of
 from bayescal._discovery.structures import Structure, Structures, Weighed
 
 BEAM = 4  # most probable structures whose neighbours are all looked at before the walk ends

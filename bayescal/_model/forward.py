@@ -213,29 +213,6 @@ def linearise(
     return Linearised(output, jnp.concatenate(in_x, 1), jnp.concatenate(in_rows, 1))
 
 
-def effect_columns(
-    layout: Layout, frame: Frame, values: Values, hyper: Values, effect: Effect, shapes: Values
-) -> list[tuple[Float[Array, "n m"], float]]:
-    """∂μ/∂θ of an effect that is not in the model: one matrix per coefficient, with its unit factor inside.
-
-    Returns:
-        For each coefficient its columns (n, members), output unit per reported unit, and its plausible size.
-    """
-    instrument = layout.model.instrument
-    basis = effect.evaluate(frame, shapes)
-    names = [instrument.slot(c.slot or effect.slot) for c in effect.coefficients]
-    slopes = slot_derivatives(layout, frame, values, hyper, tuple(sorted({s.name for s in names})))
-    found = []
-    bound = Layout(layout.model + effect, layout.counts, layout.promoted)
-    for b in bound.blocks:
-        if b.effect is effect:
-            column = (slopes[b.slot] * basis[:, b.index] * b.factor)[:, None]
-            if b.coefficient.per is not None:
-                column = column * _members(b, frame)
-            found.append((column, b.coefficient.size))
-    return found
-
-
 def log_likelihood(
     layout: Layout,
     frame: Frame,

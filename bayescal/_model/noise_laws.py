@@ -14,7 +14,6 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 
@@ -209,16 +208,15 @@ class OrnsteinUhlenbeck(Noise):
         return mean + jnp.zeros_like(made).at[frame.order].set(made)
 
 
-def over_record(white: White, steps: Float[Array, "n"], span: float) -> OrnsteinUhlenbeck:
+def over_record(white: White, step: float, span: float) -> OrnsteinUhlenbeck:
     """White noise beside correlated noise whose correlation time the record can tell: from one step to its span.
 
     Args:
         white: whose prior is kept, for both parts.
-        steps: times between neighbours, s.
+        step: usual time between neighbours, s.
         span: of the longest run, s.
     """
-    shortest = float(np.median(steps))
-    return OrnsteinUhlenbeck(shortest, max(span, 10 * shortest), white.scale, white.scale)
+    return OrnsteinUhlenbeck(step, max(span, 10 * step), white.scale, white.scale)
 
 
 class StudentT(Noise):

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from bayescal._core.formatting import number
-from bayescal._discovery.discovery import Discovery
+from bayescal._discovery.discover import Discovery
 from bayescal._discovery.search_path import Trail
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._plots.residuals import residual_panel

@@ -15,7 +15,7 @@ from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.atomic_file import replacing
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import groups_of
-from bayescal._discovery.discovery import Discovery
+from bayescal._discovery.discover import Discovery
 from bayescal._discovery.next_experiment import NextExperiment
 from bayescal._discovery.search_path import Step, Trail
 from bayescal._model.frame import GROUPS

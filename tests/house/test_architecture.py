@@ -37,7 +37,7 @@ ROOMS = {
     "_calibration": "named_draws fitted posterior_tree storage summary guards calibration predict fit evidence",
     "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_floor covariate_evidence "
     "worst_region check_result check leave_group_out compare outliers",
-    "_discovery": "structures scores walk posterior candidate discovery discover next_experiment false_reports "
+    "_discovery": "structures library scores walk posterior candidate discover next_experiment false_reports "
     "draft_effect search_path calibrate",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
     "compensation_program code_writer compensator compensate_file budget",

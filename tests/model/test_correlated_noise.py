@@ -192,7 +192,7 @@ def test_correlated_noise_does_not_take_the_place_of_a_constant(missing) -> None
     wrong = right.with_column("output", right["output"] + 1446.0)
     frame = build_frame(right, reference_of(right))
     steps, span = np.asarray(frame.step), float(np.max(np.asarray(frame.elapsed)))
-    law = over_record(bc.White(bc.HalfCauchy(0.1)), jnp.asarray(steps[steps > 0]), span)
+    law = over_record(bc.White(bc.HalfCauchy(0.1)), float(np.median(steps[steps > 0])), span)
     errors = []
     for data in (right, wrong):
         found = bc.fit(model.with_noise(law), data, FAST, strict=False)
