@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from bayescal._model import forward
-from bayescal_models.mems_gyro import INSTRUMENT
 from tests.support.made_up.rich_gyro import RICH, bound, readings
 
 
@@ -49,20 +48,3 @@ def test_jacobian_agrees_with_finite_differences() -> None:
     np.testing.assert_allclose(line.jacobian.T, difference, rtol=1e-6, atol=1e-7)
     moved = (mean(b.x, b.rows + 1e-4) - mean(b.x, b.rows - 1e-4)) / 2e-4
     np.testing.assert_allclose(line.rows[:, 0], moved, rtol=1e-6)
-
-
-def test_columns_of_a_missing_effect_are_those_it_has_in_the_model() -> None:
-    smaller, name = RICH - "scale.temperature", "scale.temperature"
-    b = bound(smaller, readings())
-    values = forward.coefficients(b.layout, b.x, b.rows, b.hyper)
-    effect = INSTRUMENT.effect(name)
-    ((column, size),) = forward.effect_columns(b.layout, b.frame, values, b.hyper, effect, {})
-    larger = bound(smaller + effect, readings())
-    x = jnp.append(b.x, 0.0)
-    line = forward.linearise(larger.layout, larger.frame, x, b.rows, b.hyper)
-    # The column sees the recorded temperature, the model the corrected one.
-    corrected = np.asarray(b.frame.centred() + b.rows[:, 0])
-    np.testing.assert_allclose(
-        column[:, 0] / b.frame.centred(), line.jacobian[:, -1] / corrected, rtol=1e-12
-    )
-    assert size == effect.coefficients[0].size

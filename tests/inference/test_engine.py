@@ -1,0 +1,191 @@
+"""The engine puts together what the traced composition computes: outputs, Jacobians, densities, and their slopes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._engine import pieces
+from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.closed_form import Density
+from bayescal._engine.mode import column_scale, find_mode
+from bayescal._engine.record import INTERPOLATED, ColumnsOf, Record, library_of
+from bayescal._engine.whitening import whitening
+from bayescal._inference import gaussian, laplace
+from bayescal._model import forward
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.noise_laws import over_record
+from bayescal._model.parameters import Layout, bind
+from bayescal_models import (
+    differential_pair,
+    inclinometer,
+    mems_gyro,
+    ng_accelerometer,
+    quartz_beam_accelerometer,
+    still_sensor,
+)
+
+GYRO = mems_gyro.INSTRUMENT
+WANDER = over_record(bc.White(bc.HalfCauchy(0.1)), 10.0, 3000.0)
+LAG = GYRO.baseline() + "bias.thermal_lag" + "bias.run"
+
+
+def still(readings: bc.Measurements) -> bc.Model:
+    return still_sensor.INSTRUMENT.for_readings(readings).baseline() + "bias.warm_up"
+
+
+CASES: dict[str, tuple[Any, Any]] = {
+    "gyro": (LAG, lambda: mems_gyro.simulate({}, seed=1)),
+    "gyro, wandering": (LAG.with_noise(WANDER), lambda: mems_gyro.simulate({}, seed=1)),
+    "gyro, thermometer": (
+        GYRO.baseline() + mems_gyro.effects.THERMOMETER + "bias.temperature_quadratic",
+        lambda: mems_gyro.simulate({}, seed=1),
+    ),
+    "gyro, unknown": (
+        GYRO.baseline() + "unknown(time)" + "unknown(time, jump)",
+        lambda: mems_gyro.simulate({}, seed=1),
+    ),
+    "gyro, held": (LAG.fix({"bias.temperature": 0.1}), lambda: mems_gyro.simulate({}, seed=1)),
+    "quartz": (
+        quartz_beam_accelerometer.INSTRUMENT.baseline() + "bias.thermal_lag",
+        lambda: quartz_beam_accelerometer.simulate({}, seed=1),
+    ),
+    "ng": (
+        ng_accelerometer.INSTRUMENT.baseline() + "second_order",
+        lambda: ng_accelerometer.simulate({}, seed=1),
+    ),
+    "pair": (
+        differential_pair.INSTRUMENT.baseline(),
+        lambda: differential_pair.simulate({}, seed=1),
+    ),
+    "inclinometer": (
+        inclinometer.INSTRUMENT.baseline(),
+        lambda: inclinometer.simulate({}, seed=1),
+    ),
+    "still": (still, lambda: still_sensor.simulate({}, seed=1)),
+}
+
+
+def assembled(case: str, *promoted: str) -> Assembly:
+    model, simulate = CASES[case]
+    readings = simulate()
+    model = model(readings) if callable(model) else model
+    layout, _ = bind(model, readings)
+    layout = layout.promote(*promoted)
+    frame = build_frame(readings, reference_of(readings))
+    library = library_of(model.instrument, frame, model.effects)
+    return Assembly(layout, Record(model.instrument, frame, readings["output"], library))
+
+
+def somewhere(a: Assembly, seed: int = 0) -> tuple[Point, np.ndarray]:
+    """A point and a coordinate of φ at random, within the priors."""
+    random = np.random.default_rng(seed)
+    v = 0.5 * random.standard_normal(len(a.hypers))
+    sd = a.sizes(a.hyper(v)) * 0.3
+    rows = 0.3 * a.row_sd * random.standard_normal((a.record.size, len(a.row_sd)))
+    return Point(a.mean_of_x + sd * random.standard_normal(a.size), rows), v
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
+    a = assembled(case)
+    point, v = somewhere(a)
+    found = a.linearise(point, a.hyper(v))
+    hyper = forward.hyper_values(a.layout, jnp.asarray(v))
+    line = forward.linearise(
+        a.layout, a.record.frame, jnp.asarray(point.x), jnp.asarray(point.rows), hyper
+    )
+    scale = np.max(np.abs(line.mean))
+    np.testing.assert_allclose(found.mean, line.mean, rtol=1e-9, atol=1e-9 * scale)
+    columns = np.max(np.abs(line.jacobian), axis=0) + 1e-300
+    np.testing.assert_allclose(found.jacobian / columns, line.jacobian / columns, atol=1e-8)
+    np.testing.assert_allclose(found.rows, line.rows, rtol=1e-9)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_densities_are_those_of_the_traced_closed_form(case: str) -> None:
+    a = assembled(case)
+    _, v = somewhere(a)
+    start = a.start
+    flat = column_scale(a.linearise(start, a.hyper(v)).jacobian)
+    found = Density(a, start, flat).at(v)[0]
+    point = gaussian.Point(*(jnp.asarray(p) for p in start))
+    y, frame = jnp.asarray(a.record.y), a.record.frame
+    density = laplace.density_of_phi(a.layout, frame, y, point, jnp.asarray(flat))
+    assert found == pytest.approx(float(density(jnp.asarray(v))[0]), rel=1e-9, abs=1e-5)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_slopes_of_the_density_are_its_differences(case: str) -> None:
+    a = assembled(case)
+    mode = find_mode(a)
+    density = Density(a, mode.point, mode.flat)
+    v = mode.v + 0.1
+    found = density.slope(v, careful=True)[1]
+    step = 1e-4
+    for i, slope in enumerate(found):
+        up, down = v.copy(), v.copy()
+        up[i] += step
+        down[i] -= step
+        difference = (density.at(up)[0] - density.at(down)[0]) / (2 * step)
+        assert slope == pytest.approx(difference, rel=2e-3, abs=2e-3)
+
+
+def test_the_mode_is_that_of_the_traced_search() -> None:
+    a = assembled("gyro")
+    mode = find_mode(a)
+    old = laplace.compiled_mode(a.layout, a.record.frame, jnp.asarray(a.record.y))
+    assert mode.log_evidence == pytest.approx(float(old.log_evidence), abs=2e-3)
+    np.testing.assert_allclose(mode.v, old.v, atol=1e-3)
+
+
+def test_promoted_coefficients_stand_in_phi() -> None:
+    a = assembled("gyro, thermometer", "bias.temperature")
+    own = assembled("gyro, thermometer")
+    point, v = somewhere(a)
+    hyper = a.hyper(v)
+    x = np.insert(point.x, 1, hyper["bias.temperature"])
+    there = own.linearise(Point(x, point.rows), own.hyper(v[:-1]))
+    np.testing.assert_allclose(a.linearise(point, hyper).mean, there.mean, rtol=1e-12)
+    assert isinstance(a.layout, Layout)
+
+
+@pytest.mark.parametrize("tau", [61.0, 300.0, 1150.0])
+def test_columns_along_a_shape_are_interpolated_as_well_as_they_are_computed(tau: float) -> None:
+    a = assembled("gyro")
+    effect = ColumnsOf.of(GYRO.effect("bias.thermal_lag"))
+    found = a.record.columns(effect, (tau,))
+    exact, _ = a.record.moved_columns(effect, (tau,), {})
+    assert np.max(np.abs(found - exact)) < 10 * INTERPOLATED * np.max(np.abs(exact))
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_wandering_noise_is_whitened_as_its_covariance_says(known: bool) -> None:
+    a = assembled("gyro, wandering")
+    record, random = a.record, np.random.default_rng(0)
+    extra = random.uniform(0.0, 0.01, record.size) if known else 0.0
+    values = {"noise.white": 0.05, "noise.diffusion": 0.002, "noise.correlated.time": 400.0}
+    table = random.standard_normal((record.size, 3))
+    white = whitening(WANDER, values, record, extra)
+    order, step = record.in_time
+    begun = np.cumsum(step < 0)
+    time = np.cumsum(np.maximum(step, 0.0))
+    apart = np.abs(time[:, None] - time)
+    same = begun[:, None] == begun
+    covariance = same * 0.5 * 0.002**2 * 400.0 * np.exp(-apart / 400.0)
+    covariance += np.diag((0.05**2 + extra * np.ones(record.size))[order])
+    own = table[order]
+    np.testing.assert_allclose(
+        white(table).T @ white(table), own.T @ np.linalg.solve(covariance, own)
+    )
+    assert white.logdet == pytest.approx(np.linalg.slogdet(covariance)[1])
+
+
+def test_records_of_about_the_same_length_share_their_programs() -> None:
+    lengths = [pieces.padded_length(n) for n in range(300, 331)]
+    assert len(set(lengths)) <= 2
+    assert all(n <= pieces.padded_length(n) <= 1.3 * n for n in range(32, 5000, 7))

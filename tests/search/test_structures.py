@@ -1,0 +1,221 @@
+"""The posterior over structures: its prior, its evidence, its walk against enumeration, and what it calls a finding."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._discovery.discover import structures_over
+from bayescal._discovery.library import Library
+from bayescal._discovery.posterior import FOUND, Posterior
+from bayescal._discovery.scores import View, gain_of
+from bayescal._discovery.structures import SIZES, Structure, Structures
+from bayescal._discovery.walk import walk
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.mode import find_mode
+from bayescal._model.frame import reference_of
+from bayescal_models import mems_gyro, quartz_beam_accelerometer
+
+INSTRUMENT = mems_gyro.INSTRUMENT
+FEW = (
+    "bias.temperature_quadratic",
+    "bias.thermal_lag",
+    "bias.reference_voltage",
+    "bias.run",
+    "bias.warm_up",
+)
+
+
+def structures(readings: bc.Measurements, names: tuple[str, ...] = (), **kwargs) -> Structures:
+    model = INSTRUMENT.baseline()
+    made, _ = structures_over(model, readings, reference_of(readings), **kwargs)
+    if names:
+        made.candidates = {n: made.candidates[n] for n in names}
+    return made
+
+
+def hidden(seed: int = 1, **kwargs: float) -> bc.Measurements:
+    return mems_gyro.simulate({f"bias.{n}": size for n, size in kwargs.items()}, seed=seed)
+
+
+def test_half_of_the_prior_says_nothing_and_a_tenth_of_the_rest_has_no_name() -> None:
+    made = structures(hidden())
+    odds = np.exp(list(made.log_odds.values()))
+    assert np.prod(1 / (1 + odds)) == pytest.approx(0.5)
+    unknown = [e.is_placeholder for e in made.candidates.values()]
+    share = np.log1p(odds)
+    assert share[unknown].sum() / share.sum() == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    "truth", [{}, {"thermal_lag": 0.02}, {"run": 0.03, "temperature_quadratic": 1e-4}]
+)
+def test_the_walk_finds_what_enumeration_finds(truth: dict[str, float]) -> None:
+    readings = hidden(7, **truth)
+    walked = structures(readings, FEW)
+    walk(Library(walked), max_effects=5)
+    whole = structures(readings, FEW)
+    root = whole.weigh(Structure())
+    for count in range(len(FEW) + 1):
+        for names in itertools.combinations(FEW, count):
+            for wanders in (False, True):
+                whole.weigh(Structure(frozenset(names), wanders), root)
+    found, exact = Posterior.of(walked), Posterior.of(whole)
+    assert found.best == exact.best
+    assert len(walked.visited) < len(whole.visited)
+    assert found.nothing == pytest.approx(exact.nothing, abs=0.05)
+    for name in FEW:
+        assert found.inclusion(name) == pytest.approx(exact.inclusion(name), abs=0.05)
+
+
+def test_evidence_is_averaged_over_the_plausible_sizes() -> None:
+    made = structures(hidden(2), ("bias.temperature_quadratic",))
+    structure = Structure(frozenset(made.candidates))
+    layout = made.weigh(structure).assembly.layout
+    each = [
+        math.log(share)
+        + find_mode(
+            Assembly(layout, made.record, {"bias.temperature_quadratic": factor})
+        ).log_evidence
+        for factor, share in SIZES.items()
+    ]
+    found = made.visited[structure].log_evidence
+    assert found == pytest.approx(np.logaddexp.reduce(each), abs=0.02)
+
+
+def test_a_score_at_the_mode_expects_what_a_refit_gives_where_little_changes() -> None:
+    made = structures(hidden(3), ("bias.temperature_quadratic", "bias.drift", "bias.rate"))
+    base = made.weigh(Structure())
+    library = Library(made)
+    points = View(library, base).without().scores(list(made.candidates))
+    for name, own in points.items():
+        refit = made.weigh(Structure(frozenset([name])), base)
+        assert gain_of(own) == pytest.approx(refit.log_evidence - base.log_evidence, abs=0.1)
+
+
+def test_dropping_by_score_is_dropping_by_refit_where_little_changes() -> None:
+    made = structures(hidden(3), ("bias.temperature_quadratic", "bias.drift"))
+    root = made.weigh(Structure())
+    whole = made.weigh(Structure(frozenset(made.candidates)), root)
+    view = View(Library(made), whole)
+    assert view.without().dropped == pytest.approx(0.0, abs=1e-6)
+    for name in made.candidates:
+        without = made.weigh(whole.structure.minus(name), whole)
+        # One mode holds an average over sizes, the other the likeliest: nearly the same where both are small.
+        expected = whole.mode.log_density + view.without(name).dropped
+        assert expected == pytest.approx(without.mode.log_density, abs=0.3)
+
+
+def test_columns_of_the_library_are_slopes_of_the_model_with_the_effect() -> None:
+    readings = mems_gyro.simulate({}, seed=4, campaign=mems_gyro.Campaign(rate_input=(0.0, 100.0)))
+    made = structures(readings)
+    base = made.weigh(Structure())
+    library = Library(made)
+    columns = library.columns(View(library, base).line.slopes)
+    for name, effect in made.candidates.items():
+        if effect.column_shapes or effect.is_placeholder:
+            continue
+        larger = made.weigh(Structure(frozenset([name])), base).assembly
+        v = np.zeros(len(larger.hypers))
+        line = larger.linearise(larger.start, larger.hyper(v))
+        own = np.concatenate(
+            [line.jacobian[:, t.at] for t in larger.in_x if t.known.of == name], axis=1
+        )
+        np.testing.assert_allclose(columns[:, library.points[name][0].at], own, rtol=1e-9)
+
+
+def test_what_cannot_be_told_apart_is_one_finding() -> None:
+    readings = hidden(5, thermal_lag=0.03)
+    twin = bc.Effect(
+        "bias.twin",
+        "bias",
+        basis=lambda r, tau: r.lag(tau),
+        coefficients=(bc.Coefficient("deg/s/degC", bc.Normal(0.0, 0.05)),),
+        shapes=(bc.Shape("tau", "s", 60.0, 1200.0),),
+        columns=("time", "temperature"),
+    )
+    made = structures(readings, effects=(twin,))
+    made.candidates = {n: made.candidates[n] for n in ("bias.thermal_lag", "bias.twin")}
+    walk(Library(made), max_effects=3)
+    posterior = Posterior.of(made)
+    (found,) = posterior.findings
+    assert set(found.effects) == {"bias.thermal_lag", "bias.twin"}
+    assert found.probability >= FOUND
+    assert len(posterior.chosen.effects) == 1
+
+
+def test_nothing_is_found_where_nothing_is_hidden() -> None:
+    for seed in range(20, 26):
+        made = structures(hidden(seed))
+        walk(Library(made), max_effects=5)
+        posterior = Posterior.of(made)
+        assert not posterior.findings
+        assert not posterior.chosen.effects
+        assert posterior.nothing > 0.4
+
+
+@pytest.mark.slow
+def test_of_a_hundred_empty_campaigns_hardly_any_gains_an_effect() -> None:
+    reported = 0
+    for seed in range(500, 600):
+        made = structures(hidden(seed))
+        walk(Library(made), max_effects=5)
+        reported += bool(Posterior.of(made).chosen.effects)
+    assert reported <= 3
+
+
+def test_two_that_hide_each_other_are_found_together() -> None:
+    """A pair is scored at once: neither of the two gains much alone."""
+    readings = hidden(8, thermal_lag=0.03, reference_voltage=-0.03)
+    made = structures(readings)
+    walk(Library(made), max_effects=5)
+    assert {"bias.thermal_lag", "bias.reference_voltage"} <= Posterior.of(made).chosen.effects
+
+
+def test_a_walk_without_time_ends_with_what_it_has_and_says_so() -> None:
+    made = structures(hidden(1, thermal_lag=0.05))
+    said = walk(Library(made), max_effects=5, time_limit=0.0)
+    assert said.startswith("The search was ended after 0 s")
+    assert set(made.visited) == {Structure(), Structure(wanders=True)}
+    assert Posterior.of(made).chosen == Posterior.of(made).best
+
+
+def test_an_interruption_keeps_what_was_weighed() -> None:
+    made = structures(hidden(1, thermal_lag=0.05))
+
+    def interrupt(_: Structures) -> None:
+        raise KeyboardInterrupt
+
+    said = walk(Library(made), max_effects=5, follow=interrupt)
+    assert said.startswith("The search was interrupted")
+    assert len(made.visited) > 2
+
+
+def test_a_free_curve_in_time_stands_beside_no_wander() -> None:
+    made = structures(hidden())
+    assert "unknown(time)" in made.open_to(Structure())
+    assert "unknown(time)" not in made.open_to(Structure(wanders=True))
+    assert "unknown(time, jump)" in made.open_to(Structure(wanders=True))
+
+
+def test_a_path_leads_from_the_base_to_the_end_one_change_at_a_time() -> None:
+    made = structures(hidden(9, thermal_lag=0.05, run=0.1))
+    end = Structure(frozenset(["bias.thermal_lag", "bias.run"]), True)
+    path = made.path(end)
+    assert (path[0], path[-1], len(path)) == (Structure(), end, 4)
+    for before, after in itertools.pairwise(path):
+        changed = len(after.effects - before.effects) + (after.wanders != before.wanders)
+        assert changed == 1
+
+
+@pytest.mark.slow
+def test_a_lag_three_times_as_large_as_plausible_is_found_in_the_quartz_record() -> None:
+    instrument = quartz_beam_accelerometer.INSTRUMENT
+    readings = quartz_beam_accelerometer.simulate({"bias.thermal_lag": 60.0}, seed=1)
+    made, _ = structures_over(instrument.baseline(), readings, reference_of(readings))
+    walk(Library(made), max_effects=5)
+    assert "bias.thermal_lag" in Posterior.of(made).chosen.effects
