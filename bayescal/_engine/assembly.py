@@ -94,6 +94,27 @@ class Assembly:
             sum(density(one) for (*_, density), one in zip(self._coordinates, v, strict=True))
         )
 
+    def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
+        """Log prior densities of several φ."""
+        parts = [density(v[:, i]) for i, (*_, density) in enumerate(self._coordinates)]
+        return np.sum(parts, axis=0) if parts else np.zeros(len(v))
+
+    def sizes_at(
+        self, v: Float[np.ndarray, "b d"], flat: Float[np.ndarray, "p"]
+    ) -> Float[np.ndarray, "b p"]:
+        """Prior standard deviations of x given several φ; `flat` where the prior is flat."""
+        hyper = self.hyper(v.T)
+        sd = np.tile(np.where(self.weight_of_x > 0, self._own_size, flat), (len(v), 1))
+        for place, name in self._learned:
+            sd[:, place] = np.reshape(hyper[name], (-1, 1))
+        for weights, names, places in self._weighted:
+            columns = {short: np.reshape(hyper[name], (-1, 1)) for short, name in names}
+            made = np.broadcast_to(weights(**columns), (len(v), len(places)))
+            for at, one in zip(places, made.T, strict=True):
+                if at is not None:
+                    sd[:, at] *= one[:, None]
+        return sd
+
     def value_slope(self, v: np.ndarray, i: int) -> float:
         """Slope of the logarithm of one entry of φ by its coordinate."""
         value = self._coordinates[i][1]
@@ -257,6 +278,16 @@ class Assembly:
         codes = self.record.codes[term.known.per]
         known = np.flatnonzero(codes >= 0)
         jacobian[known, term.at.start + codes[known]] = column[known]
+
+    @cached_property
+    def designs(self) -> dict[str, Float[np.ndarray, "n p"]]:
+        """By slot, what x adds to it, of the terms whose columns never change; none where columns are corrected."""
+        found: dict[str, np.ndarray] = {}
+        for t in () if self.corrected else self.in_x:
+            if not t.known.shape_names:
+                matrix = found.setdefault(t.slot, np.zeros((self.record.size, self.size)))
+                self._place(t, self.record.columns(t.known.columns, ())[:, t.index] * t.factor, matrix)
+        return found
 
     @cached_property
     def affine(self) -> bool:

@@ -137,7 +137,7 @@ class Density:
             line = self.assembly.linearise(self.point, hyper)
             gram = None
             if self.even:
-                table = np.column_stack([line.jacobian, self._residual(line)])
+                table = np.column_stack([line.jacobian, self.residual(line)])
                 whole = table.T @ table
                 gram = Gram(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), 0.0)
             if len(self._lines) > 64:
@@ -145,7 +145,8 @@ class Density:
             found = self._lines[key] = (line, gram)
         return found
 
-    def _residual(self, line: Line) -> np.ndarray:
+    def residual(self, line: Line) -> Float[np.ndarray, "n"]:
+        """What the expected output leaves, with the per-reading coefficients at zero."""
         return self.assembly.record.y - line.mean + np.sum(line.rows * self.point.rows, axis=1)
 
     def extra(self, line: Line) -> Float[np.ndarray, "n"] | float:
@@ -168,7 +169,7 @@ class Density:
                 size * math.log(variance),
             )
         white = whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
-        table = white(np.column_stack([line.jacobian, self._residual(line)]))
+        table = white(np.column_stack([line.jacobian, self.residual(line)]))
         whole = table.T @ table
         return Gram(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), white.logdet)
 

@@ -108,10 +108,7 @@ def shaped_columns(
     """Columns at some shapes and with columns of the readings moved, and their derivatives by these moves."""
 
     def at(moves):
-        moved = frame
-        for name, shift in moves.items():
-            moved = moved.with_column(name, frame[name] + shift)
-        return Effect.matrix(*basis, moved, shapes)
+        return Effect.matrix(*basis, _moved(frame, moves), shapes)
 
     zero = {name: jnp.zeros_like(shift) for name, shift in moves.items()}
     slopes = {
@@ -123,10 +120,18 @@ def shaped_columns(
 
 @_program
 def columns_along(
-    basis: Basis, frame: Frame, shapes: dict[str, Float[Array, "s"]]
+    basis: Basis,
+    frame: Frame,
+    shapes: dict[str, Float[Array, "s"]],
+    moves: dict[str, Float[Array, "s n"]],
 ) -> Float[Array, "s n k"]:
-    """Columns at several values of the shapes, one after the other."""
-    return jax.lax.map(lambda one: Effect.matrix(*basis, frame, one), shapes)
+    """Columns at several values of the shapes, columns of the readings moved for each, one after the other."""
+
+    def at(one):
+        shapes, moves = one
+        return Effect.matrix(*basis, _moved(frame, moves), shapes)
+
+    return jax.lax.map(at, (shapes, moves))
 
 
 @_program
@@ -140,10 +145,7 @@ def response_slopes(
 
     def respond(both):
         slots, moves = both
-        moved = frame
-        for name, shift in moves.items():
-            moved = moved.with_column(name, frame[name] + shift)
-        return jnp.broadcast_to(response(slots, moved), (frame.size,))
+        return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
 
     both = (slots, moves)
     zero = jax.tree.map(jnp.zeros_like, both)
@@ -158,7 +160,22 @@ def response_slopes(
 
 @_program
 def responses(
-    response: Callable[..., Any], frame: Frame, slots: dict[str, Float[Array, "b n"]]
+    response: Callable[..., Any],
+    frame: Frame,
+    slots: dict[str, Float[Array, "b n"]],
+    moves: dict[str, Float[Array, "b n"]],
 ) -> Float[Array, "b n"]:
-    """Expected outputs of several sets of slots."""
-    return jax.vmap(lambda one: jnp.broadcast_to(response(one, frame), (frame.size,)))(slots)
+    """Expected outputs of several sets of slots, columns of the readings moved for each."""
+
+    def at(slots, moves):
+        return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
+
+    return jax.vmap(at)(slots, moves)
+
+
+def _moved(frame: Frame, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
+    """The readings with some of their columns corrected."""
+    moved = frame
+    for name, shift in moves.items():
+        moved = moved.with_column(name, frame[name] + shift)
+    return moved

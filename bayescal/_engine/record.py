@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -16,11 +16,13 @@ from bayescal._engine import pieces
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
+from bayescal._model.prior import LogNormal, Normal
 
 KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 
 
+TOGETHER = 64  # draws in one call of a program
 REACH = 4.0  # prior standard deviations of a shape, up to which columns are interpolated along it,
 NODES = REACH * np.cos((np.arange(40) + 0.5) * np.pi / 40)  # between Chebyshev's points,
 INTERPOLATED = 1e-9  # as good as this part of the largest number in a column, tried half way between some of them
@@ -28,13 +30,22 @@ BETWEEN = REACH * np.cos(np.array([1.0, 7.0, 16.0, 24.0, 33.0, 39.0]) * np.pi / 
 _WEIGHTS = (-1.0) ** np.arange(40) * np.sin((np.arange(40) + 0.5) * np.pi / 40)
 
 
-def shares(v: float) -> Float[np.ndarray, "s"]:
+def shares(v: float | Float[np.ndarray, "b"]) -> Float[np.ndarray, "... s"]:
     """Of the nodes in an interpolated column (Lagrange's polynomials in barycentric form)."""
-    apart = v - NODES
+    apart = np.asarray(v)[..., None] - NODES
     if not apart.all():
-        return (apart == 0).astype(float)
+        apart = np.where(apart == 0, 1e-250, apart)
     share = _WEIGHTS / apart
-    return share / share.sum()
+    return share / share.sum(axis=-1, keepdims=True)
+
+
+def coordinates(prior: Any, values: Float[np.ndarray, "b"]) -> Float[np.ndarray, "b"]:
+    """Coordinates of a shape's values."""
+    if isinstance(prior, LogNormal):
+        return np.log(values / prior.median) / prior.sd
+    if isinstance(prior, Normal):
+        return (values - prior.mean) / prior.sd
+    return np.array([prior.coordinate(float(one)) for one in values])
 
 
 class ColumnsOf(NamedTuple):
@@ -132,7 +143,7 @@ class Record:
             prior = effect.priors[0]
             at = np.concatenate([NODES, BETWEEN])
             found = pieces.columns_along(
-                effect.basis, self.padded, {effect.shapes[0]: prior.value(at)}
+                effect.basis, self.padded, {effect.shapes[0]: prior.value(at)}, {}
             )
             found = np.asarray(found)[:, : self.size].transpose(0, 2, 1).reshape(len(at), -1)
             nodes, there = found[: len(NODES)], found[len(NODES) :]
@@ -205,13 +216,65 @@ class Record:
                     return None
         return base, slopes
 
-    def several(self, slots: Mapping[str, np.ndarray]) -> Float[np.ndarray, "b n"]:
-        """Expected outputs of several sets of slots, (b, n) each."""
-        if self.affine is not None:
+    def columns_of_draws(
+        self, effect: ColumnsOf, values: Sequence[np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "b n k"]:
+        """Columns of an effect for several draws.
+
+        Args:
+            effect: whose.
+            values: of its shapes, (b,) each.
+            moves: what columns of the readings are corrected by, (b, n) each.
+        """
+        count = max(len(v) for v in (*values, *moves.values()))
+        curve = self._curve(effect) if not moves and len(values) == 1 else None
+        if curve is not None:
+            at = coordinates(effect.priors[0], values[0])
+            near = np.abs(at) <= REACH
+            found = np.empty((count, curve.shape[1]))
+            found[near] = shares(at[near]) @ curve
+            found = found.reshape(count, -1, self.size).transpose(0, 2, 1)
+            if not np.all(near):
+                found[~near] = self._computed(effect, [values[0][~near]], moves)
+            return found
+        return self._computed(effect, values, moves)
+
+    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> np.ndarray:
+        count = max(len(v) for v in (*values, *moves.values()))
+        shapes = dict(zip(effect.shapes, values, strict=True))
+        parts = [
+            pieces.columns_along(effect.basis, self.padded, *part)
+            for part in self._stretches(count, shapes, moves)
+        ]
+        return np.concatenate([np.asarray(p) for p in parts])[:count, : self.size]
+
+    def several(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "b n"]:
+        """Expected outputs of several sets of slots and corrections of columns, (b, n) each."""
+        if not moves and self.affine is not None:
             base, slopes = self.affine
             return base + sum(slopes[name] * value for name, value in slots.items())
-        made = pieces.responses(self.instrument.response, self.padded, self._longer(slots))
-        return np.asarray(made)[:, : self.size]
+        count = len(next(iter(slots.values())))
+        parts = [
+            pieces.responses(self.instrument.response, self.padded, *part)
+            for part in self._stretches(count, slots, moves)
+        ]
+        return np.concatenate([np.asarray(p) for p in parts])[:count, : self.size]
+
+    def _stretches(
+        self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]
+    ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:
+        """Values for `count` draws, `TOGETHER` at once, readings padded; the last draw stands in for missing ones."""
+        for start in range(0, count, TOGETHER):
+            pick = np.minimum(np.arange(start, start + TOGETHER), count - 1)
+            yield tuple(  # pyright: ignore[reportReturnType]
+                {
+                    k: v[pick] if v.ndim == 1 else self._longer({k: v[pick]})[k]
+                    for k, v in both.items()
+                }
+                for both in (one, other)
+            )
 
     def _longer(self, values: Mapping[str, np.ndarray]) -> dict[str, Array]:
         more = pieces.padded_length(self.size) - self.size
