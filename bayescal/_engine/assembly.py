@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._engine.record import ColumnsOf, Record
-from bayescal._model.effect import Effect
-from bayescal._model.parameters import MOVING, CoefficientBlock, Layout
+from bayescal._engine.pieces import Term
+from bayescal._engine.record import Record
+from bayescal._model.parameters import MOVING, Layout
 
 Values = dict[str, float]
 NUDGE = 1e-6  # of a coordinate, for derivatives of priors
@@ -57,7 +57,9 @@ class Assembly:
 
     def __post_init__(self) -> None:
         layout = self.layout
-        self.terms = tuple(_Term.of_block(b, self.record, self.spread or {}) for b in layout.blocks)
+        self.terms = tuple(
+            Term.of_block(b, self.record.plain, self.spread or {}) for b in layout.blocks
+        )
         self.hypers = layout.hypers
         self.size = sum(t.size for t in self.terms if t.place == "x")
         self.row_sd = np.array([t.prior_sd for t in self.terms if t.place == "row"])
@@ -147,7 +149,7 @@ class Assembly:
         return sd
 
     @cached_property
-    def in_x(self) -> tuple[_Term, ...]:
+    def in_x(self) -> tuple[Term, ...]:
         return tuple(t for t in self.terms if t.place == "x")
 
     @cached_property
@@ -271,7 +273,7 @@ class Assembly:
                 row += 1
         return Line(mean, jacobian, rows)
 
-    def _place(self, term: _Term, column: np.ndarray, jacobian: np.ndarray) -> None:
+    def _place(self, term: Term, column: np.ndarray, jacobian: np.ndarray) -> None:
         if term.known.per is None:
             jacobian[:, term.at.start] = column
             return
@@ -286,77 +288,12 @@ class Assembly:
         for t in () if self.corrected else self.in_x:
             if not t.known.shape_names:
                 matrix = found.setdefault(t.slot, np.zeros((self.record.size, self.size)))
-                self._place(t, self.record.columns(t.known.columns, ())[:, t.index] * t.factor, matrix)
+                self._place(
+                    t, self.record.columns(t.known.columns, ())[:, t.index] * t.factor, matrix
+                )
         return found
 
     @cached_property
     def affine(self) -> bool:
         """Whether the expected output is affine in x and in the per-reading coefficients."""
         return not self.corrected and self.record.affine is not None
-
-
-class _Known(NamedTuple):
-    """What does not change of a coefficient, in plain data."""
-
-    effect: Effect  # held, so that no other takes its place in memory
-    of: str
-    per: str | None
-    mean: float
-    prior_sd: float
-    flat: bool
-    learned: bool
-    columns: ColumnsOf
-    shape_names: tuple[str, ...]
-
-    @classmethod
-    def of_block(cls, block: CoefficientBlock) -> _Known:
-        coefficient, effect = block.coefficient, block.effect
-        return cls(
-            effect=effect,
-            of=effect.name,
-            per=coefficient.per,
-            mean=coefficient.mean,
-            prior_sd=coefficient.size,
-            flat=coefficient.flat,
-            learned=coefficient.spread is not None,
-            columns=ColumnsOf.of(effect),
-            shape_names=tuple(effect.shape_name(s) for s in effect.column_shapes),
-        )
-
-
-class _Term(NamedTuple):
-    """One coefficient of the structure with all its members."""
-
-    known: _Known
-    index: int
-    slot: str
-    size: int
-    place: str
-    factor: float
-    value: float
-    prior_sd: float
-    spread_name: str | None
-    members: tuple[str, ...]
-    at: slice  # its entries of x
-
-    @classmethod
-    def of_block(
-        cls, block: CoefficientBlock, record: Record, spread: Mapping[str, float]
-    ) -> _Term:
-        key = (id(block.effect), block.index)
-        if key not in record.plain:
-            record.plain[key] = _Known.of_block(block)
-        known: _Known = record.plain[key]
-        return cls(
-            known=known,
-            index=block.index,
-            slot=block.slot,
-            size=block.size,
-            place=block.place,
-            factor=block.factor,
-            value=block.value,
-            prior_sd=known.prior_sd * spread.get(known.of, 1.0),
-            spread_name=block.spread_name if known.learned else None,
-            members=tuple(block.member_names()) if block.place == "phi" else (),
-            at=slice(block.start, block.start + block.size),
-        )

@@ -11,7 +11,7 @@ from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import LOG_2PI, NOWHERE
 from bayescal._engine.mode import Mode
 from bayescal._engine.products import Batch, Grams, Products
-from bayescal._engine.record import ColumnsOf
+from bayescal._engine.pieces import ColumnsOf
 from bayescal._engine.whitening import known_variance
 from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
 
@@ -224,7 +224,10 @@ def _sum_into(sums: dict, assembly: Assembly, values: list, hyper: Batch, moves:
         if t.slot not in sums or (t.place == "x" and t.slot in designs and not t.known.shape_names):
             continue
         if made is None or made[0] != t.known.of:
-            made = t.known.of, _columns(assembly, t.known.columns, t.known.shape_names, hyper, moves)
+            made = (
+                t.known.of,
+                _columns(assembly, t.known.columns, t.known.shape_names, hyper, moves),
+            )
         column = made[1][..., t.index] * t.factor
         sums[t.slot] += column * value
 

@@ -25,7 +25,14 @@ from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, OrnsteinUhle
 
 Batch = Mapping[str, np.ndarray]  # φ by name, one value a draw
 REACH = 5.0  # standard deviations of the Laplace fit, up to which polynomials are fitted
-DEGREES = {1: (6, 12, 20), 2: (4, 8, 12, 17), 3: (3, 5, 7, 9), 4: (2, 4, 6), 5: (2, 4), 6: (2, 3, 4)}
+DEGREES = {
+    1: (6, 12, 20),
+    2: (4, 8, 12, 17),
+    3: (3, 5, 7, 9),
+    4: (2, 4, 6),
+    5: (2, 4),
+    6: (2, 3, 4),
+}
 MANY = {7: (2, 3), 8: (2, 3)}
 TRIED = 12  # draws of the Laplace fit at which polynomials are tried
 CLOSE = 0.03  # log density, within which they are good there,
@@ -227,7 +234,7 @@ class _Polynomials:
         self.root = REACH * np.linalg.cholesky(spread + 1e-12 * np.diag(np.diag(spread)))
         self.degree, self.dim = degree, len(self.centre)
         chosen = range(self.dim + 1)
-        powers = [c for c in combinations_with_replacement(chosen, degree)]
+        powers = list(combinations_with_replacement(chosen, degree))
         self.powers = np.array([[c.count(j + 1) for j in range(self.dim)] for c in powers])
 
     def points(self, count: int) -> Float[np.ndarray, "s m"]:
@@ -276,4 +283,3 @@ def _golden(dim: int) -> float:
     for _ in range(40):
         x = (1 + x) ** (1 / (dim + 1))
     return x
-

@@ -6,13 +6,14 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._engine import pieces
+from bayescal._engine.pieces import ColumnsOf
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
@@ -46,21 +47,6 @@ def coordinates(prior: Any, values: Float[np.ndarray, "b"]) -> Float[np.ndarray,
     if isinstance(prior, Normal):
         return (values - prior.mean) / prior.sd
     return np.array([prior.coordinate(float(one)) for one in values])
-
-
-class ColumnsOf(NamedTuple):
-    """What an effect's columns depend on: its basis, and the shapes that this takes."""
-
-    basis: pieces.Basis
-    shapes: tuple[str, ...]
-    priors: tuple[Any, ...]  # of the shapes
-
-    @classmethod
-    def of(cls, effect: Effect) -> ColumnsOf:
-        shapes = effect.column_shapes
-        return cls(
-            pieces.basis_of(effect), tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
-        )
 
 
 @dataclass(eq=False)

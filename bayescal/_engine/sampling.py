@@ -31,7 +31,8 @@ FEW = 128  # in a few dimensions
 KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
 WIDE = 1.7  # last component: wider than the Laplace fit, against tails that are heavier
 PRIOR = 0.2  # share of proposals from the prior, so that no weight exceeds likelihood over 0.2 times evidence
-NUMBERS = 1_000_000  # in what is computed at once, to bound memory
+NUMBERS = 1_000_000  # in what is computed at once, to bound memory,
+IN_CACHE = 150_000  # and to stay in the cache
 TOGETHER = 512  # draws whose distances to all kernels are taken at once
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
 FAR = 10.0  # below the largest log density, from which products need not be exact where polynomials end
@@ -103,10 +104,12 @@ def _log_volume(chol: np.ndarray) -> float:
 class _Density:
     """The log density of many φ at once, x integrated out, and x given each."""
 
-    def __init__(self, assembly: Assembly, products: Products, flat: Float[np.ndarray, "p"]) -> None:
+    def __init__(
+        self, assembly: Assembly, products: Products, flat: Float[np.ndarray, "p"]
+    ) -> None:
         self.assembly, self.products, self.flat = assembly, products, flat
         self.together = max(16, NUMBERS // (assembly.size + 1) ** 2)
-        self.highest = NOWHERE
+        self.highest = float(products.mode.log_density)
 
     def at(self, v: Float[np.ndarray, "b d"]) -> tuple[np.ndarray, Conditionals]:
         assembly, products = self.assembly, self.products
@@ -186,7 +189,7 @@ def _placed(density: _Density, v, log_weight_phi, random: np.random.Generator) -
     rows = np.array(rows) if width else rows
     log_weight = np.full(count, NOWHERE)
     (counting,) = np.nonzero(log_weight_phi > np.max(log_weight_phi) - NEGLIGIBLE)
-    together = max(16, min(density.together, NUMBERS // size))
+    together = max(32, min(density.together, IN_CACHE // size))
     for pick in np.array_split(counting, -(-len(counting) // together)):
         found, hyper = density.at(v[pick])[1], assembly.hyper(v[pick].T)
         drawn, own, correction = draw_joint(density.products, found, hyper, random)
