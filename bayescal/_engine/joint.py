@@ -7,13 +7,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._engine.assembly import Assembly
+from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import LOG_2PI, NOWHERE
 from bayescal._engine.mode import Mode
-from bayescal._engine.products import Batch, Grams, Products
 from bayescal._engine.pieces import ColumnsOf
-from bayescal._engine.whitening import known_variance
-from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
+from bayescal._engine.whitening import Batch, known_variance, log_likelihood
+
+
+class Grams(NamedTuple):
+    """Weighted products of J and r, and log|Σ|, one of each a draw."""
+
+    jtj: Float[np.ndarray, "b p p"]
+    jtr: Float[np.ndarray, "b p"]
+    rtr: Float[np.ndarray, "b"]
+    logdet: Float[np.ndarray, "b"]
 
 
 class Conditionals(NamedTuple):
@@ -104,20 +111,26 @@ def _back(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> 
     return z
 
 
-def draw_joint(products: Products, found: Conditionals, hyper: Batch, random: np.random.Generator):
+def draw_joint(
+    assembly: Assembly,
+    mode: Mode,
+    found: Conditionals,
+    hyper: Batch,
+    exact: bool,
+    random: np.random.Generator,
+):
     """x and the per-reading coefficients given each φ, and the log ratio of the true joint density to what they are
     drawn from times the closed form: that of true to linearised likelihood.
 
     Returns:
         x (b, p), rows (b, n, k), log ratio (b,).
     """
-    assembly, mode = products.assembly, products.mode
     count, (size, width) = len(found.u), mode.point.rows.shape
     normal = random.standard_normal(found.u.shape)
     own = random.standard_normal((count, size, width))
     x = found.place(normal)
     rows = np.broadcast_to(mode.point.rows, (count, size, width))
-    if not width and assembly.affine and products.exact:
+    if not width and assembly.affine and exact:
         return x, rows, np.zeros(count)
     log_jacobian, squares = found.log_jacobian, np.sum(normal**2, axis=1)
     if width:
@@ -131,7 +144,7 @@ def draw_joint(products: Products, found: Conditionals, hyper: Batch, random: np
         spread = assembly.row_sd
         prior -= 0.5 * np.sum((rows / spread) ** 2, axis=(1, 2))
         prior -= 0.5 * size * float(np.sum(2 * np.log(spread) + LOG_2PI))
-    true = log_likelihood(assembly, left, hyper)
+    true = log_likelihood(assembly.noise, assembly.record, left, hyper)
     return x, rows, true + prior - log_drawn - found.log_marginal
 
 
@@ -156,37 +169,31 @@ def _draw_rows(assembly: Assembly, mode: Mode, x, hyper: Batch, own: Float[np.nd
     return drawn, volumes
 
 
-def log_likelihood(
-    assembly: Assembly, left: Float[np.ndarray, "b n"], hyper: Batch
-) -> Float[np.ndarray, "b"]:
-    """Log density of all readings, given what the expected output leaves of them."""
-    noise, record = assembly.noise, assembly.record
-    known = known_variance(record)
-    white = np.asarray(hyper["noise.white"])[..., None] ** 2 + known
-    if not isinstance(noise, OrnsteinUhlenbeck):
-        white = np.broadcast_to(white, left.shape)
-        return -0.5 * np.sum(left**2 / white + np.log(white) + LOG_2PI, axis=1)
-    # By the Kalman filter, one reading after the other, all draws at once.
-    (order, step), count = record.in_time, len(left)
-    tau = np.broadcast_to(hyper[CORRELATION_TIME], count)
-    size = np.broadcast_to(0.5 * np.asarray(hyper[DIFFUSION]) ** 2 * tau, count)
-    white = np.ascontiguousarray(np.broadcast_to(white, left.shape)[:, order].T)
-    left = np.ascontiguousarray(left[:, order].T)
-    state, variance, squares, volume = np.zeros(count), size, np.zeros(count), np.zeros(count)
-    for i, h in enumerate(step):
-        if h < 0:
-            state, variance = np.zeros(count), size
-        elif h > 0:
-            carry = np.exp(-h / tau)
-            state, variance = carry * state, size + carry**2 * (variance - size)
-        total = variance + white[i]
-        new = left[i] - state
-        gain = variance / total
-        squares += new * new / total
-        volume += np.log(total)
-        state = state + gain * new
-        variance = gain * white[i]
-    return -0.5 * (squares + volume + len(step) * LOG_2PI)
+def linearise_draws(
+    assembly: Assembly, point: Point, hyper: Batch, count: int
+) -> Float[np.ndarray, "b n q"]:
+    """J beside what the expected output at a point leaves, of a structure that corrects no column, for several φ."""
+    record = assembly.record
+    x = np.broadcast_to(point.x, (count, assembly.size))
+    rows = np.broadcast_to(point.rows, (count, *point.rows.shape))
+    mean, slopes = record.responses(_slots(assembly, x, rows, hyper, {}))
+    table = np.zeros((count, record.size, assembly.size + 1))
+    made: tuple[str, np.ndarray] | None = None
+    for t in assembly.terms:
+        if made is None or made[0] != t.known.of:
+            made = t.known.of, _columns(assembly, t.known.columns, t.known.shape_names, hyper, {})
+        if t.place != "x":
+            continue
+        column = slopes[t.slot] * (made[1][..., t.index] * t.factor)
+        if t.known.per is None:
+            table[:, :, t.at.start] = column
+        else:
+            codes = record.codes[t.known.per]
+            known = np.flatnonzero(codes >= 0)
+            wide = np.broadcast_to(column, (count, record.size))
+            table[:, known, t.at.start + codes[known]] = wide[:, known]
+    table[:, :, -1] = record.y - mean
+    return table
 
 
 def expected(
@@ -204,16 +211,21 @@ def expected(
         hyper: φ by name, one value a draw.
     """
     record, count = assembly.record, len(x)
-    values = list(_values(assembly, x, rows, hyper))
     moves: dict[str, np.ndarray] = {}
     if assembly.corrected:
+        values = list(_values(assembly, x, rows, hyper))
         moves = {name: np.zeros((count, record.size)) for name in assembly.corrected}
         _sum_into(moves, assembly, values, hyper, {})
-    slots = {name: np.zeros((count, record.size)) for name in record.slots}
+    return record.several(_slots(assembly, x, rows, hyper, moves), moves)
+
+
+def _slots(assembly: Assembly, x, rows, hyper: Batch, moves: dict) -> dict[str, np.ndarray]:
+    """What the coefficients of each slot come to, (b, n) each."""
+    slots = {name: np.zeros((len(x), assembly.record.size)) for name in assembly.record.slots}
     for name, design in assembly.designs.items():
         slots[name] += x @ design.T
-    _sum_into(slots, assembly, values, hyper, moves)
-    return record.several(slots, moves)
+    _sum_into(slots, assembly, list(_values(assembly, x, rows, hyper)), hyper, moves)
+    return slots
 
 
 def _sum_into(sums: dict, assembly: Assembly, values: list, hyper: Batch, moves: dict) -> None:

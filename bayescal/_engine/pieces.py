@@ -175,6 +175,24 @@ def responses(
     return jax.vmap(at)(slots, moves)
 
 
+@_program
+def slopes_of_draws(
+    response: Callable[..., Any], frame: Frame, slots: dict[str, Float[Array, "b n"]]
+) -> tuple[Float[Array, "b n"], dict[str, Float[Array, "b n"]]]:
+    """Expected outputs of several sets of slots, and their derivatives by each slot."""
+
+    def respond(slots):
+        return jnp.broadcast_to(response(slots, frame), next(iter(slots.values())).shape)
+
+    def at(slots):
+        zero = {name: jnp.zeros_like(v) for name, v in slots.items()}
+        along = {name: {**zero, name: jnp.ones_like(v)} for name, v in slots.items()}
+        slopes = {name: jax.jvp(respond, (slots,), (one,))[1] for name, one in along.items()}
+        return respond(slots), slopes
+
+    return jax.vmap(at)(slots)
+
+
 def _moved(frame: Frame, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
     """The readings with some of their columns corrected."""
     moved = frame

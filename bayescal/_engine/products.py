@@ -9,21 +9,19 @@ Source: G. Migliorati et al., Found. Comput. Math. 14 (2014) 419 (polynomials by
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from functools import cached_property
 from itertools import combinations_with_replacement
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from bayescal._engine.assembly import Assembly, Values
 from bayescal._engine.closed_form import NOWHERE, Density, Gram, condition
+from bayescal._engine.joint import Grams, linearise_draws
 from bayescal._engine.mode import Mode
-from bayescal._engine.whitening import known_variance, whitening
+from bayescal._engine.whitening import Batch, known_variance, whitened, whitening
 from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
 
-Batch = Mapping[str, np.ndarray]  # φ by name, one value a draw
 REACH = 5.0  # standard deviations of the Laplace fit, up to which polynomials are fitted
 DEGREES = {
     1: (6, 12, 20),
@@ -34,18 +32,10 @@ DEGREES = {
     6: (2, 3, 4),
 }
 MANY = {7: (2, 3), 8: (2, 3)}
+NUMBERS = 300_000  # in the tables that are computed at once
 TRIED = 12  # draws of the Laplace fit at which polynomials are tried
 CLOSE = 0.03  # log density, within which they are good there,
 ENOUGH = 0.3  # and within which they will do
-
-
-class Grams(NamedTuple):
-    """Weighted products of J and r, and log|Σ|, one of each a draw; what all draws share has the length one."""
-
-    jtj: Float[np.ndarray, "b p p"]
-    jtr: Float[np.ndarray, "b p"]
-    rtr: Float[np.ndarray, "b"]
-    logdet: Float[np.ndarray, "b"]
 
 
 class Products:
@@ -95,13 +85,33 @@ class Products:
 
     def directly(self, v: Float[np.ndarray, "b d"]) -> Grams:
         """Products computed for each φ."""
-        made = [self.density.gram(one, self.assembly.hyper(one)) for one in v]
-        return Grams(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
+        assembly = self.assembly
+        if assembly.corrected or len(assembly.row_sd):
+            made = [self.density.gram(one, assembly.hyper(one)) for one in v]
+            return Grams(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
+        together = max(8, NUMBERS // (self.size * (assembly.size + 1)))
+        parts = [self._computed(part) for part in np.array_split(v, -(-len(v) // together))]
+        return Grams(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
+
+    def _computed(self, v: Float[np.ndarray, "b d"]) -> Grams:
+        assembly, record = self.assembly, self.assembly.record
+        hyper = {k: np.broadcast_to(one, len(v)) for k, one in assembly.hyper(v.T).items()}
+        table = linearise_draws(
+            assembly, self.density.point, hyper, len(v) if assembly.moving else 1
+        )
+        if isinstance(assembly.noise, OrnsteinUhlenbeck):
+            table, logdet = whitened(assembly.noise, record, table, hyper)
+        else:
+            variance = hyper["noise.white"][:, None] ** 2 + known_variance(record)
+            variance = np.broadcast_to(variance, (len(v), self.size))
+            table, logdet = table / np.sqrt(variance)[:, :, None], np.sum(np.log(variance), axis=1)
+        whole = table.transpose(0, 2, 1) @ table
+        return Grams(whole[:, :-1, :-1], whole[:, :-1, -1], whole[:, -1, -1], logdet)
 
     def _fitted(self) -> _Polynomials | None:
         """Polynomials that are good where the Laplace fit has its draws; None where none are."""
         axes, random = self._axes, np.random.default_rng(0)
-        if len(axes.names) > max(MANY):
+        if len(axes.names) not in DEGREES:
             return None
         root = np.linalg.cholesky(self.mode.covariance)
         draws = self.mode.v + random.standard_normal((400, len(root))) @ root.T
@@ -113,7 +123,7 @@ class Products:
         best, found = ENOUGH, None
         made: list[np.ndarray] = []
         dim = len(axes.names)
-        for degree in {**DEGREES, **MANY}[dim]:
+        for degree in DEGREES[dim]:
             count = 2 * math.comb(dim + degree, dim) + 4
             polynomials = _Polynomials(coordinates, degree)
             points = polynomials.points(count)

@@ -248,6 +248,20 @@ class Record:
         ]
         return np.concatenate([np.asarray(p) for p in parts])[:count, : self.size]
 
+    def responses(
+        self, slots: Mapping[str, np.ndarray]
+    ) -> tuple[Float[np.ndarray, "b n"], dict[str, Any]]:
+        """Expected outputs of several sets of slots, and their slopes by each slot, (b, n) or (n,)."""
+        if self.affine is not None:
+            return self.several(slots, {}), self.affine[1]
+        count = len(next(iter(slots.values())))
+        parts = [
+            pieces.slopes_of_draws(self.instrument.response, self.padded, part)
+            for part, _ in self._stretches(count, slots, {})
+        ]
+        whole = jax.tree.map(lambda *a: np.concatenate([np.asarray(b) for b in a]), *parts)
+        return jax.tree.map(lambda a: a[:count, : self.size], whole)
+
     def _stretches(
         self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]
     ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:

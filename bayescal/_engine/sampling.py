@@ -192,7 +192,9 @@ def _placed(density: _Density, v, log_weight_phi, random: np.random.Generator) -
     together = max(32, min(density.together, IN_CACHE // size))
     for pick in np.array_split(counting, -(-len(counting) // together)):
         found, hyper = density.at(v[pick])[1], assembly.hyper(v[pick].T)
-        drawn, own, correction = draw_joint(density.products, found, hyper, random)
+        drawn, own, correction = draw_joint(
+            assembly, mode, found, hyper, density.products.exact, random
+        )
         some = np.isfinite(correction)
         x[pick[some]] = drawn[some]
         if width:

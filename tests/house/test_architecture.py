@@ -30,7 +30,7 @@ ROOMS = {
     "measurements csv_reader parquet_netcdf_reader read",
     "_model": "prior coefficient frame effect unknown_effect noise_laws instrument installed model parameters forward",
     "effects": "constant temperature thermal thermometer time",
-    "_engine": "blas pieces record assembly whitening closed_form mode linear_model products joint sampling "
+    "_engine": "blas pieces record assembly whitening closed_form mode linear_model joint products sampling "
     "refinement",
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains trust least_squares marginal nuts",
