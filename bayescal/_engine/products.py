@@ -32,7 +32,7 @@ DEGREES = {
     6: (2, 3, 4),
 }
 MANY = {7: (2, 3), 8: (2, 3)}
-NUMBERS = 300_000  # in the tables that are computed at once
+NUMBERS = 2_000_000  # in the tables that are computed at once
 TRIED = 12  # draws of the Laplace fit at which polynomials are tried
 CLOSE = 0.03  # log density, within which they are good there,
 ENOUGH = 0.3  # and within which they will do

@@ -21,8 +21,6 @@ from bayescal._model.prior import LogNormal, Normal
 
 KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
-
-
 TOGETHER = 64  # draws in one call of a program
 REACH = 4.0  # prior standard deviations of a shape, up to which columns are interpolated along it,
 NODES = REACH * np.cos((np.arange(40) + 0.5) * np.pi / 40)  # between Chebyshev's points,

@@ -52,10 +52,6 @@ class _Factors(NamedTuple):
     def solution(self) -> Float[np.ndarray, "q"]:
         return dtrtrs(self.root, self.inside)[0] if self.inside.size else self.inside
 
-    @property
-    def inverse(self) -> Float[np.ndarray, "q q"]:
-        return dtrtri(self.root)[0] if self.inside.size else self.root
-
 
 def _factors(table: Float[np.ndarray, "m q1"]) -> _Factors:
     upper = _triangle(table)
@@ -114,10 +110,7 @@ def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
 
 
 class _Refinement:
-    """One fit. θ = (x, w) with w the coordinates of shapes and promoted coefficients; v are the coordinates of all φ.
-
-    In v the entries of w may be older than those in θ, which count.
-    """
+    """One fit of θ = (x, w), w the shapes' coordinates, and v, those of all φ; where both have w, that in θ counts."""
 
     def __init__(self, assembly: Assembly, mode: Mode) -> None:
         self.assembly, self.mode = assembly, mode
@@ -170,8 +163,7 @@ class _Refinement:
             z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
             whole = np.concatenate([table * np.append(prior.sd, 1.0), np.column_stack([own, -z])])
             if not np.all(np.isfinite(whole)):
-                whole = np.zeros_like(whole)
-                return math.inf, _factors(whole)
+                return math.inf, _factors(np.zeros_like(whole))
             return float(whole[:, -1] @ whole[:, -1]), _factors(whole)
 
         cost, found = look(theta, first)
@@ -215,7 +207,8 @@ class _Refinement:
             if not found.determined:
                 lost = np.full((theta.size, theta.size), np.nan)
                 return _Given(-math.inf, np.full(theta.size, np.nan), lost, math.nan, math.nan)
-            z, inverse = found.solution, found.inverse
+            z = found.solution
+            inverse = dtrtri(found.root)[0] if z.size else found.root
             of_z = inverse @ inverse.T
             root = prior.sd[:, None] * inverse
             flat = (1 - prior.weight) @ (
@@ -256,9 +249,7 @@ class _Refinement:
         if not math.isfinite(value(best)):
             return v
         if np.max(np.abs(slope(best))) > 1e-3:
-            found = minimize(
-                lambda s: -value(s), best, jac=lambda s: -slope(s), options={"gtol": 1e-5}
-            )
+            found = minimize(lambda s: -value(s), best, jac=lambda s: -slope(s))
             best = found.x if value(found.x) >= value(best) else best
         best = _newton(slope, best)
         moved = v.copy()
@@ -285,10 +276,11 @@ class _Refinement:
         prior, extra = self.prior(v), self.table(theta, v)[1]
         white = self.whiten(v, extra)
 
+        tightness = prior.weight / prior.sd**2
+
         def slope(at: np.ndarray) -> np.ndarray:
             table = white(self.table(at, v)[0])
-            own = prior.weight * (at - prior.mean) / np.where(prior.weight > 0, prior.sd, 1.0) ** 2
-            return own - table[:, :-1].T @ table[:, -1]
+            return tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1]
 
         rows = []
         for i, width in enumerate(sd):

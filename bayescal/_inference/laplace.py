@@ -225,7 +225,7 @@ def linearised(layout: Layout, frame: Frame, y: Float[Array, "n"], mode) -> Line
         places = jnp.asarray(moving)
 
         def output(w):
-            values = forward.hyper_values(layout, mode.v.at[places].set(w))
+            values = forward.hyper_values(layout, jnp.asarray(mode.v).at[places].set(w))
             return forward.mean(layout, frame, point.x, point.rows, values)
 
         nuisance = jnp.concatenate([nuisance, jax.jacfwd(output)(mode.v[places])], axis=1)
