@@ -15,7 +15,7 @@ from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs
 from scipy.optimize import minimize
 
 from bayescal._engine.assembly import Assembly, Point, Prior
-from bayescal._engine.blas import on_one_thread
+from bayescal._engine.blas import on_one_thread, root_near
 from bayescal._engine.closed_form import LOG_2PI, Density
 from bayescal._engine.mode import Mode
 from bayescal._engine.whitening import whitening
@@ -229,7 +229,7 @@ class _Refinement:
         if not self.scales:
             return v
         given, assembly = self.conditional(theta, v), self.assembly
-        if self.density.even and len(self.scales) == 1:
+        if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
         spreads = [
             (i, assembly.hypers[i].prior) for i in self.scales if assembly.kinds[i] != "noise"
@@ -251,7 +251,7 @@ class _Refinement:
         if np.max(np.abs(slope(best))) > 1e-3:
             found = minimize(lambda s: -value(s), best, jac=lambda s: -slope(s))
             best = found.x if value(found.x) >= value(best) else best
-        best = _newton(slope, best)
+        best = root_near(slope, best, SHIFT)
         moved = v.copy()
         moved[self.scales] = best
         return moved
@@ -297,20 +297,3 @@ def _damped(found: _Factors, damping: float) -> Float[np.ndarray, "q"]:
     weight = np.sqrt(np.sum(found.root**2, axis=0))
     rows = np.column_stack([np.diag(math.sqrt(damping) * weight), 0 * weight])
     return _factors(np.concatenate([np.column_stack([found.root, found.inside]), rows])).solution
-
-
-def _newton(slope: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> np.ndarray:
-    """The root of a gradient by Newton's steps, taken while the gradient falls."""
-    here = slope(at)
-    for _ in range(6):
-        shifts = 10 * SHIFT * np.eye(len(at))
-        curvature = np.array([(slope(at + s) - slope(at - s)) / (20 * SHIFT) for s in shifts])
-        try:
-            trial = at - np.linalg.solve(0.5 * (curvature + curvature.T), here)
-        except np.linalg.LinAlgError:
-            break
-        there = slope(trial)
-        if not np.linalg.norm(there) < 0.5 * np.linalg.norm(here):
-            break
-        at, here = trial, there
-    return at
