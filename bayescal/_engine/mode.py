@@ -127,7 +127,7 @@ def mode_of_x(assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray)
         z = prior.weight * (at.x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
         return density.gram(v, hyper).rtr + float(z @ z), found, density
 
-    squares, found, density = look(point)
+    squares, found, _ = look(point)
     for _ in range(50):
         if found is None:
             return point
