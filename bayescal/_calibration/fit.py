@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.storage import load_calibration
@@ -106,7 +106,7 @@ def fit(
         reference=reference,
         levels=levels,
         layout=outcome.layout,
-        mode=jax.tree.map(jnp.asarray, outcome.mode),
+        mode=jax.tree.map(np.asarray, outcome.mode),
         log_evidence=outcome.log_evidence,
     )
     return _converged(calibration) if strict else calibration

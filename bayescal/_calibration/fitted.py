@@ -10,13 +10,13 @@ import numpy as np
 import xarray as xr
 
 from bayescal._calibration.named_draws import named
-from bayescal._core.batched_map import over
 from bayescal._core.errors import InputError
 from bayescal._core.jit import compiled
+from bayescal._core.parallel import over
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.linear_model import LinearModel, linear_model
 from bayescal._engine.mode import Mode
-from bayescal._engine.record import Record, library_of
+from bayescal._engine.record import Record
 from bayescal._inference.method import Draws, Verdict
 from bayescal._model import forward
 from bayescal._model.frame import Frame, Reference, build_frame
@@ -62,7 +62,7 @@ class Fitted:
     def assembly(self) -> Assembly:
         """The fitted structure on its readings, as the engine sees it."""
         instrument, y = self.model.instrument, np.asarray(self.readings["output"])
-        library = library_of(instrument, self.frame, self.model.effects)
+        library = instrument.shown_by(self.frame, self.model.effects)
         return Assembly(self.layout, Record(instrument, self.frame, y, library))
 
     @cached_property

@@ -9,8 +9,8 @@ import xarray as xr
 
 from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat
 from bayescal._calibration.named_draws import named
-from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
+from bayescal._core.parallel import over
 from bayescal._inference.method import Draws
 from bayescal._model import forward
 from bayescal._model.frame import Frame

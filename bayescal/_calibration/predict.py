@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
+from bayescal._core.parallel import over
 from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout

@@ -10,11 +10,11 @@ from scipy.special import kolmogorov, ndtr, smirnov, stdtr
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
+from bayescal._core.parallel import on_one_thread
 from bayescal._diagnostics import covariate_evidence, efficient_score
 from bayescal._diagnostics.check_result import Check, Entry, FixedComparison, Pair
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.worst_region import worst_regions
-from bayescal._engine.blas import on_one_thread
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model.frame import GROUPS
 

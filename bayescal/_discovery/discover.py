@@ -17,7 +17,7 @@ from bayescal._discovery.posterior import Found, Posterior
 from bayescal._discovery.scores import View
 from bayescal._discovery.structures import Structure, Structures
 from bayescal._discovery.walk import walk
-from bayescal._engine.record import Record, library_of
+from bayescal._engine.record import Record
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame, derived
 from bayescal._model.model import Model, testable
@@ -106,7 +106,7 @@ def structures_over(
         if reason is not None and not known[n].is_placeholder
     ]
     frame = build_frame(readings, reference)
-    library = library_of(instrument, frame, (*open_.values(), *model.effects))
+    library = instrument.shown_by(frame, (*open_.values(), *model.effects))
     record = Record(instrument, frame, np.asarray(readings["output"]), library)
     wide = wandering(model, frame) if widen_noise else None
     return Structures(model, bind(model, readings)[0], record, open_, wide), shut

@@ -18,10 +18,10 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
-from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import table
 from bayescal._core.jit import compiled
+from bayescal._core.parallel import over
 from bayescal._core.progress import stage
 from bayescal._diagnostics.evidence_scale import VERY_STRONG
 from bayescal._inference.least_squares import LeastSquares

@@ -17,9 +17,9 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
+from bayescal._core.parallel import on_one_thread
 from bayescal._discovery.library import GridPoint, Library, Size
 from bayescal._discovery.structures import Weighed
-from bayescal._engine.blas import on_one_thread
 from bayescal._engine.linear_model import linear_model
 
 HINTS = 2  # grid points at which a refit begins

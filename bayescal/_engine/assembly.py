@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._engine.pieces import Term
 from bayescal._engine.record import Record
-from bayescal._engine.terms import Term
+from bayescal._engine.sizes import Sizes
 from bayescal._model.parameters import MOVING, Layout
 
 Values = dict[str, float]
@@ -57,7 +58,9 @@ class Assembly:
 
     def __post_init__(self) -> None:
         layout = self.layout
-        self.terms = tuple(Term.of_block(b, self.record, self.spread or {}) for b in layout.blocks)
+        self.terms = tuple(
+            Term.of_block(b, self.record.plain, self.spread or {}) for b in layout.blocks
+        )
         self.hypers = layout.hypers
         self.size = sum(t.size for t in self.terms if t.place == "x")
         self.row_sd = np.array([t.prior_sd for t in self.terms if t.place == "row"])
@@ -94,6 +97,11 @@ class Assembly:
             sum(density(one) for (*_, density), one in zip(self._coordinates, v, strict=True))
         )
 
+    def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
+        """Log prior densities of several φ."""
+        parts = [density(v[:, i]) for i, (*_, density) in enumerate(self._coordinates)]
+        return np.sum(parts, axis=0) if parts else np.zeros(len(v))
+
     def value_slope(self, v: np.ndarray, i: int) -> float:
         """Slope of the logarithm of one entry of φ by its coordinate."""
         value = self._coordinates[i][1]
@@ -105,44 +113,14 @@ class Assembly:
 
         return np.array([slope(d, one) for (*_, d), one in zip(self._coordinates, v, strict=True)])
 
-    def sizes(self, hyper: Values) -> Float[np.ndarray, "p"]:
-        """Prior standard deviation of x given φ; one where the prior is flat."""
-        sd = self._own_size.copy()
-        for place, name in self._learned:
-            sd[place] = hyper[name]
-        for weights, names, places in self._weighted:
-            made = weights(**{short: hyper[name] for short, name in names})
-            for at, one in zip(places, np.broadcast_to(made, (len(places),)), strict=True):
-                if at is not None:
-                    sd[at] *= one
-        return sd
-
-    @cached_property
-    def _own_size(self) -> np.ndarray:
-        sd = np.ones(self.size)
-        for t in self.in_x:
-            if not t.known.flat and t.spread_name is None:
-                sd[t.at] = t.prior_sd
-        return sd
-
     @cached_property
     def in_x(self) -> tuple[Term, ...]:
         return tuple(t for t in self.terms if t.place == "x")
 
     @cached_property
-    def _learned(self) -> list[tuple[slice, str]]:
-        return [(t.at, t.spread_name) for t in self.in_x if t.spread_name is not None]
-
-    @cached_property
-    def _weighted(self) -> list[tuple[Any, list[tuple[str, str]], list[slice | None]]]:
-        found = []
-        for effect in self.layout.model.effects:
-            if effect.weights is not None:
-                names = [(name, f"{effect.name}.{name}") for name in effect.weight_shapes]
-                own = {t.index: t.at for t in self.in_x if t.known.of == effect.name}
-                places = [own.get(i) for i in range(len(effect.coefficients))]
-                found.append((effect.weights, names, places))
-        return found
+    def sizes(self) -> Sizes:
+        """Prior standard deviations of x given φ."""
+        return Sizes(self.in_x, self.layout.model.effects, self.size)
 
     @cached_property
     def mean_of_x(self) -> Float[np.ndarray, "p"]:
@@ -160,7 +138,7 @@ class Assembly:
         return found
 
     def prior(self, hyper: Values, flat: np.ndarray) -> Prior:
-        sd = np.where(self.weight_of_x > 0, self.sizes(hyper), flat)
+        sd = np.where(self.weight_of_x > 0, self.sizes.at(hyper), flat)
         return Prior(self.mean_of_x, sd, self.weight_of_x)
 
     @property
@@ -281,6 +259,18 @@ class Assembly:
         codes = self.record.codes[term.known.per]
         known = np.flatnonzero(codes >= 0)
         jacobian[known, term.at.start + codes[known]] = column[known]
+
+    @cached_property
+    def designs(self) -> dict[str, Float[np.ndarray, "n p"]]:
+        """By slot, what x adds to it, of the terms whose columns never change; none where columns are corrected."""
+        found: dict[str, np.ndarray] = {}
+        for t in () if self.corrected else self.in_x:
+            if not t.known.shape_names:
+                matrix = found.setdefault(t.slot, np.zeros((self.record.size, self.size)))
+                self._place(
+                    t, self.record.columns(t.known.columns, ())[:, t.index] * t.factor, matrix
+                )
+        return found
 
     @cached_property
     def affine(self) -> bool:

@@ -147,13 +147,14 @@ class Density:
             found = self._lines[key] = (line, gram)
         return found
 
-    def _residual(self, line: Line) -> np.ndarray:
+    def residual(self, line: Line) -> Float[np.ndarray, "n"]:
+        """What the expected output leaves, with the per-reading coefficients at zero."""
         return self.assembly.record.y - line.mean + np.sum(line.rows * self.point.rows, axis=1)
 
     def _beside(self, line: Line) -> np.ndarray:
         """J and r in one table."""
         table = np.empty((len(line.mean), line.jacobian.shape[1] + 1), order="F")
-        table[:, :-1], table[:, -1] = line.jacobian, self._residual(line)
+        table[:, :-1], table[:, -1] = line.jacobian, self.residual(line)
         return table
 
     def extra(self, line: Line) -> Float[np.ndarray, "n"] | float:
@@ -168,7 +169,7 @@ class Density:
         """Residuals at φ and x, output unit; whitened Jacobian and these residuals beside each other; log|Σ|."""
         hyper = self.assembly.hyper(v)
         line = self._line(v, hyper)[0]
-        residual = self._residual(line) - line.jacobian @ (x - self.point.x)
+        residual = self.residual(line) - line.jacobian @ (x - self.point.x)
         white = whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
         return residual, white(np.column_stack([line.jacobian, residual])), white.logdet
 
@@ -276,8 +277,8 @@ class Density:
         up[i] += NUDGE
         down[i] -= NUDGE
         sizes = (
-            self.assembly.sizes(self.assembly.hyper(up)),
-            self.assembly.sizes(self.assembly.hyper(down)),
+            self.assembly.sizes.at(self.assembly.hyper(up)),
+            self.assembly.sizes.at(self.assembly.hyper(down)),
         )
         with np.errstate(all="ignore"):
             found = (np.log(sizes[0]) - np.log(sizes[1])) / (2 * NUDGE)

@@ -1,6 +1,7 @@
 """The compiled pieces: an effect's columns, an instrument's slopes.
 
-None knows which effects a model has, so that a search over structures compiles nothing. Records are padded to a few
+None knows which effects a model has, so that a search over structures compiles nothing. What does not change of a
+coefficient stands here in plain data. Records are padded to a few
 lengths by repeating the last reading, so that another record of about the same length compiles nothing either.
 """
 
@@ -19,6 +20,7 @@ from jaxtyping import Array, Float
 from bayescal._core.jit import QUICK, known
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
+from bayescal._model.parameters import CoefficientBlock
 
 STEP = 1.25  # from one padded length to the next
 SHORTEST = 32
@@ -108,10 +110,7 @@ def shaped_columns(
     """Columns at some shapes and with columns of the readings moved, and their derivatives by these moves."""
 
     def at(moves):
-        moved = frame
-        for name, shift in moves.items():
-            moved = moved.with_column(name, frame[name] + shift)
-        return Effect.matrix(*basis, moved, shapes)
+        return Effect.matrix(*basis, _moved(frame, moves), shapes)
 
     zero = {name: jnp.zeros_like(shift) for name, shift in moves.items()}
     slopes = {
@@ -123,10 +122,18 @@ def shaped_columns(
 
 @_program
 def columns_along(
-    basis: Basis, frame: Frame, shapes: dict[str, Float[Array, "s"]]
+    basis: Basis,
+    frame: Frame,
+    shapes: dict[str, Float[Array, "s"]],
+    moves: dict[str, Float[Array, "s n"]],
 ) -> Float[Array, "s n k"]:
-    """Columns at several values of the shapes, one after the other."""
-    return jax.lax.map(lambda one: Effect.matrix(*basis, frame, one), shapes)
+    """Columns at several values of the shapes, columns of the readings moved for each, one after the other."""
+
+    def at(one):
+        shapes, moves = one
+        return Effect.matrix(*basis, _moved(frame, moves), shapes)
+
+    return jax.lax.map(at, (shapes, moves))
 
 
 @_program
@@ -140,10 +147,7 @@ def response_slopes(
 
     def respond(both):
         slots, moves = both
-        moved = frame
-        for name, shift in moves.items():
-            moved = moved.with_column(name, frame[name] + shift)
-        return jnp.broadcast_to(response(slots, moved), (frame.size,))
+        return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
 
     both = (slots, moves)
     zero = jax.tree.map(jnp.zeros_like, both)
@@ -158,7 +162,120 @@ def response_slopes(
 
 @_program
 def responses(
-    response: Callable[..., Any], frame: Frame, slots: dict[str, Float[Array, "b n"]]
+    response: Callable[..., Any],
+    frame: Frame,
+    slots: dict[str, Float[Array, "b n"]],
+    moves: dict[str, Float[Array, "b n"]],
 ) -> Float[Array, "b n"]:
-    """Expected outputs of several sets of slots."""
-    return jax.vmap(lambda one: jnp.broadcast_to(response(one, frame), (frame.size,)))(slots)
+    """Expected outputs of several sets of slots, columns of the readings moved for each."""
+
+    def at(slots, moves):
+        return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
+
+    return jax.vmap(at)(slots, moves)
+
+
+@_program
+def slopes_of_draws(
+    response: Callable[..., Any], frame: Frame, slots: dict[str, Float[Array, "b n"]]
+) -> tuple[Float[Array, "b n"], dict[str, Float[Array, "b n"]]]:
+    """Expected outputs of several sets of slots, and their derivatives by each slot."""
+
+    def respond(slots):
+        return jnp.broadcast_to(response(slots, frame), next(iter(slots.values())).shape)
+
+    def at(slots):
+        zero = {name: jnp.zeros_like(v) for name, v in slots.items()}
+        along = {name: {**zero, name: jnp.ones_like(v)} for name, v in slots.items()}
+        slopes = {name: jax.jvp(respond, (slots,), (one,))[1] for name, one in along.items()}
+        return respond(slots), slopes
+
+    return jax.vmap(at)(slots)
+
+
+def _moved(frame: Frame, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
+    """The readings with some of their columns corrected."""
+    moved = frame
+    for name, shift in moves.items():
+        moved = moved.with_column(name, frame[name] + shift)
+    return moved
+
+
+class ColumnsOf(NamedTuple):
+    """What an effect's columns depend on: its basis, and the shapes that this takes."""
+
+    basis: Basis
+    shapes: tuple[str, ...]
+    priors: tuple[Any, ...]  # of the shapes
+
+    @classmethod
+    def of(cls, effect: Effect) -> ColumnsOf:
+        shapes = effect.column_shapes
+        return cls(basis_of(effect), tuple(s.name for s in shapes), tuple(s.prior for s in shapes))
+
+
+class Known(NamedTuple):
+    """What does not change of a coefficient, in plain data."""
+
+    effect: Effect  # held, so that no other takes its place in memory
+    of: str
+    per: str | None
+    mean: float
+    prior_sd: float
+    flat: bool
+    learned: bool
+    columns: ColumnsOf
+    shape_names: tuple[str, ...]
+
+    @classmethod
+    def of_block(cls, block: CoefficientBlock) -> Known:
+        coefficient, effect = block.coefficient, block.effect
+        return cls(
+            effect=effect,
+            of=effect.name,
+            per=coefficient.per,
+            mean=coefficient.mean,
+            prior_sd=coefficient.size,
+            flat=coefficient.flat,
+            learned=coefficient.spread is not None,
+            columns=ColumnsOf.of(effect),
+            shape_names=tuple(effect.shape_name(s) for s in effect.column_shapes),
+        )
+
+
+class Term(NamedTuple):
+    """One coefficient of the structure with all its members."""
+
+    known: Known
+    index: int
+    slot: str
+    size: int
+    place: str
+    factor: float
+    value: float
+    prior_sd: float
+    spread_name: str | None
+    members: tuple[str, ...]
+    at: slice  # its entries of x
+
+    @classmethod
+    def of_block(
+        cls, block: CoefficientBlock, plain: dict[Any, Any], spread: Mapping[str, float]
+    ) -> Term:
+        key = (id(block.effect), block.index)
+        if key not in plain:
+            plain[key] = Known.of_block(block)
+        known: Known = plain[key]
+        return cls(
+            known=known,
+            index=block.index,
+            slot=block.slot,
+            size=block.size,
+            place=block.place,
+            factor=block.factor,
+            value=block.value,
+            prior_sd=known.prior_sd * spread.get(known.of, 1.0),
+            spread_name=block.spread_name if known.learned else None,
+            members=tuple(block.member_names()) if block.place == "phi" else (),
+            at=slice(block.start, block.start + block.size),
+        )

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._engine import pieces
+from bayescal._engine.pieces import ColumnsOf
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
+from bayescal._model.prior import LogNormal, Normal
 
 KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
-
-
+TOGETHER = 64  # draws in one call of a program
 REACH = 4.0  # prior standard deviations of a shape, up to which columns are interpolated along it,
 NODES = REACH * np.cos((np.arange(40) + 0.5) * np.pi / 40)  # between Chebyshev's points,
 INTERPOLATED = 1e-9  # as good as this part of the largest number in a column, tried half way between some of them
@@ -28,13 +29,13 @@ BETWEEN = REACH * np.cos(np.array([1.0, 7.0, 16.0, 24.0, 33.0, 39.0]) * np.pi / 
 _WEIGHTS = (-1.0) ** np.arange(40) * np.sin((np.arange(40) + 0.5) * np.pi / 40)
 
 
-def shares(v: float) -> Float[np.ndarray, "s"]:
+def shares(v: float | Float[np.ndarray, "b"]) -> Float[np.ndarray, "... s"]:
     """Of the nodes in an interpolated column (Lagrange's polynomials in barycentric form)."""
-    apart = v - NODES
+    apart = np.asarray(v)[..., None] - NODES
     if not apart.all():
-        return (apart == 0).astype(float)
+        apart = np.where(apart == 0, 1e-250, apart)
     share = _WEIGHTS / apart
-    return share / share.sum()
+    return share / share.sum(axis=-1, keepdims=True)
 
 
 def share_slopes(v: float) -> Float[np.ndarray, "s"]:
@@ -43,19 +44,13 @@ def share_slopes(v: float) -> Float[np.ndarray, "s"]:
     return (shares(v + step) - shares(v - step)) / (2 * step)
 
 
-class ColumnsOf(NamedTuple):
-    """What an effect's columns depend on: its basis, and the shapes that this takes."""
-
-    basis: pieces.Basis
-    shapes: tuple[str, ...]
-    priors: tuple[Any, ...]  # of the shapes
-
-    @classmethod
-    def of(cls, effect: Effect) -> ColumnsOf:
-        shapes = effect.column_shapes
-        return cls(
-            pieces.basis_of(effect), tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
-        )
+def coordinates(prior: Any, values: Float[np.ndarray, "b"]) -> Float[np.ndarray, "b"]:
+    """Coordinates of a shape's values."""
+    if isinstance(prior, LogNormal):
+        return np.log(values / prior.median) / prior.sd
+    if isinstance(prior, Normal):
+        return (values - prior.mean) / prior.sd
+    return np.array([prior.coordinate(float(one)) for one in values])
 
 
 @dataclass(eq=False)
@@ -105,13 +100,9 @@ class Record:
         return tuple(s.name for s in self.instrument.slots)
 
     def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
-        """Columns of an effect on the readings as they were measured; not to be written to.
+        """Columns of an effect at values of its shapes, on the readings as measured; not to be written to.
 
         Those of one shape are interpolated along it where they run smoothly.
-
-        Args:
-            effect: whose.
-            values: of its shapes.
         """
         if not effect.shapes:
             return self._fixed_columns(effect.basis)
@@ -137,8 +128,7 @@ class Record:
         """Columns at several values of an effect's shapes."""
         if not effect.shapes:
             return self._fixed_columns(effect.basis)[None]
-        named = dict(zip(effect.shapes, values.T, strict=True))
-        return np.asarray(pieces.columns_along(effect.basis, self.padded, named))[:, : self.size]
+        return self._computed(effect, list(values.T), {})
 
     def column_slopes(self, effect: ColumnsOf, value: float) -> Float[np.ndarray, "n k"] | None:
         """Slopes of an effect's columns by the coordinate of its one shape; None where they are not interpolated."""
@@ -226,13 +216,79 @@ class Record:
                     return None
         return base, slopes
 
-    def several(self, slots: Mapping[str, np.ndarray]) -> Float[np.ndarray, "b n"]:
-        """Expected outputs of several sets of slots, (b, n) each."""
-        if self.affine is not None:
+    def columns_of_draws(
+        self, effect: ColumnsOf, values: Sequence[np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "b n k"]:
+        """Columns of an effect for several draws.
+
+        Args:
+            effect: whose.
+            values: of its shapes, (b,) each.
+            moves: what columns of the readings are corrected by, (b, n) each.
+        """
+        count = max(len(v) for v in (*values, *moves.values()))
+        curve = self._curve(effect) if not moves and len(values) == 1 else None
+        if curve is not None:
+            at = coordinates(effect.priors[0], values[0])
+            near = np.abs(at) <= REACH
+            found = np.empty((count, curve.shape[1]))
+            found[near] = shares(at[near]) @ curve
+            found = found.reshape(count, -1, self.size).transpose(0, 2, 1)
+            if not np.all(near):
+                found[~near] = self._computed(effect, [values[0][~near]], moves)
+            return found
+        return self._computed(effect, values, moves)
+
+    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> np.ndarray:
+        count = max(len(v) for v in (*values, *moves.values()))
+        shapes = dict(zip(effect.shapes, values, strict=True))
+        parts = [
+            pieces.columns_along(effect.basis, self.padded, *part)
+            for part in self._stretches(count, shapes, moves)
+        ]
+        return np.concatenate([np.asarray(p) for p in parts])[:count, : self.size]
+
+    def several(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "b n"]:
+        """Expected outputs of several sets of slots and corrections of columns, (b, n) each."""
+        if not moves and self.affine is not None:
             base, slopes = self.affine
             return base + sum(slopes[name] * value for name, value in slots.items())
-        made = pieces.responses(self.instrument.response, self.padded, self._longer(slots))
-        return np.asarray(made)[:, : self.size]
+        count = len(next(iter(slots.values())))
+        parts = [
+            pieces.responses(self.instrument.response, self.padded, *part)
+            for part in self._stretches(count, slots, moves)
+        ]
+        return np.concatenate([np.asarray(p) for p in parts])[:count, : self.size]
+
+    def responses(
+        self, slots: Mapping[str, np.ndarray]
+    ) -> tuple[Float[np.ndarray, "b n"], dict[str, Any]]:
+        """Expected outputs of several sets of slots, and their slopes by each slot, (b, n) or (n,)."""
+        if self.affine is not None:
+            return self.several(slots, {}), self.affine[1]
+        count = len(next(iter(slots.values())))
+        parts = [
+            pieces.slopes_of_draws(self.instrument.response, self.padded, part)
+            for part, _ in self._stretches(count, slots, {})
+        ]
+        whole = jax.tree.map(lambda *a: np.concatenate([np.asarray(b) for b in a]), *parts)
+        return jax.tree.map(lambda a: a[:count, : self.size], whole)
+
+    def _stretches(
+        self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]
+    ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:
+        """Values for `count` draws, `TOGETHER` at once, readings padded; the last draw stands in for missing ones."""
+        for start in range(0, count, TOGETHER):
+            pick = np.minimum(np.arange(start, start + TOGETHER), count - 1)
+            yield tuple(  # pyright: ignore[reportReturnType]
+                {
+                    k: v[pick] if v.ndim == 1 else self._longer({k: v[pick]})[k]
+                    for k, v in both.items()
+                }
+                for both in (one, other)
+            )
 
     def _longer(self, values: Mapping[str, np.ndarray]) -> dict[str, Array]:
         more = pieces.padded_length(self.size) - self.size
@@ -240,20 +296,3 @@ class Record:
             name: np.pad(v, [(0, 0)] * (np.ndim(v) - 1) + [(0, more)], mode="edge")  # pyright: ignore
             for name, v in values.items()
         }
-
-
-def library_of(
-    instrument: Instrument, frame: Frame, more: Iterable[Effect] = ()
-) -> tuple[Effect, ...]:
-    """Effects of the instrument that these readings have the columns for, and some more."""
-    known = {e.name: e for e in (*instrument.effects, *instrument.candidates, *more)}
-    text = {label.split("=")[0] for label in frame.labels}
-    return tuple(
-        e
-        for e in known.values()
-        if all(c in frame.columns or c in text or c in frame.codes for c in _measured(e))
-    )
-
-
-def _measured(effect: Effect) -> list[str]:
-    return [c for c in effect.columns if c != "temperature_point"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +21,8 @@ from bayescal._model.noise_laws import (
 )
 
 Values = dict[str, float]
+Batch = Mapping[str, np.ndarray]  # φ by name, one value a draw
+LOG_2PI = math.log(2 * math.pi)
 
 
 class Whitening(NamedTuple):
@@ -100,3 +104,70 @@ def whitening(
     band = np.zeros((2, record.size), order="F")
     band[0], band[1, :-1] = 1.0, below
     return Whitening(np.sqrt(pivots), order, band, carry)
+
+
+def whitened(
+    noise: OrnsteinUhlenbeck, record: Record, tables: Float[np.ndarray, "... n m"], hyper: Batch
+) -> tuple[Float[np.ndarray, "b n m"], Float[np.ndarray, "b"]]:
+    """L⁻¹ times a table for each of several φ, by the Kalman filter, all at once; and log|Σ|.
+
+    Args:
+        noise: the law.
+        record: the readings.
+        tables: one for each φ, or one for all.
+        hyper: φ by name.
+    """
+    (order, step), tau = record.in_time, np.atleast_1d(hyper[CORRELATION_TIME])
+    white = np.atleast_1d(hyper["noise.white"])[:, None] ** 2 + known_variance(record)
+    size = 0.5 * np.atleast_1d(hyper[DIFFUSION]) ** 2 * tau
+    tau, size, first = np.broadcast_arrays(tau, size, white[:, 0])
+    count = len(first)
+    white = np.broadcast_to(white, (count, record.size))[:, order].T
+    moved = np.moveaxis(np.asarray(tables)[..., order, :], -2, 0)  # readings first
+    found = np.empty((record.size, count, moved.shape[-1]))
+    state, variance, volume = np.zeros((count, moved.shape[-1])), size, np.zeros(count)
+    for i, h in enumerate(step):
+        if h < 0:
+            state, variance = np.zeros_like(state), size
+        elif h > 0:
+            carry = np.exp(-h / tau)
+            state, variance = carry[:, None] * state, size + carry**2 * (variance - size)
+        total = variance + white[i]
+        new, gain = moved[i] - state, variance / total
+        found[i] = new / np.sqrt(total)[:, None]
+        volume += np.log(total)
+        state = state + gain[:, None] * new
+        variance = gain * white[i]
+    return np.moveaxis(found, 0, 1), volume
+
+
+def log_likelihood(
+    noise: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Batch
+) -> Float[np.ndarray, "b"]:
+    """Log density of all readings, given what the expected output leaves of them."""
+    known = known_variance(record)
+    white = np.asarray(hyper["noise.white"])[..., None] ** 2 + known
+    if not isinstance(noise, OrnsteinUhlenbeck):
+        white = np.broadcast_to(white, left.shape)
+        return -0.5 * np.sum(left**2 / white + np.log(white) + LOG_2PI, axis=1)
+    # By the Kalman filter, one reading after the other, all draws at once.
+    (order, step), count = record.in_time, len(left)
+    tau = np.broadcast_to(hyper[CORRELATION_TIME], count)
+    size = np.broadcast_to(0.5 * np.asarray(hyper[DIFFUSION]) ** 2 * tau, count)
+    white = np.ascontiguousarray(np.broadcast_to(white, left.shape)[:, order].T)
+    left = np.ascontiguousarray(left[:, order].T)
+    state, variance, squares, volume = np.zeros(count), size, np.zeros(count), np.zeros(count)
+    for i, h in enumerate(step):
+        if h < 0:
+            state, variance = np.zeros(count), size
+        elif h > 0:
+            carry = np.exp(-h / tau)
+            state, variance = carry * state, size + carry**2 * (variance - size)
+        total = variance + white[i]
+        new = left[i] - state
+        gain = variance / total
+        squares += new * new / total
+        volume += np.log(total)
+        state = state + gain * new
+        variance = gain * white[i]
+    return -0.5 * (squares + volume + len(step) * LOG_2PI)

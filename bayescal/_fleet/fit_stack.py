@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._core.batched_map import over
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jit import compiled
+from bayescal._core.parallel import over
 from bayescal._fleet import closed_form
 from bayescal._fleet.stacks import DeviceStack, weighed
 from bayescal._inference import importance_sampling, least_squares, sampled_products, trust

@@ -34,9 +34,9 @@ from jaxtyping import Array, Float
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
-from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
 from bayescal._core.importance_weights import smoothed
+from bayescal._core.parallel import over
 from bayescal._inference import trust
 from bayescal._model.coefficient import Coefficient
 from bayescal._model.model import Model

@@ -21,8 +21,8 @@ from jax.scipy.linalg import solve_triangular
 from jax.scipy.special import gammaln, logsumexp
 from jaxtyping import Array, Float
 
-from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
+from bayescal._core.parallel import over
 from bayescal._inference import gaussian, laplace
 from bayescal._model import forward
 from bayescal._model.frame import Frame

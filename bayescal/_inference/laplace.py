@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from bayescal._core.batched_map import over
 from bayescal._core.jit import compiled
 from bayescal._core.levenberg_marquardt import least_squares
+from bayescal._core.parallel import over
 from bayescal._engine.mode import Mode
 from bayescal._inference import gaussian
 from bayescal._model import forward
@@ -225,7 +225,7 @@ def linearised(layout: Layout, frame: Frame, y: Float[Array, "n"], mode) -> Line
         places = jnp.asarray(moving)
 
         def output(w):
-            values = forward.hyper_values(layout, mode.v.at[places].set(w))
+            values = forward.hyper_values(layout, jnp.asarray(mode.v).at[places].set(w))
             return forward.mean(layout, frame, point.x, point.rows, values)
 
         nuisance = jnp.concatenate([nuisance, jax.jacfwd(output)(mode.v[places])], axis=1)

@@ -19,8 +19,20 @@ from jaxtyping import Array, Bool, Float, Int
 from bayescal._core.jit import compiled
 from bayescal._core.levenberg_marquardt import least_squares
 from bayescal._core.progress import stage
+from bayescal._engine import refinement
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.mode import find_mode
+from bayescal._engine.record import Record
 from bayescal._inference import gaussian, laplace, trust
-from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict, by_chain
+from bayescal._inference.method import (
+    CHAINS,
+    Draws,
+    Method,
+    Outcome,
+    Verdict,
+    by_chain,
+    by_engine,
+)
 from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
@@ -52,9 +64,7 @@ class LeastSquares(Method):
 
     def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
         with stage("least squares"):
-            mode = laplace.compiled_mode(layout, frame, y)
-            made = refine(layout, frame, y, mode, self.curvature == "hessian")
-            found = jax.tree.map(np.asarray, made)
+            found = self._solution(layout, frame, y)
         reasons = [] if found.converged else [trust.NOT_CONVERGED]
         reasons += [] if np.all(np.isfinite(found.covariance)) else [trust.SINGULAR]
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
@@ -75,6 +85,13 @@ class LeastSquares(Method):
             log_evidence=None if layout.improper else (float(found.mode.log_evidence), None),
         )
 
+    def _solution(self, layout: Layout, frame: Frame, y: Float[Array, "n"]) -> Solution:
+        hessian = self.curvature == "hessian"
+        if layout.model.noise.independent or by_engine(layout):
+            assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
+            return Solution(*refinement.refine(assembly, find_mode(assembly), hessian))
+        return jax.tree.map(np.asarray, compiled(solve)(layout, frame, y, hessian))
+
 
 def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:
     """Positions in φ of scales (noise, spreads) and of locations (shapes, promoted coefficients).
@@ -87,11 +104,10 @@ def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:
 
 def solve(layout: Layout, frame: Frame, y: Float[Array, "n"], full_hessian: bool) -> Solution:
     """The whole fit, from nothing. Traceable; can be mapped over data."""
-    return refine(layout, frame, y, laplace.find_mode(layout, frame, y), full_hessian)
+    return _refine(layout, frame, y, laplace.find_mode(layout, frame, y), full_hessian)
 
 
-@compiled
-def refine(
+def _refine(
     layout: Layout, frame: Frame, y: Float[Array, "n"], mode: laplace.Mode, full_hessian: bool
 ) -> Solution:
     """From the mode: (x, shapes) by least squares and scales by restricted likelihood in turn, until both rest."""

@@ -5,28 +5,32 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayescal._core.batched_map import over
 from bayescal._core.importance_weights import effective_size, resample, smoothed
 from bayescal._core.jit import compiled
+from bayescal._core.parallel import over
 from bayescal._core.progress import stage
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.mode import Mode, find_mode
+from bayescal._engine.record import Record
+from bayescal._engine.sampling import WeightedDraws, weighted_draws
 from bayescal._inference import (
     checkpoint,
-    gaussian,
     importance_sampling,
     laplace,
     nuts_chains,
     sampled_products,
     trust,
 )
-from bayescal._inference.method import CHAINS, MODE, Draws, Method, Outcome, by_chain
+from bayescal._inference.method import CHAINS, MODE, Draws, Method, Outcome, by_chain, by_engine
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
 TOO_NONLINEAR = "The model bends too much for its linear form ({}): exact NUTS."
-WEIGHTED = importance_sampling.WeightedDraws._make([MODE, *range(7)])  # for its structure alone
+WEIGHTED = WeightedDraws._make(range(7))  # for its structure alone
 NEARLY_EVEN = (
     0.98  # effective sample size as a share of the draws, from which they stay as they are
 )
@@ -37,8 +41,8 @@ class Marginal(Method):
 
     Attributes:
         draws: joint draws returned.
-        proposals: importance proposals of the final round; None for 8192, or 2048 where each costs a pass over
-            many readings.
+        proposals: importance proposals of the final round; None for 8192, fewer where each costs a pass over many
+            readings.
         rounds: of adaptation.
         sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7 (0.5, if the model
             is nonlinear) or the effective sample size is below 400; "nuts" for NUTS on φ.
@@ -54,47 +58,56 @@ class Marginal(Method):
     name: ClassVar[str] = "marginal"
 
     def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
+        record = Record(layout.model.instrument, frame, np.asarray(y))
         with stage("finding the mode"):
-            layout, notes = self._promoted(layout, frame, y)
-        key = jax.random.key(seed)
-        if not layout.model.noise.gaussian:
-            notes = (*notes, f"{layout.model.noise.law} noise is not Gaussian: sampled jointly.")
-            return self._exact(layout, frame, y, key, kept_mode(layout, frame, y), notes)
+            layout, notes = self._promoted(layout, record)
+            mode = kept_mode(layout, record)
+        key, noise = jax.random.key(seed), layout.model.noise
+        if not noise.gaussian:
+            notes = (*notes, f"{noise.law} noise is not Gaussian: sampled jointly.")
+            return self._exact(layout, frame, y, key, mode, notes)
         if self.sampler == "nuts" and layout.hypers:
-            return self._nuts_on_phi(layout, frame, y, key, notes)
+            return self._nuts_on_phi(layout, frame, y, key, mode, notes)
+        if not mode.log_evidence > -np.inf:
+            return self._exact(layout, frame, y, key, mode, notes)
         with stage("sampling"):
-            mode = kept_mode(layout, frame, y)
-            proposals = self.proposals or _proposals(layout, frame)
-            found = checkpoint.once(
-                "weighted draws",
-                WEIGHTED,
-                lambda: importance_sampling.sample_jit(
-                    layout, frame, y, mode, key, proposals, self.rounds
-                ),
-            )
-            found = jax.tree.map(np.asarray, found)
+            found = self._weighted(layout, record, mode, seed)
         weights, k_hat = smoothed(found.log_weight)
         of_phi, k_phi = smoothed(found.log_weight_phi)
         limit = trust.largest_k_hat(found.log_weight - found.log_weight_phi, of_phi)
         why_not = trust.unevenness(weights, k_hat, limit=limit)
         if not why_not:
-            return self._from_weights(layout, found, weights, k_hat, notes, seed)
+            return self._from_weights(layout, found, mode, weights, k_hat, notes, seed)
         if why := trust.unevenness(of_phi, k_phi):
             notes = (*notes, f"Importance weights of φ were uneven ({why}): NUTS on φ instead.")
-            return self._nuts_on_phi(layout, frame, y, key, notes)
-        return self._exact(
-            layout, frame, y, key, found.mode, (*notes, TOO_NONLINEAR.format(why_not))
-        )
+            return self._nuts_on_phi(layout, frame, y, key, mode, notes)
+        return self._exact(layout, frame, y, key, mode, (*notes, TOO_NONLINEAR.format(why_not)))
 
-    def _promoted(self, layout, frame, y) -> tuple[Layout, tuple[str, ...]]:
+    def _promoted(self, layout: Layout, record: Record) -> tuple[Layout, tuple[str, ...]]:
         def choose():
-            chosen, notes = sampled_products.choose(layout, frame, y, self.promote)
+            chosen, notes = sampled_products.choose_on(layout, record, self.promote)
             return [chosen.promoted, notes]
 
         promoted, notes = checkpoint.noted("promotion", choose)
         return Layout(layout.model, layout.counts, tuple(promoted)), tuple(notes)
 
-    def _from_weights(self, layout, found, weights, k_hat, notes, seed) -> Outcome:
+    def _weighted(self, layout, record, mode, seed) -> WeightedDraws:
+        """Joint draws with their weights, from the fit's checkpoint where they are there."""
+
+        def draws() -> WeightedDraws:
+            if by_engine(layout):
+                assembly = Assembly(layout, record)
+                return weighted_draws(assembly, mode, seed, self.proposals, self.rounds)
+            key, count = jax.random.key(seed), self.proposals or 8192
+            made = importance_sampling.sample_jit(
+                layout, record.frame, jnp.asarray(record.y), mode, key, count, self.rounds
+            )
+            return WeightedDraws(*(getattr(made, name) for name in WeightedDraws._fields))
+
+        found = checkpoint.once("weighted draws", WEIGHTED, draws)
+        return jax.tree.map(np.asarray, found)
+
+    def _from_weights(self, layout, found, mode, weights, k_hat, notes, seed) -> Outcome:
         effective = effective_size(weights)
         # Never more draws than the effective sample size: repeated draws would pass for information.
         count = CHAINS * max(1, int(min(self.draws, effective)) // CHAINS)
@@ -103,13 +116,12 @@ class Marginal(Method):
         return Outcome(
             layout=layout,
             draws=_by_chain(found.x[pick], found.rows[pick], found.v[pick]),
-            mode=found.mode,
-            verdict=trust.weights_verdict(weights, k_hat, notes, found.mode),
+            mode=mode,
+            verdict=trust.weights_verdict(weights, k_hat, notes, mode),
             log_evidence=None if layout.improper else evidence,
         )
 
-    def _nuts_on_phi(self, layout, frame, y, key, notes) -> Outcome:
-        mode = kept_mode(layout, frame, y)
+    def _nuts_on_phi(self, layout, frame, y, key, mode, notes) -> Outcome:
         k1, k2 = jax.random.split(key)
         density = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)
         with stage("NUTS on φ"):
@@ -172,10 +184,6 @@ def _by_chain(x, rows, v) -> Draws:
     return Draws(x=by_chain(x), rows=by_chain(rows), v=by_chain(v))
 
 
-def _proposals(layout: Layout, frame: Frame) -> int:
-    return 2048 if frame.size > 1000 and not gaussian.needs_one_pass(layout, frame) else 8192
-
-
 @compiled
 def _draw_back(layout, frame, y, mode, v, key):
     density = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)
@@ -188,6 +196,12 @@ def _draw_back(layout, frame, y, mode, v, key):
     return over(one, (v, jax.random.split(key, len(v))), importance_sampling.BATCH)
 
 
-def kept_mode(layout: Layout, frame: Frame, y: Array) -> laplace.Mode:
+def kept_mode(layout: Layout, record: Record) -> Mode:
     """The mode, from the fit's checkpoint where it is there."""
-    return checkpoint.once("mode", MODE, lambda: laplace.compiled_mode(layout, frame, y))
+
+    def found() -> Mode:
+        if by_engine(layout):
+            return find_mode(Assembly(layout, record))
+        return laplace.compiled_mode(layout, record.frame, jnp.asarray(record.y))
+
+    return jax.tree.map(np.asarray, checkpoint.once("mode", MODE, found))

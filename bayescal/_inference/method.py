@@ -17,6 +17,7 @@ from bayescal._inference import checkpoint
 from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
 from bayescal._model.frame import Frame
+from bayescal._model.noise_laws import OrnsteinUhlenbeck, White
 from bayescal._model.parameters import Layout
 
 CHAINS = 4  # that draws are dealt into, so that what reads chains can read independent draws too
@@ -60,6 +61,11 @@ class Draws:
     rows: np.ndarray
     v: np.ndarray
     stats: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def by_engine(layout: Layout) -> bool:
+    """Whether the noise is of a law that the engine whitens by; any other is traced with its structure."""
+    return type(layout.model.noise) in (White, OrnsteinUhlenbeck)
 
 
 def by_chain(values: ArrayLike) -> np.ndarray:

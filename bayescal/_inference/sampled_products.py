@@ -8,25 +8,35 @@ the posterior of the others, in units of the noise.
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from bayescal._core.errors import ModelError
-from bayescal._core.jit import compiled
-from bayescal._inference import laplace
-from bayescal._model import forward
+from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.closed_form import Density
+from bayescal._engine.joint import expected
+from bayescal._engine.mode import Mode, find_mode
+from bayescal._engine.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import CoefficientBlock, Layout
 
 THRESHOLD = 0.3  # root-sum-square over the readings, noise standard deviations
 MOST = 6  # entries of φ that promotion may add
+AFFINE = 1e-9  # bend in parts of the change, up to which there is none
+STEP = 0.01  # standard deviations, for the change of the Jacobian
 MEMBERS = 12  # a group coefficient with more members than this is not promoted
 
 
 def choose(
-    layout: Layout, frame: Frame, y: Float[Array, "n"], asked: tuple[str, ...] | None
+    layout: Layout, frame: Frame, y: ArrayLike, asked: tuple[str, ...] | None
+) -> tuple[Layout, tuple[str, ...]]:
+    """`choose_on` a record that is made for it."""
+    return choose_on(layout, Record(layout.model.instrument, frame, np.asarray(y)), asked)
+
+
+def choose_on(
+    layout: Layout, record: Record, asked: tuple[str, ...] | None
 ) -> tuple[Layout, tuple[str, ...]]:
     """The layout with what must be promoted, and what to say about it.
 
@@ -41,17 +51,14 @@ def choose(
                     f"promote: nothing that could be promoted is called {name!r}; there is: {', '.join(known)}"
                 )
         return layout.promote(*asked), ()
-    if not is_nonlinear(layout, frame):
-        return layout, ()
-    notes: tuple[str, ...] = ()
-    while True:
+    assembly, notes = Assembly(layout, record), ()
+    while _bends(assembly):
         candidates = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MEMBERS]
         free = MOST - sum(h.kind == "promoted" for h in layout.hypers)
         candidates = [b for b in candidates if b.size <= free]
         if not candidates:
             return layout, notes
-        mode = laplace.compiled_mode(layout, frame, y)
-        sizes = np.asarray(_second_order(layout, frame, y, mode))
+        sizes = _second_order(assembly, find_mode(assembly))
         strength = [
             float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in candidates
         ]
@@ -74,8 +81,8 @@ def choose(
             f"{'the' if several else 'its'} product with other unknowns amounts to {strength[best]:.2g} noise "
             "standard deviations.",
         )
-        if not is_nonlinear(layout, frame):
-            return layout, notes
+        assembly = Assembly(layout, record)
+    return layout, notes
 
 
 def _with_its_parts(
@@ -93,47 +100,46 @@ def _with_its_parts(
 
 def is_nonlinear(layout: Layout, frame: Frame) -> bool:
     """Whether the expected output is anything but affine in the coefficients, tried at random points."""
-    if not layout.size:
+    instrument = layout.model.instrument
+    return _bends(Assembly(layout, Record(instrument, frame, np.zeros(frame.size))))
+
+
+def _bends(assembly: Assembly) -> bool:
+    if assembly.affine or not assembly.size:
         return False
-    return bool(_nonlinearity(layout, frame) > 1e-9)
+    random, v = np.random.default_rng(1), np.zeros((1, len(assembly.hypers)))
+    widths = assembly.row_sd
+    rows = widths * random.standard_normal((assembly.record.size, len(widths)))
+    sd = assembly.sizes.at_several(assembly.hyper(v.T), len(v), np.ones(assembly.size))
+    one, two = sd * random.standard_normal((2, assembly.size))
+    x = assembly.mean_of_x + np.stack([0 * one, one, two, one + two])
+    share = np.array([0.0, 1.0, 0.0, 1.0])[:, None, None]
+    base, a, b, both = expected(assembly, x, share * rows, assembly.hyper(np.repeat(v, 4, 0).T))
+    scale = np.max(np.abs(a - base)) + np.max(np.abs(b - base)) + 1e-300
+    return bool(np.max(np.abs((both - base) - (a - base) - (b - base))) > AFFINE * scale)
 
 
-@compiled
-def _nonlinearity(layout: Layout, frame: Frame) -> Float[Array, ""]:
-    keys = jax.random.split(jax.random.key(1), 3)
-    hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
-    sd = forward.prior_sd(layout, hyper)
-    middle = forward.prior_mean(layout)
-    rows = forward.row_sd(layout) * jax.random.normal(keys[0], (frame.size, len(layout.row_blocks)))
-
-    def output(z, share):
-        return forward.mean(layout, frame, middle + sd * z, share * rows, hyper)
-
-    one, two = jax.random.normal(keys[1], sd.shape), jax.random.normal(keys[2], sd.shape)
-    base, a, b = output(0 * one, 0.0), output(one, 1.0), output(two, 0.0)
-    both = output(one + two, 1.0)
-    scale = jnp.max(jnp.abs(a - base)) + jnp.max(jnp.abs(b - base)) + 1e-300
-    return jnp.max(jnp.abs((both - base) - (a - base) - (b - base))) / scale
-
-
-@compiled
-def _second_order(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode) -> Float[Array, "p"]:
+def _second_order(assembly: Assembly, mode: Mode) -> Float[np.ndarray, "p"]:
     """For each entry of x the size of its products with the others, in noise standard deviations."""
-    hyper = forward.hyper_values(layout, mode.v)
-    found = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)(mode.v)[1]
+    hyper = assembly.hyper(mode.v)
+    found = Density(assembly, mode.point, mode.flat).at(mode.v)[1]
+    if found is None:
+        return np.zeros(assembly.size)
     covariance = found.covariance
-    root = jnp.linalg.cholesky(covariance + 1e-12 * jnp.diag(jnp.diag(covariance)))
-    noise = jnp.sqrt(layout.model.noise.variance(hyper, frame))
-    sd = jnp.sqrt(jnp.diag(covariance))
+    root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
+    frame = assembly.record.frame
+    noise = np.sqrt(np.asarray(assembly.noise.variance(hyper, frame)))  # pyright: ignore[reportArgumentType]
+    noise = np.broadcast_to(noise, frame.size)[:, None]
+    sd = np.sqrt(np.diag(covariance))
 
-    def jacobians(x):
-        line = forward.linearise(layout, frame, x, mode.point.rows, hyper)
-        return line.jacobian, line.rows
+    def size(i: int) -> float:
+        ends = []
+        for sign in (1, -1):
+            x = mode.point.x.copy()
+            x[i] += sign * STEP * sd[i]
+            ends.append(assembly.linearise(Point(x, mode.point.rows), hyper))
+        in_x = (ends[0].jacobian - ends[1].jacobian) / (2 * STEP) @ root / noise
+        in_rows = (ends[0].rows - ends[1].rows) / (2 * STEP) * assembly.row_sd / noise
+        return float(np.sqrt(np.sum(in_x**2) + np.sum(in_rows**2)))
 
-    def size(direction):
-        (d_x, d_rows) = jax.jvp(jacobians, (mode.point.x,), (direction,))[1]
-        in_x = (d_x @ root) / noise[:, None]
-        in_rows = d_rows * forward.row_sd(layout) / noise[:, None]
-        return jnp.sqrt(jnp.sum(in_x**2) + jnp.sum(in_rows**2))
-
-    return jax.lax.map(size, jnp.diag(sd))
+    return np.array([size(i) for i in range(assembly.size)])

@@ -5,7 +5,7 @@ Instruments are not subclasses. A new one is a set of columns, slots and one fun
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -190,6 +190,13 @@ class Instrument(eqx.Module):
             f"{', '.join(e.name for e in (*self.effects, *self.candidates))}. "
             "Give a bayescal.Effect of your own, or load one with --effects"
         )
+
+    def shown_by(self, frame: Frame, more: Iterable[Effect] = ()) -> tuple[Effect, ...]:
+        """Effects of the instrument, and some more, that these readings have the columns for."""
+        known = {e.name: e for e in (*self.effects, *self.candidates, *more)}
+        there = {*frame.columns, *frame.codes, *(label.split("=")[0] for label in frame.labels)}
+        there.add("temperature_point")
+        return tuple(e for e in known.values() if there.issuperset(e.columns))
 
     def unknown(self, covariate: str) -> Effect:
         """An unknown dependence of the output on a covariate: a smooth one, or a jump or a cycle in time.

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayescal._core.batched_map import over
 from bayescal._core.errors import ModelError
+from bayescal._core.parallel import over
 from bayescal._numpyro.trace import (
     Densities,
     Site,

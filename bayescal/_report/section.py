@@ -21,7 +21,7 @@ from bayescal._core.errors import InputError, NotConverged
 from bayescal._diagnostics.check import check
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
-from bayescal._diagnostics.noise_floor import noise_floor
+from bayescal._diagnostics.neighbours import noise_floor
 from bayescal._discovery.discover import discover
 from bayescal._discovery.search_path import Step, Trail, gate
 from bayescal._model.effect import Effect

@@ -27,7 +27,7 @@ import xarray as xr
 
 import bayescal as bc
 from bayescal._calibration.posterior_tree import named
-from bayescal._core.batched_map import over
+from bayescal._core.parallel import over
 from bayescal._inference import laplace, nuts_chains, sampled_products
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind

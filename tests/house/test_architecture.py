@@ -24,19 +24,20 @@ MOST_ROOMS = 15
 
 # From the ground up. A module imports only what stands before it, wherever in the file the import stands.
 ROOMS = {
-    "_core": "version errors atomic_file formatting jax_setup progress batched_map jit tall_qr "
+    "_core": "version errors atomic_file formatting jax_setup progress parallel jit tall_qr "
     "levenberg_marquardt null_space importance_weights",
     "_readings": "unit_parsing unit_conversion column raw_table dataset_checks write column_matching column_conversion "
     "measurements csv_reader parquet_netcdf_reader read",
     "_model": "prior coefficient frame effect unknown_effect noise_laws instrument installed model parameters forward",
     "effects": "constant temperature thermal thermometer time",
-    "_engine": "blas pieces record part terms assembly whitening closed_form mode linear_model",
+    "_engine": "pieces record sizes assembly whitening closed_form mode linear_model joint products sampling "
+    "refinement",
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains trust least_squares marginal nuts",
     "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",
     "_calibration": "named_draws fitted posterior_tree storage summary guards calibration predict fit evidence",
-    "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_floor covariate_evidence "
-    "worst_region check_result check leave_group_out compare outliers",
+    "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence neighbours covariate_evidence "
+    "part worst_region check_result check leave_group_out compare",
     "_discovery": "structures library scores walk posterior candidate discover next_experiment false_reports "
     "draft_effect search_path calibrate",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "

@@ -62,3 +62,15 @@ def test_a_second_fit_of_the_same_structure_compiles_nothing(method) -> None:
 
     assert compiled(again) == []
     assert len(traced) < 5  # a basis may be run by itself, on numbers; it is not traced again
+
+
+@pytest.mark.parametrize(
+    "method", [bc.Marginal(), bc.LeastSquares(draws=400)], ids=lambda m: m.name
+)
+def test_another_structure_compiles_nothing_but_columns_not_seen_before(method) -> None:
+    table = readings(1)
+    bc.fit(MODEL, table, method)  # all of the columns
+    assert compiled(lambda: bc.fit(INSTRUMENT.baseline() + HUMIDITY, table, method)) == []
+    assert compiled(lambda: bc.fit(INSTRUMENT.baseline() + "bias.run", table, method)) == []
+    further = compiled(lambda: bc.fit(MODEL + "bias.temperature_cubic", table, method))
+    assert len(further) <= 1

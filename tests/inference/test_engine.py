@@ -13,7 +13,7 @@ from bayescal._engine import pieces
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import column_scale, find_mode
-from bayescal._engine.record import INTERPOLATED, ColumnsOf, Record, library_of
+from bayescal._engine.record import INTERPOLATED, ColumnsOf, Record
 from bayescal._engine.whitening import whitening
 from bayescal._inference import gaussian, laplace
 from bayescal._model import forward
@@ -77,7 +77,7 @@ def assembled(case: str, *promoted: str) -> Assembly:
     layout, _ = bind(model, readings)
     layout = layout.promote(*promoted)
     frame = build_frame(readings, reference_of(readings))
-    library = library_of(model.instrument, frame, model.effects)
+    library = model.instrument.shown_by(frame, model.effects)
     return Assembly(layout, Record(model.instrument, frame, readings["output"], library))
 
 
@@ -85,7 +85,7 @@ def somewhere(a: Assembly, seed: int = 0) -> tuple[Point, np.ndarray]:
     """A point and a coordinate of φ at random, within the priors."""
     random = np.random.default_rng(seed)
     v = 0.5 * random.standard_normal(len(a.hypers))
-    sd = a.sizes(a.hyper(v)) * 0.3
+    sd = a.sizes.at(a.hyper(v)) * 0.3
     rows = 0.3 * a.row_sd * random.standard_normal((a.record.size, len(a.row_sd)))
     return Point(a.mean_of_x + sd * random.standard_normal(a.size), rows), v
 

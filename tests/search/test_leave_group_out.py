@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bayescal._diagnostics.part import Part
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import Density
-from bayescal._engine.part import Part
 from bayescal._engine.record import Record
 from bayescal._engine.whitening import whitening
 from bayescal._model.frame import build_frame, reference_of

@@ -18,7 +18,11 @@ import numpy as np
 
 import bayescal as bc
 import bayescal_models
-from bayescal._inference import importance_sampling, laplace, marginal, sampled_products
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.mode import find_mode
+from bayescal._engine.record import Record
+from bayescal._engine.sampling import weighted_draws
+from bayescal._inference import sampled_products
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable
@@ -141,13 +145,12 @@ class Case:
         return jax.tree.map(np.asarray, differences(b.layout, b.frame, b.x, b.rows, b.v))
 
     def sample(self, model: bc.Model, readings: bc.Measurements) -> None:
-        """The two programs of the default method, as `fit` calls them: mode, then importance sampling."""
+        """The two steps of the default method, as `fit` calls them: mode, then importance sampling."""
         layout, _ = bind(model, readings)
         layout = layout.promote(*self.promoted)
         frame, y = build_frame(readings, reference_of(readings)), jnp.asarray(readings["output"])
-        mode = laplace.compiled_mode(layout, frame, y)
-        count, rounds = marginal._proposals(layout, frame), bc.Marginal().rounds
-        importance_sampling.sample_jit(layout, frame, y, mode, jax.random.key(0), count, rounds)
+        assembly = Assembly(layout, Record(model.instrument, frame, np.asarray(y)))
+        weighted_draws(assembly, find_mode(assembly), 0, None, bc.Marginal().rounds)
 
     @cached_property
     def promoted(self) -> tuple[str, ...]:

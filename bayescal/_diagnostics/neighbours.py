@@ -1,6 +1,7 @@
-"""Spikes: single readings far from both of their neighbours, which are faults of the record and not of the sensor.
+"""Neighbouring readings: the noise that no smooth effect could remove, and spikes, faults of the record.
 
-They are set aside before a calibration, by name, because one of them can outweigh thousands of readings.
+A spike is a single reading far from both of its neighbours, a fault of the record and not of the sensor. Spikes are set
+aside before a calibration, by name, because one of them can outweigh thousands of readings.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayescal._calibration.calibration import Calibration
+from bayescal._diagnostics.efficient_score import residuals
 from bayescal._model.frame import run_codes
 from bayescal._readings.measurements import Measurements
 
@@ -78,3 +81,26 @@ def _heights(y: np.ndarray) -> np.ndarray:
     """Distance of each reading from the line through its two neighbours, in units that noise makes equal."""
     inner = np.abs(y[1:-1] - 0.5 * (y[:-2] + y[2:]))
     return np.concatenate([inner[:1], inner, inner[-1:]])
+
+
+def noise_floor(calibration: Calibration) -> float:
+    """Noise that no model of smooth effects could remove, output unit.
+
+    From each residual against the mean of its two neighbours (in time within a run; in temperature where there
+    is no time), as in a von Neumann ratio: what varies slowly cancels.
+    """
+    residual = residuals(calibration).raw
+    readings = calibration.readings
+    if readings.has("time"):
+        order, step = calibration.assembly.record.in_time
+        linked = step >= 0
+    else:
+        key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
+        order, linked = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
+        linked[0] = False
+    r = residual[order]
+    inner = linked[1:-1] & linked[2:]
+    bend = (r[1:-1] - 0.5 * (r[:-2] + r[2:]))[inner]
+    if bend.size < 3:
+        return float(np.sqrt(np.mean(residual**2)))
+    return float(np.sqrt(np.mean(bend**2) / 1.5))

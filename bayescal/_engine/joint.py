@@ -1,0 +1,275 @@
+"""Joint draws: x given each of many φ, and the true density of both against what they were drawn from."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.closed_form import LOG_2PI, NOWHERE
+from bayescal._engine.mode import Mode
+from bayescal._engine.pieces import ColumnsOf
+from bayescal._engine.whitening import Batch, known_variance, log_likelihood
+
+
+class Grams(NamedTuple):
+    """Weighted products of J and r, and log|Σ|, one of each a draw."""
+
+    jtj: Float[np.ndarray, "b p p"]
+    jtr: Float[np.ndarray, "b p"]
+    rtr: Float[np.ndarray, "b"]
+    logdet: Float[np.ndarray, "b"]
+
+
+class Conditionals(NamedTuple):
+    """x given each φ and the readings, x = shift + sd·L⁻ᵀ(u + ε), and the log density of the readings given φ.
+
+    `log_marginal` is `NOWHERE` where there is none.
+    """
+
+    log_marginal: Float[np.ndarray, "b"]
+    shift: Float[np.ndarray, "p"]
+    sd: Float[np.ndarray, "b p"]
+    chol: Float[np.ndarray, "b p p"]
+    u: Float[np.ndarray, "b p"]
+
+    def place(self, normal: Float[np.ndarray, "b p"]) -> Float[np.ndarray, "b p"]:
+        """The x that standard normal numbers stand for."""
+        return self.shift + self.sd * _back(self.chol, self.u + normal)
+
+    @property
+    def log_jacobian(self) -> Float[np.ndarray, "b"]:
+        """Log volume of the map from standard normal numbers to x."""
+        pivots = np.diagonal(self.chol, axis1=1, axis2=2)
+        return np.sum(np.log(self.sd), axis=1) - np.sum(np.log(pivots), axis=1)
+
+
+def conditionals(
+    grams: Grams, size: int, sd: Float[np.ndarray, "b p"], assembly: Assembly, at: np.ndarray
+) -> Conditionals:
+    """Integrate x out of many sets of products at once, as `condition` does of one.
+
+    Args:
+        grams: products of J and r.
+        size: number of readings.
+        sd: prior standard deviations.
+        assembly: whose means and weights of the prior are taken.
+        at: x̂ (p,), where r was taken.
+    """
+    weight, count = assembly.weight_of_x, sd.shape[1]
+    offset = weight * (assembly.mean_of_x - at)
+    jtj, jtr = grams.jtj, grams.jtr
+    pulled = sd * (jtr - jtj @ offset)
+    precision = sd[:, :, None] * jtj * sd[:, None, :]
+    precision[:, np.arange(count), np.arange(count)] += weight
+    chol = _cholesky(precision)
+    pivots = np.diagonal(chol, axis1=1, axis2=2)
+    u = _forth(chol, pulled)
+    z = _back(chol, u)
+    move = offset + sd * z
+    moved = (jtj @ move[:, :, None])[:, :, 0]
+    rest = grams.rtr - np.sum(move * (2 * jtr - moved), axis=1) + z**2 @ weight
+    flat = np.log(np.where(weight > 0, 1.0, sd)) @ (1 - weight) + (1 - weight).sum() * 0.5 * LOG_2PI
+    volume = grams.logdet + 2 * np.sum(np.log(pivots), axis=1)
+    total = flat - 0.5 * (size * LOG_2PI + volume + rest)
+    total = np.where(np.isfinite(total) & (rest > 0), total, NOWHERE)
+    return Conditionals(total, at + offset, sd, chol, u)
+
+
+def _cholesky(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]:
+    """Lower factors; NaN where there is none."""
+    try:
+        return np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        pass
+    found = np.full_like(matrices, np.nan)
+    for one, into in zip(matrices, found, strict=True):
+        try:
+            into[...] = np.linalg.cholesky(one)
+        except np.linalg.LinAlgError:
+            continue
+    return found
+
+
+def _forth(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
+    """L⁻¹ times vectors."""
+    z = np.empty_like(right)
+    for i in range(right.shape[1]):
+        known = np.einsum("bj,bj->b", chol[:, i, :i], z[:, :i])
+        z[:, i] = (right[:, i] - known) / chol[:, i, i]
+    return z
+
+
+def _back(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
+    """Lᵀ⁻¹ times vectors."""
+    z = np.empty_like(right)
+    for i in reversed(range(right.shape[1])):
+        known = np.einsum("bj,bj->b", chol[:, i + 1 :, i], z[:, i + 1 :])
+        z[:, i] = (right[:, i] - known) / chol[:, i, i]
+    return z
+
+
+def draw_joint(
+    assembly: Assembly,
+    mode: Mode,
+    found: Conditionals,
+    hyper: Batch,
+    exact: bool,
+    random: np.random.Generator,
+):
+    """x and the per-reading coefficients given each φ, and the log ratio of the true joint density to what they are
+    drawn from times the closed form: that of true to linearised likelihood.
+
+    Returns:
+        x (b, p), rows (b, n, k), log ratio (b,).
+    """
+    count, (size, width) = len(found.u), mode.point.rows.shape
+    normal = random.standard_normal(found.u.shape)
+    own = random.standard_normal((count, size, width))
+    x = found.place(normal)
+    rows = np.broadcast_to(mode.point.rows, (count, size, width))
+    if not width and assembly.affine and exact:
+        return x, rows, np.zeros(count)
+    log_jacobian, squares = found.log_jacobian, np.sum(normal**2, axis=1)
+    if width:
+        rows, volume = _draw_rows(assembly, mode, x, hyper, own)
+        log_jacobian, squares = log_jacobian + volume, squares + np.sum(own**2, axis=(1, 2))
+    log_drawn = -0.5 * (squares + (normal.shape[1] + size * width) * LOG_2PI) - log_jacobian
+    left = assembly.record.y - expected(assembly, x, rows, hyper)
+    z = (x - assembly.mean_of_x) / found.sd
+    prior = -0.5 * (z**2 + 2 * np.log(found.sd) + LOG_2PI) @ assembly.weight_of_x
+    if width:
+        spread = assembly.row_sd
+        prior -= 0.5 * np.sum((rows / spread) ** 2, axis=(1, 2))
+        prior -= 0.5 * size * float(np.sum(2 * np.log(spread) + LOG_2PI))
+    true = log_likelihood(assembly.noise, assembly.record, left, hyper)
+    return x, rows, true + prior - log_drawn - found.log_marginal
+
+
+def _draw_rows(assembly: Assembly, mode: Mode, x, hyper: Batch, own: Float[np.ndarray, "b n k"]):
+    """Per-reading coefficients given all else in the linearised model, and the log volume of the map from `own`."""
+    drawn, volumes = np.empty_like(own), np.empty(len(own))
+    moving, line = bool(assembly.moving), None
+    for b in range(len(own)):
+        one = {name: float(np.broadcast_to(v, len(own))[b]) for name, v in hyper.items()}
+        if line is None or moving:
+            line = assembly.linearise(mode.point, one)
+            known = line.mean - np.sum(line.rows * mode.point.rows, axis=1)
+        left = assembly.record.y - known - line.jacobian @ (x[b] - mode.point.x)
+        variance = one["noise.white"] ** 2 + known_variance(assembly.record)
+        variance = np.broadcast_to(variance, left.shape)
+        precision = line.rows[:, :, None] * line.rows[:, None, :] / variance[:, None, None]
+        precision = precision + np.diag(1 / assembly.row_sd**2)
+        chol = np.linalg.cholesky(precision)
+        pull = line.rows * (left / variance)[:, None]
+        drawn[b] = _back(chol, _forth(chol, pull) + own[b])
+        volumes[b] = -np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)))
+    return drawn, volumes
+
+
+def linearise_draws(
+    assembly: Assembly, point: Point, hyper: Batch, count: int
+) -> Float[np.ndarray, "b n q"]:
+    """J beside what the expected output at a point leaves, of a structure that corrects no column, for several φ."""
+    record = assembly.record
+    x = np.broadcast_to(point.x, (count, assembly.size))
+    rows = np.broadcast_to(point.rows, (count, *point.rows.shape))
+    mean, slopes = record.responses(_slots(assembly, x, rows, hyper, {}))
+    table = np.zeros((count, record.size, assembly.size + 1))
+    made: tuple[str, np.ndarray] | None = None
+    for t in assembly.terms:
+        if made is None or made[0] != t.known.of:
+            made = t.known.of, _columns(assembly, t.known.columns, t.known.shape_names, hyper, {})
+        if t.place != "x":
+            continue
+        column = slopes[t.slot] * (made[1][..., t.index] * t.factor)
+        if t.known.per is None:
+            table[:, :, t.at.start] = column
+        else:
+            codes = record.codes[t.known.per]
+            known = np.flatnonzero(codes >= 0)
+            wide = np.broadcast_to(column, (count, record.size))
+            table[:, known, t.at.start + codes[known]] = wide[:, known]
+    table[:, :, -1] = record.y - mean
+    return table
+
+
+def expected(
+    assembly: Assembly,
+    x: Float[np.ndarray, "b p"],
+    rows: Float[np.ndarray, "b n k"],
+    hyper: Batch,
+) -> Float[np.ndarray, "b n"]:
+    """Expected output of joint draws, output unit.
+
+    Args:
+        assembly: the structure on its record.
+        x: coefficients, reported units.
+        rows: per-reading coefficients.
+        hyper: φ by name, one value a draw.
+    """
+    record, count = assembly.record, len(x)
+    moves: dict[str, np.ndarray] = {}
+    if assembly.corrected:
+        values = list(_values(assembly, x, rows, hyper))
+        moves = {name: np.zeros((count, record.size)) for name in assembly.corrected}
+        _sum_into(moves, assembly, values, hyper, {})
+    return record.several(_slots(assembly, x, rows, hyper, moves), moves)
+
+
+def _slots(assembly: Assembly, x, rows, hyper: Batch, moves: dict) -> dict[str, np.ndarray]:
+    """What the coefficients of each slot come to, (b, n) each."""
+    slots = {name: np.zeros((len(x), assembly.record.size)) for name in assembly.record.slots}
+    for name, design in assembly.designs.items():
+        slots[name] += x @ design.T
+    _sum_into(slots, assembly, list(_values(assembly, x, rows, hyper)), hyper, moves)
+    return slots
+
+
+def _sum_into(sums: dict, assembly: Assembly, values: list, hyper: Batch, moves: dict) -> None:
+    """Add up what the coefficients of each slot come to."""
+    made: tuple[str, np.ndarray] | None = None
+    designs = assembly.designs
+    for t, value in zip(assembly.terms, values, strict=True):
+        if t.slot not in sums or (t.place == "x" and t.slot in designs and not t.known.shape_names):
+            continue
+        if made is None or made[0] != t.known.of:
+            made = (
+                t.known.of,
+                _columns(assembly, t.known.columns, t.known.shape_names, hyper, moves),
+            )
+        column = made[1][..., t.index] * t.factor
+        sums[t.slot] += column * value
+
+
+def _columns(assembly: Assembly, columns: ColumnsOf, names, hyper: Batch, moves: dict):
+    """An effect's columns, (n, k) for all draws or (b, n, k)."""
+    if not names and not moves:
+        return assembly.record.columns(columns, ())
+    count = max((len(v) for v in moves.values()), default=0)
+    shapes = np.broadcast_arrays(*(hyper[name] for name in names), np.zeros(count or 1))[:-1]
+    return assembly.record.columns_of_draws(columns, [np.atleast_1d(s) for s in shapes], moves)
+
+
+def _values(assembly: Assembly, x, rows, hyper: Batch):
+    """Each term's coefficient for each draw at each reading, (b, 1) or (b, n)."""
+    row, count = 0, len(x)
+    for t in assembly.terms:
+        if t.place == "row":
+            yield rows[:, :, row]
+            row += 1
+            continue
+        if t.place == "x":
+            value = x[:, t.at]
+        elif t.place == "fixed":
+            value = np.full((count, t.size), t.value)
+        else:
+            value = np.stack([np.broadcast_to(hyper[m], count) for m in t.members], axis=1)
+            if t.spread_name is not None:
+                value = t.known.mean + np.broadcast_to(hyper[t.spread_name], count)[:, None] * value
+        if t.known.per is not None:  # the code of no member is −1
+            codes = assembly.record.codes[t.known.per]
+            value = np.concatenate([value, np.zeros((count, 1))], axis=1)[:, codes]
+        yield value

@@ -1,0 +1,299 @@
+"""Least squares on the host: coefficients and shapes by Gauss–Newton, scales by restricted likelihood, in turn.
+
+All solves are by QR of whitened tables, never by JᵀJ, so that no condition number is squared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs
+from scipy.optimize import minimize
+
+from bayescal._core.parallel import on_one_thread
+from bayescal._engine.assembly import Assembly, Point, Prior
+from bayescal._engine.closed_form import LOG_2PI, Density
+from bayescal._engine.mode import Mode, root_near
+from bayescal._engine.whitening import whitening
+
+STILL = 1e-6  # standard deviations: a further step smaller than this is none
+GOOD = 1e-5  # share of the residuals in the tangent plane, at which a point counts as the optimum
+RESTS = 1e-9  # change of φ's coordinates in a round, below which it rests
+ROUNDS = 30  # at most
+STEPS = 200  # of θ in a round
+SHIFT = 1e-4  # of a coordinate, for slopes by differences
+
+
+class Solution(NamedTuple):
+    """x̂ and shapes at the maximum, scales by restricted likelihood, and the covariance of (x, shapes)."""
+
+    mode: Mode
+    covariance: Float[np.ndarray, "q q"]
+    converged: bool
+
+
+class _Factors(NamedTuple):
+    """QR of a whitened table [A r]: R, Qᵀr, and what of r lies outside."""
+
+    root: Float[np.ndarray, "q q"]
+    inside: Float[np.ndarray, "q"]
+    outside: float
+
+    @property
+    def determined(self) -> bool:
+        scale = np.sqrt(np.sum(self.root**2, axis=0))
+        return bool(np.all(np.abs(np.diag(self.root)) > 1e-14 * scale))
+
+    @property
+    def solution(self) -> Float[np.ndarray, "q"]:
+        return dtrtrs(self.root, self.inside)[0] if self.inside.size else self.inside
+
+
+def _factors(table: Float[np.ndarray, "m q1"]) -> _Factors:
+    upper = _triangle(table)
+    size = table.shape[1] - 1
+    last = float(upper[size, size]) if len(upper) > size else 0.0
+    return _Factors(upper[:size, :size], upper[:size, size], last)
+
+
+def _triangle(table: Float[np.ndarray, "m q"]) -> Float[np.ndarray, "k q"]:
+    return np.triu(dgeqrf(table)[0][: table.shape[1]])
+
+
+class _Given(NamedTuple):
+    """θ integrated out of the model linearised somewhere, given φ."""
+
+    log_marginal: float
+    theta: Float[np.ndarray, "q"]
+    covariance: Float[np.ndarray, "q q"]
+    squares: float  # of the whitened residuals at the mean, without the prior's
+    spent: float  # degrees of freedom
+
+
+@on_one_thread
+def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
+    """From the mode: (x, shapes) by least squares and scales by restricted likelihood in turn, until both rest.
+
+    Args:
+        assembly: the structure on its record.
+        mode: its mode.
+        full_hessian: whether the covariance takes second derivatives of the expected output.
+    """
+    fit = _Refinement(assembly, mode)
+    # Where JᵀJ has no Cholesky factor the mode is nowhere; from the prior's centre, QR may find it.
+    found = np.all(np.isfinite(mode.point.x)) and math.isfinite(mode.log_evidence)
+    x = mode.point.x if found else assembly.mean_of_x
+    v = np.where(np.isfinite(mode.v), mode.v, 0.0)
+    theta, converged = np.concatenate([x, v[fit.places]]), False
+    for _ in range(ROUNDS):
+        theta, converged = fit.fit_theta(theta, v)
+        moved = v.copy()
+        moved[fit.places] = theta[assembly.size :]
+        moved = fit.fit_scales(theta, moved)
+        change = float(np.max(np.abs(moved - v), initial=0.0))
+        v = moved
+        if not change > RESTS:
+            break
+    given = fit.conditional(theta, v)(v)
+    # What counts is whether a Gauss–Newton step would still move anything.
+    sd = np.sqrt(np.diag(given.covariance))
+    converged = converged or bool(np.max(np.abs(given.theta - theta) / sd, initial=0.0) < STILL)
+    covariance = given.covariance
+    if full_hessian and np.all(np.isfinite(covariance)):
+        covariance = np.linalg.inv(fit.hessian(theta, v, sd))
+    point = Point(theta[: assembly.size], mode.point.rows)
+    return Solution(mode._replace(point=point, v=v), covariance, converged)
+
+
+class _Refinement:
+    """One fit of θ = (x, w), w the shapes' coordinates, and v, those of all φ; where both have w, that in θ counts."""
+
+    def __init__(self, assembly: Assembly, mode: Mode) -> None:
+        self.assembly, self.mode = assembly, mode
+        self.density = Density(assembly, mode.point, mode.flat)
+        kinds = assembly.kinds
+        self.scales = [i for i, k in enumerate(kinds) if k in ("noise", "spread")]
+        self.places = [i for i, k in enumerate(kinds) if k in ("shape", "promoted")]
+
+    def prior(self, v: Float[np.ndarray, "d"]) -> Prior:
+        """Of θ: that of x given φ, and the standard normal one of w."""
+        own = self.assembly.prior(self.assembly.hyper(v), self.mode.flat)
+        further = np.ones(len(self.places))
+        return Prior(
+            np.append(own.mean, 0 * further),
+            np.append(own.sd, further),
+            np.append(own.weight, further),
+        )
+
+    def table(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray | float]:
+        """Slopes by θ beside what the expected output leaves, and the variance that the rows add."""
+        size, at = self.assembly.size, v.copy()
+        at[self.places] = theta[size:]
+        point = Point(theta[:size], self.mode.point.rows)
+        line = self.assembly.linearise(point, self.assembly.hyper(at))
+        slopes = [line.jacobian]
+        for i in self.places:
+            ends = []
+            for sign in (1, -1):
+                moved = at.copy()
+                moved[i] += sign * SHIFT
+                ends.append(self.assembly.linearise(point, self.assembly.hyper(moved)).mean)
+            slopes.append(((ends[0] - ends[1]) / (2 * SHIFT))[:, None])
+        rest = self.assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
+        return np.column_stack([*slopes, rest]), self.density.extra(line)
+
+    def whiten(self, v: np.ndarray, extra: np.ndarray | float):
+        assembly = self.assembly
+        return whitening(assembly.noise, assembly.hyper(v), assembly.record, extra)
+
+    def fit_theta(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
+        """θ by least squares of the whitened residuals and the prior's, given the scales in v."""
+        if not theta.size:
+            return theta, True
+        prior, (first, extra) = self.prior(v), self.table(theta, v)
+        white = self.whiten(v, extra)
+        own = np.diag(prior.weight)
+
+        def look(at: np.ndarray, made: np.ndarray | None = None) -> tuple[float, _Factors]:
+            table = white(self.table(at, v)[0] if made is None else made)
+            z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
+            whole = np.concatenate([table * np.append(prior.sd, 1.0), np.column_stack([own, -z])])
+            if not np.all(np.isfinite(whole)):
+                return math.inf, _factors(np.zeros_like(whole))
+            return float(whole[:, -1] @ whole[:, -1]), _factors(whole)
+
+        cost, found = look(theta, first)
+        damping, best = 0.0, float(np.linalg.norm(found.inside))
+        for _ in range(STEPS):
+            if not found.determined:
+                return theta, False
+            trial = theta + prior.sd * _damped(found, damping)
+            there, further = look(trial)
+            left = float(np.linalg.norm(further.inside))
+            near = best <= GOOD * math.sqrt(cost)
+            if (near and left < 0.8 * best and there < cost * (1 + 1e-6)) or (
+                not near and there < cost
+            ):
+                theta, cost, found, best = trial, there, further, left
+                damping = 0.0 if damping < 1e-6 else 0.1 * damping
+                continue
+            if near or damping > 1e12:
+                break
+            damping = max(10 * damping, 1e-3)
+        return theta, best <= GOOD * math.sqrt(cost)
+
+    def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[[np.ndarray], _Given]:
+        """A function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
+        table, extra = self.table(theta, v)
+        size, even = len(table), self.density.even
+        upper = _triangle(table) if even else table
+
+        def given(v: np.ndarray) -> _Given:
+            prior = self.prior(v)
+            if even:
+                sd = self.assembly.hyper(v)["noise.white"]
+                made, logdet = upper / sd, 2 * size * math.log(sd)
+            else:
+                white = self.whiten(v, extra)
+                made, logdet = white(upper), white.logdet
+            offset = prior.weight * (prior.mean - theta)
+            own = np.column_stack([made[:, :-1] * prior.sd, made[:, -1] - made[:, :-1] @ offset])
+            rows = np.column_stack([np.diag(prior.weight), 0 * offset])
+            found = _factors(np.concatenate([own, rows]))
+            if not found.determined:
+                lost = np.full((theta.size, theta.size), np.nan)
+                return _Given(-math.inf, np.full(theta.size, np.nan), lost, math.nan, math.nan)
+            z = found.solution
+            inverse = dtrtri(found.root)[0] if z.size else found.root
+            of_z = inverse @ inverse.T
+            root = prior.sd[:, None] * inverse
+            flat = (1 - prior.weight) @ (
+                np.log(np.where(prior.weight > 0, 1.0, prior.sd)) + 0.5 * LOG_2PI
+            )
+            volume = logdet + 2 * float(np.sum(np.log(np.abs(np.diag(found.root)))))
+            rest = found.outside**2
+            total = float(flat) - 0.5 * (size * LOG_2PI + volume + rest)
+            mean = theta + offset + prior.sd * z
+            squares = rest - float(prior.weight @ z**2)
+            spent = z.size - float(np.diag(of_z) @ prior.weight)
+            return _Given(total, mean, root @ root.T, squares, spent)
+
+        return given
+
+    def fit_scales(self, theta: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """v with its scales where the restricted likelihood, times the prior of the spreads, is greatest."""
+        if not self.scales:
+            return v
+        given, assembly = self.conditional(theta, v), self.assembly
+        if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
+            return self._noise(given, v)
+        spreads = [
+            (i, assembly.hypers[i].prior) for i in self.scales if assembly.kinds[i] != "noise"
+        ]
+
+        def value(scales: np.ndarray) -> float:
+            moved = v.copy()
+            moved[self.scales] = scales
+            prior = sum(float(np.asarray(p.log_density(moved[i]))) for i, p in spreads)
+            return given(moved).log_marginal + prior
+
+        def slope(scales: np.ndarray) -> np.ndarray:
+            shifts = SHIFT * np.eye(len(scales))
+            return np.array([(value(scales + s) - value(scales - s)) / (2 * SHIFT) for s in shifts])
+
+        best = v[self.scales]
+        if not math.isfinite(value(best)):
+            return v
+        if np.max(np.abs(slope(best))) > 1e-3:
+            found = minimize(lambda s: -value(s), best, jac=lambda s: -slope(s))
+            best = found.x if value(found.x) >= value(best) else best
+        best = root_near(slope, best, SHIFT)
+        moved = v.copy()
+        moved[self.scales] = best
+        return moved
+
+    def _noise(self, given: Callable[[np.ndarray], _Given], v: np.ndarray) -> np.ndarray:
+        """The one standard deviation of independent noise: squares over the degrees of freedom left."""
+        (place,), size = self.scales, self.assembly.record.size
+        for _ in range(100):
+            found = given(v)
+            left = size - found.spent
+            if not (found.squares > 0 and left > 0):
+                return v
+            step = 0.5 * math.log(found.squares / left) / self.assembly.value_slope(v, place)
+            v = v.copy()
+            v[place] += step
+            if abs(step) < 1e-12:
+                break
+        return v
+
+    def hessian(self, theta: np.ndarray, v: np.ndarray, sd: np.ndarray) -> Float[np.ndarray, "q q"]:
+        """Curvature of the negative log density of θ, second derivatives of the expected output included."""
+        prior, extra = self.prior(v), self.table(theta, v)[1]
+        white = self.whiten(v, extra)
+
+        tightness = prior.weight / prior.sd**2
+
+        def slope(at: np.ndarray) -> np.ndarray:
+            table = white(self.table(at, v)[0])
+            return tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1]
+
+        rows = []
+        for i, width in enumerate(sd):
+            step = np.zeros_like(theta)
+            step[i] = 1e-3 * width
+            rows.append((slope(theta + step) - slope(theta - step)) / (2 * step[i]))
+        return 0.5 * (np.array(rows) + np.array(rows).T)
+
+
+def _damped(found: _Factors, damping: float) -> Float[np.ndarray, "q"]:
+    """The step that minimises |R·s − Qᵀr|² + damping·|weight·s|², weight the norms of R's columns."""
+    if not damping:
+        return found.solution
+    weight = np.sqrt(np.sum(found.root**2, axis=0))
+    rows = np.column_stack([np.diag(math.sqrt(damping) * weight), 0 * weight])
+    return _factors(np.concatenate([np.column_stack([found.root, found.inside]), rows])).solution
