@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -79,6 +79,7 @@ def calibrate(
         holdout = None if holdout is None else without_spikes(holdout)
     loop = _Loop(readings, holdout, method, seed, reference, max_effects)
     first = loop.step(model)
+    loop = replace(loop, begun=time.monotonic())
     if loop.on_trial(first):
         loop, widen_noise = replace(loop, max_effects=0), False
     structures, shut = structures_over(
@@ -97,7 +98,7 @@ class _Loop:
     seed: int
     reference: Reference | None
     max_effects: int
-    begun: float = field(default_factory=time.monotonic)
+    begun: float = 0.0  # of the search
 
     @staticmethod
     def on_trial(first: Step) -> bool:

@@ -94,7 +94,9 @@ def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
     ax.set_xlabel(axis_label("rms error", steps[-1].unit))
     where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.26 / (0.3 + 0.4 * len(steps)))}
-    ax.legend(frameon=False, fontsize=8, ncols=2, **where)
+    handles, _ = ax.get_legend_handles_labels()
+    handles.sort(key=lambda h: h.get_label().startswith("floor"))  # the last, as in the tables
+    ax.legend(handles=handles, frameon=False, fontsize=8, ncols=2, **where)
     open_sides(ax)
     return figure
 
