@@ -144,7 +144,7 @@ def ending(found: Discovery | None, added: int, most: int | None, stopped: str) 
     said = [stopped] if stopped else []
     if not stopped and most is not None and added >= most > 0:
         said.append(
-            f"The search has added the {most} effects that it may (--max-effects, in Python max_effects): "
+            f"The search has added as many effects as it may, {most} (--max-effects, in Python max_effects): "
             "with more, more may be found."
         )
     tested = [c for c in found.candidates if c.probability is not None]

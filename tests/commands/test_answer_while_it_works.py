@@ -112,4 +112,4 @@ def test_the_end_says_why(folder: Path) -> None:
     nothing = run("calibrate", TABLE, *GYRO, *QUICK, "--json").data["search"]["ending"]
     assert "below the 0.95 asked for" in nothing
     bound = calibrate(folder, "--max-effects", 1, "--json").data["search"]["ending"]
-    assert bound.startswith("The search has added the 1 effects that it may")
+    assert bound.startswith("The search has added as many effects as it may, 1")
