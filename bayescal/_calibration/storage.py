@@ -33,6 +33,9 @@ from bayescal._readings.column import Source
 from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.calibration/1"
+IN_UNITS = (
+    "in units"  # an unknown function's coefficients; before, they were in parts of its amplitude
+)
 _NOISES = {
     c.__name__: c
     for c in (
@@ -72,6 +75,7 @@ def _description(c: Fitted) -> dict[str, Any]:
         "instrument": c.model.instrument.name,
         "settings": dict(c.model.instrument.settings),
         "effects": list(c.model.names),
+        "coefficients": IN_UNITS,
         "unknowns": {e.name: _stated(e) for e in c.model.effects},
         "fixed": dict(c.model.fixed),
         "noise": _noise_description(c.model.noise),
@@ -257,4 +261,19 @@ def _model_from(path: Path, described, readings: Measurements, effects, instrume
                 "load(path, effects=[…]))"
             )
     fixed = tuple(described["fixed"].items())
+    _refuse_parts(path, described, chosen)
     return Model(instrument, chosen, _noise_from(described["noise"]), fixed)
+
+
+def _refuse_parts(path: Path, described: dict[str, Any], effects: Sequence[Effect]) -> None:
+    """Draws of an unknown function's coefficients in parts of its amplitude would be read as in units.
+
+    Raises:
+        InputError: the file holds some.
+    """
+    old = [e.name for e in effects if e.weights is not None]
+    if old and described.get("coefficients") != IN_UNITS:
+        raise InputError(
+            f"{path.name} was saved when the coefficients of {', '.join(old)} were parts of its amplitude, now they "
+            "are in units: fit the readings again"
+        )

@@ -48,12 +48,15 @@ def fit(
         )
         if folder is not None:
             calibration.save(folder / "calibration.nc")
+    from bayescal._calibration.guards import conflicts
     from bayescal._cli.output import fit_data
 
-    print_result(fit_data(calibration) if json_ else calibration)
+    verdict = calibration.verdict
+    against = conflicts(calibration) if verdict.ok else []
+    print_result(fit_data(calibration, against) if json_ else calibration)
     if folder is not None and not json_:
         print(f"\nwritten: {folder / 'calibration.nc'}")
-    exit_unless(calibration.verdict.ok, " ".join(calibration.verdict.reasons))
+    exit_unless(verdict.ok and not against, " ".join([*verdict.reasons, *against]))
 
 
 @commands.command(epilog="Example: bayescal check result/calibration.nc")
@@ -205,12 +208,16 @@ def calibrate(
     choice: ModelOptions,
     method: options.MethodName = "marginal",
     max_effects: options.MostEffects = 5,
+    time_limit: options.TimeLimit = None,
     keep_spikes: options.KeepSpikes = False,
     seed: options.Seed = 0,
     out: options.Folder = None,
     json_: options.Json = False,
 ) -> None:
-    """The whole loop: fit, see where it fails, find what is missing, add it, see the error fall."""
+    """The whole loop: fit, see where it fails, find what is missing, add it, see the error fall.
+
+    The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far.
+    """
     from bayescal._cli.request import method_named, open_request, reference_of, user_effects
 
     chosen, model, readings = open_request(instrument, files, columns, choice)
@@ -218,6 +225,12 @@ def calibrate(
     print_notes(readings.flags)
     own = user_effects(choice.effects_file)
     with result_folder(out) as folder:
+        from bayescal._cli.output import Told, loop_text
+        from bayescal._report.under_way import earlier
+
+        told, seeds = Told(folder, json_), earlier(folder, model, readings) if folder else ()
+        if seeds:
+            print_notes([f"goes on with the search in {folder}, which was ended early"])
         trail = bc.calibrate(
             model,
             readings,
@@ -228,15 +241,17 @@ def calibrate(
             keep_spikes=keep_spikes,
             seed=seed,
             reference=reference_of(choice.reference, readings),
+            time_limit=time_limit,
+            seeds=seeds,
+            follow=told,
         )
         if folder is not None:
             trail.save(folder)
-    from bayescal._cli.output import loop_text
     from bayescal._report.result_json import result
 
     later = trail.final.calibration.readings.flags
     print_notes(flag for flag in later if flag not in readings.flags)
-    print_result(result(trail) if json_ else loop_text(trail, own))
+    print_result(result(trail) if json_ else loop_text(trail, own, told.begun))
     if folder is not None and not json_:
         print(f"\nwritten: {folder}/result.json, calibration.nc, loop.png")
     exit_unless(trail.ok, trail.gate.reason)

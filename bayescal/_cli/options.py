@@ -74,6 +74,12 @@ def _refuse_unknown_method(name: str) -> str:
     return name
 
 
+def _refuse_no_time(seconds: float | None) -> float | None:
+    if seconds is not None and not (math.isfinite(seconds) and seconds > 0):
+        raise InputError(f"--time-limit {seconds:g}: give a positive number of seconds")
+    return seconds
+
+
 Files = Annotated[
     list[Path],
     typer.Argument(
@@ -179,6 +185,15 @@ Holdout = Annotated[
     typer.Option(
         help="Readings kept apart, only read after the last step; repeat for more.",
         callback=_refuse_missing,
+    ),
+]
+TimeLimit = Annotated[
+    float | None,
+    typer.Option(
+        "--time-limit",
+        metavar="SECONDS",
+        help="End the search after this time with the best so far, as Ctrl-C does; the same command takes it up again.",
+        callback=_refuse_no_time,
     ),
 ]
 KeepSpikes = Annotated[

@@ -12,7 +12,8 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import null_directions, summary
-from bayescal._core.formatting import WIDTH, number, table
+from bayescal._core.formatting import WIDTH, number, probability, table
+from bayescal._core.progress import tell
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.compare import Comparison
 from bayescal._diagnostics.evidence_scale import STRONG
@@ -23,6 +24,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._report.result_json import clean
+from bayescal._report.under_way import Keeper
 
 Kinds = Mapping[str, Sequence[Effect]]
 
@@ -81,7 +83,9 @@ def effects_data(kinds: Kinds) -> list[dict[str, Any]]:
     ]
 
 
-def fit_data(calibration: Calibration) -> dict[str, Any]:
+def fit_data(calibration: Calibration, against: Sequence[str] = ()) -> dict[str, Any]:
+    """A fit as data; `against` are reasons not to trust it beside its verdict's own."""
+    verdict = calibration.verdict
     coefficients, spreads = summary(calibration)
     data = {
         "coefficients": coefficients,
@@ -89,7 +93,11 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
         "reference": calibration.reference,
         "fixed": dict(calibration.model.fixed),
         "log_evidence": calibration.log_evidence,
-        "verdict": vars(calibration.verdict),
+        "verdict": {
+            **vars(verdict),
+            "ok": verdict.ok and not against,
+            "reasons": [*verdict.reasons, *against],
+        },
         "identifiability": {"null_directions": null_directions(calibration)},
     }
     return clean(data)
@@ -131,10 +139,57 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
     return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
 
 
-def loop_text(trail: Trail, own: Sequence[Effect] = ()) -> str:
-    """`calibrate` from its first model to its last."""
+def first_text(trail: Trail) -> str:
+    """`calibrate` as soon as the first model stands."""
+    return f"WHERE THE FIRST MODEL FAILS\n\n{trail.steps[0].check}"
+
+
+def progress_text(trail: Trail) -> str:
+    """How far a search is: time, structures weighed, the best so far; empty before the first is weighed."""
+    search, unit = trail.search, unit_label(trail.final.calibration.unit)
+    if search is None or not search.structures:
+        return ""
+    if len(trail.steps) > 1:
+        error = number(trail.final.rmse_fitted)
+        return f"{search.seconds:.0f} s, fitted: {trail.final.title}, {error} {unit} rms as fitted"
+    best = search.structures[0]
+    return (
+        f"{search.seconds:.0f} s, {search.weighed} structures weighed; best so far: {best}, "
+        f"{number(best.rms)} {unit} rms as fitted, probability {probability(best.probability)}"
+    )
+
+
+class Told:
+    """Follows a search: the first table at once, a line for each step, result.json where there is a folder.
+
+    Attributes:
+        begun: whether the first table is printed.
+    """
+
+    def __init__(self, folder: Path | None, json_: bool) -> None:
+        self.keep = None if folder is None else Keeper(folder)
+        self.begun = json_
+
+    def __call__(self, trail: Trail) -> None:
+        if not self.begun:
+            print(first_text(trail), flush=True)
+            self.begun = True
+        if line := progress_text(trail):
+            tell(line)
+        if self.keep is not None:
+            self.keep(trail)
+
+
+def loop_text(trail: Trail, own: Sequence[Effect] = (), begun: bool = False) -> str:
+    """`calibrate` from its first model to its last.
+
+    Args:
+        trail: what it did.
+        own: effects of the user's own.
+        begun: the first table stands already.
+    """
     final = trail.final
-    parts = [f"WHERE THE FIRST MODEL FAILS\n\n{trail.steps[0].check}"]
+    parts = [""] if begun else [first_text(trail)]
     for i, step in enumerate(trail.steps):
         reasons = " ".join(step.calibration.verdict.reasons)
         said = str(step.discovery) if step.discovery else f"no probabilities: {reasons}"
@@ -150,8 +205,10 @@ def loop_text(trail: Trail, own: Sequence[Effect] = ()) -> str:
     parts.append(f"COEFFICIENTS\n\n{final.calibration}")
     if trail.other_path is not None:
         parts.append(textwrap.fill(f"undecided: {trail.other_path}", WIDTH))
+    if trail.ending:
+        parts.append(textwrap.fill(f"end: {trail.ending}", WIDTH))
     parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))
-    return "\n\n".join(parts)
+    return "\n\n".join(parts).removeprefix("\n")
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:

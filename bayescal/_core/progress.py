@@ -1,4 +1,4 @@
-"""One line on stderr for anything that takes over a second."""
+"""Lines on stderr that tell how far it is: one for anything that takes over a second, one for each step of a search."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
+def tell(what: str) -> None:
+    """Say on stderr how far it is."""
+    print(f"bayescal: {what} …", file=sys.stderr, flush=True)
+
+
 @contextmanager
 def stage(what: str, after: float = 1.0) -> Iterator[None]:
     """Say on stderr what is going on, once it has taken `after` seconds."""
-    timer = threading.Timer(
-        after, lambda: print(f"bayescal: {what} …", file=sys.stderr, flush=True)
-    )
+    timer = threading.Timer(after, tell, [what])
     timer.daemon = True
     timer.start()
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -19,10 +20,10 @@ from bayescal._diagnostics.neighbours import noise_floor, without_spikes
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over, told
 from bayescal._discovery.library import Library
-from bayescal._discovery.posterior import Posterior
-from bayescal._discovery.search_path import OtherPath, Search, Step, Trail, gate
+from bayescal._discovery.posterior import Posterior, Search, Shown
+from bayescal._discovery.search_path import OtherPath, Step, Trail, gate
 from bayescal._discovery.structures import Structure, Structures
-from bayescal._discovery.walk import walk
+from bayescal._discovery.walk import STOPPED, walk
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
@@ -43,7 +44,7 @@ def calibrate(
     seed: int = 0,
     reference: Reference | None = None,
     time_limit: float | None = None,
-    seeds: Sequence[Structure] = (),
+    seeds: Sequence[Structure | Shown] = (),
     follow: Callable[[Trail], None] = lambda _: None,
 ) -> Trail:
     """Fit, check, find what is missing, add it and fit again: the most probable structure, and the way to it.
@@ -62,8 +63,8 @@ def calibrate(
         keep_spikes: False sets single readings far from both neighbours aside, and flags them.
         seed: of every random number.
         reference: constants of the bases to use in place of the readings' own.
-        time_limit: seconds of search after which the best so far is taken.
-        seeds: structures to weigh first, of a search that was ended early.
+        time_limit: seconds of search after which the best so far is taken; Ctrl-C does the same at any time.
+        seeds: structures to weigh first: `trail.search.structures` of a search of these readings that was ended early.
         follow: called with the trail so far, as soon as the first model stands and whenever it grows.
 
     Raises:
@@ -74,50 +75,15 @@ def calibrate(
     if not keep_spikes:
         readings = without_spikes(readings)
         holdout = None if holdout is None else without_spikes(holdout)
-    loop = _Loop(readings, holdout, method, seed, reference)
+    loop = _Loop(readings, holdout, method, seed, reference, max_effects)
     first = loop.step(model)
-    wrong = first.check.fixed is not None and first.check.fixed.wrong
-    if not first.calibration.verdict.ok or wrong:
-        # Where the fit did not converge there are no probabilities; and a published calibration on trial is not made
-        # to look right.
-        max_effects, widen_noise = 0, False
-    reference = first.calibration.reference
+    loop = replace(loop, begun=time.monotonic())
+    if loop.on_trial(first):
+        loop, widen_noise = replace(loop, max_effects=0), False
     structures, shut = structures_over(
-        model, readings, reference, effects=effects, widen_noise=widen_noise
+        model, readings, first.calibration.reference, effects=effects, widen_noise=widen_noise
     )
-    library = Library(structures)
-    follow(loop.trail([first], structures, complete=False))
-    with stage("looking for missing effects"):
-        stopped = walk(
-            library,
-            max_effects,
-            time_limit,
-            lambda found: follow(loop.trail([first], found, complete=False)),
-            seeds,
-        )
-    return _path_shown(loop, library, first, shut, stopped, follow)
-
-
-def _path_shown(
-    loop: _Loop,
-    library: Library,
-    first: Step,
-    shut: Sequence[Candidate],
-    stopped: str,
-    follow: Callable[[Trail], None],
-) -> Trail:
-    """The steps from the first model to the one chosen, each fitted and checked."""
-    structures, steps = library.structures, [first]
-    path = structures.path(Posterior.of(structures).chosen)
-    for before, at in pairwise(path):
-        steps.append(loop.step(structures.model(at), before, at))
-        follow(loop.trail(steps, structures, complete=False))
-    if first.calibration.verdict.ok:
-        steps = [
-            replace(s, discovery=told(library, at, shut, stopped))
-            for s, at in zip(steps, path, strict=True)
-        ]
-    return loop.trail(steps, structures, complete=not stopped, stopped=stopped)
+    return loop.search(first, Library(structures), shut, time_limit, seeds, follow)
 
 
 @dataclass(frozen=True)
@@ -129,6 +95,61 @@ class _Loop:
     method: Method | None
     seed: int
     reference: Reference | None
+    max_effects: int
+    begun: float = 0.0  # of the search
+
+    @staticmethod
+    def on_trial(first: Step) -> bool:
+        """Whether nothing may be added: no convergence, no probabilities; and a published calibration is not saved."""
+        wrong = first.check.fixed is not None and first.check.fixed.wrong
+        return not first.calibration.verdict.ok or wrong
+
+    def search(
+        self,
+        first: Step,
+        library: Library,
+        shut: Sequence[Candidate],
+        time_limit: float | None,
+        seeds: Sequence[Structure | Shown],
+        follow: Callable[[Trail], None],
+    ) -> Trail:
+        """Walk over the structures, and fit those on the way to the most probable one."""
+        structures, steps = library.structures, [first]
+
+        def tell() -> None:
+            follow(self.trail(steps, structures, complete=False))
+
+        tell()
+        with stage("looking for missing effects"):
+            known = self._known(seeds, structures)
+            stopped = walk(library, self.max_effects, time_limit, lambda _: tell(), known)
+        path = structures.path(Posterior.of(structures).chosen)
+        try:
+            for before, at in pairwise(path):
+                steps.append(self.step(structures.model(at), before, at))
+                tell()
+        except KeyboardInterrupt:
+            if stopped:
+                raise
+            stopped = STOPPED.format(time.monotonic() - self.begun)
+        if first.calibration.verdict.ok:
+            steps = [
+                replace(s, discovery=told(library, at, shut, stopped))
+                for s, at in zip(steps, path, strict=False)
+            ]
+        return self.trail(steps, structures, complete=not stopped, stopped=stopped)
+
+    def _known(self, seeds: Sequence[Structure | Shown], structures: Structures) -> list[Structure]:
+        """Of an earlier search's structures, those that this one may weigh."""
+        given = dict.fromkeys(Structure(frozenset(s.effects), s.wanders) for s in seeds)
+        return [
+            s
+            for s in given
+            if s.effects <= set(structures.candidates)
+            and s.effects.isdisjoint(structures.barred(s))
+            and len(s.effects) <= self.max_effects
+            and (structures.wide is not None or not s.wanders)
+        ]
 
     def step(
         self, model: Model, before: Structure | None = None, at: Structure | None = None
@@ -167,9 +188,13 @@ class _Loop:
     def trail(
         self, steps: Sequence[Step], structures: Structures, *, complete: bool, stopped: str = ""
     ) -> Trail:
-        search = None
-        if structures.visited:
-            search = Search.of(structures, complete=complete, stopped=stopped)
+        search = Search.of(
+            structures,
+            complete=complete,
+            stopped=stopped,
+            seconds=time.monotonic() - self.begun,
+            max_effects=self.max_effects,
+        )
         other = _other_path(structures) if complete or stopped else None
         return Trail(tuple(steps), gate(steps), self.holdout, other, search)
 

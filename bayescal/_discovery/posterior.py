@@ -11,6 +11,7 @@ import numpy as np
 from bayescal._discovery.structures import Structure, Structures, Weighed
 
 FOUND = 0.95  # probability from which something is reported as found
+SHOWN = 20  # structures kept of a search
 RIVAL = math.log(20)  # log odds within which exchanging one effect for another keeps a structure
 
 

@@ -13,16 +13,14 @@ from bayescal._calibration.guards import conflicts
 from bayescal._core.formatting import number, probability, table
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
-from bayescal._discovery.discover import Discovery
-from bayescal._discovery.posterior import Posterior
-from bayescal._discovery.structures import Structures
+from bayescal._discovery.discover import Discovery, ending
+from bayescal._discovery.posterior import Search
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 
 AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
 NOTICEABLE = 0.1  # if the coefficient itself is above this
 WORSE = 1.05  # error against that of an earlier step, above which an effect does harm
-SHOWN = 20  # structures kept of a search
 
 
 @dataclass(frozen=True)
@@ -68,13 +66,13 @@ class Step:
         left_out = self.left_out
         return {
             "title": self.title,
-            "rmse": self.rmse,
-            "rmse_fitted": self.rmse_fitted,
             "unit": self.calibration.unit,
-            "holdout_rmse": self.holdout_rmse,
+            "rmse_fitted": self.rmse_fitted,
+            "rmse": self.rmse,
             "leave_one_group_out": None
             if left_out is None
             else {"group": left_out.group, "n": left_out.count, "rmse": left_out.rmse},
+            "holdout_rmse": self.holdout_rmse,
             "noise_floor": self.noise_floor,
         }
 
@@ -112,43 +110,6 @@ class OtherPath:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A structure as a search leaves it: what it adds, its noise law, how probable it is."""
-
-    effects: tuple[str, ...]
-    wanders: bool
-    log_evidence: float
-    probability: float
-
-
-@dataclass(frozen=True)
-class Search:
-    """How a search ended.
-
-    Attributes:
-        structures: the most probable ones.
-        weighed: how many were.
-        complete: whether it came to its end.
-        stopped: why it did not, in words.
-    """
-
-    structures: tuple[Shown, ...]
-    weighed: int
-    complete: bool
-    stopped: str = ""
-
-    @classmethod
-    def of(cls, structures: Structures, *, complete: bool, stopped: str = "") -> Search:
-        posterior = Posterior.of(structures)
-        shown = tuple(
-            Shown(tuple(sorted(s.effects)), s.wanders, posterior.refitted[s].log_evidence, float(p))
-            for s, p in zip(posterior.structures, posterior.probability, strict=True)
-            if s in posterior.refitted
-        )
-        return cls(shown[:SHOWN], len(structures.visited), complete, stopped)
-
-
-@dataclass(frozen=True)
 class Trail:
     """The sequence of models from the first to the chosen one, and whether to trust the last.
 
@@ -157,7 +118,7 @@ class Trail:
         gate: of the last model.
         holdout: the readings kept apart.
         other_path: an end under another noise law that is nearly as probable; None where there is none.
-        search: the structures weighed; None before the search.
+        search: the structures weighed; None where none was asked for.
     """
 
     steps: tuple[Step, ...]
@@ -173,6 +134,19 @@ class Trail:
     @property
     def ok(self) -> bool:
         return self.gate.ok and self.final.calibration.verdict.ok
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is left to search: not under way, not ended early."""
+        return self.search is None or self.search.complete
+
+    @property
+    def ending(self) -> str:
+        """Why the search ended where it did, in words; empty where none was made."""
+        if self.search is None or not (self.search.complete or self.search.stopped):
+            return ""
+        added = sum(s.added is not None for s in self.steps)
+        return ending(self.final.discovery, added, self.search.max_effects, self.search.stopped)
 
     if TYPE_CHECKING:
 

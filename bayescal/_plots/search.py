@@ -39,6 +39,7 @@ class _StepError(NamedTuple):
 
     title: str
     fitted: float
+    new_run: float
     left_out: float | None
     held_out: float | None
     noise_floor: float
@@ -49,7 +50,8 @@ def _of_data(step: Mapping[str, Any]) -> _StepError:
     """From a step as result.json has it."""
     return _StepError(
         title=step["title"],
-        fitted=step["rmse"],
+        fitted=step["rmse_fitted"],
+        new_run=step["rmse"],
         left_out=(step["leave_one_group_out"] or {}).get("rmse"),
         held_out=step["holdout_rmse"],
         noise_floor=step["noise_floor"],
@@ -68,10 +70,12 @@ def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
     steps = [_of_data(step) for step in told]
     figure = new_figure(5.6, 0.75 + 1.0 * len(steps)) if ax is None else ax.figure
     ax = figure.subplots() if ax is None else ax
+    runs = any(s.new_run > 1.001 * s.fitted for s in steps)  # no effect of a run, no second bar
     series = [
-        ("fitted readings", [s.fitted for s in steps], BLUE),
-        ("left-out groups", [s.left_out for s in steps], ORANGE),
-        ("kept-apart readings", [s.held_out for s in steps], GREEN),
+        ("as fitted", [s.fitted for s in steps], BLUE),
+        ("new run", [s.new_run if runs else None for s in steps], PALE),
+        ("left-out", [s.left_out for s in steps], ORANGE),
+        ("held-out", [s.held_out for s in steps], GREEN),
     ]
     series = [s for s in series if any(v is not None for v in s[1])]
     largest = max(v for _, values, _ in series for v in values if v is not None)
@@ -86,17 +90,19 @@ def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
     for i, step in enumerate(steps):
         ax.text(0, i - 0.03, f" {i}  {plain(step.title)}{_fall(steps, i)}", va="bottom")
     floor = steps[-1].noise_floor
-    ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"noise floor {number(floor)}")
+    ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
     ax.set_xlabel(axis_label("rms error", steps[-1].unit))
     where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.26 / (0.3 + 0.4 * len(steps)))}
-    ax.legend(frameon=False, fontsize=8, ncols=2, **where)
+    handles, _ = ax.get_legend_handles_labels()
+    handles.sort(key=lambda h: h.get_label().startswith("floor"))  # the last, as in the tables
+    ax.legend(handles=handles, frameon=False, fontsize=8, ncols=2, **where)
     open_sides(ax)
     return figure
 
 
 def _fall(steps: list[_StepError], i: int) -> str:
-    """How much smaller the error of the fitted readings is than one step before."""
+    """How much smaller the error as fitted is than one step before."""
     if i == 0 or not steps[i - 1].fitted:
         return ""
     return f"   ({100 * (steps[i].fitted / steps[i - 1].fitted - 1):+.0f} %)".replace("-", "−")

@@ -75,12 +75,12 @@ class Pictures:
     def error(self, chapter: Chapter) -> Picture:
         steps = chapter.data["steps"]
         unit = unit_label(steps[-1]["unit"])
-        told = "; ".join(f"{s['title']} {number(s['rmse'])} {unit}" for s in steps)
+        told = "; ".join(f"{s['title']} {number(s['rmse_fitted'])} {unit}" for s in steps)
         floor = number(steps[-1]["noise_floor"])
         return self.draw(
             lambda: plot.trail(chapter.data),
             "The error, step by step",
-            f"Bars of the rms error of each step: {told}; noise floor {floor} {unit}.",
+            f"Bars of the rms error of each step, as fitted: {told}; noise floor {floor} {unit}.",
         )
 
     def missing(self, found: dict, title: str) -> Picture | None:

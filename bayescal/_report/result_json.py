@@ -44,6 +44,7 @@ def result(trail: Trail) -> dict[str, Any]:
     return clean(
         {
             "schema": SCHEMA,
+            "complete": trail.complete,
             "instrument": final.model.instrument.name,
             "method": final.method,
             "seed": final.seed,
@@ -57,6 +58,7 @@ def result(trail: Trail) -> dict[str, Any]:
             "other_path": None
             if trail.other_path is None
             else {**vars(trail.other_path), "in_words": str(trail.other_path)},
+            "search": search_data(trail),
             "steps": [step_data(s) for s in trail.steps],
             "check": [e for i, s in enumerate(trail.steps) for e in check_data(s.check, i)],
             "pairs": [p for i, s in enumerate(trail.steps) for p in pairs_data(s.check, i)],
@@ -77,6 +79,29 @@ def result(trail: Trail) -> dict[str, Any]:
     )
 
 
+def search_data(trail: Trail) -> dict[str, Any] | None:
+    """The structures that were weighed, and why the search ended."""
+    search = trail.search
+    if search is None:
+        return None
+    return {
+        "weighed": search.weighed,
+        "complete": search.complete,
+        "stopped": search.stopped,
+        "ending": trail.ending,
+        "seconds": search.seconds,
+        "structures": [
+            {
+                "effects": list(s.effects),
+                "wanders": s.wanders,
+                "log_evidence": s.log_evidence,
+                "probability": s.probability,
+            }
+            for s in search.structures
+        ],
+    }
+
+
 def versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
     for name in PACKAGES:
@@ -88,14 +113,18 @@ def versions() -> dict[str, str]:
 
 
 def _source(readings: Measurements) -> dict[str, Any]:
-    sources = readings.sources
-    if len(sources) == 1:
-        return {"file": sources[0].file, "sha256": sources[0].sha256, "rows": len(readings)}
+    files = [s.file for s in readings.sources]
     return {
-        "file": [s.file for s in sources],
-        "sha256": [s.sha256 for s in sources],
+        "file": files[0] if len(files) == 1 else files,
+        "sha256": hashes(readings),
         "rows": len(readings),
     }
+
+
+def hashes(readings: Measurements) -> str | list[str]:
+    """Of the bytes of the file, or of each."""
+    found = [s.sha256 for s in readings.sources]
+    return found[0] if len(found) == 1 else found
 
 
 def _groups(readings: Measurements) -> dict[str, Any]:
@@ -165,6 +194,7 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
     return {
         "step": step,
         "nothing_missing_probability": found.nothing_missing,
+        "noise_wanders": found.noise_wanders,
         "sets": [{"effects": list(s.effects), "probability": s.probability} for s in found.sets],
         "candidates": [
             {

@@ -11,6 +11,7 @@ from pathlib import Path
 from bayescal._discovery.calibrate import calibrate as calibrate
 from bayescal._discovery.search_path import Trail
 from bayescal._report.result_json import result, write_json
+from bayescal._report.under_way import RESULT
 
 
 def save_search(self: Trail, folder: Path) -> None:
@@ -18,9 +19,9 @@ def save_search(self: Trail, folder: Path) -> None:
     from bayescal._plots.search import loop  # Matplotlib only where a picture is written
     from bayescal._plots.style import save
 
-    write_json(result(self), Path(folder) / "result.json")
     self.final.calibration.save(Path(folder) / "calibration.nc")
     save(loop(self), Path(folder) / "loop.png")
+    write_json(result(self), Path(folder) / RESULT)  # last: it says whether all is there
 
 
 Trail.save = save_search

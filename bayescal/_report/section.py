@@ -27,8 +27,9 @@ from bayescal._discovery.search_path import Step, Trail, gate
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import SCHEMA, result
+from bayescal._report.under_way import RESULT, refuse_unfinished
 
-RESULT, CALIBRATION, PICTURE = "result.json", "calibration.nc", "loop.png"
+CALIBRATION, PICTURE = "calibration.nc", "loop.png"
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -119,6 +120,7 @@ def _read_result(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path} is no result of this version: its schema is {schema!r}, not {SCHEMA!r}"
         )
+    refuse_unfinished(path, data)
     return data
 
 

@@ -101,16 +101,19 @@ def ok(chapter: Chapter) -> bool:
 def unexplained(chapter: Chapter) -> list[str]:
     """What the last model leaves open, a sentence each."""
     step, unit = chapter.data["steps"][-1], chapter.calibration.unit
-    rms, noise = step["rmse"], step["noise_floor"]
+    rms, new, noise = step["rmse_fitted"], step["rmse"], step["noise_floor"]
     said = [
-        f"rms error {measured(rms, unit, 3)} (runs taken as new ones) against a noise floor of "
-        f"{measured(noise, unit, 3)}: "
+        f"rms error as fitted {measured(rms, unit, 3)} against a noise floor of {measured(noise, unit, 3)}: "
         + (
             f"about {measured((rms**2 - noise**2) ** 0.5, unit, 2)} rms is more than noise."
             if rms > ABOVE_NOISE * noise
             else "nothing beyond the noise."
         )
     ]
+    if new > ABOVE_NOISE * rms:
+        said.append(
+            f"A new run has an rms error of {measured(new, unit, 3)}: it brings a deviation of its own."
+        )
     for e in chapter.check.entries:
         if e.log_bayes_factor > STRONG:
             size = f"{e.worst.size:+.2g} {unit_label(unit)}".replace("-", "−")
@@ -134,6 +137,8 @@ def unexplained(chapter: Chapter) -> list[str]:
         )
     if chapter.data["other_path"] is not None:
         said.append(chapter.data["other_path"]["in_words"])
+    if why := (chapter.data.get("search") or {}).get("ending"):
+        said.append(why)
     if not chapter.data["gate"]["ok"]:
         said.append(chapter.data["gate"]["reason"])
     return said
@@ -145,13 +150,15 @@ def story(chapter: Chapter) -> list[str]:
     findings = {
         m["step"]: {n for s in m["sets"] for n in s["effects"]} for m in chapter.data["missing"]
     }
-    said = [f"It began with {steps[0]['title']}: rms error {measured(steps[0]['rmse'], unit, 3)}."]
+    said = [
+        f"It began with {steps[0]['title']}: rms error as fitted {measured(steps[0]['rmse_fitted'], unit, 3)}."
+    ]
     for i, (before, step) in enumerate(pairwise(steps)):
         name = step["added"]
         if name and name in findings.get(i, ()):
             what = f"{name} was found missing. Added, it"
         else:
             what = f"Adding {name}" if name else f"The step «{step['title']}»"
-        fell = f"from {measured(before['rmse'], unit, 3)} to {measured(step['rmse'], unit, 3)}"
-        said.append(f"{what} brought the rms error {fell}.")
+        errors = (measured(s["rmse_fitted"], unit, 3) for s in (before, step))
+        said.append(f"{what} brought the rms error as fitted from {' to '.join(errors)}.")
     return said

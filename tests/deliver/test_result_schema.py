@@ -31,12 +31,14 @@ TYPES = {
 
 # The keys of schema bayescal.result/1, which no later version may drop.
 KEYS = {
-    "": "schema instrument method seed versions reference readings holdout gate steps check "
+    "": "schema complete search instrument method seed versions reference readings holdout gate steps check "
     "missing coefficients spreads identifiability verdict",
     "reference": "T0",
     "readings": "file sha256 rows groups",
     "holdout": "file sha256 rows",
     "gate": "ok reason",
+    "search": "weighed complete stopped ending seconds structures",
+    "search.structures[]": "effects wanders log_evidence probability",
     "other_path": "noise added log_bayes_factor in_words",
     "steps[]": "effects added dropped rmse rmse_fitted unit holdout_rmse leave_one_group_out "
     "log_evidence noise noise_floor verdict",
@@ -45,7 +47,7 @@ KEYS = {
     "steps[].noise": "law white correlated diffusion tau",
     "check[]": "step against log_bayes_factor worst",
     "check[].worst": "from to group size unit",
-    "missing[]": "step nothing_missing_probability sets candidates unknown",
+    "missing[]": "step nothing_missing_probability noise_wanders sets candidates unknown",
     "missing[].sets[]": "effects probability",
     "missing[].candidates[]": "effect probability log_bayes_factor source z size size_sd unit "
     "shape visibility minimum_detectable kind indistinguishable_from",

@@ -239,3 +239,18 @@ def test_a_broken_write_leaves_the_old_file_whole(line, tmp_path, monkeypatch) -
         line.save(path)
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["line.nc"]
+
+
+def test_unknown_functions_saved_in_parts_of_their_amplitude_are_refused(tmp_path) -> None:
+    model = INSTRUMENT.baseline() + "unknown(temperature)"
+    found = bc.fit(model, bc.read(TABLE, INSTRUMENT), bc.LeastSquares(draws=200), strict=False)
+    path = found.save(tmp_path / "curve.nc")
+    bc.load(path)
+    with xr.open_datatree(path, engine="h5netcdf") as opened:
+        tree = opened.load()
+    described = json.loads(tree.attrs["bayescal"])
+    del described["coefficients"]  # as it was before
+    tree.attrs["bayescal"] = json.dumps(described)
+    tree.to_netcdf(tmp_path / "old.nc", engine="h5netcdf")
+    with pytest.raises(bc.InputError, match=r"unknown\(temperature\) were parts of its amplitude"):
+        bc.load(tmp_path / "old.nc")

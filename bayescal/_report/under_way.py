@@ -1,0 +1,67 @@
+"""A search under way: its result.json, replaced as it goes on, and taken up by the next run if it did not end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from bayescal._core.errors import InputError
+from bayescal._discovery.posterior import Shown
+from bayescal._discovery.search_path import Trail
+from bayescal._model.model import Model
+from bayescal._readings.measurements import Measurements
+from bayescal._report.result_json import SCHEMA, clean, hashes, result, search_data, write_json
+
+RESULT = "result.json"
+
+
+class Keeper:
+    """Keeps result.json of a folder as a search goes on: `"complete": false` until it is saved at its end."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / RESULT
+        self._steps, self._data = 0, {}
+
+    def __call__(self, trail: Trail) -> None:
+        if len(trail.steps) != self._steps:  # only the search changes between two steps
+            self._steps, self._data = len(trail.steps), result(trail)
+        now = {"complete": trail.complete, "search": clean(search_data(trail))}
+        write_json({**self._data, **now}, self.path)
+
+
+def earlier(folder: Path, model: Model, readings: Measurements) -> tuple[Shown, ...]:
+    """Structures of a search in this folder that did not come to its end, if it was this one; else none.
+
+    It was if instrument, first model and the bytes of the readings are the same.
+    """
+    try:
+        data = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        if data["schema"] != SCHEMA or data["complete"] is not False:
+            return ()
+        first = data["steps"][0]
+        then = (data["instrument"], first["effects"], first["noise"]["law"], data["fixed"])
+        now = (model.instrument.name, list(model.names), model.noise.law, dict(model.fixed))
+        if then != now or data["readings"]["sha256"] != hashes(readings):
+            return ()
+        return tuple(_shown(s) for s in data["search"]["structures"])
+    except (OSError, ValueError, KeyError, IndexError, TypeError):
+        return ()  # no result, or none that can be read: the search begins anew
+
+
+def _shown(said: dict[str, Any]) -> Shown:
+    evidence, probability = said["log_evidence"], said["probability"]
+    return Shown(tuple(said["effects"]), bool(said["wanders"]), evidence, probability)
+
+
+def refuse_unfinished(path: Path, data: dict[str, Any]) -> None:
+    """A result of a search that goes on, or was killed, is nothing to report of.
+
+    Raises:
+        InputError: it is one; a search that was ended early has ended, and is none.
+    """
+    if data.get("complete") is False and not (data.get("search") or {}).get("stopped"):
+        raise InputError(
+            f"{path} is of a search that goes on, or was killed: wait for its end, or give `bayescal calibrate` "
+            "the same files and the same --out again, and it goes on from there"
+        )
