@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from bayescal._discovery.structures import Structure, Structures, Weighed
+from bayescal._engine.linear_model import linear_model
 
 FOUND = 0.95  # probability from which something is reported as found
 SHOWN = 20  # structures kept of a search
@@ -116,3 +118,62 @@ class Posterior:
         best = self.best
         kept = {n for n in best.effects if any(n in f.effects for f in self.findings)}
         return Structure(frozenset(kept) | self.given, best.wanders)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A structure as a search leaves it: what it adds, its noise law, how probable it is.
+
+    Attributes:
+        rms: error as fitted, output unit; of the most probable structure alone.
+    """
+
+    effects: tuple[str, ...]
+    wanders: bool
+    log_evidence: float
+    probability: float
+    rms: float | None = None
+
+    def __str__(self) -> str:
+        parts = [*(["wandering noise"] if self.wanders else []), *self.effects]
+        return "+ " + " + ".join(parts) if parts else "nothing to add"
+
+
+@dataclass(frozen=True)
+class Search:
+    """How a search stands, or how it ended.
+
+    Attributes:
+        structures: the most probable ones; of an earlier search, they are the `seeds` of one that goes on.
+        weighed: how many were.
+        complete: whether it came to its end.
+        stopped: why it did not, in words; empty where it did, or goes on.
+        seconds: since it began.
+        max_effects: most effects that it may add.
+    """
+
+    structures: tuple[Shown, ...]
+    weighed: int
+    complete: bool
+    stopped: str = ""
+    seconds: float = 0.0
+    max_effects: int | None = None
+
+    @classmethod
+    def of(cls, structures: Structures, *, complete: bool, **told: Any) -> Search:
+        """Of the structures weighed so far; `told` are the other fields."""
+        weighed, shown = structures.visited.values(), ()
+        if any(math.isfinite(w.total) for w in weighed):
+            posterior = Posterior.of(structures)
+            each = zip(posterior.structures, posterior.probability, strict=True)
+            refitted = [(posterior.refitted[s], p) for s, p in each if s in posterior.refitted]
+            shown = tuple(_shown(w, float(p), i == 0) for i, (w, p) in enumerate(refitted[:SHOWN]))
+        return cls(shown, len(weighed), complete, **told)
+
+
+def _shown(w: Weighed, probability: float, with_error: bool) -> Shown:
+    rms = None
+    if with_error:
+        rms = float(np.sqrt(np.mean(linear_model(w.assembly, w.mode).residual ** 2)))
+    effects = tuple(sorted(w.structure.effects))
+    return Shown(effects, w.structure.wanders, w.log_evidence, probability, rms)

@@ -13,8 +13,9 @@ from bayescal._calibration.guards import conflicts
 from bayescal._core.formatting import number, probability, table
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
-from bayescal._discovery.discover import Discovery, ending
-from bayescal._discovery.posterior import Search
+from bayescal._discovery.candidate import Candidate
+from bayescal._discovery.discover import Discovery
+from bayescal._discovery.posterior import FOUND, Search
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 
@@ -241,3 +242,78 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
                 "what was added holds for these readings alone."
             )
     return reasons
+
+
+def ending(found: Discovery | None, added: int, most: int | None, stopped: str) -> str:
+    """Why a search ended where it did: time, a bound on the effects, or that nothing more is probable enough.
+
+    Args:
+        found: what is missing from the last model.
+        added: effects that were added.
+        most: effects that may be.
+        stopped: why it ended early; empty where it did not.
+    """
+    if found is None:
+        return stopped or "Nothing was looked for: the fit is not to be trusted."
+    said = [stopped] if stopped else []
+    if not stopped and most is not None and added >= most > 0:
+        said.append(
+            f"The search has added as many effects as it may, {most} (--max-effects, in Python max_effects): "
+            "with more, more may be found."
+        )
+    tested = [c for c in found.candidates if c.probability is not None]
+    if tested:
+        said.append(_nearest(max(tested, key=lambda c: c.probability or 0.0), added))
+    elif not said:
+        said.append("These readings can test no further candidate.")
+    return " ".join(said)
+
+
+def _nearest(best: Candidate, added: int) -> str:
+    """The most probable candidate that was not added."""
+    it = f"{best.effect}, probability {probability(best.probability)}"
+    if (best.probability or 0.0) >= FOUND:
+        return f"Still missing: {it}."
+    more = "Nothing more" if added else "Nothing"
+    if best.kind == "lead":
+        return f"{more} is found: {it}: a lead, below the {FOUND:g} asked for."
+    return f"{more} is found: the most probable candidate is {it}, below the {FOUND:g} asked for."
+
+
+def _candidate_row(c: Candidate) -> list[str]:
+    remark = "this experiment cannot see it" if c.kind == "not visible" else c.kind or ""
+    factor = "–" if c.log_bayes_factor is None else f"{c.log_bayes_factor:z.1f}"
+    return [
+        c.effect,
+        probability(c.probability),
+        factor + ("*" if c.source == "refit" else " "),
+        f"{with_error(c.size or 0.0, c.size_sd or 0.0)} {unit_label(c.unit)}".rstrip(),
+        number(c.minimum_detectable, 2),
+        remark,
+    ]
+
+
+def _alike(found: Discovery) -> list[str]:
+    """One line for each group of candidates that these readings can hardly tell apart."""
+    groups: dict[frozenset[str], str] = {}
+    for c in found.candidates:
+        if c.indistinguishable_from:
+            members = (c.effect, *c.indistinguishable_from)
+            if not any(frozenset(members) <= known for known in groups):
+                groups[frozenset(members)] = ", ".join(members)
+    return [
+        textwrap.fill(f"hard to tell apart: {names}", WIDTH, subsequent_indent="  ")
+        for names in groups.values()
+    ]
+
+
+def _not_testable(found: Discovery) -> list[str]:
+    """One line for each reason, with the effects that it holds back."""
+    by_reason: dict[str, list[str]] = {}
+    for c in found.candidates:
+        if c.kind == "not testable":
+            by_reason.setdefault(c.reason, []).append(c.effect)
+    return [
+        textwrap.fill(f"not testable, {reason}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
+        for reason, names in by_reason.items()
+    ]
