@@ -20,8 +20,8 @@ from bayescal._diagnostics.neighbours import noise_floor, without_spikes
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over, told
 from bayescal._discovery.library import Library
-from bayescal._discovery.posterior import Posterior, Search, Shown
-from bayescal._discovery.search_path import OtherPath, Step, Trail, gate
+from bayescal._discovery.posterior import OtherPath, Posterior, Search, Shown
+from bayescal._discovery.search_path import Step, Trail, gate
 from bayescal._discovery.structures import Structure, Structures
 from bayescal._discovery.walk import STOPPED, walk
 from bayescal._inference.method import Method

@@ -15,7 +15,7 @@ from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import Discovery
-from bayescal._discovery.posterior import FOUND, Search
+from bayescal._discovery.posterior import FOUND, OtherPath, Search
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 
@@ -84,30 +84,6 @@ class Gate:
 
     ok: bool
     reason: str
-
-
-@dataclass(frozen=True)
-class OtherPath:
-    """Where the search ends under the other noise law, if these readings do not tell the two ends apart.
-
-    Attributes:
-        noise: that law.
-        added: what was added under it.
-        log_bayes_factor: of that end against the trail's own, natural logarithm; negative.
-    """
-
-    noise: str
-    added: tuple[str, ...]
-    log_bayes_factor: float
-
-    def __str__(self) -> str:
-        law = "white" if self.noise == "white" else "wandering"
-        what = " and ".join(self.added) if self.added else "nothing"
-        return (
-            f"These readings cannot tell this end from {law} noise with {what} added (log Bayes factor "
-            f"{self.log_bayes_factor:.1f}): a dependence on time can look like wandering noise, and wandering noise "
-            "like an effect. A repeat of the campaign tells: noise will wander otherwise, an effect will not."
-        )
 
 
 @dataclass(frozen=True)
