@@ -5,13 +5,11 @@ from __future__ import annotations
 import textwrap
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, table, with_error
-from bayescal._inference import laplace
 from bayescal._model.parameters import CoefficientBlock
 from bayescal._readings.unit_conversion import unit_label
 
@@ -122,15 +120,11 @@ def null_directions(calibration: Fitted) -> list[dict[str, str]]:
     there the posterior is the prior. What concerns next to nothing but deviations of a group's members, or the
     coefficients of unknown functions, is counted in one line for all.
     """
-    y = jnp.asarray(calibration.readings["output"])
-    frame, noise = calibration.frame, calibration.model.noise
-    null = laplace.linearised(calibration.layout, frame, y, calibration.mode)
     count = calibration.layout.size
     if count == 0:
         return []
-    sd = np.asarray(null.prior.sd[:count])
-    scaled = null.nuisance[:, :count] * null.prior.sd[:count]
-    white = np.asarray(noise.whiten(scaled, null.extra, null.hyper, frame)[0])
+    sd = calibration.linear.sd[:count]
+    white = calibration.linear.white_nuisance[:, :count]
     names = _entry_names(calibration)
     main = np.concatenate([np.full(b.size, _single(b)) for b in calibration.layout.x_blocks])
     exact = null_space.exact(white)
