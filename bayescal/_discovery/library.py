@@ -16,6 +16,7 @@ from bayescal._discovery.structures import SIZES, Structures
 from bayescal._engine.record import ColumnsOf
 from bayescal._model.coefficient import Coefficient, Shape
 from bayescal._model.effect import Effect
+from bayescal._model.instrument import slot_of
 from bayescal._readings.unit_conversion import coefficient_factor
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
@@ -95,7 +96,7 @@ class Library:
         for name, points in self.points.items():
             effect, at = self.structures.candidates[name], 0
             for i, c in enumerate(effect.coefficients):
-                slot = instrument.slot(c.slot or effect.slot)
+                slot = slot_of(instrument, c.slot or effect.slot)
                 slope = slopes[slot.name] * coefficient_factor(c.unit, slot.unit)
                 codes = None if c.per is None else record.codes[c.per]
                 for p in points:

@@ -161,18 +161,7 @@ class Instrument(eqx.Module):
         Raises:
             ModelError: there is no such slot.
         """
-        for slot in self.slots:
-            if slot.name == name:
-                return slot
-        for column in self.columns:
-            if column.name == name and column.unit is not None and name != "output":
-                return Slot(
-                    name, "delta_degC" if column.unit == "degC" else column.unit, column.meaning
-                )
-        raise ModelError(
-            f"instrument {self.name!r} has no slot {name!r}; an effect can add to "
-            f"{', '.join(s.name for s in self.slots)}, or correct a numeric column"
-        )
+        return slot_of(self, name)
 
     def effect(self, name: str) -> Effect:
         """One of the instrument's own effects by canonical name, or "unknown(covariate)".
@@ -227,3 +216,19 @@ class Instrument(eqx.Module):
         noise = getattr(getattr(self.noise, "scale", None), "scale", 1.0)
         low, high = min(sizes, default=noise) / 3, max(sizes, default=noise) * 3
         return placeholder(covariate, slot.name, low, high, slot.unit)
+
+
+def slot_of(instrument: Instrument, name: str) -> Slot:
+    """`instrument.slot(name)`, where it is asked often: a bound method of a module takes it apart each time."""
+    for slot in instrument.slots:
+        if slot.name == name:
+            return slot
+    for column in instrument.columns:
+        if column.name == name and column.unit is not None and name != "output":
+            return Slot(
+                name, "delta_degC" if column.unit == "degC" else column.unit, column.meaning
+            )
+    raise ModelError(
+        f"instrument {instrument.name!r} has no slot {name!r}; an effect can add to "
+        f"{', '.join(s.name for s in instrument.slots)}, or correct a numeric column"
+    )

@@ -9,7 +9,7 @@ import equinox as eqx
 
 from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
-from bayescal._model.instrument import Instrument
+from bayescal._model.instrument import Instrument, slot_of
 from bayescal._model.noise_laws import Noise
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_parsing import ANY
@@ -35,7 +35,7 @@ class Model(eqx.Module):
     def __check_init__(self) -> None:
         for effect in self.effects:
             for coefficient in effect.coefficients:
-                self.instrument.slot(coefficient.slot or effect.slot)
+                slot_of(self.instrument, coefficient.slot or effect.slot)
 
     @property
     def names(self) -> tuple[str, ...]:

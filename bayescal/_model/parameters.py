@@ -19,6 +19,7 @@ from bayescal._core.errors import ModelError
 from bayescal._model.coefficient import Coefficient
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
+from bayescal._model.instrument import slot_of
 from bayescal._model.model import Model
 from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
@@ -101,7 +102,7 @@ class Layout:
         for effect in self.model.effects:
             for index, coefficient in enumerate(effect.coefficients):
                 name = effect.coefficient_name(index)
-                slot = self.model.instrument.slot(coefficient.slot or effect.slot)
+                slot = slot_of(self.model.instrument, coefficient.slot or effect.slot)
                 size = counts[coefficient.per] if coefficient.per else 1
                 place: Literal["x", "row", "phi", "fixed"] = "x"
                 if name in fixed:
