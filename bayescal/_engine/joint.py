@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import Float
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import LOG_2PI, NOWHERE
 from bayescal._engine.mode import Mode
-from bayescal._engine.pieces import ColumnsOf
+from bayescal._engine.pieces import ColumnsOf, Term
 from bayescal._engine.whitening import Batch, known_variance, log_likelihood
 
 
@@ -176,15 +177,9 @@ def linearise_draws(
     record = assembly.record
     x = np.broadcast_to(point.x, (count, assembly.size))
     rows = np.broadcast_to(point.rows, (count, *point.rows.shape))
-    mean, slopes = record.responses(_slots(assembly, x, rows, hyper, {}))
+    mean, columns = expected_with_slopes(assembly, x, rows, hyper, assembly.in_x)
     table = np.zeros((count, record.size, assembly.size + 1))
-    made: tuple[str, np.ndarray] | None = None
-    for t in assembly.terms:
-        if made is None or made[0] != t.known.of:
-            made = t.known.of, _columns(assembly, t.known.columns, t.known.shape_names, hyper, {})
-        if t.place != "x":
-            continue
-        column = slopes[t.slot] * (made[1][..., t.index] * t.factor)
+    for t, column in zip(assembly.in_x, columns, strict=True):
         if t.known.per is None:
             table[:, :, t.at.start] = column
         else:
@@ -194,6 +189,31 @@ def linearise_draws(
             table[:, known, t.at.start + codes[known]] = wide[:, known]
     table[:, :, -1] = record.y - mean
     return table
+
+
+def expected_with_slopes(
+    assembly: Assembly, x, rows, hyper: Batch, terms: Sequence[Term]
+) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
+    """Expected output of joint draws, and its slopes by some terms, (n,) or (b, n) each, as if all readings belonged
+    to one member of a term's group."""
+    record, places = assembly.record, {id(t): i for i, t in enumerate(assembly.terms)}
+    wanted = [places[id(t)] for t in terms]
+    if assembly.corrected:  # one draw after the other
+        mean = np.empty((len(x), record.size))
+        found = [np.empty_like(mean) for _ in wanted]
+        for b, into in enumerate(mean):
+            one = {name: float(np.broadcast_to(v, len(x))[b]) for name, v in hyper.items()}
+            into[:], slopes, columns = assembly.responding(Point(x[b], rows[b]), one)
+            for i, slope in zip(wanted, found, strict=True):
+                slope[b] = slopes[assembly.terms[i].slot] * columns[i][0]
+        return mean, found
+    mean, slopes = record.responses(_slots(assembly, x, rows, hyper, {}))
+    made, found = {}, []
+    for t in terms:
+        if t.known.of not in made:
+            made = {t.known.of: _columns(assembly, t.known.columns, t.known.shape_names, hyper, {})}
+        found.append(slopes[t.slot] * (made[t.known.of][..., t.index] * t.factor))
+    return mean, found
 
 
 def expected(

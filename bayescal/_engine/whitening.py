@@ -63,15 +63,16 @@ def known_variance(record: Record) -> Float[np.ndarray, "n"] | float:
 
 def variance_of(
     noise: Noise, values: Values, record: Record, extra: Float[np.ndarray, "n"] | float
-) -> Float[np.ndarray, "n"]:
-    """Of each reading about the expected output, with the variance `extra` beside it."""
+) -> Float[np.ndarray, "... n"]:
+    """Of each reading about the expected output, with the variance `extra` beside it; φ one number, or a column."""
     if not isinstance(noise, (White, OrnsteinUhlenbeck)):
         own = np.asarray(noise.variance(values, record.frame))  # pyright: ignore[reportArgumentType]
     else:
         own = values["noise.white"] ** 2 + known_variance(record)
         if isinstance(noise, OrnsteinUhlenbeck):
             own = own + _wandering(values)
-    return np.broadcast_to(own + extra, (record.size,))
+    total = np.asarray(own + extra)
+    return np.broadcast_to(total, np.broadcast_shapes(total.shape, (record.size,)))
 
 
 def _wandering(values: Values) -> float:
