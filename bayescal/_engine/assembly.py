@@ -189,9 +189,9 @@ class Assembly:
 
     def slopes(self, point: Point, hyper: Values) -> dict[str, Float[np.ndarray, "n"]]:
         """Of the expected output by each slot, reading by reading."""
-        return self.responding(point, hyper)[1]
+        return self._responding(point, hyper)[1]
 
-    def responding(self, point: Point, hyper: Values):
+    def _responding(self, point: Point, hyper: Values):
         """Expected output, its slopes by slots and by corrected columns, and each term's column."""
         values = self._values(point, hyper)
         moves: dict[str, np.ndarray] = {}
@@ -217,7 +217,7 @@ class Assembly:
 
     def linearise(self, point: Point, hyper: Values) -> Line:
         """Expected output and Jacobian at a point, output unit per reported unit."""
-        mean, slopes, columns = self.responding(point, hyper)
+        mean, slopes, columns = self._responding(point, hyper)
         n, row = self.record.size, 0
         jacobian, rows = np.zeros((n, self.size), order="F"), np.zeros((n, len(self.row_sd)))
         for t, (column, _) in zip(self.terms, columns, strict=True):
