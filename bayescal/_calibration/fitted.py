@@ -5,20 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from bayescal._calibration.named_draws import named
+from bayescal._calibration.on_readings import Vectors, pointwise
 from bayescal._core.errors import InputError
-from bayescal._core.jit import compiled
-from bayescal._core.parallel import over
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.linear_model import LinearModel, linear_model
 from bayescal._engine.mode import Mode
+from bayescal._engine.pieces import padded_length
 from bayescal._engine.record import Record
 from bayescal._inference.method import Draws, Verdict
-from bayescal._model import forward
 from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
@@ -65,6 +63,20 @@ class Fitted:
         library = instrument.shown_by(self.frame, self.model.effects)
         return Assembly(self.layout, Record(instrument, self.frame, y, library))
 
+    def assembly_on(self, readings: Measurements, frame: Frame) -> Assembly:
+        """The fitted structure on other readings; columns are computed in the fit's own program where it fits."""
+        fitted = self.assembly.record
+        alike = (
+            padded_length(frame.size) == padded_length(fitted.size)
+            and set(frame.columns) == set(fitted.frame.columns)
+            and set(frame.labels) == set(fitted.frame.labels)
+        )
+        counts = {**dict(self.layout.counts), "reading": frame.size}
+        layout = Layout(self.model, tuple(counts.items()), self.layout.promoted)
+        y = np.asarray(readings["output"])
+        library = fitted.library if alike else ()
+        return Assembly(layout, Record(self.model.instrument, frame, y, library))
+
     @cached_property
     def linear(self) -> LinearModel:
         """The fitted structure as a linear model about its mode."""
@@ -103,13 +115,13 @@ class Fitted:
         Coefficients that belong to one reading (a thermometer's error) are averaged over their prior: another
         reading would have another one.
 
-        Under correlated noise it is that of each reading's white part given all else.
+        Under correlated noise it is that of each reading given those before it in its run.
         """
         chains, draws = self.joint.x.shape[:2]
         keep = max(1, min(draws, limit // max(1, chains * len(self.readings))))
         step = -(-draws // keep)
-        vectors = [flat(a[:, ::step]) for a in (self.joint.x, self.joint.rows, self.joint.v)]
-        values = pointwise(self.layout, self.frame, jnp.asarray(self.readings["output"]), *vectors)
+        vectors = (flat(a[:, ::step]) for a in (self.joint.x, self.joint.rows, self.joint.v))
+        values = pointwise(self.assembly, Vectors(*vectors))
         shaped = values.reshape(chains, -1, len(self.readings))
         return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})
 
@@ -117,24 +129,3 @@ class Fitted:
 def flat(values: np.ndarray) -> np.ndarray:
     """Chains one after the other."""
     return values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
-
-
-@compiled
-def _pointwise(layout: Layout, frame: Frame, y, draws):
-    def one(draw):
-        x, rows, v = draw
-        hyper = forward.hyper_values(layout, v)
-        if layout.row_blocks and layout.model.noise.gaussian:
-            return forward.log_likelihood_over_rows(layout, frame, y, x, hyper)
-        return forward.log_likelihood(layout, frame, y, x, rows, hyper)
-
-    return over(one, draws, 64)
-
-
-def pointwise(layout: Layout, frame: Frame, y, x, rows, v) -> np.ndarray:
-    """Log likelihood of each reading under each draw, (draws, n)."""
-    return np.asarray(
-        _pointwise(
-            layout, frame, jnp.asarray(y), (jnp.asarray(x), jnp.asarray(rows), jnp.asarray(v))
-        )
-    )

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from bayescal._model import forward
 from bayescal._model.parameters import Layout, Levels
 
 
@@ -16,21 +13,24 @@ def named(
 ) -> xr.Dataset:
     """Draws (chains, draws, …) as one variable per unknown, in its reported unit."""
 
-    def one(x, rows, v):
-        return forward.coefficients(layout, x, rows, forward.hyper_values(layout, v))
-
-    if (
-        not layout.row_blocks
-    ):  # XLA spends seconds and gigabytes on an empty array that has a place for each reading
-        rows = rows[:, :, :1]
-    coordinates_of_phi = jnp.asarray(v)
-    values = jax.vmap(jax.vmap(one))(jnp.asarray(x), jnp.asarray(rows), coordinates_of_phi)
+    x, rows, v = (np.asarray(a) for a in (x, rows, v))
+    hyper = _hyper_values(layout, v)
+    row = 0
     found: dict[str, tuple] = {}
     coordinates: dict[str, list[str]] = {}
     for b in layout.blocks:
         if b.place == "fixed":
             continue
-        value, dims = np.asarray(values[b.name]), ("chain", "draw")
+        dims = ("chain", "draw")
+        if b.place == "row":
+            value = rows[..., row]
+            row += 1
+        elif b.place == "x":
+            value = x[..., b.start : b.start + b.size]
+        else:
+            value = np.stack([hyper[name] for name in b.member_names()], axis=-1)
+            if b.coefficient.spread is not None:
+                value = b.coefficient.mean + hyper[b.spread_name][..., None] * value
         if b.coefficient.per is None:
             value = value[..., 0]
         else:
@@ -38,8 +38,14 @@ def named(
             if b.coefficient.per != "reading":
                 coordinates[b.coefficient.per] = list(levels[b.coefficient.per])
         found[b.name] = (dims, value, {"units": b.coefficient.unit, "effect": b.effect.name})
-    for i, h in enumerate(layout.hypers):
+    for h in layout.hypers:
         if h.kind != "promoted":
-            value = np.asarray(h.prior.value(coordinates_of_phi[..., i]))
-            found[h.name] = (("chain", "draw"), value, {"units": h.unit, "kind": h.kind})
+            found[h.name] = (("chain", "draw"), hyper[h.name], {"units": h.unit, "kind": h.kind})
     return xr.Dataset(found, coords=coordinates)
+
+
+def _hyper_values(layout: Layout, v: np.ndarray) -> dict[str, np.ndarray]:
+    """The entries of φ by name, (chains, draws) each; fixed ones included."""
+    values = {name: np.broadcast_to(value, v.shape[:-1]) for name, value in layout.model.fixed}
+    own = {h.name: np.asarray(h.prior.value(v[..., i])) for i, h in enumerate(layout.hypers)}
+    return {**values, **own}

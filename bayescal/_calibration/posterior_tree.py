@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
 from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat
 from bayescal._calibration.named_draws import named
-from bayescal._core.jit import compiled
-from bayescal._core.parallel import over
+from bayescal._calibration.on_readings import Vectors, replicate
 from bayescal._inference.method import Draws
-from bayescal._model import forward
-from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
+from bayescal._model.prior import HalfCauchy, HalfNormal
 from bayescal._readings.measurements import Measurements
 
 PRIOR_DRAWS = 1000
+STEP = 1e-3  # of a coordinate, for the slope of a prior's value
 
 
 def build_tree(calibration: Fitted) -> xr.DataTree:
@@ -26,8 +25,8 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
     `draws` beside ArviZ's own groups holds the same joint draws as plain vectors x, rows and v, from which
     everything else can be computed again.
     """
-    c, draws, seed = calibration, calibration.joint, calibration.seed
-    layout, levels, readings, frame = c.layout, c.levels, c.readings, c.frame
+    c, draws = calibration, calibration.joint
+    layout, levels, readings = c.layout, c.levels, c.readings
     vectors = xr.Dataset(
         {
             "x": (("chain", "draw", "x_entry"), draws.x),
@@ -35,7 +34,7 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
             "v": (("chain", "draw", "v_entry"), draws.v),
         }
     )
-    predictive = _predictive(layout, frame, draws, seed)
+    predictive = _predictive(c)
     groups = {
         "posterior": c.posterior,
         "log_prior": _log_prior(layout, c.posterior, draws),
@@ -49,7 +48,7 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
         "constant_data": readings.data.drop_vars("output"),
         "draws": vectors,
     }
-    prior = _prior_draws(layout, frame, seed)
+    prior = _prior_draws(c)
     if prior is not None:
         groups["prior"] = named(layout, levels, *prior)
     return xr.DataTree.from_dict(groups)
@@ -62,9 +61,8 @@ def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Datase
     for i, h in enumerate(layout.hypers):
         if h.kind == "promoted" or h.name not in posterior:
             continue
-        v = jnp.asarray(draws.v[..., i])
-        _, slope = jax.jvp(h.prior.value, (v,), (jnp.ones_like(v),))  # the value by its coordinate
-        found[h.name] = (("chain", "draw"), np.asarray(h.prior.log_density(v) - jnp.log(slope)))
+        density = h.prior.log_density(draws.v[..., i]) - np.log(_slope(h.prior, draws.v[..., i]))
+        found[h.name] = (("chain", "draw"), np.asarray(density))
     for b in layout.blocks:
         if b.place == "fixed" or b.coefficient.flat or b.name not in posterior:
             continue
@@ -77,26 +75,21 @@ def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Datase
     return xr.Dataset(found)
 
 
-@compiled
-def replicate(layout: Layout, frame: Frame, draws, keys):
-    """Readings (count, n) simulated from draws (x, rows, v), count each."""
-
-    def one(args):
-        (x, rows, v), key = args
-        return forward.draw_readings(layout, frame, x, rows, v, key)
-
-    return over(one, (draws, keys), 64)
+def _slope(prior: Any, v: np.ndarray) -> np.ndarray:
+    """Of a value by its coordinate: differences of the fourth order."""
+    value, h = prior.value, STEP
+    return (8 * (value(v + h) - value(v - h)) - (value(v + 2 * h) - value(v - 2 * h))) / (12 * h)
 
 
-def _predictive(layout: Layout, frame: Frame, draws: Draws, seed: int) -> np.ndarray:
+def _predictive(calibration: Fitted) -> np.ndarray:
     """Replicated readings, draws thinned so that they stay within a stated size."""
+    draws, size = calibration.joint, len(calibration.readings)
     chains, count = draws.x.shape[:2]
-    keep = max(1, min(count, PREDICTIVE_CELLS // (chains * frame.size)))
+    keep = max(1, min(count, PREDICTIVE_CELLS // (chains * size)))
     step = -(-count // keep)
-    thin = tuple(jnp.asarray(flat(a[:, ::step])) for a in (draws.x, draws.rows, draws.v))
-    keys = jax.random.split(jax.random.key(seed + 1), len(thin[0]))
-    made = np.asarray(replicate(layout, frame, thin, keys))
-    return made.reshape(chains, -1, frame.size)
+    thin = Vectors(*(flat(a[:, ::step]) for a in (draws.x, draws.rows, draws.v)))
+    random = np.random.default_rng([calibration.seed, 1])
+    return replicate(calibration.assembly, thin, random).reshape(chains, -1, size)
 
 
 def _output(readings: Measurements, values: np.ndarray) -> xr.Dataset:
@@ -104,17 +97,19 @@ def _output(readings: Measurements, values: np.ndarray) -> xr.Dataset:
     return xr.Dataset({"output": (("chain", "draw", "reading"), values, attributes)})
 
 
-@compiled
-def _draw_priors(layout: Layout, frame: Frame, keys):
-    def one(key):
-        x, rows, v = forward.draw_prior(layout, frame, key)
-        return x, rows if layout.row_blocks else rows[:1], v
-
-    return over(one, keys, 64)
-
-
-def _prior_draws(layout: Layout, frame: Frame, seed: int) -> tuple | None:
+def _prior_draws(calibration: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Joint draws (x, rows, v) from the prior, as one chain; none where a prior is flat."""
+    layout, assembly = calibration.layout, calibration.assembly
     if layout.improper:
         return None
-    keys = jax.random.split(jax.random.key(seed + 2), PRIOR_DRAWS)
-    return tuple(np.asarray(a)[None] for a in _draw_priors(layout, frame, keys))
+    random = np.random.default_rng([calibration.seed, 2])
+    v = random.standard_normal((PRIOR_DRAWS, len(layout.hypers)))
+    for i, h in enumerate(layout.hypers):
+        if isinstance(h.prior, HalfCauchy):
+            v[:, i] = random.standard_cauchy(PRIOR_DRAWS)
+        if isinstance(h.prior, (HalfCauchy, HalfNormal)):
+            v[:, i] = np.log(np.abs(v[:, i]))
+    sd = assembly.sizes.at_several(assembly.hyper(v.T), PRIOR_DRAWS, np.ones(assembly.size))
+    x = assembly.mean_of_x + sd * random.standard_normal(sd.shape)
+    rows = random.standard_normal((PRIOR_DRAWS, assembly.record.size, len(assembly.row_sd)))
+    return x[None], (assembly.row_sd * rows)[None], v[None]

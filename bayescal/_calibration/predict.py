@@ -9,11 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._core.jit import compiled
-from bayescal._core.parallel import over
-from bayescal._model import forward
-from bayescal._model.frame import Frame
-from bayescal._model.parameters import Layout
+from bayescal._calibration.on_readings import Vectors, moments
 from bayescal._readings.measurements import Measurements
 
 
@@ -72,37 +68,9 @@ def predict(
     x, rows, v = calibration.draws(draws)
     if not (known and not new_groups) or rows.shape[1] != len(readings):
         rows = np.zeros((len(x), len(readings), rows.shape[2]))
-    counts = {**dict(calibration.layout.counts), "reading": len(readings)}
-    layout = Layout(calibration.model, tuple(counts.items()), calibration.layout.promoted)
-    mean, variance, beside = (
-        np.asarray(a) for a in _moments(layout, frame, tuple(jnp.asarray(a) for a in (x, rows, v)))
-    )
-    expected = mean.mean(axis=0)
-    model_variance = mean.var(axis=0) + beside.mean(axis=0)
-    total = np.sqrt(model_variance + variance.mean(axis=0))
+    assembly = calibration.assembly_on(readings, frame)
+    found = moments(assembly, Vectors(x, rows, v))
+    expected = found.mean.mean(axis=0)
+    model_variance = found.mean.var(axis=0) + found.beside
+    total = np.sqrt(model_variance + found.noise)
     return Prediction(expected, np.sqrt(model_variance), total, readings["output"] - expected)
-
-
-@compiled
-def _moments(layout: Layout, frame: Frame, draws):
-    """Per draw: expected output, variance of the noise, and of group members and thermometer errors unseen."""
-
-    def one(draw):
-        x, rows, v = draw
-        hyper = forward.hyper_values(layout, v)
-        values = forward.coefficients(layout, x, rows, hyper)
-        mean = forward.mean(layout, frame, x, rows, hyper)
-        noise = layout.model.noise.variance(hyper, frame)
-        line = forward.linearise(layout, frame, x, rows, hyper)
-        beside = jnp.sum((line.rows * forward.row_sd(layout)) ** 2, axis=1)
-        for block in layout.blocks:
-            c = block.coefficient
-            if c.per is None or c.per == "reading" or block.place == "fixed":
-                continue
-            spread = hyper[block.spread_name] if c.spread is not None else c.size
-            column = forward.effect_slope(layout, frame, values, hyper, block)
-            unseen = frame.codes[c.per] < 0
-            beside = beside + jnp.where(unseen, (column * spread) ** 2, 0.0)
-        return mean, noise, beside
-
-    return over(one, draws, 64)

@@ -6,13 +6,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 from scipy.stats import binomtest
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
-from bayescal._calibration.posterior_tree import replicate
+from bayescal._calibration.on_readings import Vectors, replicate
 from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
 from bayescal._discovery.discover import discover
@@ -96,9 +95,7 @@ def false_reports(
 def _simulated(calibration: Calibration, count: int, seed: int) -> np.ndarray:
     """Outputs (count, n), each from a posterior draw of its own."""
     x, rows, v = calibration.draws()
-    chosen = np.random.default_rng(seed).integers(len(x), size=count)
-    keys = jax.random.split(jax.random.key(seed), count)
-    made = replicate(
-        calibration.layout, calibration.frame, (x[chosen], rows[chosen], v[chosen]), keys
-    )
-    return np.asarray(made)
+    random = np.random.default_rng(seed)
+    chosen = random.integers(len(x), size=count)
+    draws = Vectors(x[chosen], rows[chosen], v[chosen])
+    return replicate(calibration.assembly, draws, random)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +11,15 @@ from jaxtyping import Float
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import LOG_2PI, NOWHERE
 from bayescal._engine.mode import Mode
-from bayescal._engine.pieces import ColumnsOf
-from bayescal._engine.whitening import Batch, known_variance, log_likelihood
+from bayescal._engine.pieces import ColumnsOf, Term
+from bayescal._engine.whitening import (
+    Batch,
+    factors,
+    known_variance,
+    log_likelihood,
+    solve_lower,
+    solve_upper,
+)
 
 
 class Grams(NamedTuple):
@@ -37,7 +45,7 @@ class Conditionals(NamedTuple):
 
     def place(self, normal: Float[np.ndarray, "b p"]) -> Float[np.ndarray, "b p"]:
         """The x that standard normal numbers stand for."""
-        return self.shift + self.sd * _back(self.chol, self.u + normal)
+        return self.shift + self.sd * solve_upper(self.chol, self.u + normal)
 
     @property
     def log_jacobian(self) -> Float[np.ndarray, "b"]:
@@ -64,10 +72,10 @@ def conditionals(
     pulled = sd * (jtr - jtj @ offset)
     precision = sd[:, :, None] * jtj * sd[:, None, :]
     precision[:, np.arange(count), np.arange(count)] += weight
-    chol = _cholesky(precision)
+    chol = factors(precision)
     pivots = np.diagonal(chol, axis1=1, axis2=2)
-    u = _forth(chol, pulled)
-    z = _back(chol, u)
+    u = solve_lower(chol, pulled)
+    z = solve_upper(chol, u)
     move = offset + sd * z
     moved = (jtj @ move[:, :, None])[:, :, 0]
     rest = grams.rtr - np.sum(move * (2 * jtr - moved), axis=1) + z**2 @ weight
@@ -76,39 +84,6 @@ def conditionals(
     total = flat - 0.5 * (size * LOG_2PI + volume + rest)
     total = np.where(np.isfinite(total) & (rest > 0), total, NOWHERE)
     return Conditionals(total, at + offset, sd, chol, u)
-
-
-def _cholesky(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]:
-    """Lower factors; NaN where there is none."""
-    try:
-        return np.linalg.cholesky(matrices)
-    except np.linalg.LinAlgError:
-        pass
-    found = np.full_like(matrices, np.nan)
-    for one, into in zip(matrices, found, strict=True):
-        try:
-            into[...] = np.linalg.cholesky(one)
-        except np.linalg.LinAlgError:
-            continue
-    return found
-
-
-def _forth(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
-    """L⁻¹ times vectors."""
-    z = np.empty_like(right)
-    for i in range(right.shape[1]):
-        known = np.einsum("bj,bj->b", chol[:, i, :i], z[:, :i])
-        z[:, i] = (right[:, i] - known) / chol[:, i, i]
-    return z
-
-
-def _back(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
-    """Lᵀ⁻¹ times vectors."""
-    z = np.empty_like(right)
-    for i in reversed(range(right.shape[1])):
-        known = np.einsum("bj,bj->b", chol[:, i + 1 :, i], z[:, i + 1 :])
-        z[:, i] = (right[:, i] - known) / chol[:, i, i]
-    return z
 
 
 def draw_joint(
@@ -164,7 +139,7 @@ def _draw_rows(assembly: Assembly, mode: Mode, x, hyper: Batch, own: Float[np.nd
         precision = precision + np.diag(1 / assembly.row_sd**2)
         chol = np.linalg.cholesky(precision)
         pull = line.rows * (left / variance)[:, None]
-        drawn[b] = _back(chol, _forth(chol, pull) + own[b])
+        drawn[b] = solve_upper(chol, solve_lower(chol, pull) + own[b])
         volumes[b] = -np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)))
     return drawn, volumes
 
@@ -176,15 +151,9 @@ def linearise_draws(
     record = assembly.record
     x = np.broadcast_to(point.x, (count, assembly.size))
     rows = np.broadcast_to(point.rows, (count, *point.rows.shape))
-    mean, slopes = record.responses(_slots(assembly, x, rows, hyper, {}))
+    mean, columns = expected_with_slopes(assembly, x, rows, hyper, assembly.in_x)
     table = np.zeros((count, record.size, assembly.size + 1))
-    made: tuple[str, np.ndarray] | None = None
-    for t in assembly.terms:
-        if made is None or made[0] != t.known.of:
-            made = t.known.of, _columns(assembly, t.known.columns, t.known.shape_names, hyper, {})
-        if t.place != "x":
-            continue
-        column = slopes[t.slot] * (made[1][..., t.index] * t.factor)
+    for t, column in zip(assembly.in_x, columns, strict=True):
         if t.known.per is None:
             table[:, :, t.at.start] = column
         else:
@@ -194,6 +163,38 @@ def linearise_draws(
             table[:, known, t.at.start + codes[known]] = wide[:, known]
     table[:, :, -1] = record.y - mean
     return table
+
+
+def expected_with_slopes(
+    assembly: Assembly, x, rows, hyper: Batch, terms: Sequence[Term]
+) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
+    """Expected output of joint draws, and its slopes by some terms, (n,) or (b, n) each, as if all readings belonged
+    to one member of a term's group."""
+    record = assembly.record
+    moves = _moves(assembly, x, rows, hyper)
+    mean, slopes = record.responses(_slots(assembly, x, rows, hyper, moves), moves)
+    slopes, wanted = dict(slopes), {id(t): i for i, t in enumerate(terms)}
+    made, found = {}, {}
+    for t, value in zip(assembly.terms, _values(assembly, x, rows, hyper), strict=True):
+        if not (moves or id(t) in wanted):
+            continue
+        if t.known.of not in made:
+            made = {
+                t.known.of: _moved_columns(assembly, t, hyper, {} if t.slot in moves else moves)
+            }
+        columns, by_move = made[t.known.of]
+        found[id(t)] = columns[..., t.index] * t.factor
+        for name, slope in by_move.items():
+            slopes[name] = slopes[name] + slopes[t.slot] * slope[..., t.index] * t.factor * value
+    return mean, [slopes[t.slot] * found[id(t)] for t in terms]
+
+
+def _moves(assembly: Assembly, x, rows, hyper: Batch) -> dict[str, np.ndarray]:
+    """What columns of the readings are corrected by, (b, n) each."""
+    moves = {name: np.zeros((len(x), assembly.record.size)) for name in assembly.corrected}
+    if moves:
+        _sum_into(moves, assembly, list(_values(assembly, x, rows, hyper)), hyper, {})
+    return moves
 
 
 def expected(
@@ -210,13 +211,8 @@ def expected(
         rows: per-reading coefficients.
         hyper: φ by name, one value a draw.
     """
-    record, count = assembly.record, len(x)
-    moves: dict[str, np.ndarray] = {}
-    if assembly.corrected:
-        values = list(_values(assembly, x, rows, hyper))
-        moves = {name: np.zeros((count, record.size)) for name in assembly.corrected}
-        _sum_into(moves, assembly, values, hyper, {})
-    return record.several(_slots(assembly, x, rows, hyper, moves), moves)
+    moves = _moves(assembly, x, rows, hyper)
+    return assembly.record.several(_slots(assembly, x, rows, hyper, moves), moves)
 
 
 def _slots(assembly: Assembly, x, rows, hyper: Batch, moves: dict) -> dict[str, np.ndarray]:
@@ -248,9 +244,23 @@ def _columns(assembly: Assembly, columns: ColumnsOf, names, hyper: Batch, moves:
     """An effect's columns, (n, k) for all draws or (b, n, k)."""
     if not names and not moves:
         return assembly.record.columns(columns, ())
+    return assembly.record.columns_of_draws(columns, _shapes(names, hyper, moves), moves)
+
+
+def _moved_columns(assembly: Assembly, term: Term, hyper: Batch, moves: dict):
+    """The columns of a term's effect, and their slopes by the moves."""
+    columns, names = term.known.columns, term.known.shape_names
+    if not moves:
+        return _columns(assembly, columns, names, hyper, moves), {}
+    shapes = _shapes(names, hyper, moves)
+    return assembly.record.moved_columns_of_draws(columns, shapes, moves)
+
+
+def _shapes(names, hyper: Batch, moves: dict) -> list[np.ndarray]:
+    """Values of an effect's shapes, one a draw."""
     count = max((len(v) for v in moves.values()), default=0)
     shapes = np.broadcast_arrays(*(hyper[name] for name in names), np.zeros(count or 1))[:-1]
-    return assembly.record.columns_of_draws(columns, [np.atleast_1d(s) for s in shapes], moves)
+    return [np.atleast_1d(s) for s in shapes]
 
 
 def _values(assembly: Assembly, x, rows, hyper: Batch):

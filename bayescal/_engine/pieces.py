@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from typing import Any, NamedTuple
 
 import jax
@@ -177,20 +177,24 @@ def responses(
 
 @_program
 def slopes_of_draws(
-    response: Callable[..., Any], frame: Frame, slots: dict[str, Float[Array, "b n"]]
+    response: Callable[..., Any],
+    frame: Frame,
+    slots: dict[str, Float[Array, "b n"]],
+    moves: dict[str, Float[Array, "b n"]],
 ) -> tuple[Float[Array, "b n"], dict[str, Float[Array, "b n"]]]:
-    """Expected outputs of several sets of slots, and their derivatives by each slot."""
+    """Expected outputs of several sets of slots and moved columns, and their derivatives by each of these."""
+    return jax.vmap(partial(response_slopes.__wrapped__, response, frame))(slots, moves)  # pyright: ignore
 
-    def respond(slots):
-        return jnp.broadcast_to(response(slots, frame), next(iter(slots.values())).shape)
 
-    def at(slots):
-        zero = {name: jnp.zeros_like(v) for name, v in slots.items()}
-        along = {name: {**zero, name: jnp.ones_like(v)} for name, v in slots.items()}
-        slopes = {name: jax.jvp(respond, (slots,), (one,))[1] for name, one in along.items()}
-        return respond(slots), slopes
-
-    return jax.vmap(at)(slots)
+@_program
+def moved_columns_along(
+    basis: Basis,
+    frame: Frame,
+    shapes: dict[str, Float[Array, "s"]],
+    moves: dict[str, Float[Array, "s n"]],
+) -> tuple[Float[Array, "s n k"], dict[str, Float[Array, "s n k"]]]:
+    """`shaped_columns` at several values of the shapes and moves, one after the other."""
+    return jax.lax.map(lambda one: shaped_columns.__wrapped__(basis, frame, *one), (shapes, moves))  # pyright: ignore
 
 
 def _moved(frame: Frame, moves: Mapping[str, Float[Array, "n"]]) -> Frame:

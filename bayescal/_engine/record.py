@@ -239,14 +239,22 @@ class Record:
             return found
         return self._computed(effect, values, moves)
 
-    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> np.ndarray:
+    def _computed(
+        self, effect: ColumnsOf, values: Sequence[np.ndarray], moves, program=pieces.columns_along
+    ) -> Any:
         count = max(len(v) for v in (*values, *moves.values()))
         shapes = dict(zip(effect.shapes, values, strict=True))
-        parts = [
-            pieces.columns_along(effect.basis, self.padded, *part)
-            for part in self._stretches(count, shapes, moves)
-        ]
-        return np.concatenate([np.asarray(p) for p in parts])[:count, : self.size]
+        return self._together(program, effect.basis, count, shapes, moves)
+
+    def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> Any:
+        """Columns (b, n, k) as `columns_of_draws`, and their slopes by the moves."""
+        return self._computed(effect, values, moves, pieces.moved_columns_along)
+
+    def _together(self, program, what: Any, count: int, *both: Mapping[str, np.ndarray]) -> Any:
+        """What a program gives for `count` draws, computed in stretches, without what these were padded with."""
+        parts = [program(what, self.padded, *part) for part in self._stretches(count, *both)]
+        whole = jax.tree.map(lambda *a: np.concatenate([np.asarray(b) for b in a]), *parts)
+        return jax.tree.map(lambda a: a[:count, : self.size], whole)
 
     def several(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
@@ -256,25 +264,16 @@ class Record:
             base, slopes = self.affine
             return base + sum(slopes[name] * value for name, value in slots.items())
         count = len(next(iter(slots.values())))
-        parts = [
-            pieces.responses(self.instrument.response, self.padded, *part)
-            for part in self._stretches(count, slots, moves)
-        ]
-        return np.concatenate([np.asarray(p) for p in parts])[:count, : self.size]
+        return self._together(pieces.responses, self.instrument.response, count, slots, moves)
 
     def responses(
-        self, slots: Mapping[str, np.ndarray]
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, "b n"], dict[str, Any]]:
-        """Expected outputs of several sets of slots, and their slopes by each slot, (b, n) or (n,)."""
-        if self.affine is not None:
+        """Expected outputs of several draws, and their slopes by each slot and moved column, (b, n) or (n,)."""
+        if self.affine is not None and not moves:
             return self.several(slots, {}), self.affine[1]
         count = len(next(iter(slots.values())))
-        parts = [
-            pieces.slopes_of_draws(self.instrument.response, self.padded, part)
-            for part, _ in self._stretches(count, slots, {})
-        ]
-        whole = jax.tree.map(lambda *a: np.concatenate([np.asarray(b) for b in a]), *parts)
-        return jax.tree.map(lambda a: a[:count, : self.size], whole)
+        return self._together(pieces.slopes_of_draws, self.instrument.response, count, slots, moves)
 
     def _stretches(
         self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]

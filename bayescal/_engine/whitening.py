@@ -1,4 +1,7 @@
-"""Whitening on the host: what makes readings independent and of unit variance, for noise that is Gaussian."""
+"""Whitening on the host: what makes readings independent and of unit variance, for noise that is Gaussian.
+
+Also triangular factors of many small matrices at once.
+"""
 
 from __future__ import annotations
 
@@ -63,15 +66,16 @@ def known_variance(record: Record) -> Float[np.ndarray, "n"] | float:
 
 def variance_of(
     noise: Noise, values: Values, record: Record, extra: Float[np.ndarray, "n"] | float
-) -> Float[np.ndarray, "n"]:
-    """Of each reading about the expected output, with the variance `extra` beside it."""
+) -> Float[np.ndarray, "... n"]:
+    """Of each reading about the expected output, with the variance `extra` beside it; φ one number, or a column."""
     if not isinstance(noise, (White, OrnsteinUhlenbeck)):
         own = np.asarray(noise.variance(values, record.frame))  # pyright: ignore[reportArgumentType]
     else:
         own = values["noise.white"] ** 2 + known_variance(record)
         if isinstance(noise, OrnsteinUhlenbeck):
             own = own + _wandering(values)
-    return np.broadcast_to(own + extra, (record.size,))
+    total = np.asarray(own + extra)
+    return np.broadcast_to(total, np.broadcast_shapes(total.shape, (record.size,)))
 
 
 def _wandering(values: Values) -> float:
@@ -171,3 +175,36 @@ def log_likelihood(
         state = state + gain * new
         variance = gain * white[i]
     return -0.5 * (squares + volume + len(step) * LOG_2PI)
+
+
+def factors(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]:
+    """Lower factors; NaN where there is none."""
+    try:
+        return np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        pass
+    found = np.full_like(matrices, np.nan)
+    for one, into in zip(matrices, found, strict=True):
+        try:
+            into[...] = np.linalg.cholesky(one)
+        except np.linalg.LinAlgError:
+            continue
+    return found
+
+
+def solve_lower(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
+    """L⁻¹ times vectors."""
+    z = np.empty_like(right)
+    for i in range(right.shape[1]):
+        known = np.einsum("bj,bj->b", chol[:, i, :i], z[:, :i])
+        z[:, i] = (right[:, i] - known) / chol[:, i, i]
+    return z
+
+
+def solve_upper(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
+    """Lᵀ⁻¹ times vectors."""
+    z = np.empty_like(right)
+    for i in reversed(range(right.shape[1])):
+        known = np.einsum("bj,bj->b", chol[:, i + 1 :, i], z[:, i + 1 :])
+        z[:, i] = (right[:, i] - known) / chol[:, i, i]
+    return z

@@ -225,16 +225,6 @@ def log_likelihood(
     return layout.model.noise.log_density(y, mean(layout, frame, x, rows, hyper), hyper, frame)
 
 
-def log_likelihood_over_rows(
-    layout: Layout, frame: Frame, y: Float[Array, "n"], x: Float[Array, "p"], hyper: Values
-) -> Float[Array, "n"]:
-    """The same with the per-reading coefficients averaged over their prior, to first order in them."""
-    line = linearise(layout, frame, x, jnp.zeros((frame.size, len(layout.row_blocks))), hyper)
-    variance = layout.model.noise.variance(hyper, frame)
-    variance = variance + jnp.sum((line.rows * row_sd(layout)) ** 2, axis=1)
-    return -0.5 * ((y - line.mean) ** 2 / variance + jnp.log(2 * jnp.pi * variance))
-
-
 def log_prior_x(
     layout: Layout, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
 ) -> Float[Array, ""]:

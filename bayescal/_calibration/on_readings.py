@@ -1,0 +1,188 @@
+"""What joint draws say of readings: expected outputs, densities, readings simulated from them. All on the host."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._core.jit import compiled
+from bayescal._core.parallel import on_one_thread, over
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.joint import expected, expected_with_slopes
+from bayescal._engine.pieces import Term
+from bayescal._engine.whitening import LOG_2PI, Batch, variance_of, whitening
+from bayescal._model.frame import Frame
+from bayescal._model.noise_laws import (
+    CORRELATION_TIME,
+    Noise,
+    OrnsteinUhlenbeck,
+    White,
+    correlated_size,
+)
+
+CELLS = 2_000_000  # draws × readings worked out together
+
+
+class Vectors(NamedTuple):
+    """Joint draws: coefficients, per-reading coefficients, coordinates of φ."""
+
+    x: Float[np.ndarray, "b p"]
+    rows: Float[np.ndarray, "b n k"]
+    v: Float[np.ndarray, "b d"]
+
+
+class Moments(NamedTuple):
+    """Expected outputs (b, n); mean variance of the noise, and of what is not known of a reading's own, (n,) each."""
+
+    mean: Float[np.ndarray, "b n"]
+    noise: Float[np.ndarray, "n"]
+    beside: Float[np.ndarray, "n"]
+
+
+@on_one_thread
+def moments(assembly: Assembly, draws: Vectors) -> Moments:
+    """Of readings, per-reading coefficients and members of groups that are not known (of code −1) beside the mean."""
+    count, size = len(draws.x), assembly.record.size
+    found = Moments(np.empty((count, size)), np.zeros(size), np.zeros(size))
+    for part, some, hyper in _stretches(assembly, draws):
+        found.mean[part], beside = _with_beside(assembly, some, hyper)
+        share = (part.stop - part.start) / count
+        for total, one in ((found.noise, _variance(assembly, hyper)), (found.beside, beside)):
+            total += share * np.mean(np.broadcast_to(one, (part.stop - part.start, size)), axis=0)
+    return found
+
+
+@on_one_thread
+def pointwise(assembly: Assembly, draws: Vectors) -> Float[np.ndarray, "b n"]:
+    """Log likelihood of each reading under each draw: under correlated noise, given those before it in its run.
+
+    Under Gaussian noise the per-reading coefficients are averaged over their prior, to first order in them.
+    """
+    found = np.empty((len(draws.x), assembly.record.size))
+    for part, some, hyper in _stretches(assembly, draws):
+        found[part] = _densities(assembly, some, hyper)
+    return found
+
+
+@on_one_thread
+def replicate(
+    assembly: Assembly, draws: Vectors, random: np.random.Generator
+) -> Float[np.ndarray, "b n"]:
+    """Readings simulated by the model's own equation and noise, from each draw once."""
+    found = np.empty((len(draws.x), assembly.record.size))
+    for part, some, hyper in _stretches(assembly, draws):
+        mean = expected(assembly, some.x, some.rows, hyper)
+        found[part] = _with_noise(assembly, mean, hyper, random)
+    return found
+
+
+def _stretches(assembly: Assembly, draws: Vectors) -> Iterator[tuple[slice, Vectors, Batch]]:
+    """Some draws at a time, with their φ by name, one number each."""
+    many, count = max(1, CELLS // max(1, assembly.record.size)), len(draws.x)
+    for start in range(0, count, many):
+        part = slice(start, min(start + many, count))
+        some = Vectors(*(np.asarray(a)[part] for a in draws))
+        values = assembly.hyper(some.v.T)
+        yield part, some, {k: np.broadcast_to(value, len(some.x)) for k, value in values.items()}
+
+
+def _with_beside(assembly: Assembly, draws: Vectors, hyper: Batch) -> tuple[np.ndarray, Any]:
+    """Expected output, and its variance from per-reading coefficients and from members that are not known."""
+    own = [t for t in assembly.terms if t.place == "row" or _unseen(assembly, t).any()]
+    if not own:
+        return expected(assembly, draws.x, draws.rows, hyper), 0.0
+    mean, slopes = expected_with_slopes(assembly, draws.x, draws.rows, hyper, own)
+    beside = np.zeros_like(mean)
+    for t, slope in zip(own, slopes, strict=True):
+        if t.place == "row":
+            beside += (slope * t.prior_sd) ** 2
+        else:
+            spread = t.prior_sd if t.spread_name is None else hyper[t.spread_name][:, None]
+            beside += np.where(_unseen(assembly, t), (slope * spread) ** 2, 0.0)
+    return mean, beside
+
+
+def _unseen(assembly: Assembly, term: Term) -> np.ndarray:
+    """Which readings belong to a member of the term's group that is not known."""
+    if term.known.per in (None, "reading") or term.place == "fixed":
+        return np.zeros(1, dtype=bool)
+    return assembly.record.codes[term.known.per] < 0
+
+
+def _variance(assembly: Assembly, hyper: Batch) -> Float[np.ndarray, "b n"]:
+    """Of the noise."""
+    columns: Any = {name: value[:, None] for name, value in hyper.items()}
+    return variance_of(assembly.noise, columns, assembly.record, 0.0)
+
+
+def _densities(assembly: Assembly, draws: Vectors, hyper: Batch) -> Float[np.ndarray, "b n"]:
+    noise, record = assembly.noise, assembly.record
+    if len(assembly.row_sd) and noise.gaussian:
+        mean, beside = _with_beside(assembly, draws._replace(rows=np.zeros_like(draws.rows)), hyper)
+    else:
+        mean, beside = expected(assembly, draws.x, draws.rows, hyper), None
+    if beside is not None or isinstance(noise, White):
+        variance = _variance(assembly, hyper) + (0.0 if beside is None else beside)
+        return -0.5 * ((record.y - mean) ** 2 / variance + np.log(variance) + LOG_2PI)
+    if not isinstance(noise, OrnsteinUhlenbeck):
+        return np.asarray(_densities_of(noise, record.frame, record.y, mean, _own(noise, hyper)))
+    found = np.empty_like(mean)
+    for b, into in enumerate(found):
+        white = whitening(noise, {k: float(value[b]) for k, value in hyper.items()}, record, 0.0)
+        z = white((record.y - mean[b])[:, None])[:, 0]
+        into[white.order] = -0.5 * z**2 - np.log(white.sd) - 0.5 * LOG_2PI
+    return found
+
+
+def _with_noise(
+    assembly: Assembly, mean: Float[np.ndarray, "b n"], hyper: Batch, random: np.random.Generator
+) -> Float[np.ndarray, "b n"]:
+    noise, record = assembly.noise, assembly.record
+    if not isinstance(noise, (White, OrnsteinUhlenbeck)):
+        keys = jax.random.split(jax.random.key(int(random.integers(2**31))), len(mean))
+        return np.asarray(_sampled(noise, record.frame, mean, _own(noise, hyper), keys))
+    variance = _variance(assembly, hyper)
+    if isinstance(noise, White):
+        return mean + np.sqrt(variance) * random.standard_normal(mean.shape)
+    tau, size = hyper[CORRELATION_TIME], np.asarray(correlated_size(hyper))
+    white = np.sqrt(np.maximum(variance - size[:, None] ** 2, 0.0))
+    found = mean + white * random.standard_normal(mean.shape)
+    state = np.zeros(len(mean))
+    for i, h in zip(*record.in_time, strict=True):
+        carry = np.exp(-h / tau) if h >= 0 else 0.0
+        fresh = np.sqrt(-np.expm1(-2 * h / tau)) if h >= 0 else 1.0
+        state = carry * state + fresh * size * random.standard_normal(len(mean))
+        found[:, i] += state
+    return found
+
+
+def _own(noise: Noise, hyper: Batch) -> dict[str, Any]:
+    """The entries of φ that a noise law takes."""
+    return {name: jnp.asarray(hyper[name]) for name in noise.parameters()}
+
+
+@compiled
+def _densities_of(noise: Noise, frame: Frame, y, means, hyper):
+    """Of a noise law that is not Gaussian."""
+
+    def one(draw):
+        mean, values = draw
+        return noise.log_density(y, mean, values, frame)
+
+    return over(one, (means, hyper), 64)
+
+
+@compiled
+def _sampled(noise: Noise, frame: Frame, means, hyper, keys):
+    """Readings of a noise law that is not Gaussian."""
+
+    def one(draw):
+        mean, values, key = draw
+        return noise.sample(key, mean, values, frame)
+
+    return over(one, (means, hyper, keys), 64)
