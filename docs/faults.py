@@ -37,7 +37,7 @@ def faults(name: str) -> list[dict[str, Any]]:
     plain = importlib.import_module(f"bayescal_models.{name}").INSTRUMENT
     readings = plain.simulate(seed=SEED)
     instrument = plain.for_readings(readings)
-    empty = bc.discover(bc.fit(instrument.baseline(), readings, METHOD, strict=False), verify=False)
+    empty = bc.discover(bc.fit(instrument.baseline(), readings, METHOD, strict=False))
     entries = []
     for seen in empty.candidates:
         if seen.effect.startswith("unknown("):
@@ -64,7 +64,7 @@ def looks(instrument: bc.Instrument, effect: str, size: float) -> dict[str, Any]
     model = instrument.for_readings(readings).baseline()
     calibration = bc.fit(model, readings, METHOD, strict=False)
     checked = bc.check(calibration)
-    found = bc.discover(calibration, verify=False)
+    found = bc.discover(calibration)
     own = next(c for c in found.candidates if c.effect == effect)
     named = [n for n in own.indistinguishable_from if not n.startswith("unknown(")]
     return {
