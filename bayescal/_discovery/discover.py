@@ -12,7 +12,7 @@ from bayescal._core.progress import stage
 from bayescal._discovery.candidate import Candidate, alike, judge, kind_of
 from bayescal._discovery.discovery import Discovery
 from bayescal._discovery.posterior import Posterior
-from bayescal._discovery.scores import Library, scores
+from bayescal._discovery.scores import Library, View
 from bayescal._discovery.structures import Structure, Structures
 from bayescal._discovery.walk import walk
 from bayescal._engine.record import Record, library_of
@@ -113,7 +113,7 @@ def told(
     posterior = Posterior.of(structures, at.effects)
     here = structures.weigh(at)
     names = [n for n in structures.candidates if n not in at.effects]
-    points = scores(library, here, names) if names else {}
+    points = View(library, here).without().scores(names) if names else {}
     same = alike(points) if points else {}
     found = posterior.findings
     in_sets = {name: set(f.effects) for f in found for name in f.effects}

@@ -44,8 +44,8 @@ class FalseReports:
         what = ", ".join(f"{name} ({count})" for name, count in self.effects.items())
         return (
             f"false reports: {self.reported} of {self.campaigns} campaigns simulated from this model, in which "
-            f"nothing is missing (95 % interval {100 * low:.1f} to {100 * high:.1f} %; at most {100 * (1 - FOUND):.0f} % "
-            "were meant)" + (f": {what}" if what else "")
+            f"nothing is missing (95 % interval {100 * low:.1f} to {100 * high:.1f} %; at most "
+            f"{100 * (1 - FOUND):.0f} % were meant)" + (f": {what}" if what else "")
         )
 
 

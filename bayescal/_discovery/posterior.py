@@ -24,26 +24,40 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Weighed structures that hold some effects, with their probabilities.
+    """Structures that hold some effects, with their probabilities: refitted ones, and others by what was expected.
 
     Attributes:
         given: effects that all of them hold.
-        weighed: the structures, the most probable first.
+        structures: the most probable first.
+        total: log evidence and log prior of each.
         probability: of each.
+        refitted: those of them that were refitted.
     """
 
     given: frozenset[str]
-    weighed: tuple[Weighed, ...]
+    structures: tuple[Structure, ...]
+    total: np.ndarray
     probability: np.ndarray
+    refitted: dict[Structure, Weighed]
 
     @classmethod
     def of(cls, structures: Structures, given: Iterable[str] = ()) -> Posterior:
         held = frozenset(given)
-        inside = [w for w in structures.visited.values() if held <= w.structure.effects]
-        inside = sorted((w for w in inside if math.isfinite(w.total)), key=lambda w: -w.total)
-        total = np.array([w.total for w in inside])
+        refitted = {s: w for s, w in structures.visited.items() if math.isfinite(w.total)}
+        best = max((w.total for s, w in refitted.items() if held <= s.effects))
+        # What was only expected may not lead: it would have been refitted.
+        totals = {s: min(t, best) for s, t in structures.expected.items()}
+        totals |= {s: w.total for s, w in refitted.items()}
+        inside = [s for s in totals if held <= s.effects]
+        inside = sorted(inside, key=lambda s: (-totals[s], s not in refitted))
+        total = np.array([totals[s] for s in inside])
         weight = np.exp(total - total[0])
-        return cls(held, tuple(inside), weight / weight.sum())
+        return cls(held, tuple(inside), total, weight / weight.sum(), refitted)
+
+    @property
+    def best(self) -> Structure:
+        """The most probable of those refitted."""
+        return next(s for s in self.structures if s in self.refitted)
 
     @property
     def nothing(self) -> float:
@@ -61,7 +75,7 @@ class Posterior:
         return self.of_any(lambda s: not wanted.isdisjoint(s.effects))
 
     def of_any(self, holds) -> float:
-        inside = [bool(holds(w.structure)) for w in self.weighed]
+        inside = [bool(holds(s)) for s in self.structures]
         return float(min(1.0, self.probability[inside].sum()))
 
     @property
@@ -70,9 +84,9 @@ class Posterior:
 
         Each begins with an effect of the most probable structure and goes on with what can take its place.
         """
-        best = self.weighed[0]
+        best = self.best
         found = []
-        for name in best.structure.effects - self.given:
+        for name in best.effects - self.given:
             members = [name]
             for other in self._substitutes(best, name):
                 if self.inclusion(*members) >= FOUND:
@@ -83,21 +97,21 @@ class Posterior:
                 found.append(Found(tuple(order), self.inclusion(*members)))
         return tuple(sorted(found, key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects))))
 
-    def _substitutes(self, best: Weighed, name: str) -> list[str]:
+    def _substitutes(self, best: Structure, name: str) -> list[str]:
         """Effects that may stand in an effect's place, the most probable first."""
-        rest = best.structure.effects - {name}
+        rest, least = best.effects - {name}, self.refitted[best].total - RIVAL
         totals: dict[str, float] = {}
-        for w in self.weighed:
-            other = w.structure.effects - rest
-            if rest <= w.structure.effects and len(other) == 1 and w.total > best.total - RIVAL:
+        for s, total in zip(self.structures, self.total, strict=True):
+            other = s.effects - rest
+            if rest <= s.effects and len(other) == 1 and total > least:
                 (own,) = other
-                totals[own] = max(w.total, totals.get(own, -math.inf))
+                totals[own] = max(float(total), totals.get(own, -math.inf))
         totals.pop(name, None)
         return sorted(totals, key=lambda n: -totals[n])
 
     @property
     def chosen(self) -> Structure:
         """The structure to use: the most probable, without what is not found."""
-        best = self.weighed[0].structure
+        best = self.best
         kept = {n for n in best.effects if any(n in f.effects for f in self.findings)}
         return Structure(frozenset(kept) | self.given, best.wanders)

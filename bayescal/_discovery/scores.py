@@ -14,12 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.special import logsumexp, ndtri
 from scipy.stats import qmc
 
 from bayescal._discovery.structures import SIZES, Structures, Weighed
 from bayescal._engine.blas import on_one_thread
-from bayescal._engine.linear_model import LinearModel, linear_model
+from bayescal._engine.linear_model import linear_model
 from bayescal._engine.record import ColumnsOf
 from bayescal._model.coefficient import Coefficient, Shape
 from bayescal._model.effect import Effect
@@ -153,69 +155,125 @@ class Scored:
         return self.columns.T @ self.columns - self.inside.T @ self.inside
 
 
-@on_one_thread
-def scores(library: Library, at: Weighed, names: Sequence[str]) -> dict[str, list[Scored]]:
-    """Every grid point of these candidates, each candidate's most probable first."""
-    line = linear_model(at.assembly, at.mode)
-    columns = line.whiten(library.columns(line.slopes))
-    inside, u = line.projected(columns), columns.T @ line.white_residual
-    return {
-        name: sorted(
-            (
-                _scored(library, line, p, columns[:, p.at], inside[:, p.at], u[p.at])
-                for p in library.points[name]
-            ),
-            key=lambda s: -s.gain,
+class View:
+    """A structure as a linear model about its mode, all candidates beside it: what may be added, dropped, exchanged.
+
+    Everything is products that are computed once; the readings are not looked at again.
+    """
+
+    @on_one_thread
+    def __init__(self, library: Library, at: Weighed):
+        line = linear_model(at.assembly, at.mode)
+        self.library, self.at, self.line = library, at, line
+        self.columns = line.whiten(library.columns(line.slopes))
+        nuisance, z = line.white_nuisance, line.z
+        self.inner = nuisance.T @ nuisance
+        self.cross = nuisance.T @ self.columns
+        self.of_start = (
+            self.inner @ z + line.weight * z
+        )  # N'r₀, r₀ with nuisances at their prior's mean
+        self.u_start = self.columns.T @ line.white_residual + self.cross.T @ z
+        self.squares = line.rest + float(self.of_start @ z)
+        self.volume = 0.0
+        self.volume = self.without().volume
+
+    def without(self, *names: str) -> Rest:
+        """What is left where some of its effects are dropped, φ held."""
+        kept = np.array([owner not in names for owner in self.line.owners], dtype=bool)
+        inner = self.inner[np.ix_(kept, kept)] + np.diag(self.line.weight[kept])
+        chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
+        half = solve_triangular(chol, self.of_start[kept], lower=True)
+        inside = solve_triangular(chol, self.cross[kept], lower=True)
+        return Rest(
+            view=self,
+            inside=inside,
+            u=self.u_start - inside.T @ half,
+            rest=self.squares - float(half @ half),
+            volume=float(np.sum(np.log(np.diag(chol)))),
         )
-        for name in names
-    }
 
 
-def _scored(library, line: LinearModel, point: GridPoint, columns, inside, u) -> Scored:
-    sizes = library.sizes[point.effect]
-    information = columns.T @ columns - inside.T @ inside
-    gains = [
-        log_bayes_factor(s.sd * u, s.sd[:, None] * information * s.sd, line) + s.log_weight
-        for s in sizes
-    ]
-    best = int(np.argmax(gains))
-    return Scored(point, float(logsumexp(gains)), sizes[best], columns, inside, u)
+class Rest(NamedTuple):
+    """What of the readings and of all candidates' columns some nuisances leave.
+
+    inside (q, P): what they take of the columns; u (P,): score; rest: sum of squares; volume: Σ log of the factor.
+    """
+
+    view: View
+    inside: Float[np.ndarray, "q P"]
+    u: Float[np.ndarray, "P"]
+    rest: float
+    volume: float
+
+    @on_one_thread
+    def scores(self, names: Sequence[str]) -> dict[str, list[Scored]]:
+        """Every grid point of these candidates, each candidate's most probable first."""
+        library = self.view.library
+        found = {name: [self._scored(p) for p in library.points[name]] for name in names}
+        return {name: sorted(own, key=lambda s: -s.gain) for name, own in found.items()}
+
+    def _scored(self, point: GridPoint) -> Scored:
+        columns, inside, u = (
+            self.view.columns[:, point.at],
+            self.inside[:, point.at],
+            self.u[point.at],
+        )
+        information = columns.T @ columns - inside.T @ inside
+        sizes = self.view.library.sizes[point.effect]
+        gains = [
+            self.gain(s.sd * u, s.sd[:, None] * information * s.sd) + s.log_weight for s in sizes
+        ]
+        best = int(np.argmax(gains))
+        return Scored(point, float(logsumexp(gains)), sizes[best], columns, inside, u)
+
+    @property
+    def dropped(self) -> float:
+        """Log Bayes factor of what is left against the whole structure."""
+        return self.gain(np.zeros(0), np.zeros((0, 0)))
+
+    def gain(self, u: np.ndarray, information: np.ndarray) -> float:
+        """Log Bayes factor, against the whole structure, of what is left with columns of standard normal coefficients.
+
+        The noise is taken as large as it then is likely to be.
+        """
+        if not len(u):
+            volume, taken = 0.0, 0.0
+        elif len(u) == 1:
+            volume, taken = 0.5 * math.log1p(information[0, 0]), u[0] ** 2 / (1 + information[0, 0])
+        else:
+            chol, failed = dpotrf(information + np.eye(len(u)), lower=1)
+            if failed:
+                return -math.inf
+            half = dtrtrs(chol, u, lower=1)[0]
+            volume, taken = float(np.sum(np.log(chol.diagonal()))), float(half @ half)
+        # Of the squares that the noise was as large as, not of those that a dropped effect leaves.
+        left = max((self.rest - taken) / self.view.line.rest, 1e-12)
+        return self.lost - volume - 0.5 * self.view.line.size * math.log(left)
+
+    @property
+    def lost(self) -> float:
+        """What dropping did to the volumes: part of every gain, beside the squares."""
+        return self.view.volume - self.volume
+
+    @on_one_thread
+    def pairs(self, found: Mapping[str, list[Scored]]) -> list[tuple[float, Scored, Scored]]:
+        """Log Bayes factors of two candidates at once, the best first."""
+        points = [p for own in found.values() for p in own[:IN_PAIRS]]
+        own = [p.size.sd[:, None] * p.information * p.size.sd for p in points]
+        made = []
+        for (i, a), (j, b) in itertools.combinations(enumerate(points), 2):
+            if a.effect != b.effect:
+                shared = a.columns.T @ b.columns - a.inside.T @ b.inside
+                cross = a.size.sd[:, None] * shared * b.size.sd
+                whole = np.block([[own[i], cross], [cross.T, own[j]]])
+                u = np.concatenate([a.size.sd * a.u, b.size.sd * b.u])
+                made.append((self.gain(u, whole), a, b))
+        return sorted(made, key=lambda m: -m[0])
 
 
 def gain_of(points: Sequence[Scored]) -> float:
     """A candidate's log Bayes factor by score, averaged over its grid."""
     return float(logsumexp([p.gain for p in points]) - math.log(len(points)))
-
-
-@on_one_thread
-def pairs(
-    found: Mapping[str, list[Scored]], line: LinearModel
-) -> list[tuple[float, Scored, Scored]]:
-    """Log Bayes factors of two candidates at once, the best first."""
-    points = [p for own in found.values() for p in own[:IN_PAIRS]]
-    made = []
-    for a, b in itertools.combinations(points, 2):
-        if a.effect != b.effect:
-            cross = (
-                a.size.sd[:, None] * (a.columns.T @ b.columns - a.inside.T @ b.inside) * b.size.sd
-            )
-            own = [p.size.sd[:, None] * p.information * p.size.sd for p in (a, b)]
-            whole = np.block([[own[0], cross], [cross.T, own[1]]])
-            u = np.concatenate([a.size.sd * a.u, b.size.sd * b.u])
-            made.append((log_bayes_factor(u, whole, line), a, b))
-    return sorted(made, key=lambda m: -m[0])
-
-
-def log_bayes_factor(u: np.ndarray, information: np.ndarray, line: LinearModel) -> float:
-    """Of columns with standard normal coefficients, the size of the noise as likely as it then is."""
-    inner = information + np.eye(len(u))
-    try:
-        chol = np.linalg.cholesky(inner)
-    except np.linalg.LinAlgError:
-        return -math.inf
-    half = np.linalg.solve(chol, u)
-    taken = min(float(half @ half) / line.rest, 1 - 1e-12)
-    return -float(np.sum(np.log(np.diag(chol)))) - 0.5 * line.size * math.log1p(-taken)
 
 
 def _members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:

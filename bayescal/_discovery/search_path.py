@@ -141,8 +141,9 @@ class Search:
     def of(cls, structures: Structures, *, complete: bool, stopped: str = "") -> Search:
         posterior = Posterior.of(structures)
         shown = tuple(
-            Shown(tuple(sorted(w.structure.effects)), w.structure.wanders, w.log_evidence, float(p))
-            for w, p in zip(posterior.weighed, posterior.probability, strict=True)
+            Shown(tuple(sorted(s.effects)), s.wanders, posterior.refitted[s].log_evidence, float(p))
+            for s, p in zip(posterior.structures, posterior.probability, strict=True)
+            if s in posterior.refitted
         )
         return cls(shown[:SHOWN], len(structures.visited), complete, stopped)
 

@@ -88,6 +88,7 @@ class Structures:
     candidates: Mapping[str, Effect]
     wide: Noise | None
     visited: dict[Structure, Weighed] = field(default_factory=dict)
+    expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
 
     @cached_property
     def log_odds(self) -> dict[str, float]:
@@ -162,6 +163,11 @@ class Structures:
         sized = [e for e in model.effects if e.name in structure.effects and _has_size(e)]
         assembly, mode, log_evidence = _averaged(assembly, mode, sized)
         return Weighed(structure, log_evidence, self.log_prior(structure), assembly, mode)
+
+    def expect(self, structure: Structure, total: float) -> None:
+        """Keep what the score expects of a structure: it counts where that was not refitted."""
+        if math.isfinite(total):
+            self.expected[structure] = max(total, self.expected.get(structure, -math.inf))
 
     @property
     def best(self) -> Weighed:

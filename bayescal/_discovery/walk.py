@@ -7,17 +7,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
-from bayescal._discovery.scores import HINTS, Library, Scored, gain_of, pairs, scores
+from bayescal._discovery.scores import HINTS, Library, Scored, View, gain_of
 from bayescal._discovery.structures import Structure, Structures, Weighed
-from bayescal._engine.linear_model import linear_model
 
 BEAM = 4  # most probable structures whose neighbours are all looked at before the walk ends
-SINGLES = 6  # additions refitted, of each structure looked at,
-TWOS = 3  # and pairs,
-SWAPS = 2  # and exchanges of each effect
-NEAR = 6.0  # log odds behind the best, up to which a structure is looked at
+LEAST, MOST = 2, 10  # neighbours that are refitted, of each structure looked at
+TWOS = 4  # pairs among them
+NEAR = 6.0  # log odds behind the best, up to which a structure is refitted, and looked at
 LIMIT = "The search was ended after {:.0f} s with the best so far: more time may find more."
 STOPPED = "The search was interrupted after {:.0f} s: this is the best so far."
 
@@ -71,38 +70,54 @@ def _next(structures: Structures, looked: set[Structure]) -> Weighed | None:
     return next((w for w in near if w.structure not in looked), None)
 
 
+class Move(NamedTuple):
+    """A neighbour of a structure, what the linear model expects of it, and where its refit may begin."""
+
+    to: Structure
+    total: float
+    hints: tuple[dict[str, float], ...] = ()
+
+
 def _look_around(library: Library, at: Weighed, max_effects: int, ends_at: float) -> None:
-    """Weigh the neighbours of a structure that promise most."""
+    """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
     structures, here = library.structures, at.structure
-    room = max_effects - len(here.effects)
     if structures.wide is not None:
         other = Structure(here.effects, not here.wanders)
         structures.weigh(other.minus(*structures.barred(other)), at)
+    if not math.isfinite(at.total):
+        return
+    moves = sorted(_moves(View(library, at), max_effects), key=lambda m: -m.total)
+    for move in moves:
+        structures.expect(move.to, move.total)
+    for i, move in enumerate(moves[:MOST]):
+        near = move.total > structures.best.total - NEAR
+        if (i < LEAST or near) and time.monotonic() < ends_at:
+            structures.weigh(move.to, at, move.hints)
+
+
+def _moves(view: View, max_effects: int) -> Iterator[Move]:
+    """Additions, pairs, drops and exchanges, with their expected totals."""
+    structures, at = view.library.structures, view.at
+    here, odds = at.structure, structures.log_odds
+    open_ = structures.open_to(here)
+    room = max_effects - len(here.effects)
+    rest = view.without()
+    if room > 0 and open_:
+        found = rest.scores(open_)
+        for name, points in found.items():
+            yield _addition(here.plus(name), at.total + odds[name], points)
+        if room > 1:
+            named = {n: p for n, p in found.items() if not structures.candidates[n].is_placeholder}
+            for gain, a, b in rest.pairs(named)[:TWOS]:
+                total = at.total + gain + odds[a.effect] + odds[b.effect]
+                yield Move(here.plus(a.effect, b.effect), total, ({**a.hint, **b.hint},))
     for name in sorted(here.effects):
-        if time.monotonic() < ends_at:
-            without = structures.weigh(here.minus(name), at)
-            _add_best(library, without, SWAPS, 0, {name})
-    if room > 0 and time.monotonic() < ends_at:
-        _add_best(library, at, SINGLES, TWOS if room > 1 else 0, set())
+        left = view.without(name)
+        yield Move(here.minus(name), at.total + left.dropped - odds[name])
+        for other, points in left.scores(open_).items():
+            total = at.total + odds[other] - odds[name]
+            yield _addition(here.minus(name).plus(other), total, points)
 
 
-def _add_best(library: Library, at: Weighed, singles: int, twos: int, passed: set[str]) -> None:
-    structures = library.structures
-    names = [n for n in structures.open_to(at.structure) if n not in passed]
-    if not names or not math.isfinite(at.total):
-        return
-    found = scores(library, at, names)
-    order = sorted(names, key=lambda n: -(gain_of(found[n]) + structures.log_odds[n]))
-    for name in order[:singles]:
-        hints = [p.hint for p in found[name][:HINTS]]
-        structures.weigh(at.structure.plus(name), at, hints)
-    if not twos:
-        return
-    named = {n: found[n] for n in names if not structures.candidates[n].is_placeholder}
-    made: dict[Structure, tuple[Scored, Scored]] = {}
-    for _, a, b in pairs(named, linear_model(at.assembly, at.mode)):
-        made.setdefault(at.structure.plus(a.effect, b.effect), (a, b))
-        if len(made) == twos:
-            break
-    for structure, (a, b) in made.items():
-        structures.weigh(structure, at, [{**a.hint, **b.hint}])
+def _addition(to: Structure, total: float, points: list[Scored]) -> Move:
+    return Move(to, total + gain_of(points), tuple(p.hint for p in points[:HINTS]))

@@ -250,6 +250,30 @@ class Assembly:
                 row += 1
         return Line(mean, jacobian, rows)
 
+    def jacobian_slopes(
+        self, i: int, slopes: Mapping[str, np.ndarray], hyper: Values
+    ) -> tuple[np.ndarray, Float[np.ndarray, "n k"]] | None:
+        """Slopes of J by the coordinate of a shape: which columns move (k,), and how; None where it is not known.
+
+        Args:
+            i: where in φ the shape stands.
+            slopes: of the expected output by each slot.
+            hyper: the entries of φ.
+        """
+        name = self.hypers[i].name
+        own = [t for t in self.terms if name in t.known.shape_names]
+        plain = all(t.place == "x" and t.known.shape_names == (name,) for t in own)
+        if not self.affine or not own or not plain:
+            return None
+        made = self.record.column_slopes(own[0].known.columns, float(hyper[name]))
+        if made is None:
+            return None
+        wide, at = np.zeros((self.record.size, self.size), order="F"), []
+        for t in own:
+            self._place(t, slopes[t.slot] * made[:, t.index] * t.factor, wide)
+            at += range(t.at.start, t.at.stop)
+        return np.array(at), wide[:, at]
+
     def _place(self, term: _Term, column: np.ndarray, jacobian: np.ndarray) -> None:
         if term.known.per is None:
             jacobian[:, term.at.start] = column

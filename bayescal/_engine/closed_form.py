@@ -16,11 +16,12 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dpotrf, dpotri, dtrtrs
 
 from bayescal._engine.assembly import NUDGE, Assembly, Line, Point, Prior, Values
-from bayescal._engine.whitening import known_variance, whitening
+from bayescal._engine.whitening import Whitening, known_variance, whitening
 from bayescal._model.noise_laws import White
 
 LOG_2PI = math.log(2 * math.pi)
-STEP = 1e-5  # of a coordinate that moves products over the readings, for its slope
+STEP = 1e-6  # of a coordinate that moves products over the readings, for its slope
+CAREFUL = 1e-4  # the same, where differences are taken on both sides
 NOWHERE = -1e300  # log density where there is none
 
 
@@ -129,6 +130,7 @@ class Density:
         )
         self.evaluations = 0
         self._lines: dict[tuple[float, ...], tuple[Line, Gram | None]] = {}
+        self._white: tuple[Whitening, np.ndarray] | None = None  # of the last products
 
     def _line(self, v: np.ndarray, hyper: Values) -> tuple[Line, Gram | None]:
         key = tuple(float(v[i]) for i in self.assembly.moving)
@@ -137,7 +139,7 @@ class Density:
             line = self.assembly.linearise(self.point, hyper)
             gram = None
             if self.even:
-                table = np.column_stack([line.jacobian, self._residual(line)])
+                table = self._beside(line)
                 whole = table.T @ table
                 gram = Gram(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), 0.0)
             if len(self._lines) > 64:
@@ -147,6 +149,12 @@ class Density:
 
     def _residual(self, line: Line) -> np.ndarray:
         return self.assembly.record.y - line.mean + np.sum(line.rows * self.point.rows, axis=1)
+
+    def _beside(self, line: Line) -> np.ndarray:
+        """J and r in one table."""
+        table = np.empty((len(line.mean), line.jacobian.shape[1] + 1), order="F")
+        table[:, :-1], table[:, -1] = line.jacobian, self._residual(line)
+        return table
 
     def extra(self, line: Line) -> Float[np.ndarray, "n"] | float:
         """Variance that the per-reading coefficients add."""
@@ -168,7 +176,8 @@ class Density:
                 size * math.log(variance),
             )
         white = whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
-        table = white(np.column_stack([line.jacobian, self._residual(line)]))
+        table = white(self._beside(line))
+        self._white = (white, table)
         whole = table.T @ table
         return Gram(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), white.logdet)
 
@@ -185,8 +194,13 @@ class Density:
         total = found.log_marginal + self.assembly.log_prior(v)
         return (total, found) if math.isfinite(total) else (NOWHERE, None)
 
-    def slope(self, v: np.ndarray) -> tuple[float, np.ndarray]:
-        """The log density and its gradient: in closed form by spreads and one white variance, else by differences."""
+    def slope(self, v: np.ndarray, careful: bool = False) -> tuple[float, np.ndarray]:
+        """The log density and its gradient: in closed form where that is known, else by differences.
+
+        Args:
+            v: coordinate of φ.
+            careful: take differences on both sides, so that slopes of slopes are good too.
+        """
         value, found = self.at(v)
         gradient = np.zeros(len(v))
         if found is None:
@@ -196,18 +210,60 @@ class Density:
         covariance = found.covariance_of_z
         z = (found.mean - found.shift) / np.where(found.sd > 0, found.sd, 1.0)
         excess = (z**2 + np.diag(covariance) - 1) * assembly.weight_of_x
+        by_shape = self._shape_slopes(v, found, covariance)
         for i, kind in enumerate(assembly.kinds):
             if kind == "spread" and i not in assembly.moving:
                 gradient[i] += excess @ self._log_size_slope(v, i)
             elif kind == "noise" and self.even:
                 gradient[i] += self._white_slope(v, found, z, covariance)
+            elif kind == "shape" and i in by_shape:
+                gradient[i] += by_shape[i]
             else:
-                moved = v.copy()
-                moved[i] += STEP
-                there = self.at(moved)[0]
-                own = assembly.log_prior(moved) - assembly.log_prior(v)
-                gradient[i] += (there - own - value) / STEP if there > NOWHERE else 0.0
+                gradient[i] += self._difference(v, i, value, careful)
         return value, gradient
+
+    def _difference(self, v: np.ndarray, i: int, value: float, careful: bool) -> float:
+        """Slope of the log likelihood by one coordinate, by differences."""
+
+        def likelihood(step: float) -> float:
+            moved = v.copy()
+            moved[i] += step
+            return self.at(moved)[0] - self.assembly.log_prior(moved)
+
+        if careful:
+            found = (likelihood(CAREFUL) - likelihood(-CAREFUL)) / (2 * CAREFUL)
+        else:
+            found = (likelihood(STEP) - value + self.assembly.log_prior(v)) / STEP
+        return found if abs(found) < 1e100 else 0.0  # beyond the edge of where there is a density
+
+    def _shape_slopes(
+        self, v: np.ndarray, found: Conditional, covariance: np.ndarray
+    ) -> dict[int, float]:
+        """By the coordinate of each shape whose columns' slopes are known."""
+        assembly, hyper = self.assembly, self.assembly.hyper(v)
+        shapes = [i for i, kind in enumerate(assembly.kinds) if kind == "shape"]
+        if not shapes or not assembly.affine:
+            return {}
+        line, gram = self._line(v, hyper)
+        slopes = assembly.slopes(self.point, hyper)
+        if gram is None:
+            assert self._white is not None
+            white, table = self._white
+        else:
+            table = self._beside(line)
+        mean, made = found.mean, {}
+        move, spread = mean - self.point.x, found.sd[:, None] * covariance * found.sd
+        for i in shapes:
+            known = assembly.jacobian_slopes(i, slopes, hyper)
+            if known is not None:
+                at, columns = known
+                if gram is None:
+                    products = white(columns).T @ table
+                else:
+                    products = columns.T @ table / hyper["noise.white"] ** 2
+                left = products[:, -1] - products[:, :-1] @ move
+                made[i] = float(left @ mean[at] - np.sum(spread[at] * products[:, :-1]))
+        return made
 
     def _log_size_slope(self, v: np.ndarray, i: int) -> np.ndarray:
         up, down = v.copy(), v.copy()

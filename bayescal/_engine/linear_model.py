@@ -27,6 +27,8 @@ class LinearModel:
         residual: at the posterior mean of θ, output unit (n,).
         nuisance: slopes by x and by the moving entries of φ, times their prior's standard deviations (n, q).
         weight: 1 where the prior is proper, 0 where it is flat (q,).
+        owners: of each of these columns, the effect (q,).
+        z: posterior mean of θ less its prior's, in these standard deviations (q,).
         whiten: of the readings.
     """
 
@@ -37,8 +39,9 @@ class LinearModel:
     nuisance: Float[np.ndarray, "n q"]
     weight: Float[np.ndarray, "q"]
     sd: Float[np.ndarray, "q"]
+    owners: tuple[str, ...]
+    z: Float[np.ndarray, "q"]
     whiten: Whitening
-    prior_squares: float
 
     @property
     def size(self) -> int:
@@ -55,7 +58,7 @@ class LinearModel:
     @cached_property
     def rest(self) -> float:
         """Sum of squares, the prior's share included."""
-        return float(self.white_residual @ self.white_residual) + self.prior_squares
+        return float(self.white_residual @ self.white_residual) + float(self.weight @ self.z**2)
 
     @cached_property
     def _chol(self) -> np.ndarray:
@@ -92,6 +95,7 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
         columns.append(((ends[0] - ends[1]) / (2 * STEP))[:, None])
         sd.append(np.ones(1))
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
+    own = [t.known.of for t in assembly.in_x for _ in range(t.at.start, t.at.stop)]
     return LinearModel(
         assembly=assembly,
         mode=mode,
@@ -100,6 +104,7 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
         nuisance=np.concatenate(columns, axis=1),
         weight=np.append(prior.weight, np.ones(len(assembly.moving))),
         sd=np.concatenate(sd),
+        owners=(*own, *(assembly.hypers[i].name.rpartition(".")[0] for i in assembly.moving)),
+        z=np.append(z, np.zeros(len(assembly.moving))),
         whiten=whitening(assembly.noise, hyper, assembly.record, density.extra(line)),
-        prior_squares=float(prior.weight @ z**2),
     )

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize
 
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.blas import on_one_thread
@@ -27,7 +26,9 @@ CURVED = 1e-4  # step of a coordinate for the curvature
 LEAST_CURVATURE = (
     0.05  # a coordinate is never known worse than a few units before its prior takes over
 )
-STEEP = 1e-3  # gradient of the log density, below which φ̂ is found
+CLIMB = 100  # steps uphill at most
+LONGEST = 1.5  # of them, in prior standard deviations
+NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found
 
 
 class Mode(NamedTuple):
@@ -90,18 +91,36 @@ def find_mode(
 
 
 def climb(density: Density, start: np.ndarray, covariance: np.ndarray | None) -> np.ndarray:
-    """φ̂ of a density, uphill from a coordinate."""
-    options = {"gtol": STEEP, "maxiter": 200}
+    """φ̂ of a density, uphill from a coordinate: BFGS, until what is left to gain is nothing.
+
+    Args:
+        density: of φ.
+        start: where to begin.
+        covariance: first guess of the inverse curvature.
+    """
+    v, wide = start, 0.1 * np.eye(len(start))
     if covariance is not None and np.all(np.isfinite(covariance)):
-        options["hess_inv0"] = covariance
-
-    def downhill(v):
-        value, gradient = density.slope(v)
-        return -value, -gradient
-
-    with np.errstate(all="ignore"):
-        found = minimize(downhill, start, jac=True, method="BFGS", options=options)
-    return found.x if found.fun <= -density.at(start)[0] else start
+        wide = covariance
+    value, slope = density.slope(v)
+    for _ in range(CLIMB):
+        step = wide @ slope
+        step *= min(1.0, LONGEST / max(float(np.max(np.abs(step))), 1e-300))
+        gain = float(slope @ step)
+        if not gain > NOTHING_LEFT:
+            break
+        for _ in range(HALVINGS):
+            there, next_slope = density.slope(v + step)
+            if there >= value + 1e-4 * gain:
+                break
+            step, gain = 0.3 * step, 0.3 * gain
+        else:
+            break
+        turned = slope - next_slope
+        if (bend := float(step @ turned)) > 1e-12:
+            left = np.eye(len(v)) - np.outer(step, turned) / bend
+            wide = left @ wide @ left.T + np.outer(step, step) / bend
+        v, value, slope = v + step, there, next_slope
+    return v
 
 
 def _prior_draws(assembly: Assembly) -> list[np.ndarray]:
@@ -186,11 +205,11 @@ def at_mode(density: Density, v: np.ndarray, change: float) -> Mode:
 
 def gaussian_fit(density: Density, v: np.ndarray) -> tuple[np.ndarray, float, bool]:
     """Covariance of the Gaussian fit at a mode, its log volume, and whether the curvature had to be mended."""
-    precision, here = np.zeros((len(v), len(v))), density.slope(v)[1]
+    precision, here = np.zeros((len(v), len(v))), density.slope(v, careful=True)[1]
     for i in range(len(v)):
         up = v.copy()
         up[i] += CURVED
-        precision[i] = (here - density.slope(up)[1]) / CURVED
+        precision[i] = (here - density.slope(up, careful=True)[1]) / CURVED
     weights, vectors = np.linalg.eigh(0.5 * (precision + precision.T))
     mended = np.maximum(weights, LEAST_CURVATURE)
     covariance = (vectors / mended) @ vectors.T

@@ -37,6 +37,12 @@ def shares(v: float) -> Float[np.ndarray, "s"]:
     return share / share.sum()
 
 
+def share_slopes(v: float) -> Float[np.ndarray, "s"]:
+    """Of these shares by v."""
+    step = 1e-6
+    return (shares(v + step) - shares(v - step)) / (2 * step)
+
+
 class ColumnsOf(NamedTuple):
     """What an effect's columns depend on: its basis, and the shapes that this takes."""
 
@@ -124,6 +130,14 @@ class Record:
         else:
             self._shaped.move_to_end(key)
         return found
+
+    def column_slopes(self, effect: ColumnsOf, value: float) -> Float[np.ndarray, "n k"] | None:
+        """Slopes of an effect's columns by the coordinate of its one shape; None where they are not interpolated."""
+        v = effect.priors[0].coordinate(value)
+        curve = self._curve(effect) if abs(v) < REACH else None
+        if curve is None:
+            return None
+        return (share_slopes(v) @ curve).reshape(self.size, -1, order="F")
 
     def _curve(self, effect: ColumnsOf) -> Float[np.ndarray, "s m"] | None:
         """Columns at the nodes of a shape's coordinate; None where they run too sharply to be interpolated."""
