@@ -24,7 +24,7 @@ from scipy.special import logsumexp
 
 import bayescal as bc
 from bayescal._discovery.calibrate import _other_path
-from bayescal._discovery.scores import scores
+from bayescal._discovery.scores import View
 from bayescal._discovery.structures import Structure
 from bayescal._engine.linear_model import linear_model
 from bayescal_models import INSTRUMENTS
@@ -149,7 +149,8 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
 
 def _against(found: Searched, missing: list[str], wanders: bool) -> dict[str, Any] | None:
     """The true structure against the most probable one: whether it was weighed, and their totals, in nats."""
-    structures, best = found.structures, found.posterior.weighed[0]
+    structures = found.structures
+    best = structures.visited[found.posterior.best]
     truth = Structure(frozenset(missing), wanders)
     if truth == best.structure or not set(missing) <= set(structures.candidates):
         return None
@@ -183,7 +184,7 @@ def _likeness(instrument: bc.Instrument, case: Case, found: Searched) -> float:
     left = float((hidden.T @ hidden - inside.T @ inside).item())
     names = [n for n, e in found.structures.candidates.items() if not e.is_placeholder]
     alike = [0.0]
-    for points in scores(found.library, found.base, names).values():
+    for points in View(found.library, found.base).without().scores(names).values():
         for s in points:
             shared = s.columns.T @ hidden - s.inside.T @ inside
             part = np.linalg.lstsq(s.information, shared, rcond=1e-10)[0]
