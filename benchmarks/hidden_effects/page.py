@@ -29,6 +29,7 @@ from benchmarks.intervals import by_stated, proportion
 from benchmarks.markdown import table
 
 ALIKE = 0.7  # correlation from which an effect outside the catalogue looks like one of it
+HIDDEN = ("single", "pair", "several", "outside")
 SURE = 0.9  # probability from which a catalogue effect explains it away
 MARKS = ("<!-- the bank in short -->", "<!-- end of it -->")
 EDGES = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)  # of stated probabilities
@@ -166,6 +167,15 @@ def _others(banks: Banks) -> str:
             [set(r["hidden"]) <= set(r["final"]) for r in pairs],
         ),
         ("the same: at least one", [bool(set(r["hidden"]) & set(r["final"])) for r in pairs]),
+        (
+            "any hidden, probability of nothing missing below 0.05: no effect chosen all the same",
+            [
+                not r["final"]
+                for kind in HIDDEN
+                for r in of_kind(banks, kind)
+                if r["nothing"] < 0.05
+            ],
+        ),
         (
             "four hidden on a long record (`mems_gyro`): each in the final model or in a set",
             [set(r["hidden"]) <= said(r) for r in of_kind(banks, "several")],
