@@ -35,10 +35,15 @@ def main() -> None:
     """Run what is missing, then write and print the table."""
     for name in chosen(INSTRUMENTS):
         _run(name)
-    summary = {
-        path.stem.removeprefix("false_discoveries_"): _summary(read_lines(path))
-        for path in sorted(RESULTS.glob("false_discoveries_*.jsonl"))
-    }
+    summarise()
+
+
+def summarise() -> None:
+    """Write and print the table of the results that stand."""
+    files = sorted(RESULTS.glob("false_discoveries_*.jsonl"))
+    lines = {path.stem.removeprefix("false_discoveries_"): read_lines(path) for path in files}
+    lines["all"] = [line for own in lines.values() for line in own]
+    summary = {name: _summary(own) for name, own in lines.items()}
     write("false_discoveries", summary)
     for name, rows in summary.items():
         for how, row in rows.items():
