@@ -65,7 +65,8 @@ def _regressors(searched: Searched, record: Record) -> Regressors:
     for name, effect in searched.structures.candidates.items():
         if effect.is_placeholder:
             continue
-        middle = tuple(float(s.prior.value(0.0)) for s in effect.column_shapes)
+        shapes = effect.column_shapes
+        middle = tuple(float(s.prior.value(0.0)) for s in shapes)  # pyright: ignore[reportArgumentType]
         made = record.columns(ColumnsOf.of(effect), middle)
         for i, c in enumerate(effect.coefficients):
             slot = instrument.slot(c.slot or effect.slot)
