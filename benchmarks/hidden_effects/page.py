@@ -49,7 +49,8 @@ def write(banks: Banks, spoilt: dict[str, Any], path: Path) -> None:
         "Planned for each instrument: "
         + ", ".join(f"{kind} {count}" for kind, count in COUNTS.items())
         + " (single: for each candidate; several: where there is a long record). Kinds are measured in turn; what is "
-        "missing goes on with the same command. Seconds are of the search alone, with other work on the machine.\n",
+        "missing goes on with the same command. Seconds are of the search alone, with other work on the machine. Rows "
+        "that stand are of two versions of the search, most of them from before it was made quicker.\n",
         "## One hidden effect\n",
         *page_single.chapter(banks),
         "## Nothing hidden\n",
