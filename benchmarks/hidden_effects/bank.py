@@ -6,18 +6,34 @@ from collections.abc import Iterator
 from importlib import import_module
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal._discovery import candidate_columns
-from bayescal._discovery.discover import unknowns
 from bayescal._model.model import testable
 from bayescal_models import mems_gyro
+from benchmarks.hidden_effects.drawn import by_law as drawn_by_law
+from benchmarks.hidden_effects.searched import noise_of
 
 SIZES = (1 / 3, 3.0)  # of the plausible size
-# Campaigns of each kind for each instrument; single: turns through all candidates, and two more at the end.
-COUNTS = {"single": 3, "empty": 60, "pair": 8, "outside": 8, "prior": 40, "law": 40}
+# Campaigns of each kind for each instrument; single: times each candidate; several: only where there is a long one.
+COUNTS = {
+    "single": 5,
+    "empty": 120,
+    "pair": 24,
+    "outside": 24,
+    "prior": 60,
+    "law": 120,
+    "several": 12,
+}
+PACE = {
+    "single": 25,
+    "empty": 20,
+    "pair": 6,
+    "outside": 6,
+    "prior": 10,
+    "law": 20,
+    "several": 3,
+}  # in turn
 FIRST_SEED = {
     "single": 1000,
     "empty": 2000,
@@ -25,6 +41,7 @@ FIRST_SEED = {
     "outside": 4000,
     "prior": 5000,
     "law": 6000,
+    "several": 8000,
 }
 # What no catalogue has, and the placeholder that is nearest to it. A wave and a step have a form of their own among
 # the placeholders; a shock that dies away has none.
@@ -37,6 +54,17 @@ OUTSIDE = {
 # Where an instrument's own standard campaign could show only a part of its effects.
 CAMPAIGNS: dict[str, dict[str, Any]] = {
     "mems_gyro": {"campaign": mems_gyro.Campaign(rate_input=(0.0, 100.0, -100.0))}
+}
+# Several effects at once, on a longer record: three runs, 1,608 readings 20 s apart.
+LONG: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "mems_gyro": (
+        {
+            "campaign": mems_gyro.Campaign(
+                temperatures=tuple(range(10, 81, 10)), dwell=1340.0, average=20.0
+            )
+        },
+        ("bias.run", "bias.thermal_lag", "bias.warm_up", "bias.temperature_quadratic"),
+    )
 }
 
 
@@ -58,7 +86,10 @@ def simulated(instrument: bc.Instrument, case: Case, later: bool = False) -> bc.
     """The campaign's readings, or those of a second campaign with the same hidden effects, to be held out."""
     assert instrument.simulate is not None
     seed = case.seed + (500_000 if later else 0)
-    readings = instrument.simulate(case.hidden, seed=seed, **CAMPAIGNS.get(instrument.name, {}))
+    options = CAMPAIGNS.get(instrument.name, {})
+    if case.kind == "several":
+        options = LONG[instrument.name][0]
+    readings = instrument.simulate(case.hidden, seed=seed, **options)
     return outside(readings, instrument, case) if case.kind == "outside" else readings
 
 
@@ -71,35 +102,42 @@ def open_effects(model: bc.Model, readings: bc.Measurements) -> list[bc.Effect]:
     ]
 
 
-def plan(instrument: bc.Instrument) -> Iterator[Case]:
+def plan(instrument: bc.Instrument) -> list[Case]:
     """The bank, kinds in turn, so that a part of it is a fair sample."""
     empty = simulated(instrument, Case("empty", 0, {}))
     effects = open_effects(instrument.for_readings(empty).baseline(), empty)
+    cases = [
+        (turn / PACE[kind], case)
+        for kind in COUNTS
+        for turn, case in enumerate(_of_kind(kind, instrument, effects))
+    ]
+    return [case for _, case in sorted(cases, key=lambda c: c[0])]
+
+
+def _of_kind(kind: str, instrument: bc.Instrument, effects: list[bc.Effect]) -> Iterator[Case]:
+    """Campaigns of one kind; what is drawn of them does not depend on how many there are."""
     size = {e.name: e.coefficients[0].size for e in effects}
-    names = list(size)
-    rng = np.random.default_rng(20261121)
-    for turn in range(max(COUNTS.values())):
-        if turn < COUNTS["single"]:
-            for i, name in enumerate(names):
-                seed = FIRST_SEED["single"] + 100 * turn + i
-                yield Case("single", seed, {name: _drawn(name, size[name], rng)})
-        if turn < COUNTS["pair"] and len(names) > 1:
+    names, count, first = list(size), COUNTS[kind], FIRST_SEED[kind]
+    rng = np.random.default_rng([20261121, first])
+    if kind == "single":
+        for turn in range(count):
+            for i in rng.permutation(len(names)):
+                name = names[i]
+                yield Case(kind, first + 100 * turn + int(i), {name: _drawn(name, size[name], rng)})
+        return
+    for turn in range(count):
+        if kind == "pair" and len(names) > 1:
             pair = rng.choice(names, 2, replace=False)
-            hidden = {str(n): _drawn(n, size[n], rng) for n in pair}
-            yield Case("pair", FIRST_SEED["pair"] + turn, hidden)
-        if turn < COUNTS["outside"]:
-            shape = list(OUTSIDE)[turn % len(OUTSIDE)]
-            yield Case("outside", FIRST_SEED["outside"] + turn, {}, shape)
-        if turn < COUNTS["empty"]:
-            yield Case("empty", FIRST_SEED["empty"] + turn, {})
-        if turn < COUNTS["prior"]:
-            yield Case("prior", FIRST_SEED["prior"] + turn, _from_prior(effects, rng))
-        if turn < COUNTS["law"]:
-            yield Case("law", FIRST_SEED["law"] + turn, {})
-    for turn in (COUNTS["single"], COUNTS["single"] + 1):  # drawn last: what was drawn before stays
-        for i, name in enumerate(names):
-            seed = FIRST_SEED["single"] + 100 * turn + i
-            yield Case("single", seed, {name: _drawn(name, size[name], rng)})
+            yield Case(kind, first + turn, {str(n): _drawn(n, size[n], rng) for n in pair})
+        elif kind == "several" and instrument.name in LONG:
+            several = LONG[instrument.name][1]
+            yield Case(kind, first + turn, {n: _drawn(n, size[n], rng) for n in several})
+        elif kind == "outside":
+            yield Case(kind, first + turn, {}, list(OUTSIDE)[turn % len(OUTSIDE)])
+        elif kind in ("empty", "law"):
+            yield Case(kind, first + turn, {})
+        elif kind == "prior":
+            yield Case(kind, first + turn, _from_prior(effects, rng))
 
 
 def _signed(name: str, value: float) -> float:
@@ -115,37 +153,14 @@ def _drawn(name: str, size: float, rng: np.random.Generator) -> float:
 def _from_prior(effects: list[bc.Effect], rng: np.random.Generator) -> dict[str, float]:
     """Half of the time nothing; else one effect, each as probable, at a size from its own prior."""
     empty, at, normal = rng.random() < 0.5, int(rng.integers(len(effects))), rng.standard_normal()
-    coefficient = effects[at].coefficients[0]
-    value = coefficient.size * normal
-    if coefficient.spread is not None:
-        value = float(coefficient.spread.value(jnp.asarray(normal)))
+    value = effects[at].coefficients[0].size * normal
     return {} if empty else {effects[at].name: _signed(effects[at].name, float(value))}
 
 
-def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, list[str]]:
-    """Readings drawn from the search's own prior, and what is hidden in them.
-
-    Half of the time nothing; else one candidate by its share of the prior, an unknown function among them, with its
-    shapes, spread and coefficients from their priors, in the catalogue's own columns.
-    """
-    rng = np.random.default_rng([case.seed, 1])
+def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, list[str], bool]:
+    """Readings drawn from the search's own prior, what is hidden in them, and whether the noise wanders."""
     readings = simulated(instrument, case)
-    if rng.random() < 0.5:
-        return readings, []
-    model = instrument.for_readings(readings).baseline()
-    fit = bc.fit(model, readings, bc.LeastSquares(), strict=False)
-    effects = open_effects(model, readings)
-    effects += [e for e in unknowns(fit) if testable(e, readings) is None]
-    effect = effects[int(rng.choice(len(effects), p=candidate_columns.prior_shares(effects)))]
-    shapes = [float(s.prior.value(jnp.asarray(rng.standard_normal()))) for s in effect.shapes]
-    hidden = np.zeros(len(readings))
-    for (columns, size), c in zip(
-        candidate_columns.columns_at(fit, effect, shapes), effect.coefficients, strict=True
-    ):
-        if c.spread is not None:
-            size = float(c.spread.value(jnp.asarray(rng.standard_normal())))
-        hidden += size * columns @ rng.standard_normal(columns.shape[1])
-    return readings.with_column("output", readings["output"] + hidden), [effect.name]
+    return drawn_by_law(instrument.for_readings(readings).baseline(), readings, case.seed)
 
 
 def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) -> bc.Measurements:
@@ -158,10 +173,7 @@ def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) ->
     """
     strength, phase, place = np.random.default_rng(case.seed).random(3)
     strength = 1.0 + 5.0 * strength  # the same in both campaigns
-    fit = bc.fit(
-        instrument.for_readings(readings).baseline(), readings, bc.LeastSquares(), strict=False
-    )
-    noise = float(fit.samples("noise.white").mean())
+    noise = noise_of(instrument.for_readings(readings).baseline(), readings)
     if case.shape == "column":
         own = int(1e6 * abs(readings["output"][0])) % 2**31
         rng = np.random.default_rng([case.seed, len(readings), own])

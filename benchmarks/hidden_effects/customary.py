@@ -1,6 +1,6 @@
 """Customary selections of effects, side by side with ours: stepwise by BIC, LASSO, sequential thresholding.
 
-All see the same columns: ∂μ/∂θ of every candidate at the fitted baseline (shapes at the middle of their priors),
+All see the same columns: ∂μ/∂θ of every candidate at the fitted baseline (shapes at the medians of their priors),
 the baseline's own columns taken out first by least squares. None knows priors or correlated noise.
 Sources: G. Schwarz, Ann. Stat. 6 (1978) 461; R. Tibshirani, J. R. Stat. Soc. B 58 (1996) 267 (by scikit-learn);
 S. Brunton, J. Proctor & J. Kutz, PNAS 113 (2016) 3932 (sequentially thresholded least squares, after its description).
@@ -9,16 +9,15 @@ S. Brunton, J. Proctor & J. Kutz, PNAS 113 (2016) 3932 (sequentially thresholded
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-import bayescal as bc
-from bayescal._discovery import candidate_columns
-from bayescal._inference import laplace
-from benchmarks.hidden_effects.bank import open_effects
+from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.linear_model import linear_model
+from bayescal._engine.record import ColumnsOf, Record
+from bayescal._readings.unit_conversion import coefficient_factor
+from benchmarks.hidden_effects.searched import Later, Searched
 
 SELECTIONS = ("stepwise BIC", "LASSO", "STLSQ")
 MOST = 5
@@ -39,36 +38,46 @@ class Regressors(NamedTuple):
     baseline: np.ndarray
 
 
-def select(name: str, calibration: bc.Calibration, later: bc.Measurements) -> dict[str, Any]:
+def select(name: str, searched: Searched, later: Later) -> dict[str, Any]:
     """Effects selected by one of the customary ways, and the error of the held-out readings.
 
     Args:
         name: one of `SELECTIONS`.
-        calibration: of the baseline.
+        searched: a record; its baseline is fitted.
         later: held-out readings.
     """
-    own = _regressors(calibration, calibration.readings)
-    y = calibration.readings["output"] - bc.predict(calibration).mean
+    own = _regressors(searched, searched.structures.record)
+    y = linear_model(searched.base.assembly, searched.base.mode).residual
     way = {"stepwise BIC": _stepwise, "LASSO": _lasso, "STLSQ": _stlsq}[name]
     chosen = way(*_projected(own.candidates, y, own.baseline), own.owners)
-    return {"effects": sorted(chosen), "held_out": _held_out(calibration, later, chosen, own)}
+    return {"effects": sorted(chosen), "held_out": _held_out(searched, later, chosen, own, y)}
 
 
-def _regressors(calibration: bc.Calibration, readings: bc.Measurements) -> Regressors:
-    effects = open_effects(calibration.model, calibration.readings)
-    seen = (
-        calibration if readings is calibration.readings else replace(calibration, readings=readings)
-    )
-    laid = candidate_columns.lay_out(seen, effects)
-    at, owners = [], []
-    for i, effect in enumerate(effects):
-        items = laid.of(i)
-        middle = laid.items[items[len(items) // 2]].columns
-        at += middle
-        owners += [effect.name] * len(middle)
-    y = jnp.asarray(readings["output"])
-    null = laplace.linearised(seen.layout, seen.frame, y, seen.mode)
-    return Regressors(laid.matrix[:, at], np.array(owners), np.asarray(null.nuisance))
+def _regressors(searched: Searched, record: Record) -> Regressors:
+    """Columns of the catalogue's candidates and of the baseline on a record, at the fitted baseline."""
+    base = searched.base
+    there = Assembly(base.assembly.layout, record)
+    hyper = there.hyper(base.mode.v)
+    point = Point(base.mode.point.x, np.zeros((record.size, len(there.row_sd))))
+    line, slopes = there.linearise(point, hyper), there.slopes(point, hyper)
+    instrument, counts = searched.model.instrument, dict(base.assembly.layout.counts)
+    columns, owners = [], []
+    for name, effect in searched.structures.candidates.items():
+        if effect.is_placeholder:
+            continue
+        shapes = effect.column_shapes
+        middle = tuple(float(s.prior.value(0.0)) for s in shapes)  # pyright: ignore[reportArgumentType]
+        made = record.columns(ColumnsOf.of(effect), middle)
+        for i, c in enumerate(effect.coefficients):
+            slot = instrument.slot(c.slot or effect.slot)
+            column = slopes[slot.name] * coefficient_factor(c.unit, slot.unit) * made[:, i]
+            if c.per is None:
+                columns.append(column)
+            else:
+                codes = record.codes[c.per]
+                columns += [np.where(codes == m, column, 0.0) for m in range(counts[c.per])]
+            owners += [name] * (len(columns) - len(owners))
+    return Regressors(np.column_stack(columns), np.array(owners), line.jacobian)
 
 
 def _projected(
@@ -129,16 +138,13 @@ def _stlsq(x: np.ndarray, y: np.ndarray, owners: np.ndarray, threshold: float = 
 
 
 def _held_out(
-    calibration: bc.Calibration, later: bc.Measurements, chosen: set[str], own: Regressors
-) -> float | None:
+    searched: Searched, later: Later, chosen: set[str], own: Regressors, y: np.ndarray
+) -> float:
     """Error of the held-out readings with the chosen columns fitted by least squares beside the baseline's."""
     at = np.isin(own.owners, list(chosen))
-    new = _regressors(calibration, later)
-    if new.candidates.shape[1] != own.candidates.shape[1]:
-        return None  # groups differ
-    y = calibration.readings["output"] - bc.predict(calibration).mean
+    new = _regressors(searched, later.known)
     columns = np.column_stack([own.baseline, own.candidates[:, at]])
     size = np.linalg.lstsq(columns, y, rcond=None)[0]
-    guess = bc.predict(calibration, later).mean
+    guess = later.expected(searched.base)
     guess = guess + np.column_stack([new.baseline, new.candidates[:, at]]) @ size
-    return float(np.sqrt(np.mean((later["output"] - guess) ** 2)))
+    return float(np.sqrt(np.mean((later.record.y - guess) ** 2)))

@@ -40,6 +40,11 @@ def hidden_in(row: dict[str, Any]) -> str:
     return next(iter(row["hidden"]))
 
 
+def said(row: dict[str, Any]) -> set[str]:
+    """Effects that stand in the final model or in a set beside one of it."""
+    return set(row["final"]) | {name for effects, _ in row["sets"] for name in effects}
+
+
 def names_outside(row: dict[str, Any], where: str) -> bool:
     """Whether the column outside the catalogue is named there, in whatever form."""
     column = OUTSIDE[row["shape"]].removesuffix(")").split(",")[0]

@@ -1,0 +1,98 @@
+"""Readings drawn from the search's own prior: each candidate in or out, its shapes and sizes, the noise law."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import bayescal as bc
+from bayescal._discovery.discover import structures_over
+from bayescal._discovery.structures import SIZES, Structure, Structures
+from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.record import Record
+from bayescal._model.frame import reference_of
+from bayescal._model.noise_laws import CORRELATION_TIME
+from bayescal._model.parameters import Hyper, Layout
+from bayescal._model.prior import HalfCauchy, HalfNormal
+
+
+def by_law(
+    model: bc.Model, readings: bc.Measurements, seed: int
+) -> tuple[bc.Measurements, list[str], bool]:
+    """An empty campaign's readings with what the prior says added; what was, and whether the noise wanders.
+
+    Each candidate is in by its prior odds, its shapes, spreads and coefficients by their priors in the catalogue's own
+    columns, its size times 1, 3 or 10 by their probabilities. Half of the time the noise wanders, its diffusion and
+    time by their priors; its white part stays the simulator's.
+    """
+    rng = np.random.default_rng([seed, 1])
+    structures, _ = structures_over(model, readings, reference_of(readings))
+    wanders = structures.wide is not None and bool(rng.random() < 0.5)
+    barred = structures.barred(Structure(wanders=wanders))
+    odds = {n: o for n, o in structures.log_odds.items() if n not in barred}
+    names = [n for n, o in odds.items() if rng.random() < 1 / (1 + np.exp(-o))]
+    added = np.zeros(len(readings))
+    if names:
+        added += _effects(structures, names, rng)
+    if wanders:
+        added += _wander(structures, rng)
+    return readings.with_column("output", readings["output"] + added), names, wanders
+
+
+def _effects(structures: Structures, names: list[str], rng: np.random.Generator) -> np.ndarray:
+    """What effects add to the expected output at the fitted baseline."""
+    base = structures.weigh(Structure())
+    model = structures.model(Structure(frozenset(names)))
+    sizes, shares = list(SIZES), list(SIZES.values())
+    spread = {n: float(rng.choice(sizes, p=shares)) for n in names}
+    spread = {n: f for n, f in spread.items() if not structures.candidates[n].is_placeholder}
+    assembly = Assembly(Layout(model, structures.layout.counts), structures.record, spread)
+    v = np.array([base.values.get(h.name, _coordinate(h, rng)) for h in assembly.hypers])
+    hyper = assembly.hyper(v)
+    prior = assembly.prior(hyper, np.ones(assembly.size))
+    own = {t.known.of: t.at for t in base.assembly.in_x}
+    x, without = np.zeros(assembly.size), np.zeros(assembly.size)
+    placed = dict.fromkeys(own, 0)
+    for t in assembly.in_x:
+        if t.known.of in own:
+            known = [b for b in base.assembly.in_x if b.known.of == t.known.of]
+            at = known[placed[t.known.of]].at
+            placed[t.known.of] += 1
+            x[t.at] = without[t.at] = base.mode.point.x[at]
+        else:
+            x[t.at] = prior.mean[t.at] + prior.sd[t.at] * rng.standard_normal(t.size)
+    rows = np.zeros((structures.record.size, len(assembly.row_sd)))
+    there, here = (assembly.linearise(Point(one, rows), hyper).mean for one in (x, without))
+    moved = rng.standard_normal(rows.shape) * assembly.row_sd
+    line = assembly.linearise(Point(x, rows), hyper)
+    return there - here + np.sum(line.rows * moved, axis=1)
+
+
+def _coordinate(h: Hyper, rng: np.random.Generator) -> float:
+    """Of one entry of φ, by its prior."""
+    if isinstance(h.prior, HalfNormal):
+        return float(np.log(np.abs(rng.standard_normal())))
+    if isinstance(h.prior, HalfCauchy):
+        return float(np.log(np.abs(rng.standard_cauchy())))
+    return float(rng.standard_normal())
+
+
+def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
+    """Correlated noise with diffusion and time by the wandering law's priors."""
+    record: Record = structures.record
+    assert structures.wide is not None
+    priors = structures.wide.parameters()
+    values = {
+        n: float(p.value(_coordinate(Hyper(n, "", p, "noise"), rng)))  # pyright: ignore
+        for n, p in priors.items()
+        if n != "noise.white"
+    }
+    tau = values.pop(CORRELATION_TIME)
+    (diffusion,) = values.values()
+    sd = diffusion * np.sqrt(0.5 * tau)
+    order, step = record.in_time
+    made, value = np.zeros(record.size), 0.0
+    for place, since in zip(order, step, strict=True):
+        kept = 0.0 if since < 0 else float(np.exp(-since / tau))
+        value = kept * value + sd * np.sqrt(1 - kept**2) * rng.standard_normal()
+        made[place] = value
+    return made

@@ -1,0 +1,132 @@
+"""One record searched as `calibrate` does, without its fits and checks; errors of structures on a second record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import bayescal as bc
+from bayescal._diagnostics.outliers import without_spikes
+from bayescal._discovery.discover import structures_over
+from bayescal._discovery.posterior import Found, Posterior
+from bayescal._discovery.scores import Library
+from bayescal._discovery.structures import Structure, Structures, Weighed
+from bayescal._discovery.walk import walk
+from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.closed_form import Density
+from bayescal._engine.record import Record
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.parameters import bind
+
+MOST = 5  # effects, as by default
+
+
+@dataclass(eq=False)
+class Searched:
+    """A record and what the search makes of it.
+
+    Attributes:
+        model: the baseline.
+        readings: spikes set aside.
+        structures: those weighed.
+        library: its candidates.
+    """
+
+    model: bc.Model
+    readings: bc.Measurements
+    structures: Structures
+    library: Library
+
+    @classmethod
+    def of(cls, model: bc.Model, readings: bc.Measurements, widen_noise: bool = True) -> Searched:
+        """Search a record to the end."""
+        readings = without_spikes(readings)
+        structures, _ = structures_over(
+            model, readings, reference_of(readings), widen_noise=widen_noise
+        )
+        library = Library(structures)
+        walk(library, MOST)
+        return cls(model, readings, structures, library)
+
+    @property
+    def base(self) -> Weighed:
+        return self.structures.weigh(Structure())
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        """Over the structures that the search weighed, not those weighed later."""
+        return Posterior.of(self.structures)
+
+    @cached_property
+    def chosen(self) -> Structure:
+        return self.posterior.chosen
+
+    @property
+    def sets(self) -> tuple[Found, ...]:
+        return self.posterior.findings
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Of each candidate to be missing."""
+        return {name: self.posterior.inclusion(name) for name in self.structures.candidates}
+
+    def reported(self) -> list[tuple[list[str], list[list[str]]]]:
+        """Effects of each structure on the way to the chosen one, and the sets that are missing from it."""
+        found = []
+        for at in self.structures.path(self.chosen):
+            sets = Posterior.of(self.structures, at.effects).findings
+            if sets:
+                found.append((sorted(at.effects), [list(s.effects) for s in sets]))
+        return found
+
+    def error(self, structure: Structure, later: Later) -> float:
+        """Root mean square error of a structure on a second record, its runs unseen."""
+        weighed = self.structures.weigh(structure)
+        return later.error(weighed)
+
+
+@dataclass(eq=False)
+class Later:
+    """A second record, in the terms of the first: members of groups are new to it, axes are not.
+
+    Attributes:
+        record: its own.
+        known: the same with members of the first record's names taken for these.
+    """
+
+    record: Record
+    known: Record
+
+    @classmethod
+    def of(cls, searched: Searched, readings: bc.Measurements) -> Later:
+        first, own = searched.structures.record, without_spikes(readings)
+        levels = bind(searched.model, searched.readings)[1]
+        frame = build_frame(own, reference_of(searched.readings), levels)
+        new = {g: c if g == "axis" else -jnp.ones_like(c) for g, c in frame.codes.items()}
+        unseen = eqx.tree_at(lambda f: f.codes, frame, new)
+        y = np.asarray(own["output"])
+        made = (Record(first.instrument, f, y, first.library) for f in (unseen, frame))
+        return cls(*made)
+
+    def expected(self, weighed: Weighed) -> np.ndarray:
+        """Output that a structure expects of it."""
+        mode = weighed.mode
+        _, found = Density(weighed.assembly, mode.point, mode.flat).at(mode.v)
+        x = mode.point.x if found is None else found.mean
+        there = Assembly(weighed.assembly.layout, self.record, weighed.assembly.spread)
+        rows = np.zeros((self.record.size, len(there.row_sd)))
+        return there.linearise(Point(x, rows), there.hyper(mode.v)).mean
+
+    def error(self, weighed: Weighed) -> float:
+        return float(np.sqrt(np.mean((self.record.y - self.expected(weighed)) ** 2)))
+
+
+def noise_of(model: bc.Model, readings: bc.Measurements) -> float:
+    """Standard deviation of the baseline's white noise."""
+    structures, _ = structures_over(model, readings, reference_of(readings), widen_noise=False)
+    base = structures.weigh(Structure())
+    return base.assembly.hyper(base.mode.v)["noise.white"]
