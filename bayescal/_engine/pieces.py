@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayescal._core.errors import ModelError
 from bayescal._core.jit import QUICK, known
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
@@ -184,6 +185,16 @@ def slopes_of_draws(
 ) -> tuple[Float[Array, "b n"], dict[str, Float[Array, "b n"]]]:
     """Expected outputs of several sets of slots and moved columns, and their derivatives by each of these."""
     return jax.vmap(partial(response_slopes.__wrapped__, response, frame))(slots, moves)  # pyright: ignore
+
+
+def columns_or_refusal(bases: tuple[Basis, ...], leaves: Leaves, frame: Frame) -> list[Array]:
+    """`fixed_columns`; a basis that is refused is refused with the shapes of the readings as they are."""
+    try:
+        return fixed_columns(bases, leaves)
+    except ModelError:
+        for basis in bases:
+            Effect.matrix(*basis, frame, {})
+        raise
 
 
 @_program

@@ -60,18 +60,21 @@ class Products:
 
     @cached_property
     def _shared(self) -> Gram:
-        hyper = {**self.assembly.hyper(self.mode.v), "noise.white": 1.0}
+        hyper = self.assembly.hyper(self.mode.v)
+        if self.density.even:
+            hyper = {**hyper, "noise.white": 1.0}
         return self.density.gram(self.mode.v, hyper)
 
     def at(self, hyper: Batch, v: Float[np.ndarray, "b d"]) -> Grams:
         """Products at each φ."""
         if self.once:
-            variance, one = hyper["noise.white"] ** 2 + 0 * v[:, :1].sum(axis=1), self._shared
+            one, even = self._shared, self.density.even
+            variance = np.broadcast_to(hyper["noise.white"] ** 2 if even else 1.0, len(v))
             return Grams(
                 one.jtj[None] / variance[:, None, None],
                 one.jtr / variance[:, None],
                 one.rtr / variance,
-                self.size * np.log(variance),
+                one.logdet + self.size * np.log(variance),
             )
         if self._fit is None:
             return self.directly(v)

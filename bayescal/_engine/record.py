@@ -160,7 +160,7 @@ class Record:
             of_library = (ColumnsOf.of(e) for e in self.library)
             wanted = {c.basis: None for c in of_library if not c.shapes}
             bases = tuple(wanted) if key in wanted else (key,)
-            made = pieces.fixed_columns(bases, self.padded)
+            made = pieces.columns_or_refusal(bases, self.padded, self.frame)
             for basis, columns in zip(bases, made, strict=True):
                 self._fixed[basis] = np.asarray(columns)[: self.size]
         return self._fixed[key]

@@ -129,7 +129,7 @@ def test_every_figure_is_there(pages, kind: str) -> None:
 )
 def test_the_page_tells_what_was_missing_and_how_the_error_fell(pages, kind: str) -> None:
     text = " ".join(pages(kind).text.split())
-    first, final = (f"{s.rmse:.3g}" for s in trail().steps)
+    first, final = (f"{s.rmse_fitted:.3g}" for s in trail().steps)
     assert f"Finding: {HIDDEN}" in text
     assert re.search(rf"brought the rms error from {first} °/s to {final} °/s", text)
     assert "It may be used for" in text
