@@ -131,7 +131,7 @@ def test_the_page_tells_what_was_missing_and_how_the_error_fell(pages, kind: str
     text = " ".join(pages(kind).text.split())
     first, final = (f"{s.rmse_fitted:.3g}" for s in trail().steps)
     assert f"Finding: {HIDDEN}" in text
-    assert re.search(rf"brought the rms error from {first} °/s to {final} °/s", text)
+    assert re.search(rf"brought the rms error as fitted from {first} °/s to {final} °/s", text)
     assert "It may be used for" in text
     assert "It may not be used" in text
     assert "What remains unexplained" in text

@@ -108,7 +108,7 @@ def scan() -> dict[str, Any]:
     columns += [_basis(temperature, k, np) for k in range(2, CANDIDATES + 2)]
 
     def look() -> bc.Discovery:
-        return bc.discover(fitted, effects=candidates, verify=False)
+        return bc.discover(fitted, effects=candidates)
 
     look()
     timed = interleaved(
