@@ -87,30 +87,31 @@ class Posterior:
 
         Each begins with an effect of the most probable structure and goes on with what can take its place.
         """
-        best = self.best
         found = []
-        for name in best.effects - self.given:
+        for name in self.best.effects - self.given:
             members = [name]
-            for other in self._substitutes(best, name):
-                if self.inclusion(*members) >= FOUND:
+            while self.inclusion(*members) < FOUND:
+                further = self._substitute(members)
+                if further is None:
                     break
-                members.append(other)
+                members.append(further)
             if self.inclusion(*members) >= FOUND:
                 order = sorted(members, key=lambda n: -self.inclusion(n))
                 found.append(Found(tuple(order), self.inclusion(*members)))
         return tuple(sorted(found, key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects))))
 
-    def _substitutes(self, best: Structure, name: str) -> list[str]:
-        """Effects that may stand in an effect's place, the most probable first."""
-        rest, least = best.effects - {name}, self.refitted[best].total - RIVAL
-        totals: dict[str, float] = {}
-        for s, total in zip(self.structures, self.total, strict=True):
-            other = s.effects - rest
-            if rest <= s.effects and len(other) == 1 and total > least:
-                (own,) = other
-                totals[own] = max(float(total), totals.get(own, -math.inf))
-        totals.pop(name, None)
-        return sorted(totals, key=lambda n: -totals[n])
+    def _substitute(self, members: list[str]) -> str | None:
+        """The likeliest effect in the members' place: of structures near the best that have none of them."""
+        settled = (self.best.effects - {members[0]}) | self.given
+        least = self.refitted[self.best].total - RIVAL
+        mass: dict[str, float] = {}
+        for s, total, probability in zip(
+            self.structures, self.total, self.probability, strict=True
+        ):
+            if total > least and s.effects.isdisjoint(members):
+                for name in s.effects - settled:
+                    mass[name] = mass.get(name, 0.0) + float(probability)
+        return max(mass, key=lambda n: mass[n], default=None)
 
     @property
     def chosen(self) -> Structure:
