@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal_models import mems_gyro
 from bayescal_models.mems_gyro import INSTRUMENT
 from tests.support.compilations import compiled
 
@@ -74,3 +75,23 @@ def test_another_structure_compiles_nothing_but_columns_not_seen_before(method) 
     assert compiled(lambda: bc.fit(INSTRUMENT.baseline() + "bias.run", table, method)) == []
     further = compiled(lambda: bc.fit(MODEL + "bias.temperature_cubic", table, method))
     assert len(further) <= 1
+
+
+def test_a_whole_search_traces_a_few_pieces_and_another_one_none() -> None:
+    """However many structures are weighed: the pieces know none of them."""
+    count = 0
+
+    def heard(event: str, _: float, **__: object) -> None:
+        nonlocal count
+        count += event == "/jax/core/compile/jaxpr_trace_duration"
+
+    hidden = {"bias.thermal_lag": 0.05}
+    first, second = (mems_gyro.simulate(hidden, seed=seed) for seed in (1, 2))
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    trail = bc.calibrate(INSTRUMENT.baseline(), first)
+    assert trail.search is not None
+    assert trail.search.weighed > 5
+    assert count <= 40
+    count = 0
+    bc.calibrate(INSTRUMENT.baseline(), second)
+    assert count == 0
