@@ -41,8 +41,10 @@ class Part(Record):
             return None
         return found[0][self.rows], {name: slope[self.rows] for name, slope in found[1].items()}
 
-    def several(self, slots: Mapping[str, np.ndarray]) -> Float[np.ndarray, "b n"]:
-        return self.whole.several(self._spread(slots))[:, self.rows]
+    def several(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "b n"]:
+        return self.whole.several(self._spread(slots), self._spread(moves))[:, self.rows]
 
     def _response(self, slots, moves):
         mean, slopes = self.whole._response(self._spread(slots), self._spread(moves))

@@ -175,7 +175,7 @@ def told(
 
 def _rivals(posterior: Posterior, leads: list[str]) -> list[str]:
     """Names of what another experiment should tell apart, the most probable first."""
-    first = list(posterior.findings[0].effects) if posterior.findings else []
+    first: list[str] = list(posterior.findings[0].effects) if posterior.findings else []
     return list(dict.fromkeys([*first, *(leads if len(first) < 2 else [])]))[:RIVALS]
 
 

@@ -28,10 +28,10 @@ class Prior(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Where the expected output is linearised: x̂ and the per-reading coefficients."""
+    """Where the expected output is linearised: x̂ (p,) and the per-reading coefficients (n, k); NumPy's or JAX's."""
 
-    x: Float[np.ndarray, "p"]
-    rows: Float[np.ndarray, "n k"]
+    x: Any
+    rows: Any
 
 
 class Line(NamedTuple):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -32,16 +32,16 @@ NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is f
 
 
 class Mode(NamedTuple):
-    """φ̂ with x̂ at it, and the Gaussian fit of φ's coordinates there."""
+    """φ̂ with x̂ at it, and the Gaussian fit of φ's coordinates there; NumPy's arrays, or JAX's in a program."""
 
     point: Point
-    v: Float[np.ndarray, "d"]
-    covariance: Float[np.ndarray, "d d"]
-    log_density: float  # log p(y, φ̂), x integrated out
-    log_evidence: float  # Laplace
-    change: float  # of the last round, in standard deviations
-    flat: Float[np.ndarray, "p"]
-    indefinite: bool  # whether the curvature had to be mended
+    v: Any  # (d,)
+    covariance: Any  # (d, d)
+    log_density: Any  # log p(y, φ̂), x integrated out
+    log_evidence: Any  # Laplace
+    change: Any  # of the last round, in standard deviations
+    flat: Any  # (p,)
+    indefinite: Any  # whether the curvature had to be mended
 
 
 def in_numpy(mode: Mode) -> Mode:
