@@ -210,9 +210,9 @@ class Record:
             _, there = self._response(slots, {})
             for name in self.slots:
                 scale = np.max(np.abs(slopes[name]), initial=0.0)
-                if np.max(np.abs(there[name] - slopes[name]), initial=0.0) > AFFINE * (
-                    scale + 1e-300
-                ):
+                change = np.max(np.abs(there[name] - slopes[name]), initial=0.0)
+                # not "larger than": outside of an arcsine there is no slope to compare
+                if not change <= AFFINE * scale:
                     return None
         return base, slopes
 

@@ -189,3 +189,20 @@ def test_records_of_about_the_same_length_share_their_programs() -> None:
     lengths = [pieces.padded_length(n) for n in range(300, 331)]
     assert len(set(lengths)) <= 2
     assert all(n <= pieces.padded_length(n) <= 1.3 * n for n in range(32, 5000, 7))
+
+
+def test_a_response_without_a_slope_somewhere_is_not_taken_for_affine() -> None:
+    """An arcsine has no slope beyond one: at tilts of verification data a large random slot leads there."""
+    instrument, count = inclinometer.INSTRUMENT, 40
+    tilt = np.deg2rad(np.linspace(-40.0, 40.0, count))
+    readings = bc.Measurements.from_arrays(
+        instrument,
+        axis=np.repeat("x", count),
+        run=np.repeat("x1", count),
+        placement_angle=np.zeros(count),
+        true_angle=tilt,
+        output=np.rad2deg(tilt) * 3600,
+    )
+    frame = build_frame(readings, reference_of(readings))
+    assert Record(instrument, frame, readings["output"]).affine is None
+    assert assembled("inclinometer").record.affine is not None  # no tilt: a sum

@@ -41,10 +41,6 @@ def test_compensation_leaves_the_noise(lines, table, law) -> None:
         assert sd.max() < 6 * ARCSEC  # noise 2″, mounting, coefficients
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="predictions of verification tables are 0.02″ off, 1e-7 of a reading: to be found",
-)
 def test_the_exact_law_inverts_the_equation(lines, table) -> None:
     """Readings that the calibrated equation itself expects go back to their tilts."""
     expected = bc.predict(lines, table.readings()).mean * ARCSEC
