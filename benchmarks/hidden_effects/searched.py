@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal._diagnostics.outliers import without_spikes
+from bayescal._diagnostics.neighbours import without_spikes
 from bayescal._discovery.discover import structures_over
 from bayescal._discovery.posterior import Found, Posterior
 from bayescal._discovery.scores import Library

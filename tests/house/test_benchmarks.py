@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from benchmarks import __main__ as command
 
 ROOT = Path(__file__).resolve().parents[2]
+OWN = ("bayescal", "benchmarks")  # and bayescal_models
 FILES = sorted((ROOT / "benchmarks").rglob("*.py"))
 MOST = 12  # modules in a folder, its docstring's not counted
 
@@ -56,3 +58,14 @@ def test_folders_are_small_and_say_what_they_claim() -> None:
         inside = [file for file in folder.glob("*.py") if file.name != "__init__.py"]
         assert len(inside) <= MOST, folder
         assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))), folder
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda f: f.stem)
+def test_what_a_benchmark_imports_is_there(file: Path) -> None:
+    """Of this repository's own packages: a name that moves away is noticed before a benchmark is run."""
+    for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(OWN):
+            module = import_module(node.module or "")
+            for alias in node.names:
+                inside = hasattr(module, alias.name) or find_spec(f"{node.module}.{alias.name}")
+                assert inside, f"{file.name}: no {alias.name} in {node.module}"
