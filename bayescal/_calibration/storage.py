@@ -22,6 +22,7 @@ from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
 from bayescal._model import noise_laws
+from bayescal._model.departure import Departure, departure
 from bayescal._model.effect import Effect
 from bayescal._model.installed import installed_instruments
 from bayescal._model.instrument import Instrument
@@ -76,6 +77,11 @@ def _description(c: Fitted) -> dict[str, Any]:
         "settings": dict(c.model.instrument.settings),
         "effects": list(c.model.names),
         "coefficients": IN_UNITS,
+        "departures": {
+            e.name: {"of": e.of, "size": e.size, "at": dict(e.at), "shares": e.shares}
+            for e in c.model.effects
+            if isinstance(e, Departure)
+        },
         "unknowns": {e.name: _stated(e) for e in c.model.effects},
         "fixed": dict(c.model.fixed),
         "noise": _noise_description(c.model.noise),
@@ -245,6 +251,10 @@ def _model_from(path: Path, described, readings: Measurements, effects, instrume
     for n in described["effects"]:
         if n not in catalogue and (covariate := covariate_in(n)):
             catalogue[n] = instrument.unknown(covariate)
+    for n, d in described.get("departures", {}).items():
+        if (of := catalogue.get(d["of"])) is not None:
+            shares, unit = tuple(map(tuple, d["shares"])), instrument.slot(of.slot).unit
+            catalogue[n] = departure(of, unit, d["size"], tuple(d["at"].items()), shares)
     missing = [n for n in described["effects"] if n not in catalogue]
     if missing:
         raise InputError(

@@ -21,6 +21,7 @@ from bayescal._discovery.calibrate import Trail
 from bayescal._discovery.draft_effect import template
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
+from bayescal._model.unknown_effect import covariate_in
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._report.result_json import clean
@@ -196,7 +197,8 @@ def loop_text(trail: Trail, own: Sequence[Effect] = (), begun: bool = False) -> 
         parts.append(f"WHAT IS MISSING FROM STEP {i} ({step.title})\n\n{said}")
     unexplained = unexplained_text(final.calibration, final.check, own)
     parts += [unexplained] if unexplained else []
-    for name in (e.name for e in final.calibration.model.effects if e.is_placeholder):
+    unknown = (e.name for e in final.calibration.model.effects if covariate_in(e.name))
+    for name in unknown:
         draft = template(final.calibration, name)
         parts.append(
             f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"

@@ -1,4 +1,1 @@
-"""Which effect is missing: candidates, the search and its path, the next experiment.
-
-Imports `_diagnostics` and what is below.
-"""
+"""Which effect is missing, as it is told: candidates, the loop with its path, the next experiment."""

@@ -19,16 +19,16 @@ from bayescal._diagnostics.leave_group_out import leave_one_group_out
 from bayescal._diagnostics.neighbours import noise_floor, without_spikes
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over, told
-from bayescal._discovery.library import Library
-from bayescal._discovery.posterior import OtherPath, Posterior, Search, Shown
 from bayescal._discovery.search_path import Step, Trail, gate
-from bayescal._discovery.structures import Structure, Structures
-from bayescal._discovery.walk import STOPPED, walk
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
+from bayescal._search.library import Library
+from bayescal._search.posterior import OtherPath, Posterior, Search, Shown
+from bayescal._search.structures import Structure, Structures
+from bayescal._search.walk import STOPPED, walk
 
 
 def calibrate(

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
-from bayescal._discovery.library import Library
-from bayescal._discovery.posterior import FOUND
-from bayescal._discovery.scores import Scored, gain_of
-from bayescal._discovery.structures import Weighed
 from bayescal._engine.closed_form import Density
 from bayescal._model.unknown_effect import covariate_in
+from bayescal._search.library import Library
+from bayescal._search.posterior import FOUND
+from bayescal._search.scores import Scored, gain_of
+from bayescal._search.structures import Weighed
 
 POWER = 0.80
 FINE = np.geomspace(1 / 30, 30, 61)  # amplitudes of a group, about the likeliest of its grid

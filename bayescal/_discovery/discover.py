@@ -12,11 +12,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._core.formatting import WIDTH, number, probability, table, with_error
 from bayescal._core.progress import stage
 from bayescal._discovery.candidate import Candidate, alike, judge, kind_of
-from bayescal._discovery.library import Library
-from bayescal._discovery.posterior import Found, Posterior
-from bayescal._discovery.scores import View
-from bayescal._discovery.structures import Structure, Structures
-from bayescal._discovery.walk import walk
+from bayescal._engine.linear_model import linear_model
 from bayescal._engine.record import Record
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame, derived
@@ -26,6 +22,12 @@ from bayescal._model.parameters import bind
 from bayescal._model.unknown_effect import FORMS
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
+from bayescal._search.departures import Departed, departed
+from bayescal._search.library import Library
+from bayescal._search.posterior import Found, Posterior
+from bayescal._search.scores import View
+from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.walk import walk
 
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 FEWEST = 30  # readings from which the noise law can be told at all
@@ -42,6 +44,7 @@ class Discovery:
         best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
         noise_wanders: probability that the noise wanders; None where the readings cannot tell.
         stopped: why the search ended before its end; empty where it did not.
+        departures: from the forms of the effects to add, where there are any; `best` holds them too.
         rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
             with those that come nearest; without a set, the leads.
     """
@@ -51,6 +54,7 @@ class Discovery:
     candidates: tuple[Candidate, ...]
     best: tuple[Effect, ...]
     rivals: tuple[Effect, ...] = ()
+    departures: tuple[Departed, ...] = ()
     noise_wanders: float | None = None
     stopped: str = ""
 
@@ -161,16 +165,26 @@ def told(
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     chosen = posterior.chosen.effects - at.effects
     best = [structures.candidates[n] for f in found for n in f.effects if n in chosen]
+    departures = _departures(structures, posterior.chosen, here)
     rivals = _rivals(posterior, [c.effect for c in ranked if c.kind == "lead"])
     return Discovery(
         nothing_missing=posterior.nothing,
         sets=found,
         candidates=(*ranked, *shut),
-        best=tuple(dict.fromkeys(best)),
+        best=tuple(dict.fromkeys((*best, *departures))),
+        departures=tuple(departures.values()),
         rivals=tuple(structures.candidates[n] for n in rivals),
         noise_wanders=None if structures.wide is None else posterior.wanders,
         stopped=stopped,
     )
+
+
+def _departures(structures: Structures, to: Structure, here: Weighed) -> dict[Effect, Departed]:
+    """Departures that the model to use has and this one has not."""
+    end = structures.weigh(to)
+    had = {e.name for e in here.departures}
+    line = linear_model(end.assembly, end.mode) if end.departures else None
+    return {e: departed(line, e) for e in end.departures if line and e.name not in had}
 
 
 def _rivals(posterior: Posterior, leads: list[str]) -> list[str]:
@@ -192,6 +206,7 @@ def discovery_text(found: Discovery) -> str:
         names = " or ".join(s.effects)
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
+    lines += map(str, found.departures)
     if found.noise_wanders is not None:
         lines.append(f"the noise wanders: probability {probability(found.noise_wanders)}")
     if found.stopped:

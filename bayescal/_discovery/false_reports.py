@@ -15,9 +15,9 @@ from bayescal._calibration.on_readings import Vectors, replicate
 from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
 from bayescal._discovery.discover import discover
-from bayescal._discovery.posterior import FOUND
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model.effect import Effect
+from bayescal._search.posterior import FOUND
 
 LEVEL = 0.95  # of the interval
 

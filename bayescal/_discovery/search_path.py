@@ -15,9 +15,9 @@ from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import Discovery
-from bayescal._discovery.posterior import FOUND, OtherPath, Search
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
+from bayescal._search.posterior import FOUND, OtherPath, Search
 
 AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
 NOTICEABLE = 0.1  # if the coefficient itself is above this

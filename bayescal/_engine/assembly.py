@@ -145,6 +145,14 @@ class Assembly:
     def start(self) -> Point:
         return Point(self.mean_of_x.copy(), np.zeros((self.record.size, len(self.row_sd))))
 
+    def point_of(self, other: Assembly, point: Point) -> Point:
+        """Another structure's point in this one's terms; what that one has not stands at its prior mean."""
+        found, theirs = self.start, {(t.known.of, t.index): t.at for t in other.in_x}
+        for t in self.in_x:
+            if (at := theirs.get((t.known.of, t.index))) is not None:
+                found.x[t.at] = point.x[at]
+        return found._replace(rows=point.rows) if point.rows.shape == found.rows.shape else found
+
     # the expected output ----------------------------------------------------------------------------------------
 
     def _values(self, point: Point, hyper: Values) -> list[Any]:

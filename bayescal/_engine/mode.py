@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly, Point
-from bayescal._engine.closed_form import LOG_2PI, NOWHERE, Conditional, Density
+from bayescal._engine.closed_form import LOG_2PI, NOWHERE, Conditional, Density, condition
 from bayescal._engine.whitening import known_variance
 
 STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
@@ -66,6 +66,8 @@ def find_mode(
     assembly: Assembly,
     starts: Iterable[np.ndarray] | None = None,
     covariance: np.ndarray | None = None,
+    point: Point | None = None,
+    still: float = STILL,
 ) -> Mode:
     """The mode, from the best of some coordinates of φ. Deterministic.
 
@@ -73,8 +75,11 @@ def find_mode(
         assembly: the structure on its record.
         starts: coordinates to begin at; prior draws if not given. The most probable is taken.
         covariance: what the Gaussian fit at the mode may look like; the climb is shorter for it.
+        point: where x̂ may be; its prior mean if not given.
+        still: standard deviations that a round moves anything by, below which the mode is found. The log evidence is
+            off by about half their square.
     """
-    point, dim = assembly.start, len(assembly.hypers)
+    point, dim = assembly.start if point is None else point, len(assembly.hypers)
     hyper = assembly.hyper(np.zeros(dim))
     flat = column_scale(assembly.linearise(point, hyper).jacobian)
     density = Density(assembly, point, flat)
@@ -85,9 +90,9 @@ def find_mode(
     change, found = math.inf, None
     for _ in range(ROUNDS):
         if not assembly.affine:
-            point = mode_of_x(assembly, point, v, flat)
+            point = mode_of_x(assembly, point, v, flat, still)
             density = Density(assembly, point, flat)
-        best = climb(density, v, covariance) if dim else v
+        best = climb(density, v, covariance, max(NOTHING_LEFT, 0.01 * still**2)) if dim else v
         found = density.at(best)[1]
         if found is None:
             return _lost(point, best, flat)
@@ -98,7 +103,7 @@ def find_mode(
         if assembly.affine:
             change = 0.0
             break
-        if change < STILL:
+        if change < still:
             break
     return at_mode(Density(assembly, point, flat), v, change)
 
@@ -149,19 +154,22 @@ def _prior_draws(assembly: Assembly) -> list[np.ndarray]:
     return [np.zeros(dim), *draws]
 
 
-def mode_of_x(assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray) -> Point:
+def mode_of_x(
+    assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray, still: float = STILL
+) -> Point:
     """x̂ given φ: Gauss–Newton on the residuals and the prior's, each step halved until the sum falls."""
     hyper = assembly.hyper(v)
+    prior = assembly.prior(hyper, flat)
 
     def look(at: Point) -> tuple[float, Conditional | None, Density]:
         density = Density(assembly, at, flat)
-        found = density.at(v)[1]
-        if found is None:
+        gram = density.gram(v, hyper)
+        if not math.isfinite(gram.rtr + gram.logdet):
             return math.inf, None, density
         # Squares at the point itself, not at the linear model's minimum.
-        prior = assembly.prior(hyper, flat)
         z = prior.weight * (at.x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
-        return density.gram(v, hyper).rtr + float(z @ z), found, density
+        found = condition(gram, assembly.record.size, prior, at.x)
+        return gram.rtr + float(z @ z), found, density
 
     squares, found, _ = look(point)
     for _ in range(50):
@@ -169,18 +177,22 @@ def mode_of_x(assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray)
             return point
         goal, share = found.mean, 1.0
         width = np.sqrt(np.diag(found.covariance)) + 1e-300
-        if np.max(np.abs((goal - point.x) / width), initial=0.0) < 0.1 * STILL:
+        if np.max(np.abs((goal - point.x) / width), initial=0.0) < 0.1 * still:
             return point
         for _ in range(HALVINGS):
             trial = Point(point.x + share * (goal - point.x), point.rows)
-            there, _, next_density = look(trial)
+            there, found, density = look(trial)
             if there <= squares or not math.isfinite(squares):
                 break
             share *= 0.5
         else:
             return point
-        point = _with_rows(assembly, next_density, None, v, trial.x)
-        squares, found, _ = look(point)
+        gain, squares = squares - there, there
+        point = _with_rows(assembly, density, None, v, trial.x)
+        if len(assembly.row_sd):
+            squares, found, _ = look(point)
+        elif share == 1.0 and gain < still**2:
+            return point
     return point
 
 

@@ -44,6 +44,8 @@ class Effect(eqx.Module):
         measure: the shape that says how large the effect is, as an amplitude of standard normal coefficients;
             None where its first coefficient does.
         untestable: why readings that have all this still cannot test the effect, or None where they can.
+        along: covariate along which a real law may depart smoothly from this form: a numeric column, "elapsed", or a
+            rate such as "temperature rate". None stands for the one column that it needs; "" for no such covariate.
     """
 
     name: str = eqx.field(static=True)
@@ -58,6 +60,7 @@ class Effect(eqx.Module):
     weights: Callable[..., Any] | None = eqx.field(static=True, default=None)
     measure: str | None = eqx.field(static=True, default=None)
     untestable: Callable[[Measurements], str | None] | None = eqx.field(static=True, default=None)
+    along: str | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
         if not self.coefficients:
@@ -82,6 +85,16 @@ class Effect(eqx.Module):
     def is_placeholder(self) -> bool:
         """Whether it stands for what no named effect describes: sized by an amplitude, not by a coefficient."""
         return self.measure is not None
+
+    @property
+    def departs_along(self) -> str:
+        """The covariate of a smooth departure from its form; "" for none, or where members would have their own."""
+        several = any(c.per is not None or c.slot is not None for c in self.coefficients)
+        if self.is_placeholder or several:
+            return ""
+        if self.along is None:
+            return self.columns[0] if len(self.columns) == 1 else ""
+        return self.along
 
     @property
     def weight_shapes(self) -> tuple[str, ...]:

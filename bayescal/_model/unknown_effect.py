@@ -113,29 +113,34 @@ def unknown(
         name: canonical; `unknown(covariate)` if not given.
     """
     terms, lengths = resolution(covariate in ("time", "elapsed"))
-
-    def basis(r):
-        return process_columns(r.position(covariate), terms)
-
-    def weights(length, amplitude):
-        return amplitude * process_weights(length, terms)
-
     measured = covariate.removesuffix(" rate")
     derived = covariate in ("elapsed", f"{measured} rate")
     columns = ("time",) if covariate == "elapsed" else (measured,)
     return Effect(
         name or f"unknown({covariate})",
         slot,
-        basis,
-        coefficients=_coefficients(unit, terms),
+        _along(covariate, terms),
+        coefficients=standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), Shape("amplitude", unit, low, high)),
-        weights=weights,
+        weights=process_sizes(terms),
         measure="amplitude",
         columns=columns + (("time",) if derived and covariate != "elapsed" else ()),
         varies=() if covariate == "elapsed" else (measured,),
         equation=f"f({covariate}),  f a Gaussian process",
         source=SOURCE,
+        along=covariate,
     )
+
+
+@functools.cache  # of whatever amplitude, so that one program serves
+def _along(covariate: str, terms: int) -> Callable[..., Any]:
+    return lambda r: process_columns(r.position(covariate), terms)
+
+
+@functools.cache
+def process_sizes(terms: int) -> Callable[..., Any]:
+    """`weights` of an effect whose columns are a process's, of learned length and amplitude."""
+    return lambda length, amplitude: amplitude * process_weights(length, terms)
 
 
 @functools.cache
@@ -151,7 +156,7 @@ def jump(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Ef
         name or "unknown(time, jump)",
         slot,
         _step,
-        coefficients=_coefficients(unit, 1),
+        coefficients=standard_normals(unit, 1),
         shapes=(
             Shape("place", "1", *PLACES, scale="linear", ragged=True),
             Shape("amplitude", unit, low, high),
@@ -174,7 +179,7 @@ def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> E
         name or "unknown(time, cycle)",
         slot,
         _waves,
-        coefficients=_coefficients(unit, 2),
+        coefficients=standard_normals(unit, 2),
         shapes=(Shape("cycles", "1", *CYCLES, ragged=True), Shape("amplitude", unit, low, high)),
         equation="a·sin(2π·cycles·t + φ)",
         **_IN_TIME,
@@ -194,7 +199,8 @@ def _even(amplitude):
     return amplitude
 
 
-def _coefficients(unit: str, count: int) -> tuple[Coefficient, ...]:
+def standard_normals(unit: str, count: int) -> tuple[Coefficient, ...]:
+    """Coefficients whose sizes an amplitude gives."""
     return tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(count))
 
 

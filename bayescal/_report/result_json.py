@@ -196,6 +196,7 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
         "nothing_missing_probability": found.nothing_missing,
         "noise_wanders": found.noise_wanders,
         "sets": [{"effects": list(s.effects), "probability": s.probability} for s in found.sets],
+        "departures": [{**vars(d), "in_words": str(d)} for d in found.departures],
         "candidates": [
             {
                 "effect": c.effect,

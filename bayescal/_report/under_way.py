@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._core.errors import InputError
-from bayescal._discovery.posterior import Shown
 from bayescal._discovery.search_path import Trail
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
 from bayescal._report.result_json import SCHEMA, clean, hashes, result, search_data, write_json
+from bayescal._search.posterior import Shown
 
 RESULT = "result.json"
 

@@ -11,21 +11,28 @@ from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements
 
+WINDOWS = (2.0, 120.0)  # s, of a rate: from a reading or two to what a lag describes
 DEAD_BAND = 0.2  # °C/min, of hysteresis: a chamber that holds its temperature wanders by less
 SEEN = 0.02  # share of the readings that a direction must have to count as one
 
 
 def rate(slot: str, size: float, unit: str, *, source: str, column: str = "temperature") -> Effect:
-    """c·dT/dt, the causal least-squares slope of the last minute."""
+    """c·dT/dt, over a window that the readings tell.
+
+    The rate is that of a body close behind the thermometer, (T − T̃)/w: noise of the thermometer is smoothed over the
+    window w, and what changes within seconds is not blurred to a minute.
+    """
     return Effect(
         f"{slot}.rate",
         slot,
-        basis=lambda r: r.rate(column),
+        basis=lambda r, window: -r.lag(window, column) / window,
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
+        shapes=(Shape("window", "s", *WINDOWS),),
         columns=("time", column),
         varies=(column,),
-        equation="c·dT/dt",
+        equation="c·(T − T̃)/w,  w·dT̃/dt = T − T̃",
         source=source,
+        along=f"{column} rate",
     )
 
 
@@ -65,6 +72,7 @@ def hysteresis(
         untestable=untestable,
         equation=f"c·sign(dT/dt),  0 where |dT/dt| ≤ {dead_band:g} °C/min",
         source=source,
+        along=f"{column} rate",
     )
 
 

@@ -33,4 +33,5 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
         columns=("time",),
         equation="c·exp(−(t − t_start)/τ)",
         source=source,
+        along="elapsed",
     )

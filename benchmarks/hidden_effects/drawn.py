@@ -6,13 +6,14 @@ import numpy as np
 
 import bayescal as bc
 from bayescal._discovery.discover import structures_over
-from bayescal._discovery.structures import SIZES, Structure, Structures
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.record import Record
 from bayescal._model.frame import reference_of
 from bayescal._model.noise_laws import CORRELATION_TIME
 from bayescal._model.parameters import Hyper, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
+from bayescal._search.plausible_sizes import SIZES
+from bayescal._search.structures import Structure, Structures
 
 
 def by_law(

@@ -24,9 +24,9 @@ from scipy.special import logsumexp
 
 import bayescal as bc
 from bayescal._discovery.calibrate import _other_path
-from bayescal._discovery.scores import View
-from bayescal._discovery.structures import Structure
 from bayescal._engine.linear_model import linear_model
+from bayescal._search.scores import View
+from bayescal._search.structures import Structure
 from bayescal_models import INSTRUMENTS
 from benchmarks.hidden_effects import page
 from benchmarks.hidden_effects.bank import (

@@ -12,15 +12,15 @@ import numpy as np
 import bayescal as bc
 from bayescal._diagnostics.neighbours import without_spikes
 from bayescal._discovery.discover import structures_over
-from bayescal._discovery.posterior import Found, Posterior
-from bayescal._discovery.scores import Library
-from bayescal._discovery.structures import Structure, Structures, Weighed
-from bayescal._discovery.walk import walk
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import Density
 from bayescal._engine.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
+from bayescal._search.posterior import Found, Posterior
+from bayescal._search.scores import Library
+from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.walk import walk
 
 MOST = 5  # effects, as by default
 

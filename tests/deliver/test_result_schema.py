@@ -47,8 +47,9 @@ KEYS = {
     "steps[].noise": "law white correlated diffusion tau",
     "check[]": "step against log_bayes_factor worst",
     "check[].worst": "from to group size unit",
-    "missing[]": "step nothing_missing_probability noise_wanders sets candidates unknown",
+    "missing[]": "step nothing_missing_probability noise_wanders sets departures candidates unknown",
     "missing[].sets[]": "effects probability",
+    "missing[].departures[]": "effect along share at unit in_words",
     "missing[].candidates[]": "effect probability log_bayes_factor source z size size_sd unit "
     "shape visibility minimum_detectable kind indistinguishable_from",
     "missing[].unknown[]": "column size unit log_bayes_factor probability",
@@ -150,6 +151,7 @@ def test_every_documented_key_is_found_in_one_result_or_the_other(
         ),  # the table has one covariate
         *(f"other_path.{key}" for key in KEYS["other_path"].split()),
         "other_path.added[]",
+        *(f"missing[].departures[].{key}" for key in KEYS["missing[].departures[]"].split()),
     }
     assert set(DOCUMENTED) - found <= rare
 

@@ -11,14 +11,15 @@ import pytest
 
 import bayescal as bc
 from bayescal._discovery.discover import structures_over
-from bayescal._discovery.library import Library
-from bayescal._discovery.posterior import FOUND, Posterior
-from bayescal._discovery.scores import View, gain_of
-from bayescal._discovery.structures import SIZES, Structure, Structures
-from bayescal._discovery.walk import walk
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.mode import find_mode
 from bayescal._model.frame import reference_of
+from bayescal._search.library import Library
+from bayescal._search.plausible_sizes import SIZES
+from bayescal._search.posterior import FOUND, Posterior
+from bayescal._search.scores import View, gain_of
+from bayescal._search.structures import Structure, Structures
+from bayescal._search.walk import walk
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 
 INSTRUMENT = mems_gyro.INSTRUMENT

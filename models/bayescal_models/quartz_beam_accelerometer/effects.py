@@ -50,7 +50,12 @@ SIGNS = ("", "²", "³", "⁴", "⁵")
 
 
 def _effect(
-    slot: str, cause: str, basis: Callable[..., Any], columns: tuple[str, ...], equation: str
+    slot: str,
+    cause: str,
+    basis: Callable[..., Any],
+    columns: tuple[str, ...],
+    equation: str,
+    along: str = "",
 ) -> bc.Effect:
     value, unit = size(slot, cause)
     needed = (*columns, "acceleration") if slot == "scale" else columns
@@ -63,6 +68,7 @@ def _effect(
         varies=tuple(c for c in needed if c != "time"),
         equation=equation,
         source=SOURCE,
+        along=along,
     )
 
 
@@ -80,8 +86,11 @@ def polynomial(slot: str, of: str, orders: range) -> tuple[bc.Effect, ...]:
         "temperature_head": (head, ("temperature_head",), "(t2 − T0)"),
         "gradient": (gradient, THERMOMETERS, "(t1 − t2)"),
     }[of]
+    along = of if of in THERMOMETERS else ""
     return tuple(
-        _effect(slot, of + POWERS[n - 1], _power(quantity, n), columns, f"c·{sign}{SIGNS[n - 1]}")
+        _effect(
+            slot, of + POWERS[n - 1], _power(quantity, n), columns, f"c·{sign}{SIGNS[n - 1]}", along
+        )
         for n in orders
     )
 
@@ -111,6 +120,7 @@ def rates(slot: str) -> tuple[bc.Effect, ...]:
             lambda r, c=f"temperature_{name}": r.rate(c),
             ("time", f"temperature_{name}"),
             f"c·d{sign}/dt",
+            f"temperature_{name} rate",
         )
         for name, sign in (("circuit", "t1"), ("head", "t2"))
     )

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._discovery.structures import Structure, Structures, Weighed
 from bayescal._engine.linear_model import linear_model
+from bayescal._search.structures import Structure, Structures, Weighed
 
 FOUND = 0.95  # probability from which something is reported as found
 SHOWN = 20  # structures kept of a search

@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from bayescal._discovery.library import Library
-from bayescal._discovery.scores import HINTS, Scored, View, gain_of
-from bayescal._discovery.structures import Structure, Structures, Weighed
+from bayescal._search.library import Library
+from bayescal._search.scores import HINTS, Scored, View, gain_of
+from bayescal._search.structures import Structure, Structures, Weighed
 
 BEAM = 4  # most probable structures whose neighbours are all looked at before the walk ends
 LEAST, MOST = 2, 10  # neighbours that are refitted, of each structure looked at

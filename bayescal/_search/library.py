@@ -12,12 +12,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
 
-from bayescal._discovery.structures import SIZES, Structures
 from bayescal._engine.record import ColumnsOf
 from bayescal._model.coefficient import Coefficient, Shape
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import slot_of
 from bayescal._readings.unit_conversion import coefficient_factor
+from bayescal._search.plausible_sizes import SIZES
+from bayescal._search.structures import Structures
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
 SEVERAL_SHAPES = 32  # of several at once, a Sobol sequence

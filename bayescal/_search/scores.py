@@ -18,9 +18,9 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._discovery.library import GridPoint, Library, Size
-from bayescal._discovery.structures import Weighed
 from bayescal._engine.linear_model import linear_model
+from bayescal._search.library import GridPoint, Library, Size
+from bayescal._search.structures import Weighed
 
 HINTS = 2  # grid points at which a refit begins
 IN_PAIRS = 2  # grid points of each candidate that are tried in pairs
@@ -70,6 +70,8 @@ class View:
     def __init__(self, library: Library, at: Weighed):
         line = linear_model(at.assembly, at.mode)
         self.library, self.at, self.line = library, at, line
+        of = {d.name: d.of for d in at.departures}
+        self.owners = [of.get(owner, owner) for owner in line.owners]
         self.columns = line.whiten(library.columns(line.slopes))
         nuisance, z = line.white_nuisance, line.z
         self.inner = nuisance.T @ nuisance
@@ -84,7 +86,7 @@ class View:
 
     def without(self, *names: str) -> Rest:
         """What is left where some of its effects are dropped, φ held."""
-        kept = np.array([owner not in names for owner in self.line.owners], dtype=bool)
+        kept = np.array([owner not in names for owner in self.owners], dtype=bool)
         inner = self.inner[np.ix_(kept, kept)] + np.diag(self.line.weight[kept])
         chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
         half = solve_triangular(chol, self.of_start[kept], lower=True)

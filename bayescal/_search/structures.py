@@ -8,23 +8,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._engine.assembly import Assembly
-from bayescal._engine.closed_form import NOWHERE, Density, condition
+from bayescal._engine.linear_model import linear_model
 from bayescal._engine.mode import Mode, find_mode
 from bayescal._engine.record import Record
+from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_laws import Noise
 from bayescal._model.parameters import Layout
+from bayescal._search.departures import Form, form_of, may_depart, scored
+from bayescal._search.plausible_sizes import STILL, averaged, has_size
 
 NOTHING = 0.5  # prior probability that no candidate is missing
 UNKNOWN_SHARE = 0.1  # of the prior that something is, for what no named effect describes
-SIZES = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}  # factors on a plausible size, and their probabilities
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,7 @@ class Weighed:
         log_evidence: by Laplace, averaged over the sizes.
         log_prior: of the structure.
         assembly, mode: at the likeliest sizes.
+        departures: of its effects from their forms, where there are any.
     """
 
     structure: Structure
@@ -57,6 +61,7 @@ class Weighed:
     log_prior: float
     assembly: Assembly
     mode: Mode
+    departures: tuple[Departure, ...] = ()
 
     @property
     def total(self) -> float:
@@ -88,6 +93,7 @@ class Structures:
     wide: Noise | None
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
+    forms: dict[str, Form | None] = field(default_factory=dict)  # of departures, by candidate
 
     @cached_property
     def log_odds(self) -> dict[str, float]:
@@ -128,8 +134,12 @@ class Structures:
         return steps
 
     def model(self, structure: Structure) -> Model:
-        """A structure as a model, effects in the catalogue's order."""
-        added = (e for name, e in self.candidates.items() if name in structure.effects)
+        """A structure as a model, effects in the catalogue's order, then their departures."""
+        return self._model(structure, self.weigh(structure).departures)
+
+    def _model(self, structure: Structure, departures: tuple[Departure, ...]) -> Model:
+        added = [e for name, e in self.candidates.items() if name in structure.effects]
+        added += departures
         noise = self.wide if structure.wanders and self.wide else self.base.noise
         return Model(self.base.instrument, (*self.base.effects, *added), noise, self.base.fixed)
 
@@ -152,16 +162,48 @@ class Structures:
         return found
 
     def _weighed(self, structure, near, hints) -> Weighed:
-        model = self.model(structure)
-        layout = Layout(model, self.layout.counts)
-        assembly = Assembly(layout, self.record)
+        """Refitted to the forms of its effects, then with departures from these where the evidence is strong."""
+        found = self._refitted(structure, (), near, hints)
+        wanders = not found.assembly.noise.independent
+        left = {n: form for n in structure.effects if (form := self._form(n, wanders)) is not None}
+        while left and math.isfinite(found.log_evidence):
+            line = linear_model(found.assembly, found.mode)
+            scores = [s for s in (scored(line, e) for e in left.values()) if s is not None]
+            best = max(scores, key=lambda s: s.gain, default=None)
+            if best is None or best.gain < STRONG:
+                break
+            departures = (*found.departures, best.effect)
+            fuller = self._refitted(structure, departures, found, [best.hint])
+            if fuller.log_evidence < found.log_evidence + STRONG:
+                break
+            del left[best.effect.of]
+            total = np.logaddexp(fuller.log_evidence, found.log_evidence) - math.log(2)
+            found = replace(fuller, log_evidence=float(total))
+        return found
+
+    def _form(self, name: str, wanders: bool) -> Form | None:
+        """How a candidate departs from its form; None where it cannot."""
+        if not may_depart(self.candidates[name], self.record, wanders):
+            return None
+        if name not in self.forms:
+            base = self.weigh(Structure())
+            line = linear_model(base.assembly, base.mode)
+            self.forms[name] = form_of(line, self.candidates[name])
+        return self.forms[name]
+
+    def _refitted(self, structure, departures, near, hints) -> Weighed:
+        model = self._model(structure, departures)
+        assembly = Assembly(Layout(model, self.layout.counts), self.record)
         if near is None:
-            mode = find_mode(assembly)
+            mode = find_mode(assembly, still=STILL)
         else:
-            mode = find_mode(assembly, _starts(assembly, near, hints), _width(assembly, near))
-        sized = [e for e in model.effects if e.name in structure.effects and _has_size(e)]
-        assembly, mode, log_evidence = _averaged(assembly, mode, sized)
-        return Weighed(structure, log_evidence, self.log_prior(structure), assembly, mode)
+            starts, width = _starts(assembly, near, hints), _width(assembly, near)
+            point = assembly.point_of(near.assembly, near.mode.point)
+            mode = find_mode(assembly, starts, width, point, STILL)
+        sized = [e for e in model.effects if e.name in structure.effects and has_size(e)]
+        assembly, mode, log_evidence = averaged(assembly, mode, sized)
+        log_prior = self.log_prior(structure)
+        return Weighed(structure, log_evidence, log_prior, assembly, mode, departures)
 
     def expect(self, structure: Structure, total: float) -> None:
         """Keep what the score expects of a structure: it counts where that was not refitted."""
@@ -171,73 +213,6 @@ class Structures:
     @property
     def best(self) -> Weighed:
         return max(self.visited.values(), key=lambda w: w.total)
-
-
-def _has_size(effect: Effect) -> bool:
-    """Whether its size is a prior's standard deviation, and not learned."""
-    return not effect.is_placeholder and any(
-        c.spread is None and not c.flat for c in effect.coefficients
-    )
-
-
-def _averaged(
-    assembly: Assembly, mode: Mode, sized: Sequence[Effect]
-) -> tuple[Assembly, Mode, float]:
-    """The structure at its likeliest sizes, and its log evidence averaged over all.
-
-    One effect's size at a time, the others' at their likeliest.
-    """
-    if not sized or not math.isfinite(mode.log_evidence):
-        return assembly, mode, mode.log_evidence
-    chosen = {e.name: 1.0 for e in sized}
-    at_sizes = _AtSizes(assembly, mode, chosen)
-    for _ in range(2):
-        before = dict(chosen)
-        for name in chosen:
-            gains = at_sizes.of(name, chosen)
-            chosen[name] = max(gains, key=gains.__getitem__)
-        if chosen == before:
-            break
-    if any(factor != 1.0 for factor in chosen.values()):
-        assembly = Assembly(assembly.layout, assembly.record, dict(chosen))
-        mode = find_mode(assembly, [mode.v], mode.covariance)
-    at_sizes = _AtSizes(assembly, mode, chosen)
-    log_evidence = mode.log_evidence
-    for name in chosen:
-        gains = at_sizes.of(name, chosen)
-        here = gains[chosen[name]] - math.log(SIZES[chosen[name]])
-        log_evidence += float(np.logaddexp.reduce(list(gains.values()))) - here
-    return assembly, mode, log_evidence
-
-
-class _AtSizes:
-    """Log density at a mode's φ for other sizes of its effects, times their probabilities."""
-
-    def __init__(self, assembly: Assembly, mode: Mode, made_at: Mapping[str, float]):
-        density, hyper = Density(assembly, mode.point, mode.flat), assembly.hyper(mode.v)
-        self.gram, self.at, self.size = (
-            density.gram(mode.v, hyper),
-            mode.point.x,
-            assembly.record.size,
-        )
-        self.prior, self.made_at = assembly.prior(hyper, mode.flat), dict(made_at)
-        self.places = {
-            name: [t.at for t in assembly.in_x if t.known.of == name and t.spread_name is None]
-            for name in made_at
-        }
-
-    def of(self, name: str, chosen: Mapping[str, float]) -> dict[float, float]:
-        """For each size of one effect, the others as chosen."""
-        found = {}
-        for factor, probability in SIZES.items():
-            sd = self.prior.sd.copy()
-            for other, places in self.places.items():
-                share = (factor if other == name else chosen[other]) / self.made_at[other]
-                for place in places:
-                    sd[place] *= share
-            got = condition(self.gram, self.size, self.prior._replace(sd=sd), self.at)
-            found[factor] = (got.log_marginal if got else NOWHERE) + math.log(probability)
-        return found
 
 
 def _width(assembly: Assembly, near: Weighed) -> np.ndarray:

@@ -1,0 +1,96 @@
+"""The smooth departure of a real law from the form of a named effect: tied to it in size, and orthogonal to it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from bayescal._model.coefficient import Shape
+from bayescal._model.effect import Effect
+from bayescal._model.unknown_effect import (
+    process_columns,
+    process_sizes,
+    resolution,
+    standard_normals,
+)
+
+PARTS = (0.01, 0.3)  # of what a named effect contributes, by which a real law departs from its form
+DIGITS = 6  # of its numbers: enough for any reading, and the same once saved
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+class Departure(Effect):
+    """A Gaussian process along a covariate of a named effect, less what this effect's own columns would take of it.
+
+    Attributes:
+        of: the named effect.
+        size: amplitude of a process of which as much is left, beside the rest of the model, as the effect contributes.
+        at: shapes at which the effect's columns are taken.
+        shares: of each of these columns in each of the process's, (p, terms).
+    """
+
+    of: str = eqx.field(static=True, default="")
+    size: float = eqx.field(static=True, default=0.0)
+    at: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+    shares: Rows = eqx.field(static=True, default=())
+
+
+def departure(
+    of: Effect, unit: str, size: float, at: tuple[tuple[str, float], ...], shares: Rows
+) -> Departure:
+    """The departure of an effect.
+
+    Args:
+        of: the named effect.
+        unit: of its slot.
+        size, at, shares: see `Departure`.
+    """
+    covariate = of.departs_along
+    terms, lengths = resolution(covariate in ("time", "elapsed"))
+    size = rounded(size)
+    amplitude = Shape("amplitude", unit, *(part * size for part in PARTS))
+    return Departure(
+        f"departure({of.name})",
+        of.slot,
+        _beside(covariate, terms, (of.basis, len(of.coefficients), of.name), at, shares),
+        coefficients=standard_normals(unit, terms),
+        shapes=(Shape("length", "1", *lengths), amplitude),
+        weights=process_sizes(terms),
+        measure="amplitude",
+        columns=of.columns,
+        varies=of.varies,
+        equation=f"f({covariate}),  f a Gaussian process orthogonal to {of.name}",
+        source="ours: real laws depart a little from their forms",
+        along=covariate,
+        of=of.name,
+        size=size,
+        at=at,
+        shares=shares,
+    )
+
+
+def rounded(value: float) -> float:
+    """A number as it is kept."""
+    return float(f"{value:.{DIGITS}g}")
+
+
+@functools.cache  # of whatever size, so that one program serves
+def _beside(
+    covariate: str,
+    terms: int,
+    basis: tuple[Callable[..., Any], int, str],
+    at: tuple[tuple[str, float], ...],
+    shares: Rows,
+) -> Callable[..., Any]:
+    taken = np.array(shares)
+
+    def columns(r):
+        own = Effect.matrix(*basis, r, dict(at))  # pyright: ignore[reportArgumentType]
+        return process_columns(r.position(covariate), terms) - own @ taken
+
+    return columns

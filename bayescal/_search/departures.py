@@ -1,0 +1,182 @@
+"""Real laws depart a little from any catalogue's form: each named effect may carry a smooth departure, tied to it.
+
+With enough readings a free curve would imitate such a law better than its formula does, and be found in its place. A
+departure is a hundredth to a third of what the effect contributes beyond what the rest of the model can take up: too
+small to stand in for another effect. An effect has one or not with the same prior probability.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtri
+
+from bayescal._core.formatting import number
+from bayescal._core.parallel import on_one_thread
+from bayescal._engine.linear_model import LinearModel
+from bayescal._engine.record import ColumnsOf, Record
+from bayescal._model.departure import PARTS, Departure, Rows, departure, rounded
+from bayescal._model.effect import Effect
+from bayescal._model.instrument import slot_of
+from bayescal._model.unknown_effect import LENGTHS, process_weights, unknown
+from bayescal._readings.unit_conversion import unit_label
+
+LEAST_LEFT = 1e-4  # of a curve's squares, below which nothing of it could be seen
+LEVELS = ndtri([1 / 6, 1 / 2, 5 / 6])  # of its amplitude and length, at which a departure is scored
+
+
+_MIDDLE = math.sqrt(LENGTHS[0] * LENGTHS[1])  # of a process's plausible lengths
+
+
+class Form(NamedTuple):
+    """How the departure of a named effect runs on a record: see `Departure`.
+
+    Attributes:
+        effect: the named one.
+        at, shares: of the departure.
+        left: of its squares, what the base model does not take up.
+    """
+
+    effect: Effect
+    at: tuple[tuple[str, float], ...]
+    shares: Rows
+    left: float
+
+    def departure(self, unit: str, contribution: float) -> Departure:
+        """For a contribution of this size, in the slot's unit."""
+        size = contribution / math.sqrt(max(self.left, LEAST_LEFT))
+        return departure(self.effect, unit, size, self.at, self.shares)
+
+
+class Scored(NamedTuple):
+    """A departure, the log Bayes factor expected of it, and where its refit may begin."""
+
+    effect: Departure
+    gain: float
+    hint: dict[str, float]
+
+
+def may_depart(effect: Effect, record: Record, wanders: bool) -> bool:
+    """Whether an effect has a covariate that these readings vary; beside a wander, time is none."""
+    along, reference = effect.departs_along, record.frame.reference
+    if not along or (wanders and along == "time") or f"{along}_low" not in reference:
+        return False
+    return float(reference[f"{along}_high"]) > float(reference[f"{along}_low"])  # pyright: ignore
+
+
+@on_one_thread
+def form_of(base: LinearModel, effect: Effect) -> Form | None:
+    """How an effect's departure runs beside a base model; None where this takes up the effect itself."""
+    record, slope = base.assembly.record, base.slopes[effect.slot][:, None]
+    of = ColumnsOf.of(effect)
+    at = tuple((s.name, rounded(float(s.prior.value(0.0)))) for s in effect.column_shapes)
+    white = base.whiten(slope * record.columns(of, tuple(v for _, v in at)))
+    curves = base.whiten(slope * record.columns(ColumnsOf.of(_plain(effect)), ()))
+    taken, of_curves = base.projected(white), base.projected(curves)
+    inner = white.T @ white - taken.T @ taken
+    cross = white.T @ curves - taken.T @ of_curves
+    if not np.all(np.diag(inner) > LEAST_LEFT**2 * np.sum(white**2, axis=0)):
+        return None
+    shares = np.linalg.lstsq(inner, cross, rcond=None)[0]
+    weight = process_weights(_MIDDLE, curves.shape[1]) ** 2
+    left = np.sum(curves**2, axis=0) - np.sum(of_curves**2, axis=0) - np.sum(shares * cross, axis=0)
+    kept = tuple(tuple(rounded(float(v)) for v in row) for row in shares)
+    return Form(effect, at, kept, float(weight @ left / (weight @ np.sum(curves**2, axis=0))))
+
+
+def _plain(effect: Effect) -> Effect:
+    """A process along the effect's covariate, of whatever size."""
+    return unknown(effect.departs_along, effect.slot, *PARTS, "1", name=effect.name)
+
+
+@on_one_thread
+def scored(line: LinearModel, form: Form) -> Scored | None:
+    """The departure of one effect of a fitted structure; None where this contributes nothing."""
+    effect, record = form.effect, line.assembly.record
+    slope = line.slopes[effect.slot]
+    steep = float(np.sqrt(np.mean(slope**2)))
+    size = contribution(line, effect.name) / steep if steep > 0 else 0.0
+    if not size > 0:
+        return None
+    made = form.departure(slot_of(record.instrument, effect.slot).unit, size)
+    columns = line.whiten(slope[:, None] * record.columns(ColumnsOf.of(made), ()))
+    inside = line.projected(columns)
+    information = columns.T @ columns - inside.T @ inside
+    u = columns.T @ line.white_residual
+    best = Scored(made, -math.inf, {})
+    shapes = made.shapes
+    gains = []
+    for at in np.stack(np.meshgrid(*[LEVELS] * len(shapes)), axis=-1).reshape(-1, len(shapes)):
+        values = {s.name: float(s.prior.value(v)) for s, v in zip(shapes, at, strict=True)}
+        sd = made.weights(**values)  # pyright: ignore[reportOptionalCall]
+        gains.append(_gain(line, sd * u, sd[:, None] * information * sd))
+        if gains[-1] > best.gain:
+            named = {made.shape_name(s): float(v) for s, v in zip(shapes, at, strict=True)}
+            best = best._replace(gain=gains[-1], hint=named)
+    return best._replace(gain=float(np.logaddexp.reduce(gains)) - math.log(len(gains)))
+
+
+def _gain(line: LinearModel, u: np.ndarray, information: np.ndarray) -> float:
+    """Log Bayes factor of columns of standard normal coefficients, the noise as large as it then likely is."""
+    chol = np.linalg.cholesky(information + np.eye(len(u)))
+    half = np.linalg.solve(chol, u)
+    left = max(1 - float(half @ half) / line.rest, 1e-12)
+    return -float(np.log(np.diag(chol)).sum()) - 0.5 * line.size * math.log(left)
+
+
+def contribution(line: LinearModel, name: str) -> float:
+    """What an effect contributes that the rest of the model does not take up, rms over the readings, output unit."""
+    plain, white, left = _beyond_the_rest(line, name)
+    length = float(white @ white)
+    share = max(float(white @ left) / length, 0.0) if length > 0 else 0.0
+    return float(np.sqrt(np.mean(plain**2) * share))
+
+
+def _beyond_the_rest(line: LinearModel, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """An effect's contribution, output unit; whitened; and what the rest of the model leaves of this."""
+    own = np.array([owner == name for owner in line.owners])
+    x = np.flatnonzero(own[: line.line.jacobian.shape[1]])
+    plain = line.nuisance[:, x] @ line.z[x]
+    white, rest = line.whiten(plain[:, None])[:, 0], line.white_nuisance[:, ~own]
+    inner = rest.T @ rest + np.diag(line.weight[~own])
+    return plain, white, white - rest @ np.linalg.lstsq(inner, rest.T @ white, rcond=1e-12)[0]
+
+
+@dataclass(frozen=True)
+class Departed:
+    """How far a real law departs from the form of a named effect.
+
+    Attributes:
+        effect: its name.
+        along: the covariate.
+        share: of what the effect contributes beyond the rest of the model, rms over rms.
+        at: where it departs the most, in the covariate's `unit`.
+    """
+
+    effect: str
+    along: str
+    share: float
+    at: float
+    unit: str
+
+    def __str__(self) -> str:
+        where = f"{number(self.at)} {unit_label(self.unit)}".rstrip()
+        return f"{self.effect} departs from its form by {self.share:.1%} of it, the most at {self.along} {where}"
+
+
+def departed(line: LinearModel, departure: Departure) -> Departed:
+    """A departure of a fitted structure, in numbers."""
+    name = departure.of
+    frame, along = line.assembly.record.frame, departure.along or ""
+    left = line.by_reading(_beyond_the_rest(line, departure.name)[2])
+    worst = int(np.argmax(np.abs(left)))
+    share = contribution(line, departure.name) / contribution(line, name)
+    if along in frame.columns:
+        units = {c.name: c.unit for c in line.assembly.record.instrument.columns}
+        at, unit = float(frame.columns[along][worst]), units.get(along, "")
+    else:
+        at, unit = 60 * float(frame.rates[along.removesuffix(" rate")][worst]), "degC/min"
+    return Departed(name, along, share, at, unit)

@@ -1,0 +1,83 @@
+"""Evidence averaged over plausible sizes: each is known to an order of magnitude, not to a factor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.closed_form import NOWHERE, Density, condition
+from bayescal._engine.mode import Mode, find_mode
+from bayescal._model.effect import Effect
+
+SIZES = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}  # factors on a plausible size, and their probabilities
+STILL = 0.01  # standard deviations to which a mode is found: its log evidence to 1e-4
+
+
+def has_size(effect: Effect) -> bool:
+    """Whether its size is a prior's standard deviation, and not learned."""
+    return not effect.is_placeholder and any(
+        c.spread is None and not c.flat for c in effect.coefficients
+    )
+
+
+def averaged(
+    assembly: Assembly, mode: Mode, sized: Sequence[Effect]
+) -> tuple[Assembly, Mode, float]:
+    """The structure at its likeliest sizes, and its log evidence averaged over all.
+
+    One effect's size at a time, the others' at their likeliest.
+    """
+    if not sized or not math.isfinite(mode.log_evidence):
+        return assembly, mode, mode.log_evidence
+    chosen = {e.name: 1.0 for e in sized}
+    at_sizes = _AtSizes(assembly, mode, chosen)
+    for _ in range(2):
+        before = dict(chosen)
+        for name in chosen:
+            gains = at_sizes.of(name, chosen)
+            chosen[name] = max(gains, key=gains.__getitem__)
+        if chosen == before:
+            break
+    if any(factor != 1.0 for factor in chosen.values()):
+        assembly = Assembly(assembly.layout, assembly.record, dict(chosen))
+        mode = find_mode(assembly, [mode.v], mode.covariance, mode.point, STILL)
+    at_sizes = _AtSizes(assembly, mode, chosen)
+    log_evidence = mode.log_evidence
+    for name in chosen:
+        gains = at_sizes.of(name, chosen)
+        here = gains[chosen[name]] - math.log(SIZES[chosen[name]])
+        log_evidence += float(np.logaddexp.reduce(list(gains.values()))) - here
+    return assembly, mode, log_evidence
+
+
+class _AtSizes:
+    """Log density at a mode's φ for other sizes of its effects, times their probabilities."""
+
+    def __init__(self, assembly: Assembly, mode: Mode, made_at: Mapping[str, float]):
+        density, hyper = Density(assembly, mode.point, mode.flat), assembly.hyper(mode.v)
+        self.gram, self.at, self.size = (
+            density.gram(mode.v, hyper),
+            mode.point.x,
+            assembly.record.size,
+        )
+        self.prior, self.made_at = assembly.prior(hyper, mode.flat), dict(made_at)
+        self.places = {
+            name: [t.at for t in assembly.in_x if t.known.of == name and t.spread_name is None]
+            for name in made_at
+        }
+
+    def of(self, name: str, chosen: Mapping[str, float]) -> dict[float, float]:
+        """For each size of one effect, the others as chosen."""
+        found = {}
+        for factor, probability in SIZES.items():
+            sd = self.prior.sd.copy()
+            for other, places in self.places.items():
+                share = (factor if other == name else chosen[other]) / self.made_at[other]
+                for place in places:
+                    sd[place] *= share
+            got = condition(self.gram, self.size, self.prior._replace(sd=sd), self.at)
+            found[factor] = (got.log_marginal if got else NOWHERE) + math.log(probability)
+        return found
