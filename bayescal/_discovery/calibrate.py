@@ -126,7 +126,7 @@ class _Loop:
         path = structures.path(Posterior.of(structures).chosen)
         try:
             for before, at in pairwise(path):
-                steps.append(self.step(structures.model(at), before, at))
+                steps.append(self.step(structures.weigh(at).model, before, at))
                 tell()
         except KeyboardInterrupt:
             if stopped:

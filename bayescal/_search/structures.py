@@ -67,6 +67,10 @@ class Weighed:
     def total(self) -> float:
         return self.log_evidence + self.log_prior
 
+    @property
+    def model(self) -> Model:
+        return self.assembly.layout.model
+
     @cached_property
     def values(self) -> dict[str, float]:
         """Coordinates of φ by name."""
@@ -133,11 +137,8 @@ class Structures:
             steps.append(max(ways, key=lambda s: self.weigh(s, near).total))
         return steps
 
-    def model(self, structure: Structure) -> Model:
+    def model(self, structure: Structure, departures: tuple[Departure, ...] = ()) -> Model:
         """A structure as a model, effects in the catalogue's order, then their departures."""
-        return self._model(structure, self.weigh(structure).departures)
-
-    def _model(self, structure: Structure, departures: tuple[Departure, ...]) -> Model:
         added = [e for name, e in self.candidates.items() if name in structure.effects]
         added += departures
         noise = self.wide if structure.wanders and self.wide else self.base.noise
@@ -192,7 +193,7 @@ class Structures:
         return self.forms[name]
 
     def _refitted(self, structure, departures, near, hints) -> Weighed:
-        model = self._model(structure, departures)
+        model = self.model(structure, departures)
         assembly = Assembly(Layout(model, self.layout.counts), self.record)
         if near is None:
             mode = find_mode(assembly, still=STILL)

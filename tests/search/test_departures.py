@@ -40,11 +40,12 @@ def test_a_law_that_departs_from_its_form_is_found_by_its_name() -> None:
     walk(Library(made), max_effects=5)
     posterior = Posterior.of(made)
     assert [f.effects for f in posterior.findings] == [("bias.temperature_quadratic",)]
-    (departure,) = made.weigh(posterior.chosen).departures
+    chosen = made.weigh(posterior.chosen)
+    (departure,) = chosen.departures
     assert departure.name == "departure(bias.temperature_quadratic)"
-    assert made.model(posterior.chosen).names[-1] == departure.name
+    assert chosen.model.names[-1] == departure.name
     curve = made.weigh(Structure(frozenset(["unknown(temperature)"])))
-    assert curve.total < made.weigh(posterior.chosen).total
+    assert curve.total < chosen.total
 
 
 def test_a_law_of_its_exact_form_has_no_departure() -> None:
