@@ -1,7 +1,7 @@
 """Columns of simulated records of a sensor at rest on temperature ramps, with effects hidden in them.
 
 The world (`campaign.py`) is made second by second and logged every ten; effects are laws of the true temperature and
-its true rate (the catalogue's rate is an estimate from the last minute).
+its true rate (the catalogue's rate is an estimate from the readings before).
 """
 
 from __future__ import annotations
