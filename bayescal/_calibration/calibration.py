@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,9 +10,11 @@ from pathlib import Path
 import xarray as xr
 
 from bayescal._calibration.fitted import Fitted
+from bayescal._calibration.guards import conflicts
 from bayescal._calibration.posterior_tree import build_tree
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import calibration_text
+from bayescal._core.formatting import WIDTH
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +36,13 @@ class Calibration(Fitted):
     """
 
     def __str__(self) -> str:
-        return calibration_text(self)
+        against = (textwrap.fill(f"conflict: {words}", WIDTH) for words in self.conflicts)
+        return "\n".join([calibration_text(self), *against])
+
+    @cached_property
+    def conflicts(self) -> tuple[str, ...]:
+        """Where readings and priors contradict each other, and what else a fit may not be, in words."""
+        return tuple(conflicts(self))
 
     @cached_property
     def tree(self) -> xr.DataTree:

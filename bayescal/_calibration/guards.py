@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,20 @@ WIDER = -1.0  # contraction below which the posterior is wider than the prior ca
 RECORDS = 10.0  # records, beyond which no time can be told
 
 
-def conflicts(calibration: Fitted) -> list[str]:
-    """Why a fit is not to be trusted although it converged, each a sentence; empty for most."""
+def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
+    """Why a fit is not to be trusted although it converged, each a sentence; empty for most.
+
+    Args:
+        calibration: the fit.
+        accepted: names of coefficients or effects, spreads or noise parameters, that may contradict their priors.
+    """
     coefficients, spreads = summary(calibration)
     by_name = {row["name"]: row for row in coefficients}
-    found = _against_priors(calibration, by_name)
+    found = _against_priors(calibration, by_name, accepted)
+    coefficients, spreads = (
+        [row for row in rows if row["name"] not in accepted and row["effect"] not in accepted]
+        for rows in (coefficients, spreads)
+    )
     for row in (*coefficients, *spreads):
         if row["contraction"] is not None and row["contraction"] < WIDER:
             found.append(
@@ -32,7 +42,9 @@ def conflicts(calibration: Fitted) -> list[str]:
     return [*found, *_too_large(calibration, spreads)]
 
 
-def _against_priors(calibration: Fitted, rows: dict[str, dict[str, Any]]) -> list[str]:
+def _against_priors(
+    calibration: Fitted, rows: dict[str, dict[str, Any]], accepted: Collection[str]
+) -> list[str]:
     found = []
     baseline = {e.name for e in calibration.model.instrument.effects}
     for b in calibration.layout.blocks:
@@ -40,16 +52,27 @@ def _against_priors(calibration: Fitted, rows: dict[str, dict[str, Any]]) -> lis
         plain = b.place in ("x", "phi") and b.effect.weights is None
         if not plain or c.flat or c.spread is not None or c.per == "reading":
             continue
+        if b.effect.name in accepted:
+            continue
         most = CONFLICT if b.effect.name in baseline else CONFLICT * SIZES
         for name in b.member_names(calibration.levels):
             away = abs(rows[name]["mean"] - c.mean) / c.size
-            if away > most:
+            if away > most and name not in accepted:
                 found.append(
                     f"{name} stands {away:.0f} times its plausible size from its prior's mean "
                     f"({number(rows[name]['mean'])} against {number(c.mean)} ± {number(c.size)} "
-                    f"{unit_label(c.unit)}): check the nominal zero and scale, or give it a wider prior."
+                    f"{unit_label(c.unit)}; it costs {0.5 * away**2:.0f} nats): {_look_at(b.effect.name)}, "
+                    "or give it a wider prior."
                 )
     return found
+
+
+def _look_at(effect: str) -> str:
+    """Which number may be wrong where a coefficient of this effect contradicts its prior."""
+    slot, _, cause = effect.partition(".")
+    if cause == "constant":
+        return "check the nominal zero and scale" if slot != "scale" else "check the nominal scale"
+    return "check the units of the columns and the nominal scale"
 
 
 def _too_large(calibration: Fitted, spreads: list[dict[str, Any]]) -> list[str]:

@@ -48,11 +48,10 @@ def fit(
         )
         if folder is not None:
             calibration.save(folder / "calibration.nc")
-    from bayescal._calibration.guards import conflicts
     from bayescal._cli.output import fit_data
 
     verdict = calibration.verdict
-    against = conflicts(calibration) if verdict.ok else []
+    against = list(calibration.conflicts) if verdict.ok else []
     print_result(fit_data(calibration, against) if json_ else calibration)
     if folder is not None and not json_:
         print(f"\nwritten: {folder / 'calibration.nc'}")
@@ -210,6 +209,7 @@ def calibrate(
     max_effects: options.MostEffects = 5,
     time_limit: options.TimeLimit = None,
     keep_spikes: options.KeepSpikes = False,
+    accept_conflict: options.AcceptConflict = None,
     seed: options.Seed = 0,
     out: options.Folder = None,
     json_: options.Json = False,
@@ -243,6 +243,7 @@ def calibrate(
             reference=reference_of(choice.reference, readings),
             time_limit=time_limit,
             seeds=seeds,
+            accept_conflicts=accept_conflict or (),
             follow=told,
         )
         if folder is not None:

@@ -199,6 +199,13 @@ TimeLimit = Annotated[
 KeepSpikes = Annotated[
     bool, typer.Option("--keep-spikes", help="Keep single readings far from both neighbours.")
 ]
+AcceptConflict = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--accept-conflict",
+        help="bias.constant: may stand far from its plausible size; repeat for others.",
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
 Folder = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -16,19 +16,23 @@ from bayescal._core.progress import stage
 from bayescal._diagnostics.check import check
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
-from bayescal._diagnostics.neighbours import noise_floor, without_spikes
+from bayescal._diagnostics.neighbours import noise_floor
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over, told
-from bayescal._discovery.search_path import Step, Trail, gate
+from bayescal._discovery.gate import gate, wrong_question
+from bayescal._discovery.search_path import Step, Trail
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
+from bayescal._recording.set_aside import set_aside
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, Shown
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import STOPPED, walk
+
+NOT_LOOKED = "Nothing was looked for."
 
 
 def calibrate(
@@ -45,6 +49,7 @@ def calibrate(
     reference: Reference | None = None,
     time_limit: float | None = None,
     seeds: Sequence[Structure | Shown] = (),
+    accept_conflicts: Collection[str] = (),
     follow: Callable[[Trail], None] = lambda _: None,
 ) -> Trail:
     """Fit, check, find what is missing, add it and fit again: the most probable structure, and the way to it.
@@ -60,11 +65,13 @@ def calibrate(
         method: of every fit; `Marginal()` if not given.
         max_effects: most effects to add.
         widen_noise: False leaves the noise law as given, whatever the residuals look like.
-        keep_spikes: False sets single readings far from both neighbours aside, and flags them.
+        keep_spikes: False sets single readings far from both neighbours aside, and flags them; clipped ones always.
         seed: of every random number.
         reference: constants of the bases to use in place of the readings' own.
         time_limit: seconds of search after which the best so far is taken; Ctrl-C does the same at any time.
         seeds: structures to weigh first: `trail.search.structures` of a search of these readings that was ended early.
+        accept_conflicts: coefficients or effects that may stand far from their priors. Where another does, nothing is
+            looked for: the answer would be one to a wrong question.
         follow: called with the trail so far, as soon as the first model stands and whenever it grows.
 
     Raises:
@@ -72,12 +79,15 @@ def calibrate(
     """
     if holdout is not None:
         model.require(holdout)
-    if not keep_spikes:
-        readings = without_spikes(readings)
-        holdout = None if holdout is None else without_spikes(holdout)
-    loop = _Loop(readings, holdout, method, seed, reference, max_effects)
+    readings = set_aside(readings, keep_spikes)
+    holdout = None if holdout is None else set_aside(holdout, keep_spikes)
+    accepted = frozenset(accept_conflicts)
+    loop = _Loop(readings, holdout, method, seed, reference, max_effects, accepted)
     first = loop.step(model)
     loop = replace(loop, begun=time.monotonic())
+    if reasons := wrong_question(first, accepted):
+        search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(reasons)}")
+        return Trail((first,), gate((first,), accepted), holdout, None, search)
     if loop.on_trial(first):
         loop, widen_noise = replace(loop, max_effects=0), False
     structures, shut = structures_over(
@@ -96,6 +106,7 @@ class _Loop:
     seed: int
     reference: Reference | None
     max_effects: int
+    accepted: frozenset[str]
     begun: float = 0.0  # of the search
 
     @staticmethod
@@ -171,13 +182,15 @@ class _Loop:
             added = next(iter(at.effects - before.effects), None)
             if at.wanders != before.wanders:
                 noise_changed = "noise widened: wandering"
+        kept = None if self.holdout is None else predict(calibration, self.holdout)
         return Step(
             calibration=calibration,
             added=added,
             dropped=(),
             rmse=predict(calibration).rmse,
             rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
-            holdout_rmse=None if self.holdout is None else predict(calibration, self.holdout).rmse,
+            holdout_rmse=None if kept is None else kept.rmse,
+            holdout_sd=None if kept is None else float(np.sqrt(np.mean(kept.sd**2))),
             left_out=left_out,
             noise_floor=noise_floor(calibration),
             check=checked,
@@ -196,7 +209,7 @@ class _Loop:
             max_effects=self.max_effects,
         )
         other = _other_path(structures) if complete or stopped else None
-        return Trail(tuple(steps), gate(steps), self.holdout, other, search)
+        return Trail(tuple(steps), gate(steps, self.accepted), self.holdout, other, search)
 
 
 def _other_path(structures: Structures) -> OtherPath | None:

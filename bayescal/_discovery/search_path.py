@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.guards import conflicts
 from bayescal._core.formatting import number, probability, table
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
@@ -18,10 +15,6 @@ from bayescal._discovery.discover import Discovery
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._search.posterior import FOUND, OtherPath, Search
-
-AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
-NOTICEABLE = 0.1  # if the coefficient itself is above this
-WORSE = 1.05  # error against that of an earlier step, above which an effect does harm
 
 
 @dataclass(frozen=True)
@@ -36,6 +29,7 @@ class Step:
         rmse: of the fitted readings, group deviations at zero (what an unseen group would see).
         rmse_fitted: the same with group deviations as fitted.
         holdout_rmse: of readings that were kept apart; None without them.
+        holdout_sd: that the model expects there, rms.
         left_out: each group predicted from the others.
         noise_floor: from neighbouring readings alone, whatever the model.
         check: where this model fails.
@@ -53,6 +47,7 @@ class Step:
     check: Check
     discovery: Discovery | None
     noise_changed: str = ""
+    holdout_sd: float | None = None
 
     @property
     def title(self) -> str:
@@ -164,60 +159,6 @@ def trail_text(trail: Trail) -> str:
             ]
         )
     return table(head, rows)
-
-
-def gate(steps: Sequence[Step]) -> Gate:
-    """Whether the last model is to be used and its probabilities believed; if not, every reason."""
-    reasons = [*_of_noise(steps[-1]), *_against_the_steps_before(steps)]
-    reasons += conflicts(steps[-1].calibration)
-    if reasons:
-        return Gate(False, " ".join(reasons))
-    return Gate(True, "converged; neighbouring residuals are not correlated")
-
-
-def _of_noise(step: Step) -> list[str]:
-    verdict = step.calibration.verdict
-    if not verdict.ok:
-        return ["The fit did not converge: " + " ".join(verdict.reasons)]
-    if step.check.fixed is not None and step.check.fixed.wrong:
-        return [
-            f"The fixed coefficients leave residuals of {step.check.fixed.rms:.3g} {step.check.unit} rms, "
-            f"{step.check.fixed.rms / step.check.fixed.noise:.1f} times the noise of the same model set free."
-        ]
-    coefficient, z = step.check.autocorrelation
-    if abs(z) > AUTOCORRELATED and abs(coefficient) > NOTICEABLE:
-        return [
-            f"Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), "
-            "so the probabilities of missing effects are too confident. Either the noise is correlated in "
-            "time or something is missing that no candidate describes."
-        ]
-    return []
-
-
-def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
-    """What an added effect made worse: the error as fitted, left-out groups, readings kept apart."""
-    reasons, unit = [], unit_label(steps[-1].calibration.unit)
-    for before, after in pairwise(steps):
-        if after.rmse_fitted > WORSE * before.rmse_fitted:
-            reasons.append(
-                f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
-                f"{after.rmse_fitted:.3g} {unit}: do not use it."
-            )
-    first, last = steps[0], steps[-1]
-    pairs = {
-        "left-out groups": (
-            first.left_out and first.left_out.rmse,
-            last.left_out and last.left_out.rmse,
-        ),
-        "the readings kept apart": (first.holdout_rmse, last.holdout_rmse),
-    }
-    for what, (early, late) in pairs.items():
-        if early is not None and late is not None and late > WORSE * early:
-            reasons.append(
-                f"The last model predicts {what} worse than the first, {early:.3g} → {late:.3g} {unit}: "
-                "what was added holds for these readings alone."
-            )
-    return reasons
 
 
 def ending(found: Discovery | None, added: int, most: int | None, stopped: str) -> str:

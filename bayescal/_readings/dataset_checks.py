@@ -1,7 +1,7 @@
 """Checks of a whole data set: what makes it unusable, and what its owner should know of.
 
-Refused: one temperature only, time running backwards. Flagged: repeated rows, a saturated output, a
-constant column.
+Refused: one temperature only, time running backwards. Flagged: repeated rows (with a time they are dropped), a
+saturated output, a constant column.
 """
 
 from __future__ import annotations
@@ -95,20 +95,28 @@ def flags_of(
     repeated = _repeated(columns)
     if count := len(repeated):
         first = int(repeated[0])
+        many, dropped = count > 1, "time" in columns
+        told = f"{count} row{'s repeat' if many else ' repeats'} an earlier one in every column"
+        end = f": {'they are' if many else 'it is'} dropped" if dropped else ""
+        flags.append(f"{told}, first at {where(first)}{end}")
+    for end, level in clip_levels(columns[output]) if output in columns else ():
+        count = int((columns[output] == level).sum())
         flags.append(
-            f"{count} row{'s repeat' if count > 1 else ' repeats'} an earlier one in every column, "
-            f"first at {where(first)}"
-        )
-    if output in columns and (saturated := _saturated(columns[output])):
-        flags.append(
-            f"{names}: column {output!r} may be saturated: {saturated[0]} readings stand exactly "
-            f"at its {saturated[1]} {saturated[2]:g}"
+            f"{names}: column {output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
         )
     for name, values in columns.items():
         number = values.dtype.kind == "f" and name not in unchecked
         if number and len(values) > 1 and (values == values[0]).all():
             flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
     return flags
+
+
+def once(columns: Columns) -> slice | np.ndarray:
+    """Rows without exact repeats: with the time among the columns, none can be a reading of its own."""
+    repeated = _repeated(columns) if "time" in columns else ()
+    if not len(repeated):
+        return slice(None)
+    return np.setdiff1d(np.arange(len(columns["time"])), repeated)
 
 
 def _repeated(columns: Columns) -> np.ndarray:
@@ -124,15 +132,16 @@ def _repeated(columns: Columns) -> np.ndarray:
     return alike[table.iloc[alike].duplicated().to_numpy()]
 
 
-def _saturated(values: np.ndarray) -> tuple[int, str, float] | None:
-    """Count of readings at an end of the range, which end, and where; None if it looks natural."""
+def clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
+    """Ends of the range at which an output was cut off, each with the level; empty where it looks natural."""
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < 3:
-        return None
+        return []
+    found = []
     for end, beside, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
         enough = max(_LEAST_SATURATED, _SHARE_SATURATED * len(values))
         with np.errstate(over="ignore"):
             near = abs(levels[end] - levels[beside]) < _GAP * (levels[-1] - levels[0])
         if near and counts[end] >= enough and counts[end] > _AGAINST_NEXT * counts[beside]:
-            return int(counts[end]), name, float(levels[end])
-    return None
+            found.append((name, float(levels[end])))
+    return found

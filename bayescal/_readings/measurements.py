@@ -20,7 +20,12 @@ from bayescal._readings.column_matching import (
     output_name,
     refuse_unused_units,
 )
-from bayescal._readings.dataset_checks import flags_of, refuse_backward_time, refuse_one_temperature
+from bayescal._readings.dataset_checks import (
+    flags_of,
+    once,
+    refuse_backward_time,
+    refuse_one_temperature,
+)
 from bayescal._readings.raw_table import Header, Table, cells_of
 from bayescal._readings.unit_conversion import check_unit
 from bayescal._readings.unit_parsing import ANY, STANDARD_GRAVITY
@@ -261,9 +266,8 @@ def assemble(
         *converted.flags,
         *flags_of(converted.values, output, where, names, unchecked=converted.filled),
     ]
-    variables = {
-        name: _variable(values, converted.units[name]) for name, values in converted.values.items()
-    }
+    kept, units = once(converted.values), converted.units
+    variables = {n: _variable(v[kept], units[n]) for n, v in converted.values.items()}
     return Measurements(xr.Dataset(variables), sources, tuple(flags), output)
 
 

@@ -23,7 +23,8 @@ from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
 from bayescal._diagnostics.neighbours import noise_floor
 from bayescal._discovery.discover import discover
-from bayescal._discovery.search_path import Step, Trail, gate
+from bayescal._discovery.gate import gate
+from bayescal._discovery.search_path import Step, Trail
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import SCHEMA, result

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal._diagnostics.neighbours import without_spikes
 from bayescal._discovery.discover import structures_over
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import Density
 from bayescal._engine.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
+from bayescal._recording.set_aside import set_aside
 from bayescal._search.posterior import Found, Posterior
 from bayescal._search.scores import Library
 from bayescal._search.structures import Structure, Structures, Weighed
@@ -44,7 +44,7 @@ class Searched:
     @classmethod
     def of(cls, model: bc.Model, readings: bc.Measurements, widen_noise: bool = True) -> Searched:
         """Search a record to the end."""
-        readings = without_spikes(readings)
+        readings = set_aside(readings)
         structures, _ = structures_over(
             model, readings, reference_of(readings), widen_noise=widen_noise
         )
@@ -103,7 +103,7 @@ class Later:
 
     @classmethod
     def of(cls, searched: Searched, readings: bc.Measurements) -> Later:
-        first, own = searched.structures.record, without_spikes(readings)
+        first, own = searched.structures.record, set_aside(readings)
         levels = bind(searched.model, searched.readings)[1]
         frame = build_frame(own, reference_of(searched.readings), levels)
         new = {g: c if g == "axis" else -jnp.ones_like(c) for g, c in frame.codes.items()}

@@ -203,9 +203,16 @@ def flags(**columns) -> str:
     return "\n".join(Measurements.from_arrays(GYRO, **columns).flags)
 
 
-def test_repeated_rows_are_flagged(put):
-    m = read(put(GOOD + "b,0,30,1.8\n"), GYRO)
-    assert "1 row repeats an earlier one in every column, first at row 5 of 't.csv'" in m.flags
+def test_repeated_rows_are_dropped_where_the_time_tells_and_flagged(put):
+    m, once = read(put(GOOD + "b,0,30,1.8\n"), GYRO), read(put(GOOD), GYRO)
+    told = "1 row repeats an earlier one in every column, first at row 5 of 't.csv'"
+    assert f"{told}: it is dropped" in m.flags
+    assert len(m) == len(once)
+    no_time = Measurements.from_arrays(
+        GYRO, run=["a"] * 3, temperature=[20, 30, 30], rate_input=0, output=[1, 2, 2]
+    )
+    assert len(no_time) == 3
+    assert any("1 row repeats" in flag and "dropped" not in flag for flag in no_time.flags)
 
 
 def test_a_saturated_output_is_flagged_and_a_rounded_one_is_not():

@@ -12,7 +12,7 @@ import pytest
 import bayescal as bc
 from bayescal._calibration import guards
 from bayescal._calibration.guards import conflicts
-from bayescal._discovery.search_path import gate
+from bayescal._discovery.gate import gate
 from bayescal_models import mems_gyro
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
@@ -91,8 +91,13 @@ def test_a_time_beyond_ten_records(runs, monkeypatch) -> None:
 
 def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> list[Any]:
     """Two steps of a trail with these errors."""
-    check = SimpleNamespace(fixed=None, autocorrelation=(0.0, 0.0))
-    plain = {"rmse_fitted": 1.0, "left_out": None, "holdout_rmse": None, "title": "+ bias.x"}
+    check = SimpleNamespace(
+        fixed=None, autocorrelation=(0.0, 0.0), spread_with={}, pit_p=0.5, outliers=(), unit="deg/s"
+    )
+    plain = {
+        **{"rmse_fitted": 1.0, "left_out": None, "holdout_rmse": None, "title": "+ bias.x"},
+        **{"holdout_sd": None, "noise_floor": 1.0},
+    }
     return [
         SimpleNamespace(calibration=line, check=check, **{**plain, **one}) for one in (first, last)
     ]
@@ -136,3 +141,73 @@ def test_the_gates_reasons_are_the_results(line: bc.Calibration) -> None:
     assert verdict["ok"] is False
     assert trail.gate.reason in verdict["reasons"]
     assert "times its plausible size" in trail.gate.reason
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ({"spread_with": {"temperature": 1e-6}}, "the scatter changes with temperature"),
+        ({"pit_p": 1e-6}, "do not scatter about the model as normal noise does"),
+        ({"autocorrelation": (0.3, 5.0)}, "neighbouring residuals are correlated (0.30, z = 5.0)"),
+    ],
+)
+def test_the_gate_asks_what_the_check_knows(line, what: dict[str, Any], said: str) -> None:
+    (only, _) = steps(line, {}, {})
+    only.check = SimpleNamespace(**{**vars(only.check), **what})
+    found = gate([only])
+    assert not found.ok and said in found.reason
+
+
+def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line) -> None:
+    kept = {"holdout_rmse": 0.3, "holdout_sd": 0.1}
+    found = gate(steps(line, kept, kept))
+    assert not found.ok
+    assert "worse than it claims: 0.3 against 0.1 °/s expected" in found.reason
+
+
+def test_nothing_is_said_that_so_few_readings_cannot_show(line: bc.Calibration) -> None:
+    few = replace(line, readings=line.readings.select(np.arange(4)))
+    (only, _) = steps(few, {}, {})
+    assert (
+        gate([only]).reason
+        == "converged; too few readings to see whether neighbours are correlated"
+    )
+
+
+def test_nothing_is_looked_for_where_readings_and_prior_contradict_each_other() -> None:
+    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
+    off = readings.with_column("output", readings["output"] + OFFSET)
+    trail = bc.calibrate(INSTRUMENT.baseline(), off, method=bc.LeastSquares())
+    assert len(trail.steps) == 1 and trail.final.discovery is None
+    assert not trail.ok and "check the nominal zero and scale" in trail.gate.reason
+    assert trail.ending.startswith("Nothing was looked for. bias.constant stands ")
+    waived = bc.calibrate(
+        INSTRUMENT.baseline(), off, method=bc.LeastSquares(), accept_conflicts=["bias.constant"]
+    )
+    assert waived.ok and waived.final.calibration.model.names[-1] == "bias.thermal_lag"
+
+
+def test_a_rounded_output_is_said_and_nothing_finer_is_looked_for() -> None:
+    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
+    coarse = readings.with_column("output", np.round(readings["output"]))
+    trail = bc.calibrate(INSTRUMENT.baseline(), coarse, method=bc.LeastSquares())
+    assert len(trail.steps) == 1 and not trail.ok
+    assert "The output is rounded in steps of 1 °/s" in trail.gate.reason
+    fine = readings.with_column("output", np.round(readings["output"], 2))
+    assert bc.calibrate(INSTRUMENT.baseline(), fine, method=bc.LeastSquares()).ok
+
+
+def test_clipped_readings_are_set_aside_and_said() -> None:
+    readings = mems_gyro.simulate({}, seed=1)
+    low, high = np.quantile(readings["output"], [0.1, 0.9])
+    clipped = readings.with_column("output", np.clip(readings["output"], low, high))
+    trail = bc.calibrate(INSTRUMENT.baseline(), clipped, method=bc.LeastSquares())
+    (flag,) = (f for f in trail.final.calibration.readings.flags if "clipped" in f)
+    cut = int(((readings["output"] <= low) | (readings["output"] >= high)).sum())
+    assert f"{cut} clipped reading(s) of the output set aside" in flag
+    assert "at its maximum" in flag and "at its minimum" in flag
+    whole = bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares())
+    for name in ("bias.constant", "bias.temperature"):
+        difference = np.mean(trail.final.calibration.samples(name)) - np.mean(whole.samples(name))
+        assert abs(difference) < 3 * np.std(trail.final.calibration.samples(name))
+    assert len(trail.steps) == 1

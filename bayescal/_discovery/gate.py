@@ -1,0 +1,125 @@
+"""The gate: whether the last model is to be used. It asks everything that the fits and checks know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from itertools import pairwise
+
+from bayescal._calibration.guards import conflicts
+from bayescal._discovery.search_path import Gate, Step
+from bayescal._readings.unit_conversion import unit_label
+from bayescal._recording.rounding import AS_GOOD_AS_NOISE, rounding_step
+
+AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
+NOTICEABLE = 0.1  # if the coefficient itself is above this
+FEWEST = int(AUTOCORRELATED**2) + 1  # readings, below which no correlation reaches that z
+WORSE = 1.05  # error against that of an earlier step, above which an effect does harm
+RARE = 1e-5  # p-value of a test that asks once for each covariate
+EXPECTED = 2.0  # times the error that a model expects of readings kept apart
+
+
+def gate(steps: Sequence[Step], accepted: Collection[str] = ()) -> Gate:
+    """Whether the last model is to be used and its probabilities believed; if not, every reason.
+
+    Args:
+        steps: from the first model to the last.
+        accepted: coefficients or effects that may contradict their priors.
+    """
+    last = steps[-1]
+    reasons = [*_of_noise(last), *_against_the_steps_before(steps)]
+    reasons += wrong_question(last, accepted)
+    if reasons:
+        return Gate(False, " ".join(dict.fromkeys(reasons)))
+    if len(last.calibration.readings) < FEWEST:
+        return Gate(True, "converged; too few readings to see whether neighbours are correlated")
+    return Gate(True, "converged; neighbouring residuals are not correlated")
+
+
+def wrong_question(step: Step, accepted: Collection[str] = ()) -> list[str]:
+    """Why nothing can be learnt from a model: readings that contradict it, or that were rounded more than they vary."""
+    found = conflicts(step.calibration, accepted)
+    grid, unit = rounding_step(step.calibration.readings["output"]), unit_label(step.check.unit)
+    if step.noise_floor < AS_GOOD_AS_NOISE * grid:
+        found.append(
+            f"The output is rounded in steps of {grid:.3g} {unit}, which is more than its noise: nothing finer than "
+            "a step can be known, and standard uncertainties are too small. Record it with more digits."
+        )
+    return found
+
+
+def _of_noise(step: Step) -> list[str]:
+    verdict = step.calibration.verdict
+    if not verdict.ok:
+        return ["The fit did not converge: " + " ".join(verdict.reasons)]
+    if step.check.fixed is not None and step.check.fixed.wrong:
+        return [
+            f"The fixed coefficients leave residuals of {step.check.fixed.rms:.3g} {step.check.unit} rms, "
+            f"{step.check.fixed.rms / step.check.fixed.noise:.1f} times the noise of the same model set free."
+        ]
+    found, evidence = [], step.calibration.log_evidence
+    if evidence is not None and not math.isfinite(evidence[0]):
+        found.append(
+            "The log evidence is not finite: the readings have too few digits, or a prior is improper."
+        )
+    found += _of_scatter(step)
+    coefficient, z = step.check.autocorrelation
+    if abs(z) > AUTOCORRELATED and abs(coefficient) > NOTICEABLE:
+        found.append(
+            f"Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), "
+            "so the probabilities of missing effects are too confident. Either the noise is correlated in "
+            "time or something is missing that no candidate describes."
+        )
+    return found
+
+
+def _of_scatter(step: Step) -> list[str]:
+    """What the leave-one-out tests say against the noise law."""
+    check = step.check
+    along = [name for name, p in check.spread_with.items() if p < RARE]
+    if along:
+        return [
+            f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "
+            "for no part of the record. Give the readings their own uncertainties (column output_uncertainty)."
+        ]
+    if check.pit_p < RARE:
+        outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
+        return [
+            "Noise model inadequate: readings do not scatter about the model as normal noise does (leave-one-out "
+            f"probabilities uniform: p = {check.pit_p:.1g}{outside}). Look at the readings; a model with noise "
+            "bc.StudentT() bears outliers on both sides."
+        ]
+    return []
+
+
+def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
+    """What an added effect made worse: the error as fitted, left-out groups, readings kept apart."""
+    reasons, unit = [], unit_label(steps[-1].calibration.unit)
+    for before, after in pairwise(steps):
+        if after.rmse_fitted > WORSE * before.rmse_fitted:
+            reasons.append(
+                f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
+                f"{after.rmse_fitted:.3g} {unit}: do not use it."
+            )
+    first, last = steps[0], steps[-1]
+    pairs = {
+        "left-out groups": (
+            first.left_out and first.left_out.rmse,
+            last.left_out and last.left_out.rmse,
+        ),
+        "the readings kept apart": (first.holdout_rmse, last.holdout_rmse),
+    }
+    for what, (early, late) in pairs.items():
+        if early is not None and late is not None and late > WORSE * early:
+            reasons.append(
+                f"The last model predicts {what} worse than the first, {early:.3g} → {late:.3g} {unit}: "
+                "what was added holds for these readings alone."
+            )
+    expected = last.holdout_sd
+    if expected is not None and (last.holdout_rmse or 0.0) > EXPECTED * expected:
+        reasons.append(
+            "The last model predicts the readings kept apart worse than it claims: "
+            f"{last.holdout_rmse:.3g} against {expected:.3g} {unit} expected. They are of another device or "
+            "condition, or the model is wrong."
+        )
+    return reasons
