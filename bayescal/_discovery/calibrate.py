@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from bayescal._calibration.fit import fit
+from bayescal._calibration.guards import conflicts
 from bayescal._calibration.predict import predict
 from bayescal._core.progress import stage
 from bayescal._diagnostics.check import check
@@ -21,6 +22,7 @@ from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over, told
 from bayescal._discovery.gate import gate, wrong_question
 from bayescal._discovery.search_path import Step, Trail
+from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
@@ -32,6 +34,7 @@ from bayescal._search.posterior import OtherPath, Posterior, Search, Shown
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import STOPPED, walk
 
+QUICK = LeastSquares(draws=500)
 NOT_LOOKED = "Nothing was looked for."
 
 
@@ -83,6 +86,8 @@ def calibrate(
     holdout = None if holdout is None else set_aside(holdout, keep_spikes)
     accepted = frozenset(accept_conflicts)
     loop = _Loop(readings, holdout, method, seed, reference, max_effects, accepted)
+    if conflicts(fit(model, readings, QUICK, strict=False, reference=reference), accepted):
+        loop = replace(loop, method=QUICK)  # what is to be seen is seen without sampling
     first = loop.step(model)
     loop = replace(loop, begun=time.monotonic())
     if reasons := wrong_question(first, accepted):

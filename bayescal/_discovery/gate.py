@@ -27,8 +27,8 @@ def gate(steps: Sequence[Step], accepted: Collection[str] = ()) -> Gate:
         accepted: coefficients or effects that may contradict their priors.
     """
     last = steps[-1]
-    reasons = [*_of_noise(last), *_against_the_steps_before(steps)]
-    reasons += wrong_question(last, accepted)
+    reasons = wrong_question(last, accepted)
+    reasons = reasons or [*_of_noise(last), *_against_the_steps_before(steps)]
     if reasons:
         return Gate(False, " ".join(dict.fromkeys(reasons)))
     if len(last.calibration.readings) < FEWEST:
