@@ -85,8 +85,8 @@ def _too_large(calibration: Fitted, spreads: list[dict[str, Any]]) -> list[str]:
         if row["unit"] == unit and same_dimension(row["unit"], unit) and row["mean"] > reach > 0:
             found.append(
                 f"{row['name']} is larger than the output's whole range ({number(row['mean'])} against "
-                f"{number(reach)} {unit_label(unit)}): the readings lie far from what the model can be: check the nominal "
-                "zero and scale."
+                f"{number(reach)} {unit_label(unit)}): the readings lie far from what the model can be. Check the "
+                "nominal zero and scale."
             )
     if calibration.readings.has("time"):
         record = float(np.ptp(calibration.readings["time"]))
