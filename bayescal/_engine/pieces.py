@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jit import QUICK, known
+from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import CoefficientBlock
@@ -217,16 +218,28 @@ def _moved(frame: Frame, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
 
 
 class ColumnsOf(NamedTuple):
-    """What an effect's columns depend on: its basis, and the shapes that this takes."""
+    """What an effect's columns depend on.
+
+    Attributes:
+        basis: its own.
+        shapes: that this takes.
+        priors: of the shapes.
+        less: for a departure, whose basis need not be compiled for every record: the basis of its curves, and what is
+            taken from them.
+    """
 
     basis: Basis
     shapes: tuple[str, ...]
-    priors: tuple[Any, ...]  # of the shapes
+    priors: tuple[Any, ...]
+    less: tuple[Basis, Departure] | None = None
 
     @classmethod
     def of(cls, effect: Effect) -> ColumnsOf:
-        shapes = effect.column_shapes
-        return cls(basis_of(effect), tuple(s.name for s in shapes), tuple(s.prior for s in shapes))
+        shapes, less = effect.column_shapes, None
+        if isinstance(effect, Departure):
+            less = (effect.curves, len(effect.coefficients), "curves"), effect
+        names, priors = tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
+        return cls(basis_of(effect), names, priors, less)
 
 
 class Known(NamedTuple):

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from bayescal._engine import pieces
 from bayescal._engine.pieces import ColumnsOf
+from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
@@ -105,7 +106,7 @@ class Record:
         Those of one shape are interpolated along it where they run smoothly.
         """
         if not effect.shapes:
-            return self._fixed_columns(effect.basis)
+            return self._less(*effect.less) if effect.less else self._fixed_columns(effect.basis)
         if len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH:
             curve = self._curve(effect)
             if curve is not None:
@@ -122,14 +123,6 @@ class Record:
             self._shaped.move_to_end(key)
         return found
 
-    def columns_along(
-        self, effect: ColumnsOf, values: Float[np.ndarray, "s shapes"]
-    ) -> Float[np.ndarray, "s n k"]:
-        """Columns at several values of an effect's shapes."""
-        if not effect.shapes:
-            return self._fixed_columns(effect.basis)[None]
-        return self._computed(effect, list(values.T), {})
-
     def column_slopes(self, effect: ColumnsOf, value: float) -> Float[np.ndarray, "n k"] | None:
         """Slopes of an effect's columns by the coordinate of its one shape; None where they are not interpolated."""
         v = effect.priors[0].coordinate(value)
@@ -144,7 +137,7 @@ class Record:
         if key not in self._curves:
             prior = effect.priors[0]
             at = np.concatenate([NODES, BETWEEN])
-            found = self.columns_along(effect, prior.value(at)[:, None])
+            found = self._computed(effect, [prior.value(at)], {})
             found = found.transpose(0, 2, 1).reshape(len(at), -1)
             nodes, there = found[: len(NODES)], found[len(NODES) :]
             apart = max(
@@ -154,6 +147,17 @@ class Record:
             smooth = apart <= INTERPOLATED * np.max(np.abs(nodes), initial=1e-300)
             self._curves[key] = nodes if smooth else None
         return self._curves[key]
+
+    def _less(self, curves: pieces.Basis, of: Departure) -> Float[np.ndarray, "n k"]:
+        """Columns of a departure: curves, less the shares that its effect's own columns have in them."""
+        own = ColumnsOf(of.own, tuple(n for n, _ in of.at), ())
+        taken = self._shaped.get(key := (of.own, of.at))
+        if taken is None:
+            at = tuple(v for _, v in of.at)
+            taken = self.moved_columns(own, at, {})[0] if at else self._fixed_columns(of.own)
+            self._shaped[key] = taken
+            self._bytes += taken.nbytes
+        return self._fixed_columns(curves) - taken @ np.array(of.shares)
 
     def _fixed_columns(self, key: pieces.Basis) -> Float[np.ndarray, "n k"]:
         if key not in self._fixed:

@@ -12,7 +12,7 @@ import numpy as np
 from bayescal._model.coefficient import Shape
 from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import (
-    process_columns,
+    process_along,
     process_sizes,
     resolution,
     standard_normals,
@@ -32,12 +32,15 @@ class Departure(Effect):
         size: amplitude of a process of which as much is left, beside the rest of the model, as the effect contributes.
         at: shapes at which the effect's columns are taken.
         shares: of each of these columns in each of the process's, (p, terms).
+        own, curves: basis of the effect, with the number of its columns and its name; and that of the process.
     """
 
     of: str = eqx.field(static=True, default="")
     size: float = eqx.field(static=True, default=0.0)
     at: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     shares: Rows = eqx.field(static=True, default=())
+    own: Any = eqx.field(static=True, default=None)
+    curves: Any = eqx.field(static=True, default=None)
 
 
 def departure(
@@ -52,12 +55,13 @@ def departure(
     """
     covariate = of.departs_along
     terms, lengths = resolution(covariate in ("time", "elapsed"))
+    curves, own = process_along(covariate, terms), (of.basis, len(of.coefficients), of.name)
     size = rounded(size)
     amplitude = Shape("amplitude", unit, *(part * size for part in PARTS))
     return Departure(
         f"departure({of.name})",
         of.slot,
-        _beside(covariate, terms, (of.basis, len(of.coefficients), of.name), at, shares),
+        _beside(curves, own, at, shares),
         coefficients=standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), amplitude),
         weights=process_sizes(terms),
@@ -71,6 +75,8 @@ def departure(
         size=size,
         at=at,
         shares=shares,
+        own=own,
+        curves=curves,
     )
 
 
@@ -81,16 +87,14 @@ def rounded(value: float) -> float:
 
 @functools.cache  # of whatever size, so that one program serves
 def _beside(
-    covariate: str,
-    terms: int,
-    basis: tuple[Callable[..., Any], int, str],
+    curves: Callable[..., Any],
+    own: tuple[Callable[..., Any], int, str],
     at: tuple[tuple[str, float], ...],
     shares: Rows,
 ) -> Callable[..., Any]:
     taken = np.array(shares)
 
     def columns(r):
-        own = Effect.matrix(*basis, r, dict(at))  # pyright: ignore[reportArgumentType]
-        return process_columns(r.position(covariate), terms) - own @ taken
+        return curves(r) - Effect.matrix(*own, r, dict(at)) @ taken  # pyright: ignore[reportArgumentType]
 
     return columns

@@ -119,7 +119,7 @@ def unknown(
     return Effect(
         name or f"unknown({covariate})",
         slot,
-        _along(covariate, terms),
+        process_along(covariate, terms),
         coefficients=standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), Shape("amplitude", unit, low, high)),
         weights=process_sizes(terms),
@@ -133,7 +133,8 @@ def unknown(
 
 
 @functools.cache  # of whatever amplitude, so that one program serves
-def _along(covariate: str, terms: int) -> Callable[..., Any]:
+def process_along(covariate: str, terms: int) -> Callable[..., Any]:
+    """`process_columns` along a covariate, as a basis."""
     return lambda r: process_columns(r.position(covariate), terms)
 
 

@@ -10,6 +10,7 @@ import pytest
 import bayescal as bc
 from bayescal._discovery.discover import structures_over
 from bayescal._engine.linear_model import linear_model
+from bayescal._engine.record import ColumnsOf
 from bayescal._model.frame import reference_of
 from bayescal._search.departures import contribution, may_depart
 from bayescal._search.library import Library
@@ -94,3 +95,14 @@ def test_effects_without_a_covariate_of_their_own_do_not_depart() -> None:
     assert {"bias.temperature_quadratic", "bias.rate", "bias.drift"} <= can
     beside_a_wander = {n for n, e in made.candidates.items() if may_depart(e, made.record, True)}
     assert can - beside_a_wander == {"bias.drift"}
+
+
+def test_columns_of_a_departure_are_its_basis() -> None:
+    """The engine puts them together on the host; samplers and programs take the basis."""
+    made = structures(bent(0.03))
+    (departure,) = made.weigh(Structure(frozenset(["bias.temperature_quadratic"]))).departures
+    np.testing.assert_allclose(
+        made.record.columns(ColumnsOf.of(departure), ()),
+        np.asarray(departure.evaluate(made.record.frame, {})),
+        atol=1e-12,
+    )
