@@ -14,7 +14,7 @@ from bayescal._core.jit import compiled
 from bayescal._core.parallel import on_one_thread, over
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.joint import expected, expected_with_slopes
-from bayescal._engine.pieces import Term
+from bayescal._engine.terms import Term
 from bayescal._engine.whitening import LOG_2PI, Batch, variance_of, whitening
 from bayescal._model.frame import Frame
 from bayescal._model.noise_laws import (

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._engine.record import ColumnsOf, Record
+from bayescal._engine.record import Record
+from bayescal._engine.terms import ColumnsOf
 from bayescal._model.frame import Frame
 
 

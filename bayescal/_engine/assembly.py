@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._engine.pieces import Term
 from bayescal._engine.record import Record
-from bayescal._engine.sizes import Sizes
+from bayescal._engine.terms import Sizes, Term
 from bayescal._model.parameters import MOVING, Layout
 
 Values = dict[str, float]

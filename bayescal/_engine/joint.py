@@ -11,7 +11,7 @@ from jaxtyping import Float
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import LOG_2PI, NOWHERE
 from bayescal._engine.mode import Mode
-from bayescal._engine.pieces import ColumnsOf, Term
+from bayescal._engine.terms import ColumnsOf, Term
 from bayescal._engine.whitening import (
     Batch,
     factors,

@@ -1,7 +1,6 @@
 """The compiled pieces: an effect's columns, an instrument's slopes.
 
-None knows which effects a model has, so that a search over structures compiles nothing. What does not change of a
-coefficient stands here in plain data. Records are padded to a few
+None knows which effects a model has, so that a search over structures compiles nothing. Records are padded to a few
 lengths by repeating the last reading, so that another record of about the same length compiles nothing either.
 """
 
@@ -19,10 +18,8 @@ from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jit import QUICK, known
-from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
-from bayescal._model.parameters import CoefficientBlock
 
 STEP = 1.25  # from one padded length to the next
 SHORTEST = 32
@@ -215,95 +212,3 @@ def _moved(frame: Frame, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
     for name, shift in moves.items():
         moved = moved.with_column(name, frame[name] + shift)
     return moved
-
-
-class ColumnsOf(NamedTuple):
-    """What an effect's columns depend on.
-
-    Attributes:
-        basis: its own.
-        shapes: that this takes.
-        priors: of the shapes.
-        less: for a departure, whose basis need not be compiled for every record: the basis of its curves, and what is
-            taken from them.
-    """
-
-    basis: Basis
-    shapes: tuple[str, ...]
-    priors: tuple[Any, ...]
-    less: tuple[Basis, Departure] | None = None
-
-    @classmethod
-    def of(cls, effect: Effect) -> ColumnsOf:
-        shapes, less = effect.column_shapes, None
-        if isinstance(effect, Departure):
-            less = (effect.curves, len(effect.coefficients), "curves"), effect
-        names, priors = tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
-        return cls(basis_of(effect), names, priors, less)
-
-
-class Known(NamedTuple):
-    """What does not change of a coefficient, in plain data."""
-
-    effect: Effect  # held, so that no other takes its place in memory
-    of: str
-    per: str | None
-    mean: float
-    prior_sd: float
-    flat: bool
-    learned: bool
-    columns: ColumnsOf
-    shape_names: tuple[str, ...]
-
-    @classmethod
-    def of_block(cls, block: CoefficientBlock) -> Known:
-        coefficient, effect = block.coefficient, block.effect
-        return cls(
-            effect=effect,
-            of=effect.name,
-            per=coefficient.per,
-            mean=coefficient.mean,
-            prior_sd=coefficient.size,
-            flat=coefficient.flat,
-            learned=coefficient.spread is not None,
-            columns=ColumnsOf.of(effect),
-            shape_names=tuple(effect.shape_name(s) for s in effect.column_shapes),
-        )
-
-
-class Term(NamedTuple):
-    """One coefficient of the structure with all its members."""
-
-    known: Known
-    index: int
-    slot: str
-    size: int
-    place: str
-    factor: float
-    value: float
-    prior_sd: float
-    spread_name: str | None
-    members: tuple[str, ...]
-    at: slice  # its entries of x
-
-    @classmethod
-    def of_block(
-        cls, block: CoefficientBlock, plain: dict[Any, Any], spread: Mapping[str, float]
-    ) -> Term:
-        key = (id(block.effect), block.index)
-        if key not in plain:
-            plain[key] = Known.of_block(block)
-        known: Known = plain[key]
-        return cls(
-            known=known,
-            index=block.index,
-            slot=block.slot,
-            size=block.size,
-            place=block.place,
-            factor=block.factor,
-            value=block.value,
-            prior_sd=known.prior_sd * spread.get(known.of, 1.0),
-            spread_name=block.spread_name if known.learned else None,
-            members=tuple(block.member_names()) if block.place == "phi" else (),
-            at=slice(block.start, block.start + block.size),
-        )

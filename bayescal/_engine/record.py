@@ -13,12 +13,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._engine import pieces
-from bayescal._engine.pieces import ColumnsOf
+from bayescal._engine.terms import ColumnsOf, coordinates
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
-from bayescal._model.prior import LogNormal, Normal
 
 KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
@@ -43,15 +42,6 @@ def share_slopes(v: float) -> Float[np.ndarray, "s"]:
     """Of these shares by v."""
     step = 1e-6
     return (shares(v + step) - shares(v - step)) / (2 * step)
-
-
-def coordinates(prior: Any, values: Float[np.ndarray, "b"]) -> Float[np.ndarray, "b"]:
-    """Coordinates of a shape's values."""
-    if isinstance(prior, LogNormal):
-        return np.log(values / prior.median) / prior.sd
-    if isinstance(prior, Normal):
-        return (values - prior.mean) / prior.sd
-    return np.array([prior.coordinate(float(one)) for one in values])
 
 
 @dataclass(eq=False)

@@ -17,7 +17,8 @@ from scipy.special import ndtri
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
 from bayescal._engine.linear_model import LinearModel
-from bayescal._engine.record import ColumnsOf, Record
+from bayescal._engine.record import Record
+from bayescal._engine.terms import ColumnsOf
 from bayescal._model.departure import PARTS, Departure, Rows, departure, rounded
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import slot_of

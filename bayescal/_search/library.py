@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
 
-from bayescal._engine.record import ColumnsOf
+from bayescal._engine.terms import ColumnsOf
 from bayescal._model.coefficient import Coefficient, Shape
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import slot_of

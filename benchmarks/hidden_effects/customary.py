@@ -15,7 +15,8 @@ import numpy as np
 
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.linear_model import linear_model
-from bayescal._engine.record import ColumnsOf, Record
+from bayescal._engine.record import Record
+from bayescal._engine.terms import ColumnsOf
 from bayescal._readings.unit_conversion import coefficient_factor
 from benchmarks.hidden_effects.searched import Later, Searched
 

@@ -32,7 +32,7 @@ ROOMS = {
     "installed model parameters forward",
     "_recording": "rounding spikes set_aside",
     "effects": "constant temperature thermal thermometer time",
-    "_engine": "pieces record sizes assembly whitening closed_form mode linear_model joint products sampling "
+    "_engine": "pieces terms record assembly whitening closed_form mode linear_model joint products sampling "
     "refinement",
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains trust least_squares marginal nuts",

@@ -13,7 +13,8 @@ from bayescal._engine import pieces
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import column_scale, find_mode
-from bayescal._engine.record import INTERPOLATED, ColumnsOf, Record
+from bayescal._engine.record import INTERPOLATED, Record
+from bayescal._engine.terms import ColumnsOf
 from bayescal._engine.whitening import whitening
 from bayescal._inference import gaussian, laplace
 from bayescal._model import forward

@@ -10,7 +10,7 @@ import pytest
 import bayescal as bc
 from bayescal._discovery.discover import structures_over
 from bayescal._engine.linear_model import linear_model
-from bayescal._engine.record import ColumnsOf
+from bayescal._engine.terms import ColumnsOf
 from bayescal._model.frame import reference_of
 from bayescal._search.departures import contribution, may_depart
 from bayescal._search.library import Library
