@@ -82,8 +82,8 @@ def fit(
     Raises:
         InputError: `reference` names what is no constant of these readings; the checkpoint is none, or one of another
             model, readings, method, seed or version.
-        ModelError: readings lack a column or have too few rows for the flat coefficients; or a program observes
-            nothing, has discrete unknowns, or does not take these readings.
+        ModelError: readings lack a column, have too few rows for the flat coefficients, or an output that never
+            changes; or a program observes nothing, has discrete unknowns, or does not take these readings.
         NotConverged: the verdict is not good; carries the calibration.
     """
     if not isinstance(model, Model):
@@ -91,6 +91,7 @@ def fit(
     spare_memory_maps()
     method = Marginal() if method is None else method
     model.require(readings)
+    _refuse_stuck(readings)
     reference = _reference(readings, reference)
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference)
@@ -131,6 +132,20 @@ def _reference(readings: Measurements, asked: Reference | None) -> Reference:
             f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: {', '.join(own)}"
         )
     return {**own, **(asked or {})}
+
+
+def _refuse_stuck(readings: Measurements) -> None:
+    """An output that never changes is none.
+
+    Raises:
+        ModelError: it reads the same in every one of three or more readings.
+    """
+    output = readings["output"]
+    if len(output) > 2 and np.ptp(output) == 0:
+        raise ModelError(
+            f"{readings.file}: the output reads {output[0]:g} in all {len(output)} readings. Noise alone would change "
+            "it: the sensor or the logger is stuck, or the column is not the output"
+        )
 
 
 def _fit_program(model, readings, method, seed, strict, reference, checkpoint) -> ProgramFit:

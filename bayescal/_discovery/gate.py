@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from itertools import pairwise
 
 from bayescal._calibration.guards import conflicts
+from bayescal._diagnostics.evidence_scale import VERY_STRONG
 from bayescal._discovery.search_path import Gate, Step
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._recording.rounding import AS_GOOD_AS_NOISE, rounding_step
@@ -63,6 +64,7 @@ def _of_noise(step: Step) -> list[str]:
             "The log evidence is not finite: the readings have too few digits, or a prior is improper."
         )
     found += _of_scatter(step)
+    found += _left_over(step)
     coefficient, z = step.check.autocorrelation
     if abs(z) > AUTOCORRELATED and abs(coefficient) > NOTICEABLE:
         found.append(
@@ -71,6 +73,25 @@ def _of_noise(step: Step) -> list[str]:
             "time or something is missing that no candidate describes."
         )
     return found
+
+
+def _left_over(step: Step) -> list[str]:
+    """What the residuals still depend on; and readings too few to tell noise from unknowns."""
+    free, size = len(step.calibration.layout.blocks), len(step.calibration.readings)
+    if size < free + 3:
+        return [
+            f"{size} readings are too few for {free} unknowns: the noise cannot be told, and uncertainties hang on "
+            "the priors."
+        ]
+    rows = [(e.log_bayes_factor, e.against) for e in step.check.entries]
+    rows += [(p.log_bayes_factor, " and ".join(p.against)) for p in step.check.pairs]
+    factor, against = max(rows, default=(0.0, ""))
+    if factor > 2 * VERY_STRONG:
+        return [
+            f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): something is missing that no "
+            "candidate describes, or readings of two devices or conditions are mixed."
+        ]
+    return []
 
 
 def _of_scatter(step: Step) -> list[str]:

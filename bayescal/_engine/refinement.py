@@ -258,13 +258,14 @@ class _Refinement:
 
     def _noise(self, given: Callable[[np.ndarray], _Given], v: np.ndarray) -> np.ndarray:
         """The one standard deviation of independent noise: squares over the degrees of freedom left."""
-        (place,), size = self.scales, self.assembly.record.size
+        (place,), y = self.scales, self.assembly.record.y
+        least = (np.finfo(float).eps * float(np.max(np.abs(y)))) ** 2  # what the digits can tell
         for _ in range(100):
             found = given(v)
-            left = size - found.spent
-            if not (found.squares > 0 and left > 0):
+            if not (left := len(y) - found.spent) > 0:
                 return v
-            step = 0.5 * math.log(found.squares / left) / self.assembly.value_slope(v, place)
+            variance = max(found.squares / left, least)
+            step = 0.5 * math.log(variance) / self.assembly.value_slope(v, place)
             v = v.copy()
             v[place] += step
             if abs(step) < 1e-12:

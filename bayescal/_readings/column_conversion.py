@@ -25,6 +25,7 @@ from bayescal._readings.column_matching import (
     unit_of,
     with_fixed_units,
 )
+from bayescal._readings.dataset_checks import placeholder
 from bayescal._readings.raw_table import Cells, Header, Table, load_whole
 
 _LIKELY_UNITS = (
@@ -133,6 +134,11 @@ class _ColumnReader:
         with np.errstate(over="ignore"):
             values = self._convert(cells.values, unit)
         self._refuse_not_finite(cells.values, values, unit)
+        if (index := placeholder(cells.values)) is not None:
+            raise InputError(
+                f"{self._at(index)} reads {cells.values[index]:g}, far from all other numbers: it stands for a missing "
+                "reading. Remove such rows"
+            )
         self._refuse_implausible(cells.values, values, unit)
         self.converted.values[name], self.converted.units[name] = values, self.column.unit
 

@@ -252,3 +252,12 @@ def test_whatever_a_file_holds_it_is_read_or_refused(tmp_path_factory, data):
     except InputError:
         return
     assert np.isfinite(m["output"]).all()
+
+
+@pytest.mark.parametrize("sign", ["-", ""])
+def test_a_number_that_stands_for_a_missing_reading_is_refused(put, sign):
+    rows = "".join(f"a,{t},{20 + t},{1 + 0.1 * t:.1f}\n" for t in range(8))
+    with pytest.raises(
+        InputError, match=rf"row 10 of .*reads {sign}999, far from all other numbers"
+    ):
+        read(put(HEAD + rows + f"a,8,28,{sign}999\n"), GYRO)

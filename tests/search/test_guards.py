@@ -92,7 +92,14 @@ def test_a_time_beyond_ten_records(runs, monkeypatch) -> None:
 def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> list[Any]:
     """Two steps of a trail with these errors."""
     check = SimpleNamespace(
-        fixed=None, autocorrelation=(0.0, 0.0), spread_with={}, pit_p=0.5, outliers=(), unit="deg/s"
+        fixed=None,
+        autocorrelation=(0.0, 0.0),
+        spread_with={},
+        pit_p=0.5,
+        outliers=(),
+        unit="deg/s",
+        entries=(),
+        pairs=(),
     )
     plain = {
         **{"rmse_fitted": 1.0, "left_out": None, "holdout_rmse": None, "title": "+ bias.x"},
@@ -148,6 +155,10 @@ def test_the_gates_reasons_are_the_results(line: bc.Calibration) -> None:
     [
         ({"spread_with": {"temperature": 1e-6}}, "the scatter changes with temperature"),
         ({"pit_p": 1e-6}, "do not scatter about the model as normal noise does"),
+        (
+            {"entries": [SimpleNamespace(log_bayes_factor=11.0, against="run")]},
+            "still depend on run",
+        ),
         ({"autocorrelation": (0.3, 5.0)}, "neighbouring residuals are correlated (0.30, z = 5.0)"),
     ],
 )
@@ -166,12 +177,27 @@ def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line
 
 
 def test_nothing_is_said_that_so_few_readings_cannot_show(line: bc.Calibration) -> None:
-    few = replace(line, readings=line.readings.select(np.arange(4)))
+    few = replace(line, readings=line.readings.select(np.arange(8)))
     (only, _) = steps(few, {}, {})
-    assert (
-        gate([only]).reason
-        == "converged; too few readings to see whether neighbours are correlated"
-    )
+    told = "converged; too few readings to see whether neighbours are correlated"
+    assert gate([only]).reason == told
+    fewer = replace(line, readings=line.readings.select(np.arange(3)))
+    (only, _) = steps(fewer, {}, {})
+    assert "3 readings are too few for 2 unknowns" in gate([only]).reason
+
+
+def test_an_output_that_never_changes_is_refused() -> None:
+    readings = mems_gyro.simulate({}, seed=1)
+    stuck = readings.with_column("output", np.full(len(readings), 1.5))
+    with pytest.raises(bc.ModelError, match=r"the output reads 1\.5 in all 330 readings"):
+        bc.fit(INSTRUMENT.baseline(), stuck)
+
+
+def test_noise_below_the_resolution_of_doubles_is_no_crash() -> None:
+    readings = mems_gyro.simulate({}, seed=1)
+    exact = 20.0 + 0.05 * (readings["temperature"] - 55.0)
+    found = fitted(readings.with_column("output", exact))
+    assert np.mean(found.samples("bias.temperature")) == pytest.approx(0.05, rel=1e-9)
 
 
 def test_nothing_is_looked_for_where_readings_and_prior_contradict_each_other() -> None:
