@@ -36,8 +36,8 @@ ROOMS = {
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains trust least_squares marginal nuts",
     "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",
-    "_calibration": "named_draws on_readings fitted posterior_tree storage summary guards calibration predict fit "
-    "evidence",
+    "_calibration": "named_draws on_readings fitted description posterior_tree storage summary guards calibration "
+    "predict fit evidence",
     "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence neighbours covariate_evidence "
     "part worst_region check_result check leave_group_out compare",
     "_search": "plausible_sizes departures structures library scores walk posterior",
