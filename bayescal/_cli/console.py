@@ -16,6 +16,7 @@ from typing import Any
 import typer
 
 from bayescal._core.errors import InputError
+from bayescal._report.whole_folder import bring_back
 
 OWN_FILES: set[str] = set()
 """Files of the user's own (effects, instruments) that this command has run."""
@@ -76,6 +77,7 @@ def result_folder(path: Path | None) -> Iterator[Path | None]:
     if path is None:
         yield None
         return
+    bring_back(path)
     missing = [p for p in (path, *path.parents) if not p.exists()]
     try:
         path.mkdir(parents=True, exist_ok=True)

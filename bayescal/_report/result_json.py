@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._calibration.description import identity
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.atomic_file import write_text
 from bayescal._diagnostics.check_result import Check
@@ -45,6 +46,7 @@ def result(trail: Trail) -> dict[str, Any]:
         {
             "schema": SCHEMA,
             "complete": trail.complete,
+            "calibration": identity(final),
             "instrument": final.model.instrument.name,
             "method": final.method,
             "seed": final.seed,
