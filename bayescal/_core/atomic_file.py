@@ -7,6 +7,7 @@ xarray and ArviZ, take no notice of what follows the end that the file itself st
 from __future__ import annotations
 
 import errno
+import glob
 import hashlib
 import os
 import re
@@ -31,11 +32,36 @@ def replacing(path: Path) -> Iterator[Path]:
         OSError: it cannot be written or renamed; the old file is as it was.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    for left in left_behind(path):
+        if left.is_file():
+            left.unlink(missing_ok=True)
     try:
         yield partial
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def left_behind(path: Path, suffix: str = ".partial") -> list[Path]:
+    """What processes that were killed left beside a file or folder; what others are writing is not."""
+    found = {
+        left: left.name.removesuffix(suffix).rpartition(".")[2]
+        for left in path.parent.glob(f".{glob.escape(path.name)}.*{suffix}")
+    }
+    return [left for left, process in found.items() if process.isdecimal() and not _runs(process)]
+
+
+def _runs(process: str) -> bool:
+    """Whether a process of this number runs."""
+    if os.name != "posix":
+        return True  # only there can one ask without sending it a signal
+    try:
+        os.kill(int(process), 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:  # it is another user's
+        return True
+    return True
 
 
 @contextmanager

@@ -32,6 +32,7 @@ import numpy as np
 import xarray as xr
 
 from bayescal._core.atomic_file import (
+    left_behind,
     netcdf_bytes,
     replacing_for_user,
     to_disk,
@@ -189,7 +190,7 @@ def open_checkpoint(path: Path, fingerprint: dict[str, str]) -> Checkpoint:
         raise InputError(f"a checkpoint is a NetCDF file: name it …nc, not {path.name!r}")
     if not path.parent.is_dir():
         raise InputError(f"there is no folder {str(path.parent)!r} for a checkpoint: make it first")
-    for left in path.parent.glob(f".{path.name}.*.partial"):  # by a run that was killed
+    for left in left_behind(path):
         left.unlink(missing_ok=True)
     if not path.exists():
         return Checkpoint(path, fingerprint)

@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bayescal._core.atomic_file import to_disk, why, write_text
+from bayescal._core.atomic_file import left_behind, to_disk, why, write_text
 from bayescal._core.errors import InputError
 
 MANIFEST = "manifest.json"
@@ -45,10 +45,10 @@ def whole_folder(folder: Path, calibration: str | None = None, without: str = ""
     """
     visible = Path(folder).resolve()
     parent = visible.parent if os.access(visible.parent, os.W_OK) else visible
-    for left in parent.glob(f".{visible.name}.*.partial"):
-        if not _runs(left):
-            shutil.rmtree(left, ignore_errors=True)
+    for left in left_behind(parent / visible.name):
+        shutil.rmtree(left, ignore_errors=True)
     hidden = parent / f".{visible.name}.{os.getpid()}.partial"
+    shutil.rmtree(hidden, ignore_errors=True)
     try:
         hidden.mkdir()
         yield hidden
@@ -63,10 +63,8 @@ def whole_folder(folder: Path, calibration: str | None = None, without: str = ""
 
 def bring_back(folder: Path) -> None:
     """Bring back a folder that was being swapped by two renames when its process was killed."""
-    for old in () if folder.exists() else folder.parent.glob(f".{folder.name}.*.old"):
-        if not _runs(old):
-            old.rename(folder)
-            return
+    for old in () if folder.exists() else left_behind(folder, ".old")[:1]:
+        old.rename(folder)
 
 
 def files_of(folder: Path) -> dict[str, str]:
@@ -206,17 +204,3 @@ def _bring_late(old: Path, visible: Path, settled: set[str]) -> None:
         if entry.name in settled or (there.exists() and (entry.is_dir() or entry.samefile(there))):
             continue
         os.replace(entry, there)
-
-
-def _runs(left: Path) -> bool:
-    """Whether another process, after which a hidden folder is named, still runs."""
-    try:
-        process = int(left.suffixes[-2].removeprefix("."))
-        if process == os.getpid():
-            return False
-        os.kill(process, 0)
-    except (ProcessLookupError, ValueError, IndexError):
-        return False
-    except OSError:  # it runs, and is another user's
-        return True
-    return True
