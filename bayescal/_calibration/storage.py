@@ -1,13 +1,14 @@
-"""Saved calibrations: one NetCDF file, written beside and renamed.
+"""Saved calibrations: one sealed NetCDF file, written beside and renamed; checked in bytes and in parts when read.
 
 The file names its instrument and effects; they are resolved against what is installed. Nothing in it is evaluated.
 """
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,45 +16,40 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from bayescal._calibration.description import SCHEMA, description, identity, model_from
 from bayescal._calibration.fitted import Fitted
-from bayescal._core.atomic_file import replacing
-from bayescal._core.errors import InputError
+from bayescal._calibration.named_draws import named
+from bayescal._core.atomic_file import (
+    netcdf_bytes,
+    replacing_for_user,
+    verified,
+    write_sealed,
+)
+from bayescal._core.errors import InputError, ModelError
 from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
-from bayescal._model import noise_laws
-from bayescal._model.departure import Departure, departure
 from bayescal._model.effect import Effect
-from bayescal._model.installed import installed_instruments
+from bayescal._model.frame import reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform
-from bayescal._model.unknown_effect import covariate_in
+from bayescal._model.parameters import Layout, bind
 from bayescal._readings.column import Source
 from bayescal._readings.measurements import Measurements
 
-SCHEMA = "bayescal.calibration/1"
-IN_UNITS = (
-    "in units"  # an unknown function's coefficients; before, they were in parts of its amplitude
+AGAIN = "Take a copy, or fit the readings again"
+IDENTITY = "bayescal_identity"
+GROUPS = (
+    *("posterior", "posterior_predictive", "log_prior", "sample_stats"),
+    *("observed_data", "constant_data", "draws", "mode"),
 )
-_NOISES = {
-    c.__name__: c
-    for c in (
-        noise_laws.White,
-        noise_laws.OrnsteinUhlenbeck,
-        noise_laws.StudentT,
-        noise_laws.Quantised,
-    )
-}
-_PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform)}
 
 
 def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
     """Write a calibration and its tree to NetCDF.
 
     Raises:
-        InputError: the folder does not exist or cannot be written.
+        InputError: the folder does not exist, cannot be written, or has no room.
     """
     path = Path(path)
     if path.suffix != ".nc":
@@ -64,65 +60,12 @@ def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
         )
     tree = tree.copy()
     tree["mode"] = xr.DataTree(_mode_dataset(calibration.mode))
-    tree.attrs["bayescal"] = json.dumps(_description(calibration))
-    with replacing(path) as partial:
-        tree.to_netcdf(partial, engine="h5netcdf")
+    tree.attrs["bayescal"] = json.dumps(description(calibration))
+    tree.attrs[IDENTITY] = identity(calibration)
+    content = netcdf_bytes(tree)
+    with replacing_for_user(path) as partial:
+        write_sealed(content, partial)
     return path
-
-
-def _description(c: Fitted) -> dict[str, Any]:
-    return {
-        "schema": SCHEMA,
-        "instrument": c.model.instrument.name,
-        "settings": dict(c.model.instrument.settings),
-        "effects": list(c.model.names),
-        "coefficients": IN_UNITS,
-        "departures": {
-            e.name: {"of": e.of, "size": e.size, "at": dict(e.at), "shares": e.shares}
-            for e in c.model.effects
-            if isinstance(e, Departure)
-        },
-        "unknowns": {e.name: _stated(e) for e in c.model.effects},
-        "fixed": dict(c.model.fixed),
-        "noise": _noise_description(c.model.noise),
-        "promoted": list(c.layout.promoted),
-        "counts": dict(c.layout.counts),
-        "levels": {k: list(v) for k, v in c.levels.items()},
-        "reference": c.reference,
-        "method": c.method,
-        "seed": c.seed,
-        "log_evidence": c.log_evidence,
-        "verdict": asdict(c.verdict),
-        "sources": [asdict(s) for s in c.readings.sources],
-        "flags": list(c.readings.flags),
-    }
-
-
-def _stated(effect: Effect) -> str:
-    """What an effect says of its unknowns: units, priors, groups, shapes."""
-    return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
-
-
-def _noise_description(noise: noise_laws.Noise) -> dict[str, Any]:
-    name = type(noise).__name__
-    if name not in _NOISES:
-        raise InputError(
-            f"noise law {name!r} is not one of {', '.join(_NOISES)}: it cannot be saved by name"
-        )
-    found: dict[str, Any] = {"law": name}
-    for key, value in vars(noise).items():
-        found[key] = (
-            [type(value).__name__, vars(value)] if type(value).__name__ in _PRIORS else value
-        )
-    return found
-
-
-def _noise_from(described: dict[str, Any]) -> noise_laws.Noise:
-    arguments = {k: v for k, v in described.items() if k != "law"}
-    for key, value in arguments.items():
-        if isinstance(value, list):
-            arguments[key] = _PRIORS[value[0]](**value[1])
-    return _NOISES[described["law"]](**arguments)
 
 
 def _mode_dataset(mode: Mode) -> xr.Dataset:
@@ -148,53 +91,148 @@ def load_calibration(
     """Read the fields of a calibration and its tree back; see `bayescal.load`."""
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
-    try:
-        with xr.open_datatree(path, engine="h5netcdf") as opened:
+    content = io.BytesIO(verified(path, "a saved calibration", AGAIN))
+    with _damage_in_words(path):
+        with xr.open_datatree(content, engine="h5netcdf") as opened:
             tree = opened.load()
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(
-            f"{path.name} cannot be read as NetCDF ({error}): is it a saved calibration?"
-        ) from None
-    described = _parsed(tree.attrs.pop("bayescal", None))
-    if described.get("schema") != SCHEMA:
-        raise InputError(
-            f"{path.name} is no calibration of this version: its schema is {described.get('schema')!r}, "
-            f"expected {SCHEMA!r}"
-        )
-    if "noise.correlated" in tree["posterior"]:  # its draws would be read as of the diffusion
-        raise InputError(
-            f"{path.name} was saved when correlated noise was described by its size, now by its diffusion: "
-            "fit the readings again"
-        )
-    readings = _readings_from(tree, described)
-    model = _model_from(path, described, readings, effects, instruments)
-    layout = Layout(model, tuple(described["counts"].items()), tuple(described["promoted"]))
-    mode = _mode_from(tree["mode"].to_dataset())
+        described = _parsed(tree.attrs.pop("bayescal", None))
+        if described.get("schema") != SCHEMA:
+            raise InputError(
+                f"{path.name} is no calibration of this version: its schema is {described.get('schema')!r}, "
+                f"expected {SCHEMA!r}"
+            )
+        if missing := [name for name in GROUPS if name not in tree.children]:
+            raise ValueError(f"it has no group {', '.join(missing)}")
+        readings = _readings_from(tree, described)
+        model = model_from(path, described, readings, effects, instruments)
+        found = _fields(tree, described, model, readings)
+        if tree.attrs.pop(IDENTITY, None) != identity(Fitted(**found)):
+            raise ValueError("its identity is not that of what it holds")
     del tree["mode"]
-    verdict = described["verdict"]
+    return found, tree
+
+
+@contextmanager
+def _damage_in_words(path: Path) -> Iterator[None]:
+    """A part that is not there or not as it should be: the file was changed after it was written.
+
+    Raises:
+        InputError: names the file and the part.
+    """
+    try:
+        yield
+    except (KeyError, ValueError, TypeError, AttributeError, IndexError, OSError) as error:
+        said = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(
+            f"{path.name} is damaged, or was changed after it was saved: {said}. {AGAIN}"
+        ) from None
+    except ModelError as error:
+        raise InputError(
+            f"{path.name}: its model does not go with its readings: {error}. {AGAIN}"
+        ) from None
+
+
+def _fields(
+    tree: xr.DataTree, described: dict[str, Any], model: Model, readings: Measurements
+) -> dict[str, Any]:
+    """The fields of a calibration, each of the size that its model and readings ask for.
+
+    Raises:
+        ValueError: one of them is not; says which.
+    """
+    model.require(readings)
+    bound, levels = bind(model, readings)
+    _same("group sizes", described["counts"], dict(bound.counts))
+    _same("group members", described["levels"], {k: list(v) for k, v in levels.items()})
+    _same("constants", sorted(described["reference"]), sorted(reference_of(readings)))
+    layout = Layout(model, bound.counts, tuple(described["promoted"]))
+    if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
+        raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")
+    told = described["verdict"]
+    verdict = Verdict(**{**told, "reasons": tuple(told["reasons"]), "notes": tuple(told["notes"])})
+    joint = _draws_from(tree, layout, len(readings), finite=verdict.ok)
+    mode = _mode_from(tree, layout, len(readings), finite=verdict.ok)
+    _refuse_other_posterior(tree, named(layout, levels, joint.x, joint.rows, joint.v))
+    _arrays(tree, "posterior_predictive", {"output": (joint.x.shape[0], None, len(readings))})
     evidence = described["log_evidence"]
-    found = {
+    return {
         "model": model,
         "readings": readings,
-        "joint": _draws_from(tree),
-        "verdict": Verdict(
-            **{**verdict, "reasons": tuple(verdict["reasons"]), "notes": tuple(verdict["notes"])}
-        ),
+        "joint": joint,
+        "verdict": verdict,
         "method": described["method"],
         "seed": described["seed"],
         "reference": described["reference"],
-        "levels": {k: tuple(v) for k, v in described["levels"].items()},
+        "levels": levels,
         "layout": layout,
         "mode": mode,
         "log_evidence": None if evidence is None else (evidence[0], evidence[1]),
     }
-    return found, tree
 
 
-def _draws_from(tree: xr.DataTree) -> Draws:
-    vectors, stats = tree["draws"].to_dataset(), tree["sample_stats"].to_dataset()
-    x, rows, v = (vectors[name].values for name in ("x", "rows", "v"))
-    return Draws(x, rows, v, {str(name): stats[name].values for name in stats})
+def _same(what: str, told: object, expected: object) -> None:
+    if told != expected:
+        raise ValueError(f"its {what} are {told}, its readings have {expected}")
+
+
+def _arrays(
+    tree: xr.DataTree, group: str, shapes: Mapping[str, tuple[int | None, ...]], finite: bool = True
+) -> dict[str, np.ndarray]:
+    """Variables of a group, if they are numbers of these shapes (None: any length).
+
+    Raises:
+        ValueError: one is missing, is no array of numbers, has another shape, or is not finite.
+    """
+    data, found = tree[group].to_dataset(), {}
+    for name, shape in shapes.items():
+        if name not in data.data_vars:
+            raise ValueError(f"its group {group} has no variable {name}")
+        values = found[name] = data[name].values
+        told = f"its {group}/{name}"
+        if values.dtype != np.float64:
+            raise ValueError(f"{told} is of type {values.dtype}, expected float64")
+        if len(values.shape) != len(shape) or any(
+            asked not in (None, came) for asked, came in zip(shape, values.shape, strict=True)
+        ):
+            expected = tuple("any" if length is None else length for length in shape)
+            raise ValueError(f"{told} has the shape {values.shape}, its model asks for {expected}")
+        if finite and not np.isfinite(values).all():
+            raise ValueError(f"{told} holds numbers that are not finite")
+    return found
+
+
+def _draws_from(tree: xr.DataTree, layout: Layout, readings: int, finite: bool) -> Draws:
+    (x,) = _arrays(tree, "draws", {"x": (None, None, layout.size)}, finite).values()
+    both = x.shape[:2]
+    if 0 in both:
+        raise ValueError("it holds no draws")
+    shapes = {
+        "rows": (*both, readings, len(layout.row_blocks)),
+        "v": (*both, len(layout.hypers)),
+    }
+    rows, v = _arrays(tree, "draws", shapes, finite).values()
+    stats = {str(n): s.values for n, s in tree["sample_stats"].to_dataset().items()}
+    for name, values in stats.items():
+        if values.shape != both or values.dtype.kind not in "fiub":
+            raise ValueError(f"its sample_stats/{name} is not one number for each draw")
+    return Draws(x, rows, v, stats)
+
+
+def _refuse_other_posterior(tree: xr.DataTree, expected: xr.Dataset) -> None:
+    """The posterior that a person reads is that of the draws from which everything is computed.
+
+    Raises:
+        ValueError: it is not.
+    """
+    told = tree["posterior"].to_dataset()
+    if set(told.data_vars) != set(expected.data_vars):
+        raise ValueError(
+            f"its posterior is of {', '.join(map(str, told.data_vars))}, its model has "
+            f"{', '.join(map(str, expected.data_vars))}"
+        )
+    for name, variable in expected.data_vars.items():
+        if not np.array_equal(told[name].values, variable.values, equal_nan=True):
+            raise ValueError(f"its posterior of {name} is not that of its draws")
 
 
 def _parsed(text: object) -> dict[str, Any]:
@@ -206,84 +244,21 @@ def _parsed(text: object) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _mode_from(data: xr.Dataset) -> Mode:
-    values = {str(k): jnp.asarray(v.values) for k, v in data.items()}
-    rest = {k: values[k] for k in _MODE_FIELDS}
+def _mode_from(tree: xr.DataTree, layout: Layout, readings: int, finite: bool) -> Mode:
+    p, d, shape = layout.size, len(layout.hypers), (readings, len(layout.row_blocks))
+    shapes = {"x": (p,), "rows": shape, "v": (d,), "covariance": (d, d), "flat": (p,)}
+    found = _arrays(tree, "mode", shapes, finite)
+    scalars = {name: () for name in _MODE_FIELDS if name not in shapes}
+    found |= _arrays(tree, "mode", scalars, finite=False)
+    values = {name: jnp.asarray(value) for name, value in found.items()}
+    rest = {name: values[name] for name in _MODE_FIELDS}
     return Mode(
         Point(values["x"], values["rows"]), **{**rest, "indefinite": rest["indefinite"] > 0}
     )
 
 
 def _readings_from(tree: xr.DataTree, described: dict[str, Any]) -> Measurements:
+    _arrays(tree, "observed_data", {"output": (None,)})
     data = tree["constant_data"].to_dataset().merge(tree["observed_data"].to_dataset())
     sources = tuple(Source(**s) for s in described["sources"])
     return Measurements(data=data, sources=sources, flags=tuple(described["flags"]))
-
-
-def _tailored(path: Path, instrument: Instrument, settings, readings: Measurements) -> Instrument:
-    """The installed instrument as the calibration's was tailored."""
-    if instrument.tailor is None and not settings:
-        return instrument
-    try:
-        if instrument.tailor is None:
-            raise TypeError("it takes none")
-        return instrument.tailor(readings, **settings)
-    except TypeError as error:
-        raise InputError(
-            f"{path.name}: the installed {instrument.name!r} cannot be made with {settings} ({error}). Install "
-            "the version that the calibration was made with"
-        ) from None
-
-
-def _model_from(path: Path, described, readings: Measurements, effects, instruments) -> Model:
-    known = {**installed_instruments(), **{i.name: i for i in instruments}}
-    name = described["instrument"]
-    if name not in known:
-        raise InputError(
-            f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
-            f"{', '.join(known)}). Install the package that offers it"
-        )
-    instrument = _tailored(path, known[name], described.get("settings", {}), readings)
-    structural = [e for _, make in instrument.structures for e in make().effects]
-    catalogue = {
-        e.name: e for e in (*structural, *instrument.effects, *instrument.candidates, *effects)
-    }
-    for n in described["effects"]:
-        if n not in catalogue and (covariate := covariate_in(n)):
-            catalogue[n] = instrument.unknown(covariate)
-    for n, d in described.get("departures", {}).items():
-        if (of := catalogue.get(d["of"])) is not None:
-            shares, unit = tuple(map(tuple, d["shares"])), instrument.slot(of.slot).unit
-            catalogue[n] = departure(of, unit, d["size"], tuple(d["at"].items()), shares)
-    missing = [n for n in described["effects"] if n not in catalogue]
-    if missing:
-        raise InputError(
-            f"{path.name} uses the effect {', '.join(missing)}, which {name!r} does not have. Give the file "
-            "that defines it: --effects my_effects.py (in Python: load(path, effects=[…]))"
-        )
-    chosen = tuple(catalogue[n] for n in described["effects"])
-    for effect in chosen:
-        then, now = described["unknowns"][effect.name], _stated(effect)
-        if then != now:
-            raise InputError(
-                f"{path.name} was fitted with another effect {effect.name!r} than the one given now: then {then}; "
-                f"now {now}. Give the one it was fitted with: --effects my_effects.py (in Python: "
-                "load(path, effects=[…]))"
-            )
-    fixed = tuple(described["fixed"].items())
-    _refuse_parts(path, described, chosen)
-    return Model(instrument, chosen, _noise_from(described["noise"]), fixed)
-
-
-def _refuse_parts(path: Path, described: dict[str, Any], effects: Sequence[Effect]) -> None:
-    """Draws of an unknown function's coefficients in parts of its amplitude would be read as in units.
-
-    Raises:
-        InputError: the file holds some.
-    """
-    old = [e.name for e in effects if e.weights is not None]
-    if old and described.get("coefficients") != IN_UNITS:
-        raise InputError(
-            f"{path.name} was saved when the coefficients of {', '.join(old)} were parts of its amplitude, now they "
-            "are in units: fit the readings again"
-        )

@@ -47,7 +47,11 @@ def fit(
             reference=reference_of(choice.reference, readings),
         )
         if folder is not None:
-            calibration.save(folder / "calibration.nc")
+            from bayescal._calibration.description import identity
+            from bayescal._report.whole_folder import whole_folder
+
+            with whole_folder(folder, identity(calibration)) as hidden:
+                calibration.save(hidden / "calibration.nc")
     from bayescal._cli.output import fit_data
 
     verdict = calibration.verdict
@@ -254,5 +258,5 @@ def calibrate(
     print_notes(flag for flag in later if flag not in readings.flags)
     print_result(result(trail) if json_ else loop_text(trail, own, told.begun))
     if folder is not None and not json_:
-        print(f"\nwritten: {folder}/result.json, calibration.nc, loop.png")
+        print(f"\nwritten: {folder}/result.json, calibration.nc, loop.png, manifest.json")
     exit_unless(trail.ok, trail.gate.reason)

@@ -15,6 +15,7 @@ from bayescal._cli.console import exit_unless, print_notes, print_result, result
 from bayescal._cli.offered import DEMONSTRATIONS, PAIR_SELECTIONS, offered
 from bayescal._cli.options import ColumnOptions, ModelOptions, with_groups
 from bayescal._core.errors import InputError
+from bayescal._report.whole_folder import MANIFEST, files_of, whole_folder
 
 commands = typer.Typer()
 
@@ -71,6 +72,8 @@ def demo(
         result_folder(out),
         contextlib.redirect_stdout(sys.stderr if json_ else sys.stdout),
     ):
-        demonstrate(out, seed)
+        with whole_folder(out) as hidden:
+            demonstrate(hidden, seed)
+        print(f"\nwritten to {out}: {', '.join([*files_of(out), MANIFEST])}")
     if json_:
         print((out / "result.json").read_text(encoding="utf-8"), end="")

@@ -8,13 +8,16 @@ Heavy modules load inside the commands, so that `bayescal --help` answers at onc
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import sys
+from typing import NoReturn
 
 import typer
 
 from bayescal._cli import batch, catalogue, deliverables, fitting, instrument_extras
+from bayescal._cli.console import in_one_line, own_file_line
 from bayescal._core.errors import BayescalError, NotConverged
 
 app = typer.Typer(
@@ -50,8 +53,10 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except OSError as error:
-        _fail(f"{error.filename or 'a file'}: {error.strerror or error}", 2)
-    except Exception as error:
+        _fail(f"{error.filename or 'standard output, or a file'}: {error.strerror or error}", 2)
+    except BaseException as error:
+        if where := own_file_line(error):  # a basis, say, that fails only when it is asked
+            _fail(f"{where} failed: {in_one_line(error)}. Mend it, or leave --effects out", 2)
         usage = getattr(error, "format_message", None)  # an option that the parser refused
         if usage is None:
             raise
@@ -61,8 +66,9 @@ def main() -> None:
         _fail(f"{said}. See: {command} --help", 2)
 
 
-def _fail(message: str, status: int) -> None:
-    print(f"bayescal: {' '.join(message.split())}", file=sys.stderr)
+def _fail(message: str, status: int) -> NoReturn:
+    with contextlib.suppress(OSError):  # nowhere to say it: the status still does
+        print(f"bayescal: {' '.join(message.split())}", file=sys.stderr)
     sys.exit(status)
 
 

@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 import bayescal as bc
+from bayescal._cli.console import OWN_FILES, in_one_line, own_file_line
 from bayescal._cli.options import METHODS, ColumnOptions, ModelOptions, named_numbers
 from bayescal._core.errors import InputError
 from bayescal._model.installed import (
@@ -154,7 +155,7 @@ def _run_file(path: Path) -> ModuleType:
     """A user's Python file, run.
 
     Raises:
-        InputError: it is not there, or fails.
+        InputError: it is not there, or fails, or would end the program; says in which line.
     """
     if not path.is_file():
         raise InputError(f"there is no file {path}")
@@ -162,10 +163,12 @@ def _run_file(path: Path) -> ModuleType:
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules.setdefault(path.stem, module)
+    OWN_FILES.add(str(spec.origin))
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever a user's file does wrong is said in one line
-        raise InputError(f"{path} could not be run: {type(error).__name__}: {error}") from None
+    except BaseException as error:  # SystemExit too: what a user's file does wrong is said in words
+        where = own_file_line(error).removeprefix(str(spec.origin))
+        raise InputError(f"{path}{where} could not be run: {in_one_line(error)}") from None
     return module
 
 

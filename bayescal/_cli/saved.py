@@ -12,14 +12,16 @@ from bayescal._compensation.compensator import Compensator, compensator, load_co
 from bayescal._core.errors import InputError
 from bayescal._model.instrument import Instrument
 from bayescal._report.section import Chapter, chapters, of_folder
+from bayescal._report.whole_folder import refuse_mixed
 
 
 def load_saved(path: Path, own: OwnParts) -> Calibration:
     """A saved calibration; of an instrument of the user's own, if one is named.
 
     Raises:
-        InputError: it cannot be loaded.
+        InputError: it cannot be loaded, or is not the one that its folder's manifest lists.
     """
+    refuse_mixed(path.parent, path.name)
     return load(path, effects=user_effects(own.effects_file), instruments=_own_instruments(own))
 
 

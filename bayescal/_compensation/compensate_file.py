@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 import xarray as xr
 
 from bayescal._compensation.compensator import Compensated, Compensator, Method
-from bayescal._core.atomic_file import replacing_for_user
+from bayescal._core.atomic_file import netcdf_bytes, replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._readings.column import ROW, Column, NominalScale, Source
 from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
@@ -277,4 +277,4 @@ def _netcdf(job: _FileCompensation, path: Path, partial: Path, table: Table, raw
     unit = {"units": job.compensator.unit}
     values = zip(job.done.columns, (found.value, found.uncertainty), strict=True)
     dataset = dataset.assign({name: (dimension, v, unit) for name, v in values})
-    dataset.to_netcdf(partial, engine="h5netcdf")
+    partial.write_bytes(netcdf_bytes(dataset))

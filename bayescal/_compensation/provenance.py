@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.description import identity
 from bayescal._compensation.operating_equation import OperatingEquation
 from bayescal._core.version import __version__
 from bayescal._readings.measurements import Measurements
@@ -27,6 +28,7 @@ class Provenance:
         raw: how a raw output becomes the reading: unit, gain, offset; None if it is the reading.
         notes: what to know, each a sentence.
         made_by: program and version.
+        calibration: its identity; empty in exports that do not state one.
     """
 
     instrument: str
@@ -40,6 +42,7 @@ class Provenance:
     raw: tuple[str, float, float] | None
     notes: tuple[str, ...]
     made_by: str
+    calibration: str = ""
 
 
 def provenance_of(
@@ -69,6 +72,7 @@ def provenance_of(
         raw=(scale.unit, scale.gain, scale.offset) if scale else None,
         notes=tuple(_notes(calibration, equation, stimulus_range)),
         made_by=f"bayescal {__version__}",
+        calibration=identity(calibration),
     )
 
 

@@ -1,13 +1,27 @@
-"""A file is there whole or not at all: it is written beside its place and then renamed."""
+"""A file is there whole or not at all: written beside its place, renamed, and sealed so that damage is seen.
+
+A sealed file ends in a trailer of 84 bytes: a magic word, and the SHA-256 of all that stands before it. HDF5, and so
+xarray and ArviZ, take no notice of what follows the end that the file itself states.
+"""
 
 from __future__ import annotations
 
+import errno
+import glob
+import hashlib
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from bayescal._core.errors import InputError
+
+MAGIC = b"\n# bayescal sha256 "
+TRAILER = re.compile(re.escape(MAGIC) + rb"([0-9a-f]{64})\n\Z")
+LENGTH = len(MAGIC) + 64 + 1
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a full disk, a used-up quota, a limit
 
 
 @contextmanager
@@ -18,6 +32,9 @@ def replacing(path: Path) -> Iterator[Path]:
         OSError: it cannot be written or renamed; the old file is as it was.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    for left in left_behind(path):
+        if left.is_file():
+            left.unlink(missing_ok=True)
     try:
         yield partial
         partial.replace(path)
@@ -25,12 +42,34 @@ def replacing(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+def left_behind(path: Path, suffix: str = ".partial") -> list[Path]:
+    """What processes that were killed left beside a file or folder; what others are writing is not."""
+    found = {
+        left: left.name.removesuffix(suffix).rpartition(".")[2]
+        for left in path.parent.glob(f".{glob.escape(path.name)}.*{suffix}")
+    }
+    return [left for left, process in found.items() if process.isdecimal() and not _runs(process)]
+
+
+def _runs(process: str) -> bool:
+    """Whether a process of this number runs."""
+    if os.name != "posix":
+        return True  # only there can one ask without sending it a signal
+    try:
+        os.kill(int(process), 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:  # it is another user's
+        return True
+    return True
+
+
 @contextmanager
 def replacing_for_user(path: Path) -> Iterator[Path]:
     """The same for a place that the user chose: what stands against it is said in words.
 
     Raises:
-        InputError: no such folder, or a place that cannot be written to.
+        InputError: no such folder, a place that cannot be written to, or no room; the old file is as it was.
     """
     if not path.parent.is_dir():
         raise InputError(
@@ -41,19 +80,86 @@ def replacing_for_user(path: Path) -> Iterator[Path]:
         with replacing(path) as partial:
             yield partial
     except OSError as error:
-        raise InputError(
-            f"{str(path)!r} cannot be written: {error.strerror or error}. Choose a folder that may "
-            "be written to"
-        ) from error
+        raise InputError(f"{str(path)!r} cannot be written: {why(error)}") from error
+
+
+def why(error: OSError) -> str:
+    """What stood against writing, and what to do about it."""
+    said = error.strerror or str(error)
+    if error.errno in FULL:
+        return f"{said}. Make room there, or choose another place; what stood there is as it was"
+    return f"{said}. Choose a folder that may be written to"
 
 
 def write_text(text: str, path: str | Path) -> Path:
     """Write text as UTF-8 to a place that the user chose.
 
     Raises:
-        InputError: no such folder, or a place that cannot be written to.
+        InputError: no such folder, a place that cannot be written to, or no room.
     """
     path = Path(path)
     with replacing_for_user(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
     return path
+
+
+def to_disk(path: Path) -> None:
+    """Have the operating system put a file, or the names of a folder, on the disk."""
+    if path.is_dir() and os.name != "posix":
+        return  # only there can a folder be opened
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def netcdf_bytes(data: Any, **options: Any) -> memoryview:
+    """A Dataset or DataTree as the bytes of a NetCDF file.
+
+    In memory, because HDF5 ends the process where it writes to a full disk itself.
+    """
+    return data.to_netcdf(engine="h5netcdf", **options)
+
+
+def write_sealed(content: bytes | memoryview, path: Path) -> None:
+    """Write bytes and the trailer by which `verified` knows them."""
+    with path.open("wb") as file:
+        file.write(content)
+        file.write(MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n")
+
+
+def verified(path: Path, what: str, instead: str) -> memoryview:
+    """The bytes of a sealed file without their trailer, if they are as they were written.
+
+    Args:
+        path: of the file.
+        what: it should be, such as "a saved calibration".
+        instead: what to do where it is not.
+
+    Raises:
+        InputError: it cannot be read, has no trailer, or is not as it was written.
+    """
+    try:
+        found = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"{path.name} cannot be read: {error.strerror or error}. {instead}"
+        ) from None
+    content = memoryview(found)[: max(0, len(found) - LENGTH)]
+    trailer = TRAILER.fullmatch(found[len(content) :])
+    if trailer is None:
+        said = (
+            "is damaged: bytes are missing or added at its end, where its checksum stood"
+            if MAGIC in found
+            else "has no checksum at its end: it is cut short, or was saved by an earlier version of bayescal or by "
+            "another program"
+        )
+        raise InputError(f"{path.name} {said}. Expected {what}. {instead}")
+    if hashlib.sha256(content).hexdigest().encode() != trailer[1]:
+        raise InputError(
+            f"{path.name} is damaged: its bytes do not have the checksum that stands at its end. {instead}"
+        )
+    if TRAILER.fullmatch(found[max(0, len(content) - LENGTH) : len(content)]):
+        raise InputError(f"{path.name} has two checksums at its end, expected one. {instead}")
+    return content

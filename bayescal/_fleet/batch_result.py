@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from bayescal._fleet.device_result import BatchPart, DeviceResult
 from bayescal._fleet.population import Population
 
 SCHEMA = "bayescal.batch/1"
+AGAIN = "Take a copy, or run the batch again"
 SHOWN = 10  # devices that are named in print when they cannot be trusted
 COLUMNS = ("device", "coefficient", "mean", "sd", "unit", "ok", "reason")
 POPULATION = ("coefficient", "mean", "mean_sd", "spread", "spread_sd", "unit")
@@ -139,17 +142,21 @@ class BatchResult:
         long = self._long(covariance=True)
         kinds = [pa.string(), pa.string(), pa.float64(), pa.float64(), pa.string(), pa.bool_()]
         kinds += [pa.string(), pa.list_(pa.float64())]
-        head = {"schema": SCHEMA, "about": self.about, "population": _told(self.population)}
+        head = json.dumps(
+            {"schema": SCHEMA, "about": self.about, "population": _told(self.population)}
+        )
         fields = [pa.field(n, k) for n, k in zip((*COLUMNS, "covariance"), kinds, strict=True)]
-        schema = pa.schema(fields, metadata={"bayescal": json.dumps(head)})
+        schema = pa.schema(fields)
         columns = [
             pa.array(long[f.name].tolist() if f.name == "covariance" else long[f.name], type=f.type)
             if f.name not in ("mean", "sd")
             else pa.array(long[f.name].to_numpy(np.float64), type=f.type)  # NaN stays NaN
             for f in fields
         ]
+        table = pa.Table.from_arrays(columns, schema=schema)
+        sealed = {"bayescal": head, "bayescal_sha256": _digest(table, head.encode())}
         with replacing_for_user(path) as partial:
-            pq.write_table(pa.Table.from_arrays(columns, schema=schema), partial)
+            pq.write_table(table.replace_schema_metadata(sealed), partial, write_page_checksum=True)
         return path
 
     def __str__(self) -> str:
@@ -188,38 +195,87 @@ def _told(population: Population | None) -> dict[str, Any] | None:
     }
 
 
+def _digest(table: pa.Table, head: bytes) -> str:
+    """SHA-256 over what a batch says of itself and every value of its table, however Parquet lays them out."""
+    digest = hashlib.sha256(head)
+    for name in (*COLUMNS, "covariance"):
+        column = table.column(name).combine_chunks()
+        digest.update(f"\n{name} {len(column)}\n".encode())
+        if name == "covariance":
+            digest.update(json.dumps(column.value_lengths().to_pylist()).encode())
+            column = column.flatten()
+        numbers = pa.types.is_floating(column.type) and not column.null_count
+        digest.update(
+            column.to_numpy().tobytes() if numbers else json.dumps(column.to_pylist()).encode()
+        )
+    return digest.hexdigest()
+
+
 def load_batch(path: str | Path) -> BatchResult:
     """Read a saved batch back.
 
     Raises:
-        InputError: there is no such file, or it is no batch of this version.
+        InputError: there is no such file, it is no batch of this version, or it is damaged.
     """
     path = Path(path)
+    if not path.is_file():
+        raise InputError(f"There is no file {path}: give a batch saved by bayescal")
     try:
-        table = pq.read_table(path)
-        head = json.loads((table.schema.metadata or {})[b"bayescal"])
+        table = pq.read_table(path, page_checksum_verification=True)
+        about = table.schema.metadata or {}
+        text, seal = about[b"bayescal"], about[b"bayescal_sha256"]
+        head = json.loads(text)
         if head["schema"] != SCHEMA:
             raise KeyError(head["schema"])
-        about, told = head["about"], head["population"]
-        columns = {name: table.column(name).to_numpy() for name in (*COLUMNS, "covariance")}
-    except FileNotFoundError:
-        raise InputError(f"There is no file {path}: give a batch saved by bayescal") from None
-    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
+        whole = _digest(table, text).encode() == seal
+    except Exception as error:  # whatever a damaged file makes Arrow raise
         raise InputError(
-            f"{path.name} is no batch of this version ({type(error).__name__}): give a file that `save` of a batch "
-            "wrote"
+            f"{path.name} is no batch of this version, or a damaged one ({type(error).__name__}). {AGAIN}"
         ) from None
+    if not whole:
+        raise InputError(
+            f"{path.name} is damaged: its values do not have the checksum that it states. {AGAIN}"
+        )
+    columns = {name: table.column(name).to_numpy() for name in (*COLUMNS, "covariance")}
     codes, names = pd.factorize(columns["device"])
     starts = np.searchsorted(codes, np.arange(len(names)))
+    try:
+        parts = _parts(columns, [*starts, len(codes)])
+        told = head["population"]
+        if told is not None:
+            told = Population(pd.DataFrame(told.pop("table"), columns=list(POPULATION)), **told)
+        return BatchResult(
+            devices=tuple(map(str, names)),
+            ok=columns["ok"][starts].astype(bool),
+            reasons=tuple(columns["reason"][starts]),
+            parts=parts,
+            population=told,
+            about=head["about"],
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path.name} was changed after it was saved: {error}. {AGAIN}") from None
+
+
+def _parts(columns: dict[str, np.ndarray], starts: list[int]) -> tuple[BatchPart, ...]:
+    """Devices with the same unknowns together; each device's rows begin at its start.
+
+    Raises:
+        ValueError: a device's covariance is not of the size of its unknowns.
+    """
     alike: dict[tuple, list[int]] = {}
-    for d, (begin, end) in enumerate(zip(starts, [*starts[1:], len(codes)], strict=True)):
+    for d, (begin, end) in enumerate(pairwise(starts)):
         if columns["coefficient"][begin] is not None:
             kind = (tuple(columns["coefficient"][begin:end]), tuple(columns["unit"][begin:end]))
             alike.setdefault(kind, []).append(d)
     parts = []
     for (own, units), devices in alike.items():
-        rows = starts[devices][:, None] + np.arange(len(own))
+        rows = np.array(starts)[devices][:, None] + np.arange(len(own))
         covariance = np.stack([np.stack(list(columns["covariance"][r])) for r in rows])
+        if covariance.shape[1:] != (len(own), len(own)):
+            raise ValueError(
+                f"the covariance of device {columns['device'][rows[0, 0]]!r} is {covariance.shape[1:]}, it has "
+                f"{len(own)} unknowns"
+            )
         parts.append(
             BatchPart(
                 devices=np.array(devices),
@@ -229,15 +285,4 @@ def load_batch(path: str | Path) -> BatchResult:
                 covariance=covariance,
             )
         )
-    population = None
-    if told is not None:
-        frame = pd.DataFrame(told.pop("table"), columns=list(POPULATION))
-        population = Population(frame, **told)
-    return BatchResult(
-        devices=tuple(map(str, names)),
-        ok=columns["ok"][starts].astype(bool),
-        reasons=tuple(columns["reason"][starts]),
-        parts=tuple(parts),
-        population=population,
-        about=about,
-    )
+    return tuple(parts)

@@ -12,8 +12,8 @@ else it is refused.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
-import os
 import platform
 import re
 import time
@@ -31,7 +31,14 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from bayescal._core.atomic_file import replacing_for_user
+from bayescal._core.atomic_file import (
+    left_behind,
+    netcdf_bytes,
+    replacing_for_user,
+    to_disk,
+    verified,
+    write_sealed,
+)
 from bayescal._core.errors import InputError
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
@@ -83,9 +90,9 @@ class Checkpoint:
         data = xr.Dataset(variables, attrs={"bayescal": json.dumps(head)})
         plain = {name: {"_FillValue": None} for name in variables}
         with replacing_for_user(self.path) as partial:
-            data.to_netcdf(partial, engine="h5netcdf", encoding=plain)
-            _to_disk(partial)
-        _to_disk(self.path.parent)
+            write_sealed(netcdf_bytes(data, encoding=plain), partial)
+            to_disk(partial)
+        to_disk(self.path.parent)
         self.written = time.monotonic()
 
     def write_now_and_then(self) -> None:
@@ -183,13 +190,15 @@ def open_checkpoint(path: Path, fingerprint: dict[str, str]) -> Checkpoint:
         raise InputError(f"a checkpoint is a NetCDF file: name it …nc, not {path.name!r}")
     if not path.parent.is_dir():
         raise InputError(f"there is no folder {str(path.parent)!r} for a checkpoint: make it first")
-    for left in path.parent.glob(f".{path.name}.*.partial"):  # by a run that was killed
+    for left in left_behind(path):
         left.unlink(missing_ok=True)
     if not path.exists():
         return Checkpoint(path, fingerprint)
+    anew = "Name another file, or delete it to start anew"
+    content = io.BytesIO(verified(path, "a checkpoint of a fit", anew))
     try:
         with xr.open_dataset(
-            path, engine="h5netcdf", decode_times=False, mask_and_scale=False
+            content, engine="h5netcdf", decode_times=False, mask_and_scale=False
         ) as opened:
             data = opened.load()
         head = json.loads(data.attrs["bayescal"])
@@ -198,16 +207,14 @@ def open_checkpoint(path: Path, fingerprint: dict[str, str]) -> Checkpoint:
             name: [_as(data[f"{name}.{i}"].values, kind) for i, kind in enumerate(own)]
             for name, own in kinds.items()
         }
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        if head["schema"] != SCHEMA or not isinstance(notes, dict):
+            raise ValueError(head["schema"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"{path.name!r} is no checkpoint of a fit, or a damaged one ({type(error).__name__}). Name another "
-            "file, or delete it to start anew"
+            f"{path.name!r} is no checkpoint of a fit, or a damaged one ({type(error).__name__}). {anew}"
         ) from None
     if differing := _differing(then, fingerprint):
-        raise InputError(
-            f"{path.name!r} is the checkpoint of another run: {differing}. Name another file, or delete it to "
-            "start anew"
-        )
+        raise InputError(f"{path.name!r} is the checkpoint of another run: {differing}. {anew}")
     return Checkpoint(path, fingerprint, arrays, notes)
 
 
@@ -287,14 +294,3 @@ def _shown(value: Any) -> str:
     if isinstance(value, frozenset | set):
         return repr(sorted(map(repr, value)))
     return re.sub(r" at 0x[0-9a-fA-F]+", "", " ".join(repr(value).split()))
-
-
-def _to_disk(path: Path) -> None:
-    """Have the operating system put a file, or the names of a folder, on the disk."""
-    if path.is_dir() and os.name != "posix":
-        return  # only there can a folder be opened
-    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -10,7 +10,7 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from bayescal._core.atomic_file import replacing
+from bayescal._core.atomic_file import replacing_for_user
 from bayescal._readings.unit_conversion import unit_label
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -43,8 +43,12 @@ def open_sides(ax) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG, beside and then renamed."""
+    """Write a PNG, beside and then renamed.
+
+    Raises:
+        InputError: no such folder, or a place that cannot be written to.
+    """
     path = Path(path)
-    with replacing(path) as partial:
+    with replacing_for_user(path) as partial:
         figure.savefig(partial, dpi=150, format="png")
     return path

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
-from bayescal._core.atomic_file import replacing_for_user
+from bayescal._core.atomic_file import netcdf_bytes, replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._readings.raw_table import FORMATS
 
@@ -81,4 +81,4 @@ def _write_netcdf(dataset: xr.Dataset, path: Path) -> None:
                 f"column {name!r} cannot be written to NetCDF because of its '/': rename it, or "
                 "write .csv or .parquet"
             )
-    dataset.to_netcdf(path, engine="h5netcdf")
+    path.write_bytes(netcdf_bytes(dataset))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.description import identity
 from bayescal._compensation.budget import Budget, budget
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError
@@ -101,6 +102,7 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
         "ok": sentences.ok(chapter),
         "data": data,
         "final": data["steps"][-1],
+        "identity": identity(c),
         "files": tables.identity(c.readings),
         "groups": _groups(data),
         "signed": signed[: tables.SUMMARY],

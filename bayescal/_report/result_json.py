@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._calibration.description import identity
 from bayescal._calibration.summary import null_directions, summary
-from bayescal._core.atomic_file import replacing
+from bayescal._core.atomic_file import write_text
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import groups_of
 from bayescal._discovery.discover import Discovery
@@ -45,6 +46,7 @@ def result(trail: Trail) -> dict[str, Any]:
         {
             "schema": SCHEMA,
             "complete": trail.complete,
+            "calibration": identity(final),
             "instrument": final.model.instrument.name,
             "method": final.method,
             "seed": final.seed,
@@ -261,6 +263,9 @@ def clean(value: Any) -> Any:
 
 
 def write_json(data: Any, path: Path) -> None:
-    """Written beside and renamed, so that an interruption leaves the old file whole."""
-    with replacing(path) as partial:
-        partial.write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    """Written beside and renamed, so that an interruption leaves the old file whole.
+
+    Raises:
+        InputError: no such folder, or a place that cannot be written to.
+    """
+    write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", path)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.description import identity
 from bayescal._calibration.fit import load
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError, NotConverged
@@ -29,6 +30,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import SCHEMA, result
 from bayescal._report.under_way import RESULT, refuse_unfinished
+from bayescal._report.whole_folder import refuse_mixed
 
 CALIBRATION, PICTURE = "calibration.nc", "loop.png"
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -102,6 +104,7 @@ def of_folder(
             "wrote, or a saved calibration (…nc)"
         )
     data = _read_result(folder / RESULT)
+    refuse_mixed(folder)
     calibration = load(folder / CALIBRATION, effects=tuple(effects), instruments=tuple(instruments))
     _refuse_strangers(folder, data, calibration)
     picture = folder / PICTURE
@@ -129,7 +132,7 @@ def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibrati
     """A result and a calibration of two different runs make no report.
 
     Raises:
-        InputError: instrument, effects, readings or seed differ.
+        InputError: instrument, effects, readings, seed or draws differ.
     """
     try:
         told = (
@@ -137,6 +140,7 @@ def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibrati
             data["steps"][-1]["effects"],
             data["seed"],
             [data["readings"]["rows"], data["readings"]["sha256"]],
+            data["calibration"],
         )
     except (KeyError, IndexError, TypeError) as error:
         raise InputError(f"{folder / RESULT} is incomplete ({error!r}): calibrate again") from None
@@ -147,9 +151,10 @@ def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibrati
         list(c.model.names),
         c.seed,
         [len(c.readings), hashes[0] if len(hashes) == 1 else hashes],
+        identity(c),
     )
     for what, theirs, ours in zip(
-        ("instrument", "effects", "seed", "readings"), told, own, strict=True
+        ("instrument", "effects", "seed", "readings", "identity"), told, own, strict=True
     ):
         if theirs != ours:
             raise InputError(

@@ -11,16 +11,21 @@ from bayescal._discovery.search_path import Trail
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
 from bayescal._report.result_json import SCHEMA, clean, hashes, result, search_data, write_json
+from bayescal._report.whole_folder import files_of
 from bayescal._search.posterior import Shown
 
 RESULT = "result.json"
+UNDER_WAY = "result_under_way.json"  # where the folder holds the result of a run before
 
 
 class Keeper:
-    """Keeps result.json of a folder as a search goes on: `"complete": false` until it is saved at its end."""
+    """Keeps result.json of a folder as a search goes on: `"complete": false` until it is saved at its end.
+
+    The result of a run before stays until then, and result_under_way.json is kept beside it.
+    """
 
     def __init__(self, folder: Path) -> None:
-        self.path = folder / RESULT
+        self.path = folder / (UNDER_WAY if RESULT in files_of(folder) else RESULT)
         self._steps, self._data = 0, {}
 
     def __call__(self, trail: Trail) -> None:
@@ -33,10 +38,12 @@ class Keeper:
 def earlier(folder: Path, model: Model, readings: Measurements) -> tuple[Shown, ...]:
     """Structures of a search in this folder that did not come to its end, if it was this one; else none.
 
-    It was if instrument, first model and the bytes of the readings are the same.
+    It was this one if instrument, first model and the bytes of the readings are the same.
     """
     try:
-        data = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        kept = folder / UNDER_WAY
+        kept = kept if kept.is_file() else folder / RESULT
+        data = json.loads(kept.read_text(encoding="utf-8"))
         if data["schema"] != SCHEMA or data["complete"] is not False:
             return ()
         first = data["steps"][0]

@@ -31,8 +31,8 @@ TYPES = {
 
 # The keys of schema bayescal.result/1, which no later version may drop.
 KEYS = {
-    "": "schema complete search instrument method seed versions reference readings holdout gate steps check "
-    "missing coefficients spreads identifiability verdict",
+    "": "schema complete search calibration instrument method seed versions reference readings holdout gate steps "
+    "check missing coefficients spreads identifiability verdict",
     "reference": "T0",
     "readings": "file sha256 rows groups",
     "holdout": "file sha256 rows",

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import bayescal as bc
+from bayescal._fleet import batch_result
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL, table
@@ -78,3 +83,37 @@ def test_the_command_writes_the_table(tmp_path) -> None:
     assert wrong.status == 2
     assert "none.csv' cannot be read" in wrong.err
     assert not other.exists()
+
+
+def test_a_damaged_batch_is_refused_or_says_the_same(tmp_path, result) -> None:
+    path = result.save(tmp_path / "lot.parquet")
+    whole, random = path.read_bytes(), np.random.default_rng(20261122)
+    words = r"lot\.parquet (is no batch of this version, or|is damaged).*run the batch again"
+    for _ in range(300):
+        data = bytearray(whole)
+        at = int(random.integers(len(data)))
+        data[at] ^= int(random.integers(1, 256))
+        path.write_bytes(data if random.random() < 0.7 else whole[:at])
+        said = ""
+        try:
+            found = bc.load_batch(path)
+            pd.testing.assert_frame_equal(found.table(), result.table())
+            assert found.about == result.about
+        except bc.InputError as error:
+            said = str(error)
+        assert not said or re.search(words, said)  # or a byte that Parquet does not read
+
+
+def test_a_batch_whose_covariance_does_not_fit_is_refused(tmp_path, result) -> None:
+    path = result.save(tmp_path / "lot.parquet")
+    table = pq.read_table(path)
+    about = dict(table.schema.metadata)
+    short = [row[:1] for row in table.column("covariance").to_pylist()]
+    at = table.column_names.index("covariance")
+    table = table.set_column(at, "covariance", pa.array(short))
+    about[b"bayescal_sha256"] = batch_result._digest(table, about[b"bayescal"])
+    pq.write_table(table.replace_schema_metadata(about), path)
+    with pytest.raises(
+        bc.InputError, match=r"the covariance of device 'D..' is \(\d, 1\), it has \d unknowns"
+    ):
+        bc.load_batch(path)

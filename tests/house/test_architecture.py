@@ -37,8 +37,8 @@ ROOMS = {
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains trust least_squares marginal nuts",
     "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",
-    "_calibration": "named_draws on_readings fitted posterior_tree storage summary guards calibration predict fit "
-    "evidence",
+    "_calibration": "named_draws on_readings fitted description posterior_tree storage summary guards calibration "
+    "predict fit evidence",
     "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence neighbours covariate_evidence "
     "part worst_region check_result check leave_group_out compare",
     "_search": "plausible_sizes departures structures library scores walk posterior",
@@ -48,7 +48,7 @@ ROOMS = {
     "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack population "
     "device_result batch_result partial_pooling fit_batch",
     "_plots": "style residuals search posterior",
-    "_report": "result_json under_way save_search section figures tables sentences report",
+    "_report": "result_json whole_folder under_way save_search section figures tables sentences report",
     "_cli": "options console offered request saved output catalogue fitting instrument_extras deliverables batch main",
 }
 # What a user imports by name: each hands on what stands in this room, and so stands above it.

@@ -16,7 +16,7 @@ HIDDEN = {"bias.thermal_lag": 0.05}  # °/s per °C between die and thermometer
 
 
 def run(out: Path, seed: int) -> None:
-    """Run the demonstration and write its results and pictures to a folder.
+    """Run the demonstration and write its results and pictures to a folder: a picture, and the trail's files.
 
     Args:
         out: an existing folder.
@@ -56,6 +56,3 @@ def run(out: Path, seed: int) -> None:
         f"noise floor {trail.final.noise_floor:.3f} °/s"
     )
     trail.save(out)
-    print(
-        f"\npictures: {out / 'published_line.png'}, {out / 'loop.png'}\nnumbers: {out / 'result.json'}"
-    )

@@ -1,0 +1,206 @@
+"""A folder of results is there whole: written hidden, swapped in one step, with `manifest.json` of what belongs to it.
+
+On Linux the hidden folder and the visible one change places by one system call, renameat2 with RENAME_EXCHANGE; a
+process killed at any moment leaves the old results or the new. Elsewhere there are two renames, and one killed between
+them leaves the old folder hidden beside its place; the next command that writes there brings it back. The folder that a
+program works in, a mount point, and one whose parent cannot be written to are not swapped: their files are replaced one
+by one, the manifest last, and a reader refuses what does not agree with it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import json
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from bayescal._core.atomic_file import left_behind, to_disk, why, write_text
+from bayescal._core.errors import InputError
+
+MANIFEST = "manifest.json"
+SCHEMA = "bayescal.manifest/1"
+AGAIN = "Take a copy of the whole folder, or calibrate again"
+AT_FDCWD, RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
+
+
+@contextmanager
+def whole_folder(folder: Path, calibration: str | None = None, without: str = "") -> Iterator[Path]:
+    """A hidden folder to write to, whose files take their place in `folder` in one step.
+
+    What else stands in `folder` stays, but for the unchanged results of a run before.
+
+    Args:
+        folder: an existing one.
+        calibration: identity of the calibration that the files are of; None: as a manifest written inside says.
+        without: name of a file that has had its day.
+
+    Raises:
+        InputError: it cannot be written, or there is no room; the folder is as it was.
+    """
+    visible = Path(folder).resolve()
+    parent = visible.parent if os.access(visible.parent, os.W_OK) else visible
+    for left in left_behind(parent / visible.name):
+        shutil.rmtree(left, ignore_errors=True)
+    hidden = parent / f".{visible.name}.{os.getpid()}.partial"
+    shutil.rmtree(hidden, ignore_errors=True)
+    try:
+        hidden.mkdir()
+        yield hidden
+        _write_manifest(hidden, calibration)
+        gone = _unchanged(visible) | ({without} if without else set())
+        _take_its_place(hidden, visible, gone)
+    except OSError as error:
+        raise InputError(f"the folder {folder} cannot be written: {why(error)}") from error
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)
+
+
+def bring_back(folder: Path) -> None:
+    """Bring back a folder that was being swapped by two renames when its process was killed."""
+    for old in () if folder.exists() else left_behind(folder, ".old")[:1]:
+        old.rename(folder)
+
+
+def files_of(folder: Path) -> dict[str, str]:
+    """What belongs to the results in a folder, name → SHA-256; nothing where there is no manifest.
+
+    Raises:
+        InputError: the manifest cannot be read.
+    """
+    return {} if not (folder / MANIFEST).is_file() else _manifest(folder)["files"]
+
+
+def refuse_mixed(folder: Path, *names: str) -> None:
+    """Files that do not belong to the results of their folder, if it has a manifest.
+
+    Args:
+        folder: which may have one.
+        names: of the files asked for; none: all that are there.
+
+    Raises:
+        InputError: a file is another than the manifest lists.
+    """
+    listed = {n: d for n, d in files_of(folder).items() if not names or n in names}
+    for name, digest in listed.items():
+        if (folder / name).is_file() and _sha256(folder / name) != digest:
+            raise InputError(
+                f"{folder / name} is not the file that {MANIFEST} beside it lists: it was changed, or comes "
+                f"from another run, and the files of {folder} do not belong together. {AGAIN}"
+            )
+
+
+def _manifest(folder: Path) -> dict[str, Any]:
+    try:
+        data = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        files = data["files"]
+        if data["schema"] != SCHEMA or data["identity"] != _identity(files):
+            raise ValueError("it is not as it was written")
+        return data
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{folder / MANIFEST} cannot be used ({type(error).__name__}: {error}). {AGAIN}"
+        ) from None
+
+
+def _write_manifest(folder: Path, calibration: str | None) -> None:
+    inner = folder / MANIFEST
+    if calibration is None and inner.is_file():
+        calibration = _manifest(folder)["calibration"]
+    paths = sorted(p for p in folder.iterdir() if p.is_file() and p != inner)
+    files = {p.name: _sha256(p) for p in paths}
+    data = {
+        "schema": SCHEMA,
+        "identity": _identity(files),
+        "calibration": calibration,
+        "files": files,
+    }
+    write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", inner)
+    for path in (*paths, inner, folder):
+        to_disk(path)
+
+
+def _identity(files: dict[str, str]) -> str:
+    told = "".join(f"{digest}  {name}\n" for name, digest in sorted(files.items()))
+    return hashlib.sha256(told.encode()).hexdigest()
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _unchanged(folder: Path) -> set[str]:
+    """Results of a run before, as that run left them."""
+    try:
+        files = files_of(folder)
+    except InputError:
+        return set()
+    return {n for n, d in files.items() if (folder / n).is_file() and _sha256(folder / n) == d}
+
+
+def _take_its_place(hidden: Path, visible: Path, gone: set[str]) -> None:
+    new = {p.name for p in hidden.iterdir()}
+    stays = hidden.parent == visible or visible.is_mount() or Path.cwd().is_relative_to(visible)
+    if not stays:
+        for entry in visible.iterdir():
+            if entry.name not in new | gone:
+                _carry(entry, hidden / entry.name)
+        shutil.copystat(visible, hidden)
+        old = _swap(hidden, visible)
+        if old is not None:
+            _bring_late(old, visible, new | gone)
+            shutil.rmtree(old, ignore_errors=True)
+            return
+    for name in gone - new:
+        (visible / name).unlink(missing_ok=True)
+    for name in sorted(new, key=lambda n: n == MANIFEST):
+        os.replace(hidden / name, visible / name)
+
+
+def _swap(hidden: Path, visible: Path) -> Path | None:
+    """Have two folders change places; where the old one stands then, None if it could not be done."""
+    names = AT_FDCWD, os.fsencode(hidden), AT_FDCWD, os.fsencode(visible)
+    exchange = getattr(ctypes.CDLL(None), "renameat2", None) if sys.platform == "linux" else None
+    if exchange is not None and exchange(*names, RENAME_EXCHANGE) == 0:
+        return hidden
+    old = hidden.with_suffix(".old")
+    try:
+        visible.rename(old)
+    except OSError:
+        return None
+    try:
+        hidden.rename(visible)
+    except OSError:
+        old.rename(visible)
+        return None
+    return old
+
+
+def _carry(entry: Path, to: Path) -> None:
+    """A file or folder of the user's own, by hard link, or copied where there are none."""
+    if entry.is_dir() and not entry.is_symlink():
+        shutil.copytree(entry, to, symlinks=True, copy_function=_link)
+    else:
+        _link(entry, to)
+
+
+def _link(entry: str | Path, to: str | Path) -> None:
+    try:
+        os.link(entry, to, follow_symlinks=False)
+    except OSError:
+        shutil.copy2(entry, to, follow_symlinks=False)
+
+
+def _bring_late(old: Path, visible: Path, settled: set[str]) -> None:
+    """What the user wrote to the folder while it was being swapped."""
+    for entry in old.iterdir():
+        there = visible / entry.name
+        if entry.name in settled or (there.exists() and (entry.is_dir() or entry.samefile(there))):
+            continue
+        os.replace(entry, there)

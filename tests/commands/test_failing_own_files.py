@@ -1,0 +1,74 @@
+"""A file of the user's own that fails, or would end the program, is answered in words with its name and line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, run
+
+pytestmark = needs_installation
+
+FAILING = {
+    "raise SystemExit": ("line 3", "SystemExit"),
+    "raise SystemExit(0)": ("line 3", "SystemExit: 0"),
+    "import sys; sys.exit(3)": ("line 3", "SystemExit: 3"),
+    "exit()": ("line 3", "SystemExit"),
+    "raise KeyboardInterrupt": ("line 3", "KeyboardInterrupt"),
+    "raise GeneratorExit('end')": ("line 3", "GeneratorExit: end"),
+    "class Own(BaseException): pass\nraise Own('mine')": ("line 4", "Own: mine"),
+    "1 / 0": ("line 3", "ZeroDivisionError: division by zero"),
+    "import no_such_module": ("line 3", "ModuleNotFoundError: No module named 'no_such_module'"),
+    "def own():\n    raise ValueError('within')\nown()": ("line 4", "ValueError: within"),
+    "EFFECTS = (": ("line 3", "SyntaxError: '(' was never closed"),
+    "  x = 1": ("line 3", "IndentationError: unexpected indent"),
+    "def f(): f()\nf()": ("line 3", "RecursionError: maximum recursion depth exceeded"),
+    "bc.Effect('bias.own', slot='bias')": ("line 3", "TypeError"),
+}
+BASIS = """
+import sys
+import bayescal as bc
+
+def basis(r):
+    {fails}
+
+EFFECTS = bc.Effect(
+    "bias.own", slot="bias", columns=("temperature",), basis=basis,
+    coefficients=(bc.Coefficient("deg/s", bc.Normal(0.0, 0.1)),), equation="c",
+)
+"""
+
+
+@pytest.mark.parametrize("text", FAILING)
+def test_a_file_that_fails_is_named_with_its_line(text: str, tmp_path: Path) -> None:
+    own = tmp_path / "my.py"
+    own.write_text(f"import bayescal as bc\n\n{text}\n", encoding="utf-8")
+    line, said = FAILING[text]
+    done = run("fit", TABLE, *GYRO, *QUICK, "--effects", own, "--out", tmp_path / "out")
+    assert done.status == 2
+    assert done.said == [done.said[0]]
+    assert f"my.py, {line} could not be run: {said}" in done.said[0]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("fails", ["raise ValueError('no basis')", "sys.exit(3)", "return 1 / 0"])
+def test_a_basis_that_fails_when_it_is_asked_is_named_with_its_line(
+    fails: str, tmp_path: Path
+) -> None:
+    own = tmp_path / "my.py"
+    own.write_text(BASIS.format(fails=fails), encoding="utf-8")
+    done = run("fit", TABLE, *GYRO, *QUICK, "--effects", own, "--add", "bias.own")
+    assert done.status == 2
+    assert "my.py, line 6 failed: " in done.said[-1]
+    assert len(done.said) == 1
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    own = tmp_path / "my.py"
+    for spoilt in (b"\xff\xfe\x00", b"x = 1\x00"):
+        own.write_bytes(spoilt)
+        done = run("effects", *GYRO, "--effects", own)
+        assert done.status == 2
+        assert "my.py" in done.said[0]
+        assert "could not be run: " in done.said[0]

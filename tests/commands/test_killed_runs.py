@@ -1,0 +1,169 @@
+"""Whenever a command is killed, its output is the old results or the new, and the next run ends well.
+
+A kill meets a process just before it does something to a file of its output, so that each state of the files is met.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._calibration.description import identity
+from bayescal._report.under_way import RESULT, UNDER_WAY
+from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed
+from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, run
+from tests.support.made_up.gyro_lot import table
+
+pytestmark = [
+    needs_installation,
+    pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX"),
+]
+ROOT = Path(__file__).resolve().parents[2]
+CALIBRATE = ("calibrate", TABLE, *GYRO, *QUICK, "--out", "{out}/loop")
+FILES = {
+    "batch": (("batch", "{lot}", *GYRO, "-o", "{out}/lot.parquet"), "lot.parquet"),
+    "report": (("report", "{saved}", "-o", "{out}/report.html"), "report.html"),
+    "export": (("export", "{saved}", "-o", "{out}/gyro.json"), "gyro.json"),
+}
+WRITES = """
+import sys
+from pathlib import Path
+from tests.support.spoilt_runs import killed_at
+from bayescal._report.whole_folder import whole_folder
+
+folder = Path(sys.argv[1])
+killed_at(str(folder.parent), int(sys.argv[2]))
+with whole_folder(folder, "2") as hidden:
+    for name in ("a.json", "b.json", "c.json"):
+        (hidden / name).write_text("2")
+"""
+
+
+def killed(*command: str) -> bool:
+    """Whether the process was killed before it came to its end."""
+    done = subprocess.run(
+        [sys.executable, *command], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode in (0, 1, -signal.SIGKILL), done.stderr[-2000:]
+    return done.returncode == -signal.SIGKILL
+
+
+def test_a_folder_is_old_or_new_at_every_moment(tmp_path: Path) -> None:
+    from bayescal._report.whole_folder import whole_folder
+
+    folder, seen = tmp_path / "place" / "out", set()
+    for count in range(1, 100):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "mine.txt").write_text("mine")
+        with whole_folder(folder, "1") as hidden:
+            for name in ("a.json", "b.json"):
+                (hidden / name).write_text("1")
+        if not killed("-c", WRITES, str(folder), str(count)):
+            break
+        names = {p.name for p in folder.iterdir()} - {MANIFEST, "mine.txt"}
+        texts = {(folder / name).read_text() for name in names}
+        assert (names, texts) in (
+            ({"a.json", "b.json"}, {"1"}),
+            ({"a.json", "b.json", "c.json"}, {"2"}),
+        )
+        assert (folder / "mine.txt").read_text() == "mine"
+        assert set(files_of(folder)) == names
+        refuse_mixed(folder)
+        seen |= texts
+    else:
+        pytest.fail("the writing never came to its end")
+    assert count > 10
+    assert seen == {"1", "2"}, "kills met both the old folder and the new"
+    assert os.listdir(folder.parent) == ["out"]
+
+
+def spoilt(out: Path, count: int, command: list[str]) -> bool:
+    return killed("-m", "tests.support.spoilt_runs", "killed", str(out), str(count), *command)
+
+
+def calibrates(tmp_path: Path, counts: list[int]) -> int:
+    """Kill `calibrate` at each of these moments; how many kills met it."""
+    out, met = tmp_path / "out", 0
+    folder = out / "loop"
+    folder.mkdir(parents=True)
+    (folder / "notes.txt").write_text("mine")
+    for seed, count in enumerate(counts):
+        command = [str(w).format(out=out) for w in CALIBRATE]
+        before = files_of(folder)
+        met += spoilt(out, count, [*command, "--seed", str(seed)])
+        whole(folder)
+        assert (folder / "notes.txt").read_text() == "mine"
+        assert not before or files_of(folder), "results that were there are gone"
+        if seed % 5 == 0:
+            again = run(*command, "--seed", seed)
+            assert again.status in (0, 1), again.err
+            assert {p.name for p in folder.iterdir()} == {*files_of(folder), MANIFEST, "notes.txt"}
+            assert whole(folder)
+    return met
+
+
+def whole(folder: Path) -> bool:
+    """Whether a folder holds results, which are then of one run; else of a search under way, or none."""
+    refuse_mixed(folder)
+    for name in (RESULT, UNDER_WAY):
+        if (folder / name).is_file() and name not in files_of(folder):
+            assert json.loads((folder / name).read_text("utf-8"))["complete"] is False
+    if not files_of(folder):
+        assert not (folder / "calibration.nc").exists()
+        return False
+    own = identity(bc.load(folder / "calibration.nc"))
+    assert json.loads((folder / RESULT).read_text("utf-8"))["calibration"] == own
+    assert json.loads((folder / MANIFEST).read_text("utf-8"))["calibration"] == own
+    return True
+
+
+def writes_a_file(name: str, tmp_path: Path, saved: Path, counts: list[int]) -> int:
+    """Kill a command that writes one file at each of these moments; how many kills met it."""
+    lot, out, met = tmp_path / "lot.csv", tmp_path / "out", 0
+    table(count=3).to_csv(lot, index=False)
+    out.mkdir()
+    words, file = FILES[name]
+    command = [str(word).format(out=out, lot=lot, saved=saved) for word in words]
+    old = b""
+    for count in counts:
+        met += spoilt(out, count, command)
+        now = (out / file).read_bytes() if (out / file).exists() else b""
+        assert now == old or readable(out / file)
+        old = now
+    assert run(*command).status == 0
+    assert readable(out / file)
+    assert os.listdir(out) == [file], "what killed runs left is cleared away"
+    return met
+
+
+def readable(path: Path) -> bool:
+    if path.suffix == ".parquet":
+        return len(bc.load_batch(path)) == 3
+    text = path.read_text("utf-8")
+    return text.rstrip().endswith("</html>") if path.suffix == ".html" else bool(json.loads(text))
+
+
+def test_a_killed_calibration_leaves_no_mixture(tmp_path: Path) -> None:
+    assert calibrates(tmp_path, [12]) == 1
+
+
+@pytest.mark.slow
+def test_calibrations_killed_at_thirty_moments_are_whole(tmp_path: Path) -> None:
+    counts = np.random.default_rng(1).permutation(np.arange(1, 61, 2)).tolist()
+    assert calibrates(tmp_path, counts) >= 15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILES)
+def test_files_of_commands_killed_at_each_moment_are_whole(
+    name: str, saved: Path, tmp_path: Path
+) -> None:
+    assert writes_a_file(name, tmp_path, saved, [1, 2, 3, 1, 2, 3, 4]) >= 3

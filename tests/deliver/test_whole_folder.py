@@ -1,0 +1,218 @@
+"""A folder of results is one run's, whole; what else stands in it stays; files of two runs are refused by name."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import bayescal as bc
+from bayescal._calibration.description import identity
+from bayescal._report import whole_folder as folders
+from bayescal._report.under_way import UNDER_WAY, Keeper
+from bayescal._report.whole_folder import MANIFEST, bring_back, files_of, refuse_mixed, whole_folder
+from bayescal_models.mems_gyro import INSTRUMENT, TABLE
+from tests.support.command_line import run
+
+NAMES = {"result.json", "calibration.nc", "loop.png", MANIFEST}
+
+
+def trail_of(seed: int) -> bc.SearchPath:
+    readings = bc.read(TABLE, INSTRUMENT)
+    return bc.calibrate(
+        INSTRUMENT.baseline(), readings, method=bc.LeastSquares(draws=80), seed=seed
+    )
+
+
+@pytest.fixture(scope="module")
+def trail() -> bc.SearchPath:
+    return trail_of(1)
+
+
+@pytest.fixture(scope="module")
+def other() -> bc.SearchPath:
+    return trail_of(2)
+
+
+@pytest.fixture
+def folder(trail, tmp_path) -> Path:
+    made = tmp_path / "result"
+    made.mkdir()
+    trail.save(made)
+    return made
+
+
+def state(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def write(folder: Path, text: str) -> None:
+    with whole_folder(folder, text) as hidden:
+        for name in ("a.json", "b.json"):
+            (hidden / name).write_text(text)
+
+
+def test_everything_of_a_calibration_names_it(folder, trail) -> None:
+    assert {p.name for p in folder.iterdir()} == NAMES
+    own = identity(trail.final.calibration)
+    manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
+    assert manifest["schema"] == "bayescal.manifest/1"
+    assert manifest["calibration"] == own
+    assert set(manifest["files"]) == NAMES - {MANIFEST}
+    assert json.loads((folder / "result.json").read_text("utf-8"))["calibration"] == own
+    loaded = bc.load(folder / "calibration.nc")
+    assert identity(loaded) == own
+    for suffix in (".h", ".py", ".json"):
+        assert own in bc.compensator(loaded).export(folder / f"made{suffix}").read_text("utf-8")
+    assert own in bc.report(loaded, folder / "report.html").read_text("utf-8")
+
+
+def test_another_fit_has_another_identity(trail, other) -> None:
+    assert identity(trail.final.calibration) != identity(other.final.calibration)
+
+
+def test_what_else_stands_in_the_folder_stays(folder, other) -> None:
+    (folder / "notes.txt").write_text("mine")
+    (folder / "own" / "deep").mkdir(parents=True)
+    (folder / "own" / "deep" / "data.csv").write_text("1,2")
+    (folder / "link").symlink_to("notes.txt")
+    node = (folder / "notes.txt").stat().st_ino
+    os.chmod(folder, 0o750)
+    other.save(folder)
+    assert {p.name for p in folder.iterdir()} == NAMES | {"notes.txt", "own", "link"}
+    assert (folder / "own" / "deep" / "data.csv").read_text() == "1,2"
+    assert os.readlink(folder / "link") == "notes.txt"
+    assert (folder / "notes.txt").stat().st_ino == node
+    assert folder.stat().st_mode & 0o777 == 0o750
+    assert files_of(folder)
+    refuse_mixed(folder)
+    assert [p.name for p in folder.parent.iterdir()] == ["result"]
+
+
+def test_files_of_two_runs_are_refused(folder, other, tmp_path) -> None:
+    second = tmp_path / "second"
+    second.mkdir()
+    other.save(second)
+    shutil.copy(second / "calibration.nc", folder)
+    words = r"calibration.nc is not the file that manifest.json beside it lists.*do not belong"
+    for command in (
+        ("report", folder, "-o", tmp_path / "r.html"),
+        ("export", folder / "calibration.nc", "-o", tmp_path / "c.h"),
+        ("budget", folder / "calibration.nc"),
+    ):
+        done = run(*command)
+        assert done.status == 2
+        assert re.search(words, done.said[0])
+    (folder / MANIFEST).unlink()
+    done = run("report", folder, "-o", tmp_path / "r.html")
+    assert done.status == 2
+    assert "are of different fits: seed 1 and 2" in done.said[0]
+
+
+def test_a_result_of_other_draws_is_refused(folder, tmp_path) -> None:
+    (folder / MANIFEST).unlink()
+    data = json.loads((folder / "result.json").read_text("utf-8"))
+    (folder / "result.json").write_text(json.dumps({**data, "calibration": "0" * 64}))
+    done = run("report", folder, "-o", tmp_path / "r.html")
+    assert done.status == 2
+    assert f"are of different fits: identity {'0' * 64} and" in done.said[0]
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": "bayescal.manifest/1", "files": {}}'])
+def test_a_damaged_manifest_is_refused(text, folder, other) -> None:
+    (folder / MANIFEST).write_text(text)
+    with pytest.raises(bc.InputError, match=r"manifest.json cannot be used .*calibrate again"):
+        refuse_mixed(folder)
+    other.save(folder)
+    refuse_mixed(folder)
+
+
+def test_a_search_under_way_leaves_the_result_before_it_whole(folder, other) -> None:
+    before = state(folder)
+    Keeper(folder)(other)
+    assert {k: v for k, v in state(folder).items() if k != UNDER_WAY} == before
+    refuse_mixed(folder)
+    other.save(folder)
+    assert {p.name for p in folder.iterdir()} == NAMES
+
+
+def test_results_of_a_run_before_go_but_not_those_that_were_changed(tmp_path) -> None:
+    write(tmp_path, "1")
+    (tmp_path / "b.json").write_text("changed")
+    with whole_folder(tmp_path, "2") as hidden:
+        (hidden / "c.json").write_text("2")
+    assert state(tmp_path).keys() == {"b.json", "c.json", MANIFEST}
+
+
+@pytest.mark.parametrize("how", ["exchange", "two renames", "one by one"])
+def test_there_is_always_a_whole_folder(how, tmp_path, monkeypatch) -> None:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "mine.txt").write_text("mine")
+    if how != "exchange":
+        monkeypatch.setattr(sys, "platform", "other")
+    if how == "one by one":
+        monkeypatch.setattr(folders, "_swap", lambda hidden, visible: None)
+    for text in ("1", "2"):
+        write(folder, text)
+        assert {(folder / n).read_text() for n in ("a.json", "b.json")} == {text}
+        refuse_mixed(folder)
+    assert (folder / "mine.txt").read_text() == "mine"
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_the_folder_that_one_works_in_stays_the_same(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    node = tmp_path.stat().st_ino
+    for text in ("1", "2"):
+        write(Path("."), text)
+    assert tmp_path.stat().st_ino == node
+    refuse_mixed(tmp_path)
+
+
+def test_a_failure_leaves_the_folder_as_it_was(folder) -> None:
+    before = state(folder)
+
+    def midway(hidden: Path) -> None:
+        (hidden / "result.json").write_text("half")
+        raise RuntimeError("midway")
+
+    with pytest.raises(RuntimeError, match="midway"), whole_folder(folder) as hidden:
+        midway(hidden)
+    assert state(folder) == before
+    assert os.listdir(folder.parent) == ["result"]
+
+
+def test_what_a_killed_process_left_is_cleared_away_or_brought_back(tmp_path) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    folder = tmp_path / "out"
+    left = tmp_path / f".out.{gone.pid}.partial"
+    old = tmp_path / f".out.{gone.pid}.old"
+    for made in (left, old):
+        made.mkdir()
+        (made / "a.json").write_text("1")
+    bring_back(folder)
+    assert (folder / "a.json").read_text() == "1"
+    write(folder, "2")
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_no_room_is_said_in_words(folder, monkeypatch) -> None:
+    before = state(folder)
+
+    def full(path):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(folders, "to_disk", full)
+    with pytest.raises(
+        bc.InputError, match=r"cannot be written: No space left on device. Make room"
+    ):
+        write(folder, "2")
+    assert state(folder) == before
