@@ -6,8 +6,9 @@ most 1.2 times what it should be. That is the root of the sum of squares of the 
 fitted to the record as it was before it was spoilt, of the rows that are left) and of the final model's own stated
 standard uncertainty of the output: a model that knows little, and says so, is right.
 
-*Said*: refused by an `InputError` or a `ModelError`; or `trail.ok` is False; or a flag of the readings names the
-cause. *Wrong*: neither. A right answer that is also said counts as right.
+*Said*: the file is refused, or the search refuses it and names the cause; or `trail.ok` is False; or a flag of the
+readings names the cause. *Wrong*: neither. A right answer that is also said counts as right. *Crash*: the search ends
+in an error that is no refusal, or in one whose sentence is of something else.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ import re
 import tempfile
 import time
 import traceback
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -44,21 +44,33 @@ def judged(subject: Subject, kind: Kind, seed: int) -> dict[str, Any]:
     begun = time.perf_counter()
     row: dict[str, Any] = {"kind": kind.name, "seed": seed, "hidden": campaign.hidden}
     try:
-        trail, flags = _calibrated(subject, kind, campaign, seed)
+        files = _files(subject, kind, campaign, seed)
     except bc.BayescalError as refusal:
         row |= {"verdict": "said", "refused": type(refusal).__name__, "says": [str(refusal)]}
         return row | {"seconds": time.perf_counter() - begun}
-    except Exception:
-        row |= {"verdict": "crash", "says": traceback.format_exc().strip().splitlines()[-3:]}
+    try:
+        trail = _calibrated(*files)
+    except bc.BayescalError as refusal:
+        named = re.search(kind.says, str(refusal))
+        row |= {"verdict": "said" if named else "crash", "refused": type(refusal).__name__}
+        return row | {"says": [str(refusal)], "seconds": time.perf_counter() - begun}
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}, {place.name}"
+        row |= {
+            "verdict": "crash",
+            "refused": "",
+            "says": [f"{type(error).__name__}: {error} ({where})"],
+        }
         return row | {"seconds": time.perf_counter() - begun}
     row["seconds"] = time.perf_counter() - begun
-    return row | _verdict(subject, kind, campaign, seed, trail, flags)
+    return row | _verdict(subject, kind, campaign, seed, trail)
 
 
-def _calibrated(
+def _files(
     subject: Subject, kind: Kind, campaign: Campaign, seed: int
-) -> tuple[bc.Trail, Sequence[str]]:
-    """The search of the spoilt file, and the flags of its readings."""
+) -> tuple[bc.Measurements, bc.Measurements | None, bc.Model]:
+    """The file and the hold-out given beside it, as they are read, and the model to begin with."""
     record, beside = campaign.record, None
     if kind.of_holdout:
         spoilt = kind.spoil(campaign.holdout, subject, _generator(kind, seed + LATER))
@@ -66,11 +78,16 @@ def _calibrated(
     else:
         record = kind.spoil(record, subject, _generator(kind, seed))
     readings = read(subject, record, campaign.units)
-    model = subject.instrument.for_readings(readings).baseline()
-    trail = bc.calibrate(
+    return readings, beside, subject.instrument.for_readings(readings).baseline()
+
+
+def _calibrated(
+    readings: bc.Measurements, beside: bc.Measurements | None, model: bc.Model
+) -> bc.Trail:
+    """The search of a file."""
+    return bc.calibrate(
         model, readings, holdout=beside, method=METHOD, max_effects=MOST, time_limit=LIMIT
     )
-    return trail, trail.final.calibration.readings.flags
 
 
 def _generator(kind: Kind, seed: int) -> np.random.Generator:
@@ -102,11 +119,10 @@ def _verdict(
     campaign: Campaign,
     seed: int,
     trail: bc.Trail,
-    flags: Sequence[str],
 ) -> dict[str, Any]:
     """What came out, against what is true."""
     final = trail.final.calibration
-    named = [s for s in flags if re.search(kind.says, s)]
+    named = [s for s in final.readings.flags if re.search(kind.says, s)]
     told = [*([] if trail.ok else [trail.gate.reason]), *named]
     away = _away(subject, kind, campaign, seed, final)
     later = campaign.holdout
@@ -138,6 +154,8 @@ def _away(
     subject: Subject, kind: Kind, campaign: Campaign, seed: int, final: bc.Calibration
 ) -> dict[str, float]:
     """Distance of each true coefficient that the model holds from its mean, posterior standard deviations."""
+    if kind.renamed:
+        return {}
     true = subject.truth(campaign.hidden, final.reference, seed, kind.changed(subject))
     held = {row["name"]: row for row in summary(final)[0]}
     return {

@@ -16,9 +16,19 @@ def nothing(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     return columns
 
 
-@kind("two columns exchanged", "temperature|time|range|column", fits=lambda s: bool(s.partner))
+@kind(
+    "two columns exchanged",
+    "temperature|time|range|column",
+    fits=lambda s: bool(s.partner),
+    alike=True,
+    renamed=True,
+)
 def exchanged(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """The thermometer's column stands under another's header, and that under its. True: the unit as it was."""
+    """The thermometer's column stands under another's header, and that under its.
+
+    Where the other is a thermometer too nothing in the file shows it. True: the unit's output as a function of the
+    columns as they are named, in the second campaign as in the first.
+    """
     one, other = subject.thermometer, subject.partner
     return changed(columns, **{one: columns[other], other: columns[one]})
 

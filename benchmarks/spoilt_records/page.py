@@ -37,7 +37,8 @@ def write(results: dict[str, Rows], path: Path) -> None:
         f"deviations, and the error of the second campaign is at most {WORSE:g} times what it should be: the error "
         "of the true structure fitted to the record before it was spoilt (of the rows that are left), and the "
         "model's own stated standard uncertainty, in squares. *Said*: refused, or the gate is shut, or a flag names "
-        "the cause. *Wrong*: neither. What is true of each kind stands in `benchmarks/spoilt_records/`.\n",
+        "the cause. *Wrong*: neither. *Crash*: an error that is no refusal, or whose sentence is of something else. "
+        "What is true of each kind stands in `benchmarks/spoilt_records/`.\n",
         _in_short(spoilt),
         "## By instrument\n",
         _by_instrument(results),
@@ -97,11 +98,11 @@ def _wrong(results: dict[str, Rows]) -> str:
     for name, rows in results.items():
         for r in rows:
             if r["verdict"] == "crash":
-                lines.append([r["kind"], name, r["seed"], r["says"][-1][:LONGEST], "", "", ""])
+                lines.append([r["kind"], name, r["seed"], r["says"][0][:LONGEST], "", "", ""])
             elif r["verdict"] == "wrong":
                 lines.append(
                     [
-                        *(r["kind"], name, r["seed"], ", ".join(r["added"]) or "nothing"),
+                        *(r["kind"], name, r["seed"], _added(r)),
                         furthest(r),
                         *(
                             f"{r['error']:.3g} {r['unit']}",
@@ -113,6 +114,12 @@ def _wrong(results: dict[str, Rows]) -> str:
         return "None.\n"
     head = ["kind", "instrument", "seed", "added", "furthest", "error", "due"]
     return table(head, sorted(lines, key=lambda line: list(KINDS).index(line[0])))
+
+
+def _added(row: dict[str, Any]) -> str:
+    """Effects added, and the noise law if it is not white."""
+    wide = ["correlated noise"] if row["noise"] != "white" else []
+    return ", ".join([*row["added"], *wide]) or "nothing"
 
 
 def furthest(row: dict[str, Any]) -> str:

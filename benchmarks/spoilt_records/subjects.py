@@ -274,19 +274,14 @@ SUBJECTS = {
         ),
         Subject(
             "inclinometer",
-            hidden=(("zero.placement_quadratic", 0.015), ("zero.temperature", 6.0)),
+            hidden=(("zero.temperature", 6.0), ("zero.hysteresis", 6.0)),
             true={
                 "zero.constant(x)": X.constant,
                 "zero.constant(y)": Y.constant,
                 "zero.placement(x)": X.slope,
                 "zero.placement(y)": Y.slope,
             },
-            exact={
-                "zero.placement_quadratic": {
-                    "zero.placement_quadratic(x)": X.share,
-                    "zero.placement_quadratic(y)": Y.share,
-                }
-            },
+            exact={},
             noise=2.0,
             zero=Shift(("zero.constant(x)", "zero.constant(y)"), 1000.0, _ones),
             slope=Shift(
