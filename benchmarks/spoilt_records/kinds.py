@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.spoilt_records.subjects import Columns, Subject
+from benchmarks.spoilt_records.subject import Columns, Subject
 
 Spoil = Callable[[Columns, Subject, np.random.Generator], Columns]
 NOTHING: Mapping[str, float] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.spoilt_records.kinds import changed, kind, records, rows, step
-from benchmarks.spoilt_records.subjects import Columns, Subject
+from benchmarks.spoilt_records.subject import Columns, Subject
 
 Generator = np.random.Generator
 TICK = 3  # readings on one tick

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.spoilt_records.kinds import changed, kind, records
-from benchmarks.spoilt_records.subjects import Columns, Shift, Subject
+from benchmarks.spoilt_records.subject import Columns, Shift, Subject
 
 Generator = np.random.Generator
 FAR = 30.0  # prior standard deviations of a nominal zero that is off

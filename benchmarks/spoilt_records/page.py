@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.intervals import proportion
 from benchmarks.markdown import table
-from benchmarks.spoilt_records.judge import AWAY, WORSE
+from benchmarks.spoilt_records.judge import AWAY, WIDE, WORSE
 from benchmarks.spoilt_records.kinds import KINDS
 
 Rows = list[dict[str, Any]]
@@ -36,7 +36,8 @@ def write(results: dict[str, Rows], path: Path) -> None:
         f"*Right*: every true coefficient that the final model holds lies within {AWAY:g} posterior standard "
         f"deviations, and the error of the second campaign is at most {WORSE:g} times what it should be: the error "
         "of the true structure fitted to the record before it was spoilt (of the rows that are left), and the "
-        "model's own stated standard uncertainty, in squares. *Said*: refused, or the gate is shut, or a flag names "
+        f"model's own stated standard uncertainty (at most {WIDE:g} times that one's), in squares. "
+        "*Said*: refused, or the gate is shut, or a flag names "
         "the cause. *Wrong*: neither. *Crash*: an error that is no refusal, or whose sentence is of something else. "
         "What is true of each kind stands in `benchmarks/spoilt_records/`.\n",
         _in_short(spoilt),
@@ -94,26 +95,23 @@ def _counts(rows: Rows) -> str:
 
 
 def _wrong(results: dict[str, Rows]) -> str:
-    lines = []
-    for name, rows in results.items():
-        for r in rows:
-            if r["verdict"] == "crash":
-                lines.append([r["kind"], name, r["seed"], r["says"][0][:LONGEST], "", "", ""])
-            elif r["verdict"] == "wrong":
-                lines.append(
-                    [
-                        *(r["kind"], name, r["seed"], _added(r)),
-                        furthest(r),
-                        *(
-                            f"{r['error']:.3g} {r['unit']}",
-                            f"{np.hypot(r['due'], r['stated']):.3g}",
-                        ),
-                    ]
-                )
-    if not lines:
-        return "None.\n"
+    lines = [
+        [r["kind"], name, r["seed"], *_what_came(r)]
+        for kind in KINDS
+        for name, rows in results.items()
+        for r in rows
+        if r["kind"] == kind and r["verdict"] in ("wrong", "crash")
+    ]
     head = ["kind", "instrument", "seed", "added", "furthest", "error", "due"]
-    return table(head, sorted(lines, key=lambda line: list(KINDS).index(line[0])))
+    return table(head, lines) if lines else "None.\n"
+
+
+def _what_came(row: dict[str, Any]) -> list[str]:
+    """Cells of what came out of a record."""
+    if row["verdict"] == "crash":
+        return [row["says"][0][:LONGEST], "", "", ""]
+    error = f"{row['error']:.3g} {row['unit']}"
+    return [_added(row), furthest(row), error, f"{row['due']:.3g}"]
 
 
 def _added(row: dict[str, Any]) -> str:
