@@ -8,7 +8,7 @@ standard uncertainty of the output: a model that knows little, and says so, is r
 times the oracle's counts, for a model can also be so wide that it says nothing.
 
 *Said*: the file is refused, or the search refuses it and names the cause; or `trail.ok` is False; or a flag of the
-readings names the cause. *Wrong*: neither. A right answer that is also said counts as right. *Crash*: the search ends
+readings, or an effect that was added, names the cause. *Wrong*: neither. A right answer that is also said counts as right. *Crash*: the search ends
 in an error that is no refusal, or in one whose sentence is of something else.
 """
 
@@ -124,7 +124,10 @@ def _verdict(
 ) -> dict[str, Any]:
     """What came out, against what is true."""
     final = trail.final.calibration
+    base = {e.name for e in trail.steps[0].calibration.model.effects}
+    added = [n for n in final.model.names if n not in base]
     named = [s for s in final.readings.flags if re.search(kind.says, s)]
+    named += [f"found: {n}" for n in added if re.search(kind.finds, n)]
     told = [*([] if trail.ok else [trail.gate.reason]), *named]
     away = _away(subject, kind, campaign, seed, final)
     later = campaign.holdout
@@ -136,14 +139,13 @@ def _verdict(
     due = float(np.sqrt(due**2 + carried**2 + min(stated, WIDE * np.hypot(known, carried)) ** 2))
     right = all(abs(z) < AWAY for z in away.values()) and error <= WORSE * due
     verdict = "right" if right and not kind.must_say else "said" if told else "wrong"
-    base = {e.name for e in trail.steps[0].calibration.model.effects}
     return {
         "verdict": verdict,
         "refused": "",
         "says": told,
         "ok": trail.ok,
-        "names_cause": any(re.search(kind.says, s) for s in told),
-        "added": [n for n in final.model.names if n not in base],
+        "names_cause": bool(named) or any(re.search(kind.says, s) for s in told),
+        "added": added,
         "noise": final.model.noise.law,
         "away": away,
         "error": error,

@@ -22,6 +22,7 @@ class Kind:
         spoil: from the columns of a record to those of the file.
         fits: whether it can happen to an instrument.
         says: regular expression for words that name the cause; without them a sentence is of something else.
+        finds: the same for the name of an effect that was added: one that names the cause says it.
         keeps_rows: False where it leaves rows out, and does nothing else: the oracle is fitted to what is left.
         alike: the second campaign is spoilt alike, for it is the unit or the set-up that is odd.
         changed: what it adds to true coefficients.
@@ -36,6 +37,7 @@ class Kind:
     spoil: Spoil
     fits: Callable[[Subject], bool]
     says: str
+    finds: str = "^$"
     keeps_rows: bool = True
     alike: bool = False
     changed: Callable[[Subject], Mapping[str, float]] = field(default=lambda _: NOTHING)

@@ -68,7 +68,12 @@ def one_label(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     return changed(columns, **{subject.group: labels})
 
 
-@kind("one run of another unit", "run|group|left-out", fits=lambda s: s.group == "run")
+@kind(
+    "one run of another unit",
+    "run|group|left-out",
+    finds=r"\.run$",
+    fits=lambda s: s.group == "run",
+)
 def another_unit(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     """The last run was of a unit with another constant and slope. True: the unit of the other runs."""
     return changed(columns, output=columns["output"] + _of_another(columns, subject, -1))

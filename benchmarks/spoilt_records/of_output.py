@@ -182,7 +182,12 @@ def wrong_sign(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     return changed(columns, output=-columns["output"])
 
 
-@kind("scale drifting by 1 % over the record", "drift|neighbouring residuals|time", alike=True)
+@kind(
+    "scale drifting by 1 % over the record",
+    "drift|neighbouring residuals|time",
+    finds="drift|time",
+    alike=True,
+)
 def drifting(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     """The scale factor of all that is put out grows by 1 %. True: the unit as it is half-way; later it drifts alike."""
     time = columns["time"]

@@ -37,7 +37,7 @@ def write(results: dict[str, Rows], path: Path) -> None:
         f"deviations, and the error of the second campaign is at most {WORSE:g} times what it should be: the error "
         "of the true structure fitted to the record before it was spoilt (of the rows that are left), and the "
         f"model's own stated standard uncertainty (at most {WIDE:g} times that one's), in squares. "
-        "*Said*: refused, or the gate is shut, or a flag names "
+        "*Said*: refused, or the gate is shut, or a flag or an effect that was added names "
         "the cause. *Wrong*: neither. *Crash*: an error that is no refusal, or whose sentence is of something else. "
         "What is true of each kind stands in `benchmarks/spoilt_records/`.\n",
         _in_short(spoilt),
