@@ -8,8 +8,8 @@ standard uncertainty of the output: a model that knows little, and says so, is r
 times the oracle's counts, for a model can also be so wide that it says nothing.
 
 *Said*: the file is refused, or the search refuses it and names the cause; or `trail.ok` is False; or a flag of the
-readings, or an effect that was added, names the cause. *Wrong*: neither. A right answer that is also said counts as right. *Crash*: the search ends
-in an error that is no refusal, or in one whose sentence is of something else.
+readings, or an effect that was added, names the cause. *Wrong*: neither. A right answer that is also said counts as
+right. *Crash*: the search ends in an error that is no refusal, or in one whose sentence is of something else.
 """
 
 from __future__ import annotations
