@@ -1,0 +1,205 @@
+"""One spoilt record through the door and the search, and the verdict: right, said, or silently wrong.
+
+*Right*: the readings are not refused; each true coefficient that the final model holds lies within 3.3 posterior
+standard deviations of its mean (0.1 % of right answers for each do not); and the error of a second campaign is at
+most 1.2 times what it should be. That is the root of the sum of squares of the oracle's error (the true structure
+fitted to the record as it was before it was spoilt, of the rows that are left) and of the final model's own stated
+standard uncertainty of the output: a model that knows little, and says so, is right. Of that uncertainty at most 30
+times the oracle's counts, for a model can also be so wide that it says nothing.
+
+*Said*: the file is refused, or the search refuses it and names the cause; or `trail.ok` is False; or a flag of the
+readings, or an effect that was added, names the cause. *Wrong*: neither. A right answer that is also said counts as
+right. *Crash*: the search ends in an error that is no refusal, or in one whose sentence is of something else.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+import time
+import traceback
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+import pandas as pd
+
+import bayescal as bc
+from bayescal._calibration.summary import summary
+from benchmarks.spoilt_records import of_clock, of_columns, of_output, of_rows  # noqa: F401  they enter their kinds
+from benchmarks.spoilt_records.kinds import Kind
+from benchmarks.spoilt_records.subject import LATER, Campaign, Columns, Subject
+
+METHOD = bc.LeastSquares(draws=1000)
+MOST = 3  # effects to add
+LIMIT = 120.0  # s of search
+AWAY = 3.3  # posterior standard deviations
+WORSE = 1.2  # times the error that there should be
+WIDE = 30.0  # times the oracle's standard uncertainty, of which a model's own counts at most
+
+
+def judged(subject: Subject, kind: Kind, seed: int) -> dict[str, Any]:
+    """One record of a kind: what came of it, and the verdict."""
+    hides = None if kind.hides is None else kind.hides(subject)
+    campaign = subject.campaign(seed, hides)
+    begun = time.perf_counter()
+    row: dict[str, Any] = {"kind": kind.name, "seed": seed, "hidden": campaign.hidden}
+    try:
+        files = _files(subject, kind, campaign, seed)
+    except bc.BayescalError as refusal:
+        row |= {"verdict": "said", "refused": type(refusal).__name__, "says": [str(refusal)]}
+        return row | {"seconds": time.perf_counter() - begun}
+    try:
+        trail = _calibrated(*files)
+    except bc.BayescalError as refusal:
+        named = re.search(kind.says, str(refusal))
+        row |= {"verdict": "said" if named else "crash", "refused": type(refusal).__name__}
+        return row | {"says": [str(refusal)], "seconds": time.perf_counter() - begun}
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}, {place.name}"
+        row |= {
+            "verdict": "crash",
+            "refused": "",
+            "says": [f"{type(error).__name__}: {error} ({where})"],
+        }
+        return row | {"seconds": time.perf_counter() - begun}
+    row["seconds"] = time.perf_counter() - begun
+    return row | _verdict(subject, kind, campaign, seed, trail)
+
+
+def _files(
+    subject: Subject, kind: Kind, campaign: Campaign, seed: int
+) -> tuple[bc.Measurements, bc.Measurements | None, bc.Model]:
+    """The file and the hold-out given beside it, as they are read, and the model to begin with."""
+    record, beside = campaign.record, None
+    if kind.of_holdout:
+        spoilt = kind.spoil(campaign.holdout, subject, _generator(kind, seed + LATER))
+        beside = read(subject, spoilt, campaign.units)
+    else:
+        record = kind.spoil(record, subject, _generator(kind, seed))
+    readings = read(subject, record, campaign.units)
+    return readings, beside, subject.instrument.for_readings(readings).baseline()
+
+
+def _calibrated(
+    readings: bc.Measurements, beside: bc.Measurements | None, model: bc.Model
+) -> bc.Trail:
+    """The search of a file."""
+    return bc.calibrate(
+        model, readings, holdout=beside, method=METHOD, max_effects=MOST, time_limit=LIMIT
+    )
+
+
+def _generator(kind: Kind, seed: int) -> np.random.Generator:
+    return np.random.default_rng([crc32(kind.name.encode()), seed])
+
+
+def read(
+    subject: Subject, columns: Columns, units: dict[str, str], *, anything: bool = False
+) -> bc.Measurements:
+    """Write a file as a user has one, and read it.
+
+    Args:
+        subject: whose readings they are.
+        columns: the file's.
+        units: of its columns of numbers.
+        anything: accept one temperature.
+    """
+    units = {"case_temperature": "degC", **units}
+    headers = {f"{n} [{units[n]}]" if n in units else n: cells for n, cells in columns.items()}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "record.csv"
+        pd.DataFrame(headers).to_csv(path, index=False)
+        return bc.read(path, subject.instrument, allow_one_temperature=anything)
+
+
+def _verdict(
+    subject: Subject,
+    kind: Kind,
+    campaign: Campaign,
+    seed: int,
+    trail: bc.Trail,
+) -> dict[str, Any]:
+    """What came out, against what is true."""
+    final = trail.final.calibration
+    base = {e.name for e in trail.steps[0].calibration.model.effects}
+    added = [n for n in final.model.names if n not in base]
+    named = [s for s in final.readings.flags if re.search(kind.says, s)]
+    named += [f"found: {n}" for n in added if re.search(kind.finds, n)]
+    told = [*([] if trail.ok else [trail.gate.reason]), *named]
+    away = _away(subject, kind, campaign, seed, final)
+    later = campaign.holdout
+    if kind.alike:
+        later = kind.spoil(later, subject, _generator(kind, seed + LATER))
+    error, stated = error_of(subject, final, read(subject, later, campaign.units, anything=True))
+    due, known = ORACLES.of(subject, kind, campaign, seed)
+    carried = kind.noise(subject) * subject.noise
+    due = float(np.sqrt(due**2 + carried**2 + min(stated, WIDE * np.hypot(known, carried)) ** 2))
+    right = all(abs(z) < AWAY for z in away.values()) and error <= WORSE * due
+    verdict = "right" if right and not kind.must_say else "said" if told else "wrong"
+    return {
+        "verdict": verdict,
+        "refused": "",
+        "says": told,
+        "ok": trail.ok,
+        "names_cause": bool(named) or any(re.search(kind.says, s) for s in told),
+        "added": added,
+        "noise": final.model.noise.law,
+        "away": away,
+        "error": error,
+        "stated": stated,
+        "due": due,
+        "unit": final.unit,
+    }
+
+
+def _away(
+    subject: Subject, kind: Kind, campaign: Campaign, seed: int, final: bc.Calibration
+) -> dict[str, float]:
+    """Distance of each true coefficient that the model holds from its mean, posterior standard deviations."""
+    if kind.renamed:
+        return {}
+    true = subject.truth(campaign.hidden, final.reference, seed, kind.changed(subject))
+    held = {row["name"]: row for row in summary(final)[0]}
+    return {
+        name: (held[name]["mean"] - value) / max(held[name]["sd"], 1e-12 * abs(value), 1e-300)
+        for name, value in true.items()
+        if name in held
+    }
+
+
+def error_of(
+    subject: Subject, calibration: bc.Calibration, later: bc.Measurements
+) -> tuple[float, float]:
+    """Root mean square error of the expected output of a second campaign, and its stated standard uncertainty."""
+    expected = bc.predict(calibration, later, new_groups=not subject.one_unit)
+    return expected.rmse, float(np.sqrt(np.mean(expected.model_sd**2)))
+
+
+class Oracles:
+    """Errors of the true structure fitted to records as they were before they were spoilt; one serves many kinds."""
+
+    def __init__(self) -> None:
+        self.known: dict[tuple[Any, ...], tuple[float, float]] = {}
+
+    def of(
+        self, subject: Subject, kind: Kind, campaign: Campaign, seed: int
+    ) -> tuple[float, float]:
+        """The error of the second campaign and its stated uncertainty, from the rows that a kind leaves."""
+        cut = "" if kind.keeps_rows else kind.name
+        at = (subject.name, seed, tuple(campaign.hidden.items()), cut)
+        if at not in self.known:
+            record = campaign.record
+            if cut:
+                record = kind.spoil(record, subject, _generator(kind, seed))
+            readings = read(subject, record, campaign.units, anything=True)
+            model = subject.instrument.for_readings(readings).baseline() + list(campaign.hidden)
+            calibration = bc.fit(model, readings, METHOD, strict=False)
+            later = read(subject, campaign.holdout, campaign.units, anything=True)
+            self.known[at] = error_of(subject, calibration, later)
+        return self.known[at]
+
+
+ORACLES = Oracles()

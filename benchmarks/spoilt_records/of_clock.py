@@ -1,0 +1,104 @@
+"""Kinds of spoilt time and labels of runs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.spoilt_records.kinds import changed, kind, records, rows, step
+from benchmarks.spoilt_records.subject import Columns, Subject
+
+Generator = np.random.Generator
+TICK = 3  # readings on one tick
+UTC = 37.0  # s, between two clocks
+CLOCK = "time|clock"
+
+
+def _ticks(columns: Columns, subject: Subject) -> np.ndarray:
+    tick = TICK * step(columns, subject)
+    return tick * np.floor(columns["time"] / tick)
+
+
+@kind("several readings on one tick of the clock", CLOCK)
+def ticking(columns: Columns, subject: Subject, rng: Generator) -> Columns:
+    """A clock so coarse that three readings bear the same time. True: the unit as it was."""
+    return changed(columns, time=_ticks(columns, subject))
+
+
+@kind("rows out of order within a tick", CLOCK)
+def shuffled(columns: Columns, subject: Subject, rng: Generator) -> Columns:
+    """The same clock, and the rows of a tick in any order, as a database gives them. True: the unit as it was."""
+    ticked = changed(columns, time=_ticks(columns, subject))
+    order = [
+        own[np.lexsort((rng.random(len(own)), ticked["time"][own]))]
+        for own in records(ticked, subject)
+    ]
+    return rows(ticked, np.concatenate(order))
+
+
+@kind("time corrected during the record", CLOCK)
+def corrected(columns: Columns, subject: Subject, rng: Generator) -> Columns:
+    """In the middle of a run the clock was set, 37 s forward or back. True: the unit as it was."""
+    own = records(columns, subject)[len(records(columns, subject)) // 2]
+    by = UTC if rng.random() < 0.5 else -UTC
+    after = np.arange(len(columns["time"])) >= own[len(own) // 2]
+    if subject.one_unit:  # one clock for each record
+        after &= np.isin(np.arange(len(after)), own)
+    return changed(columns, time=columns["time"] + np.where(after, by, 0.0))
+
+
+@kind("clock running fast, with jitter", CLOCK)
+def fast_clock(columns: Columns, subject: Subject, rng: Generator) -> Columns:
+    """Time is 0.1 % too long and each stamp late by up to a fifth of a step. True: the unit as it was."""
+    late = 0.2 * step(columns, subject) * rng.random(len(columns["time"]))
+    return changed(columns, time=columns["time"] * 1.001 + late)
+
+
+@kind("time in minutes under a header in seconds", CLOCK)
+def minutes(columns: Columns, subject: Subject, rng: Generator) -> Columns:
+    """The wrong unit of time. True: the unit as it was; its laws in time are sixty times slower than they look."""
+    return changed(columns, time=columns["time"] / 60.0)
+
+
+@kind("one label for two runs", "run|gap|time", fits=lambda s: s.group == "run")
+def one_label(columns: Columns, subject: Subject, rng: Generator) -> Columns:
+    """The second run bears the label of the first. True: the unit as it was."""
+    first, second = records(columns, subject)[:2]
+    labels = columns[subject.group].copy()
+    labels[second] = labels[first[0]]
+    return changed(columns, **{subject.group: labels})
+
+
+@kind(
+    "one run of another unit",
+    "run|group|left-out",
+    finds=r"\.run$",
+    fits=lambda s: s.group == "run",
+)
+def another_unit(columns: Columns, subject: Subject, rng: Generator) -> Columns:
+    """The last run was of a unit with another constant and slope. True: the unit of the other runs."""
+    return changed(columns, output=columns["output"] + _of_another(columns, subject, -1))
+
+
+@kind(
+    "the hold-out of another unit",
+    "hold-out|held|kept apart",
+    fits=lambda s: s.group == "run",
+    of_holdout=True,
+    must_say=True,
+)
+def other_holdout(columns: Columns, subject: Subject, rng: Generator) -> Columns:
+    """The hold-out given is of a unit with another constant and slope. True: the record's; that they differ has to
+    be said, for the hold-out is there to be believed.
+    """
+    return changed(columns, output=columns["output"] + _of_another(columns, subject, None))
+
+
+def _of_another(columns: Columns, subject: Subject, run: int | None) -> np.ndarray:
+    """What another unit puts out more, a fifth of a prior standard deviation each; in one run or in all."""
+    zero, slope = subject.zero, subject.slope
+    more = 0.2 * (zero.size * zero.column(columns) + slope.size * slope.column(columns))
+    if run is None:
+        return more
+    chosen = np.zeros(len(more), bool)
+    chosen[records(columns, subject)[run]] = True
+    return np.where(chosen, more, 0.0)

@@ -1,0 +1,94 @@
+"""Spoilt records are answered rightly or said to be spoilt; `python -m benchmarks gauntlet` has all instruments.
+
+One record of each kind, of the gyroscope, with nothing hidden in it. The kinds and what is true of them stand in
+`benchmarks/spoilt_records/`, the judge in its `judge.py`.
+"""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from benchmarks.spoilt_records.judge import judged
+from benchmarks.spoilt_records.kinds import KINDS
+from benchmarks.spoilt_records.measurement import plan
+from benchmarks.spoilt_records.page import furthest
+from benchmarks.spoilt_records.subjects import SUBJECTS
+
+GYRO = SUBJECTS["mems_gyro"]
+SEED = 2
+# Silently wrong, or an error that is no refusal: what is to be mended, each to leave this list when it is.
+WRONG = {
+    "one run of another unit": "a jump in time takes the place of the run's own constant and slope",
+    "the hold-out of another unit": "a hold-out is compared with the first model's error alone",
+    "a thermometer stuck for a while": "the board's thermometer takes the place of the stuck one",
+    "30 % outliers, one-sided": "the constant takes the outliers' mean",
+    "output rounded to 25 times the noise": "an unknown function follows the steps",
+    "−999 in a few rows of the output": "more than a spike or two are kept",
+    "scale drifting by 1 % over the record": "correlated noise takes the place of the drift",
+    "constant output": "no noise is left to weigh anything by: the search ends in a LinAlgError",
+    "every row twice": "no time between two rows: the check ends in an InputError of something else",
+    "a tenth of the rows twice": "no time between two rows: the search ends in a LinAlgError",
+}
+SLOW = {
+    "one run of another unit",
+    "a thermometer stuck for a while",
+    "two columns exchanged",
+    "clipped at one end",
+    "one long excursion",
+    "a lag a thousand times the noise",
+    "scatter ten times larger in one run",
+    "wrong sign of the output",
+    "every row twice",
+    "output rounded to 25 times the noise",
+    "scale drifting by 1 % over the record",
+    "3 % outliers, two-sided",
+    "rows out of order within a tick",
+    "clipped at both ends",
+    "constant 1e+06 times the noise",
+    "noise below the resolution of doubles",
+    "unequal runs",
+    "wrong unit of the known input",
+}
+
+
+def cases() -> list:
+    """Every kind that fits the gyroscope, marked."""
+    made = []
+    for name, kind in KINDS.items():
+        if kind.fits(GYRO):
+            marks = [pytest.mark.slow] if name in SLOW else []
+            if name in WRONG:
+                marks.append(pytest.mark.xfail(strict=False, reason=WRONG[name]))
+            made.append(pytest.param(name, id=name, marks=marks))
+    return made
+
+
+@pytest.mark.parametrize("name", cases())
+def test_a_spoilt_record_is_answered_rightly_or_said_to_be_spoilt(name: str) -> None:
+    row = judged(GYRO, KINDS[name], SEED)
+    found = {key: row.get(key) for key in ("added", "noise", "error", "due", "stated", "says")}
+    assert row["verdict"] in ("right", "said"), f"{found}, {furthest(row)}"
+
+
+def test_what_is_not_spoilt_is_answered_rightly_and_without_a_word() -> None:
+    row = judged(GYRO, KINDS["nothing"], SEED)
+    assert row["verdict"] == "right"
+    assert row["ok"]
+    assert row["added"] == []
+
+
+def test_there_are_forty_kinds_and_each_says_what_is_true() -> None:
+    assert len(KINDS) > 40  # one of them is not spoilt
+    for kind in KINDS.values():
+        assert kind.spoil.__doc__ or kind.name.startswith("constant"), kind.name
+        assert re.compile(kind.says)
+
+
+def test_every_instrument_has_most_kinds() -> None:
+    from bayescal_models import INSTRUMENTS
+
+    assert set(SUBJECTS) == set(INSTRUMENTS)
+    for name in SUBJECTS:
+        assert len({kind.name for kind, _ in plan(name)}) > 35, name
