@@ -63,18 +63,23 @@ def test_readings_against_the_prior_leave_with_1(tmp_path) -> None:
 ROW = {"name": "x", "effect": "e", "unit": "deg/s", "mean": 0.1, "contraction": 0.5}
 
 
-def told_of(line: bc.Calibration, monkeypatch: pytest.MonkeyPatch, **row: Any) -> list[str]:
-    """Conflicts of a fit whose summary has one spread more."""
+def told_of(
+    line: bc.Calibration, monkeypatch: pytest.MonkeyPatch, coefficient: bool = False, **row: Any
+) -> list[str]:
+    """Conflicts of a fit whose summary has one spread more, or one coefficient."""
     coefficients, spreads = guards.summary(line)
-    more = [*spreads, {**ROW, **row}]
-    monkeypatch.setattr(guards, "summary", lambda _: (coefficients, more))
+    more = [{**ROW, **row}]
+    both = ([*coefficients, *more], spreads) if coefficient else (coefficients, [*spreads, *more])
+    monkeypatch.setattr(guards, "summary", lambda _: both)
     return conflicts(line)
 
 
 def test_a_posterior_wider_than_its_prior(line, monkeypatch) -> None:
-    (reason,) = told_of(line, monkeypatch, contraction=-1.5)
+    (reason,) = told_of(line, monkeypatch, coefficient=True, contraction=-1.5)
     assert reason.startswith("x is known worse than before the readings (contraction -1.5)")
-    assert told_of(line, monkeypatch, contraction=-0.5)[1:] == []
+    assert told_of(line, monkeypatch, coefficient=True, contraction=-0.5)[1:] == []
+    monkeypatch.undo()
+    assert told_of(line, monkeypatch, contraction=-7.5) == []
 
 
 def test_a_scale_larger_than_the_outputs_range(line, monkeypatch) -> None:
