@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,10 +10,17 @@ import numpy as np
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.closed_form import Density
+from bayescal._engine.mode import find_mode, in_numpy
 from bayescal._model.noise_laws import CORRELATION_TIME
 from bayescal._readings.unit_conversion import same_dimension, unit_label
 
 CONFLICT = 4.0  # prior standard deviations from the prior's mean, beyond which readings and prior contradict each other
+FREE = 1e3  # times a plausible size, which is none any more
+MOST = (
+    2  # coefficients of an effect; more of them stand for a function, not for numbers of their own
+)
 SIZES = 10.0  # times a candidate's plausible size, which is known to an order of magnitude only
 WIDER = -1.0  # contraction below which the posterior is wider than the prior can be
 RECORDS = 10.0  # records, beyond which no time can be told
@@ -27,8 +34,8 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
         accepted: names of coefficients or effects, spreads or noise parameters, that may contradict their priors.
     """
     coefficients, spreads = summary(calibration)
-    by_name = {row["name"]: row for row in coefficients}
-    found = _against_priors(calibration, by_name, accepted)
+    stands = {row["name"]: (row["mean"], 0.0) for row in coefficients}
+    found = _against_priors(calibration, stands, accepted)
     coefficients, spreads = (
         [row for row in rows if row["name"] not in accepted and row["effect"] not in accepted]
         for rows in (coefficients, spreads)
@@ -42,9 +49,41 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
     return [*found, *_too_large(calibration, spreads)]
 
 
+def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
+    """Where the readings by themselves would put the first model's coefficients, if that is far from their priors.
+
+    A prior that the readings contradict strongly enough wins: the noise takes up what the coefficient may not, and the
+    fit shows nothing. So biases and scale factors of the instrument's own effects get a thousand times their widths.
+
+    Args:
+        calibration: the fit.
+        accepted: names of coefficients or effects that may contradict their priors.
+    """
+    instrument = calibration.model.instrument
+    own = {
+        e.name
+        for e in instrument.effects
+        if len(e.coefficients) == 1 and instrument.slot(e.slot).unit in (instrument.unit, "1")
+    }
+    assembly = Assembly(calibration.layout, calibration.assembly.record, dict.fromkeys(own, FREE))
+    there = in_numpy(calibration.mode)
+    starts = [there.v, np.zeros_like(there.v)]
+    mode = find_mode(assembly, starts, there.covariance, there.point, still=0.01)
+    _, found = Density(assembly, mode.point, mode.flat).at(mode.v)
+    if found is None:
+        return []
+    mean, sd = found.mean, np.sqrt(np.diag(found.covariance))
+    stands = {}
+    for b in (b for b in calibration.layout.x_blocks if b.effect.name in own):
+        for i, name in enumerate(b.member_names(calibration.levels)):
+            stands[name] = (float(mean[b.start + i]), CONFLICT * float(sd[b.start + i]))
+    return _against_priors(calibration, stands, accepted)
+
+
 def _against_priors(
-    calibration: Fitted, rows: dict[str, dict[str, Any]], accepted: Collection[str]
+    calibration: Fitted, stands: Mapping[str, tuple[float, float]], accepted: Collection[str]
 ) -> list[str]:
+    """Coefficients that stand far from their priors' means, each (where, give or take)."""
     found = []
     baseline = {e.name for e in calibration.model.instrument.effects}
     for b in calibration.layout.blocks:
@@ -52,15 +91,18 @@ def _against_priors(
         plain = b.place in ("x", "phi") and b.effect.weights is None
         if not plain or c.flat or c.spread is not None or c.per == "reading":
             continue
+        if len(b.effect.coefficients) > MOST:
+            continue
         if b.effect.name in accepted:
             continue
         most = CONFLICT if b.effect.name in baseline else CONFLICT * SIZES
         for name in b.member_names(calibration.levels):
-            away = abs(rows[name]["mean"] - c.mean) / c.size
-            if away > most and name not in accepted:
+            where, give = stands.get(name, (c.mean, 0.0))
+            away = abs(where - c.mean) / c.size
+            if away - give / c.size > most and name not in accepted:
                 found.append(
                     f"{name} stands {away:.0f} times its plausible size from its prior's mean "
-                    f"({number(rows[name]['mean'])} against {number(c.mean)} ± {number(c.size)} "
+                    f"({number(where)} against {number(c.mean)} ± {number(c.size)} "
                     f"{unit_label(c.unit)}; it costs {0.5 * away**2:.0f} nats): {_look_at(b.effect.name)}, "
                     "or give it a wider prior."
                 )

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import conflicts
+from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.predict import predict
 from bayescal._core.progress import stage
 from bayescal._diagnostics.check import check
@@ -85,7 +85,8 @@ def calibrate(
     holdout = None if holdout is None else set_aside(holdout, keep_spikes)
     accepted = frozenset(accept_conflicts)
     loop = _Loop(readings, holdout, method, seed, reference, max_effects, accepted)
-    if conflicts(fit(model, readings, QUICK, strict=False, reference=reference), accepted):
+    quick = fit(model, readings, QUICK, strict=False, reference=reference)
+    if conflicts(quick, accepted) or without_priors(quick, accepted):
         loop = replace(loop, method=QUICK)  # what is to be seen is seen without sampling
     first = loop.step(model)
     loop = replace(loop, begun=time.monotonic())

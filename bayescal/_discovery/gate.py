@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Sequence
 from itertools import pairwise
 
-from bayescal._calibration.guards import conflicts
+from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._diagnostics.evidence_scale import VERY_STRONG
 from bayescal._discovery.search_path import Gate, Step
 from bayescal._readings.unit_conversion import unit_label
@@ -39,7 +39,7 @@ def gate(steps: Sequence[Step], accepted: Collection[str] = ()) -> Gate:
 
 def wrong_question(step: Step, accepted: Collection[str] = ()) -> list[str]:
     """Why nothing can be learnt from a model: readings that contradict it, or that were rounded more than they vary."""
-    found = conflicts(step.calibration, accepted)
+    found = conflicts(step.calibration, accepted) or without_priors(step.calibration, accepted)
     grid, unit = rounding_step(step.calibration.readings["output"]), unit_label(step.check.unit)
     if step.noise_floor < AS_GOOD_AS_NOISE * grid:
         found.append(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayescal._readings.dataset_checks import clip_levels
+from bayescal._readings.dataset_checks import clip_levels, once
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.rounding import rounding_step
 from bayescal._recording.spikes import find_spikes
@@ -19,8 +19,18 @@ def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements
         readings: as recorded.
         keep_spikes: leave spikes in.
     """
-    readings = _without_clipped(readings)
+    readings = _without_clipped(_once(readings))
     return readings if keep_spikes else _without_spikes(readings)
+
+
+def _once(readings: Measurements) -> Measurements:
+    """Without rows that repeat an earlier one: reading a file drops them, other sources may hold them."""
+    kept = once({name: readings[name] for name in readings.columns})
+    if isinstance(kept, slice):
+        return readings
+    count = len(readings) - len(kept)
+    flag = f"{readings.file}: {count} row(s) repeat an earlier one in every column: dropped"
+    return replace(readings.select(kept), flags=(*readings.flags, flag))
 
 
 def _without_clipped(readings: Measurements) -> Measurements:
