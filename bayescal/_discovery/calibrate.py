@@ -85,11 +85,7 @@ def calibrate(
     holdout = None if holdout is None else set_aside(holdout, keep_spikes)
     accepted = frozenset(accept_conflicts)
     loop = _Loop(readings, holdout, method, seed, reference, max_effects, accepted)
-    quick = fit(model, readings, QUICK, strict=False, reference=reference)
-    if conflicts(quick, accepted) or without_priors(quick, accepted):
-        loop = replace(loop, method=QUICK)  # what is to be seen is seen without sampling
-    first = loop.step(model)
-    loop = replace(loop, begun=time.monotonic())
+    loop, first = loop.begin(model)
     if reasons := wrong_question(first, accepted):
         search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(reasons)}")
         return Trail((first,), gate((first,), accepted), holdout, None, search)
@@ -113,6 +109,14 @@ class _Loop:
     max_effects: int
     accepted: frozenset[str]
     begun: float = 0.0  # of the search
+
+    def begin(self, model: Model) -> tuple[_Loop, Step]:
+        """The first step; where readings and prior contradict each other, without sampling, which shows no more."""
+        quick = fit(model, self.readings, QUICK, strict=False, reference=self.reference)
+        against = conflicts(quick, self.accepted) or without_priors(quick, self.accepted)
+        loop = replace(self, method=QUICK) if against else self
+        first = loop.step(model)
+        return replace(loop, begun=time.monotonic()), first
 
     @staticmethod
     def on_trial(first: Step) -> bool:

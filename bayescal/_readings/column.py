@@ -13,6 +13,7 @@ from bayescal._readings.unit_parsing import ANY
 
 ROW = "reading"  # the one dimension of readings
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
+_PLACEHOLDERS = (999.0, 9999.0, 99999.0, 999.25, 9999.25, 999.9, 9999.9)
 TAKEN = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
 
 
@@ -131,3 +132,17 @@ class Source:
     file: str
     sha256: str
     rows: int
+
+
+def placeholder(values: np.ndarray) -> int | None:
+    """Where a column has a number that stands for a missing reading, such as −999: far from all the others."""
+    for sign in (-1.0, 1.0):
+        for size in _PLACEHOLDERS:
+            there = values == sign * size
+            others = values[~there]
+            if not there.any() or len(others) < len(values) / 2:
+                continue
+            low, high = float(others.min()), float(others.max())
+            if max(low - sign * size, sign * size - high) > 3 * (high - low):
+                return int(np.argmax(there))
+    return None

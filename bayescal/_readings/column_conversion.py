@@ -13,7 +13,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._readings import unit_conversion
-from bayescal._readings.column import MAY_BE_EMPTY, Column
+from bayescal._readings.column import MAY_BE_EMPTY, Column, placeholder
 from bayescal._readings.column_matching import (
     InstrumentLike,
     ReadOptions,
@@ -25,7 +25,6 @@ from bayescal._readings.column_matching import (
     unit_of,
     with_fixed_units,
 )
-from bayescal._readings.dataset_checks import placeholder
 from bayescal._readings.raw_table import Cells, Header, Table, load_whole
 
 _LIKELY_UNITS = (

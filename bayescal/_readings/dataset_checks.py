@@ -19,7 +19,6 @@ LEAST_TEMPERATURE_SPAN = (
 _LEAST_SATURATED = 5  # readings at the very extreme before one speaks of saturation
 _SHARE_SATURATED = 0.01
 _GAP = 0.1  # of the range: further off, the end is a set-up of its own, such as one position
-_PLACEHOLDERS = (999.0, 9999.0, 99999.0, 999.25, 9999.25, 999.9, 9999.9)
 _AGAINST_NEXT = 3  # times as many as at the next level, which a rounded output does not show
 
 Columns = Mapping[str, np.ndarray]
@@ -110,20 +109,6 @@ def flags_of(
         if number and len(values) > 1 and (values == values[0]).all():
             flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
     return flags
-
-
-def placeholder(values: np.ndarray) -> int | None:
-    """Where a column has a number that stands for a missing reading, such as −999: far from all the others."""
-    for sign in (-1.0, 1.0):
-        for size in _PLACEHOLDERS:
-            there = values == sign * size
-            others = values[~there]
-            if not there.any() or len(others) < len(values) / 2:
-                continue
-            low, high = float(others.min()), float(others.max())
-            if max(low - sign * size, sign * size - high) > 3 * (high - low):
-                return int(np.argmax(there))
-    return None
 
 
 def once(columns: Columns) -> slice | np.ndarray:

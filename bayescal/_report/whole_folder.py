@@ -146,6 +146,11 @@ def _unchanged(folder: Path) -> set[str]:
 
 def _take_its_place(hidden: Path, visible: Path, gone: set[str]) -> None:
     new = {p.name for p in hidden.iterdir()}
+    for name in new:
+        if (visible / name).is_dir():
+            raise InputError(
+                f"{visible / name} cannot be written: a folder stands in its place. Move it, or choose another --out"
+            )
     stays = hidden.parent == visible or visible.is_mount() or Path.cwd().is_relative_to(visible)
     if not stays:
         for entry in visible.iterdir():

@@ -182,11 +182,11 @@ def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line
 
 
 def test_nothing_is_said_that_so_few_readings_cannot_show(line: bc.Calibration) -> None:
-    few = replace(line, readings=line.readings.select(np.arange(8)))
+    few = fitted(line.readings.select(np.arange(8)))
     (only, _) = steps(few, {}, {})
     told = "converged; too few readings to see whether neighbours are correlated"
     assert gate([only]).reason == told
-    fewer = replace(line, readings=line.readings.select(np.arange(3)))
+    fewer = fitted(line.readings.select(np.arange(3)))
     (only, _) = steps(fewer, {}, {})
     assert "3 readings are too few for 2 unknowns" in gate([only]).reason
 
