@@ -11,7 +11,6 @@ from itertools import pairwise
 import numpy as np
 
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.predict import predict
 from bayescal._core.progress import stage
 from bayescal._diagnostics.check import check
@@ -65,7 +64,7 @@ def calibrate(
         readings: to fit.
         holdout: readings kept apart: read after the last step, and never used to choose an effect.
         effects: further candidates of the user's own.
-        method: of every fit; `Marginal()` if not given.
+        method: of the last fit; `Marginal()` if not given. Steps on the way are fitted by least squares.
         max_effects: most effects to add.
         widen_noise: False leaves the noise law as given, whatever the residuals look like.
         keep_spikes: False sets single readings far from both neighbours aside, and flags them; clipped ones always.
@@ -111,12 +110,13 @@ class _Loop:
     begun: float = 0.0  # of the search
 
     def begin(self, model: Model) -> tuple[_Loop, Step]:
-        """The first step; where readings and prior contradict each other, without sampling, which shows no more."""
-        quick = fit(model, self.readings, QUICK, strict=False, reference=self.reference)
-        against = conflicts(quick, self.accepted) or without_priors(quick, self.accepted)
-        loop = replace(self, method=QUICK) if against else self
-        first = loop.step(model)
-        return replace(loop, begun=time.monotonic()), first
+        """The first step."""
+        first = self.step(model, method=self.quick(model))
+        return replace(self, begun=time.monotonic()), first
+
+    def quick(self, model: Model) -> Method | None:
+        """How steps on the way are fitted: not sampled, for their errors and evidence need no draws."""
+        return QUICK if model.noise.gaussian else self.method
 
     @staticmethod
     def on_trial(first: Step) -> bool:
@@ -146,8 +146,12 @@ class _Loop:
         path = structures.path(Posterior.of(structures).chosen)
         try:
             for before, at in pairwise(path):
-                steps.append(self.step(structures.weigh(at).model, before, at))
+                model = structures.weigh(at).model
+                method = self.method if at == path[-1] else self.quick(model)
+                steps.append(self.step(model, before, at, method=method))
                 tell()
+            if len(path) == 1 and self.method != QUICK:
+                steps[0] = self.step(first.calibration.model, method=self.method)
         except KeyboardInterrupt:
             if stopped:
                 raise
@@ -172,13 +176,18 @@ class _Loop:
         ]
 
     def step(
-        self, model: Model, before: Structure | None = None, at: Structure | None = None
+        self,
+        model: Model,
+        before: Structure | None = None,
+        at: Structure | None = None,
+        *,
+        method: Method | None,
     ) -> Step:
         """Fit a model and check it."""
         calibration = fit(
             model,
             self.readings,
-            self.method,
+            method,
             seed=self.seed,
             strict=False,
             reference=self.reference,
