@@ -49,14 +49,13 @@ def write(banks: Banks, spoilt: dict[str, Any], path: Path) -> None:
         "Planned for each instrument: "
         + ", ".join(f"{kind} {count}" for kind, count in COUNTS.items())
         + " (single: for each candidate; several: where there is a long record). Kinds are measured in turn; what is "
-        "missing goes on with the same command. Seconds are of the search alone, with other work on the machine. Rows "
-        "that stand are of two versions of the search, most of them from before it was made quicker.\n",
+        "missing goes on with the same command. Seconds are of the search alone, with other work on the machine.\n",
         "## One hidden effect\n",
         *page_single.chapter(banks),
         "## Nothing hidden\n",
         _empty(banks),
         "## Nothing hidden, and noise or priors that are not as the model takes them\n",
-        "By `python -m benchmarks false_discoveries`.\n",
+        "By `python -m benchmarks false_discoveries`; measured before effects could depart from their forms.\n",
         _spoilt(spoilt),
         "## Two hidden effects, several, and effects outside the catalogue\n",
         _others(banks),
