@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from bayescal._numpyro.program_fit import ProgramFit
 
 
+DIGITS = 1e4 * float(np.finfo(float).eps)  # of the largest output, by which it changes at least
+
+
 @overload
 def fit(
     model: Model,
@@ -135,16 +138,22 @@ def _reference(readings: Measurements, asked: Reference | None) -> Reference:
 
 
 def _refuse_stuck(readings: Measurements) -> None:
-    """An output that never changes is none.
+    """An output that never changes is none; nor is one that changes in its last digits alone.
 
     Raises:
-        ModelError: it reads the same in every one of three or more readings.
+        ModelError: it reads the same in every one of three or more readings, or nearly so.
     """
     output = readings["output"]
     if len(output) > 2 and np.ptp(output) == 0:
         raise ModelError(
             f"{readings.file}: the output reads {output[0]:g} in all {len(output)} readings. Noise alone would change "
             "it: the sensor or the logger is stuck, or the column is not the output"
+        )
+    largest = float(np.max(np.abs(output)))
+    if len(output) > 2 and np.ptp(output) < DIGITS * largest:
+        raise ModelError(
+            f"{readings.file}: the output is {largest:.3g} and changes by {np.ptp(output):.3g} only: too few of its "
+            "digits are left to calculate with. Subtract a constant from it, or give the nominal zero"
         )
 
 

@@ -19,6 +19,8 @@ LEAST_TEMPERATURE_SPAN = (
 _LEAST_SATURATED = 5  # readings at the very extreme before one speaks of saturation
 _SHARE_SATURATED = 0.01
 _GAP = 0.1  # of the range: further off, the end is a set-up of its own, such as one position
+_STUCK = 8  # readings in a row
+_OWN = 0.8  # of the others, from which values are a column's own, and neither rounded nor set
 _AGAINST_NEXT = 3  # times as many as at the next level, which a rounded output does not show
 
 Columns = Mapping[str, np.ndarray]
@@ -108,7 +110,23 @@ def flags_of(
         number = values.dtype.kind == "f" and name not in unchecked
         if number and len(values) > 1 and (values == values[0]).all():
             flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
+        elif number and (stuck := _stuck(values)) is not None:
+            first, last = (where(row) for row in stuck)
+            flags.append(
+                f"{names}: column {name!r} stands still at {values[stuck[0]]:g} from {first} to {last}: was it stuck?"
+            )
     return flags
+
+
+def _stuck(values: np.ndarray) -> tuple[int, int] | None:
+    """First and last row of a stretch in which a column that otherwise never repeats itself does not change."""
+    ends = np.append(np.flatnonzero(np.diff(values) != 0), len(values) - 1)
+    lengths = np.diff(ends, prepend=-1)
+    worst = int(np.argmax(lengths))
+    length, others = int(lengths[worst]), len(values) - int(lengths[worst])
+    if length < _STUCK or len(np.unique(values)) < _OWN * others:
+        return None
+    return int(ends[worst]) - length + 1, int(ends[worst])
 
 
 def once(columns: Columns) -> slice | np.ndarray:

@@ -73,7 +73,7 @@ for size in (1e4, 1e6, 1e9):
 
 @kind(
     "noise below the resolution of doubles",
-    "round|resolution|prior's mean|nominal",
+    "round|resolution|digits|prior's mean|nominal",
     alike=True,
     changed=lambda s: dict.fromkeys(s.zero.names, RESOLUTION * s.noise),
     noise=lambda s: float(np.spacing(RESOLUTION * s.noise)) / s.noise / np.sqrt(12.0),
@@ -149,7 +149,7 @@ def rounded_finely(columns: Columns, subject: Subject, rng: Generator) -> Column
     return _rounded(columns, 3.0 * subject.noise)
 
 
-@kind("constant output", "constant|throughout|does not (change|vary)", must_say=True)
+@kind("constant output", "constant|stuck|throughout|does not (change|vary)", must_say=True)
 def constant_output(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     """A logger that hung: one value in all rows. Nothing is true of it but that it is of no use."""
     middle = np.median(columns["output"])

@@ -228,3 +228,18 @@ def test_a_saturated_output_is_flagged_and_a_rounded_one_is_not():
 def test_a_constant_column_is_flagged_unless_it_is_a_default():
     said = flags(temperature=[20.0, 30.0], output=[1.0, 2.0], lab_temperature=23.0)
     assert "column 'lab_temperature' is constant (23)" in said and "rate_input" not in said
+
+
+def test_a_column_that_stands_still_for_a_while_is_flagged():
+    rng = np.random.default_rng(2)
+    temperature = np.linspace(20, 60, 100) + rng.normal(0, 0.01, 100)
+    columns = {
+        "run": ["a"] * 100,
+        "time": np.arange(100.0),
+        "rate_input": 0.0,
+        "output": rng.normal(size=100),
+    }
+    assert "stands still" not in flags(temperature=temperature, **columns)
+    temperature[30:45] = temperature[30]
+    assert "column 'temperature' stands still at" in flags(temperature=temperature, **columns)
+    assert "stands still" not in flags(temperature=np.round(temperature), **columns)  # rounded

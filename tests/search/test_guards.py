@@ -242,3 +242,10 @@ def test_clipped_readings_are_set_aside_and_said() -> None:
         difference = np.mean(trail.final.calibration.samples(name)) - np.mean(whole.samples(name))
         assert abs(difference) < 3 * np.std(trail.final.calibration.samples(name))
     assert len(trail.steps) == 1
+
+
+def test_an_output_of_too_few_digits_is_refused() -> None:
+    readings = mems_gyro.simulate({}, seed=1)
+    far = readings.with_column("output", readings["output"] + 1e14)
+    with pytest.raises(bc.ModelError, match="too few of its digits are left"):
+        bc.fit(INSTRUMENT.baseline(), far)
