@@ -83,7 +83,8 @@ def page(all_: dict[str, list[dict[str, Any]]]) -> str:
     """The gallery in Markdown."""
     parts = [
         "# Faults, and what they look like\n",
-        "Drawn up by `python docs/faults.py`. Drawn up before a search weighed whole structures. Each effect alone was hidden in its instrument's standard campaign, at "
+        "Drawn up by `python docs/faults.py`. Drawn up before a search weighed whole structures. Each effect alone "
+        "was hidden in its instrument's standard campaign, at "
         "three times the size *needed* (the smallest that is found with 80 % power), and the baseline fitted. "
         "*Residuals lean on*: covariates with the strongest evidence of structure (natural logarithm). *Taken for*: "
         "effects that this campaign cannot tell from it; `bayescal discover --next-experiment` says which campaign "
