@@ -20,7 +20,7 @@ _LEAST_SATURATED = 5  # readings at the very extreme before one speaks of satura
 _SHARE_SATURATED = 0.01
 _GAP = 0.1  # of the range: further off, the end is a set-up of its own, such as one position
 _STUCK = 8  # readings in a row
-_OWN = 0.8  # of the others, from which values are a column's own, and neither rounded nor set
+_AGAIN = 0.05  # of the other readings repeat the one before, at most: more are rounded, or set
 _AGAINST_NEXT = 3  # times as many as at the next level, which a rounded output does not show
 
 Columns = Mapping[str, np.ndarray]
@@ -124,7 +124,8 @@ def _stuck(values: np.ndarray) -> tuple[int, int] | None:
     lengths = np.diff(ends, prepend=-1)
     worst = int(np.argmax(lengths))
     length, others = int(lengths[worst]), len(values) - int(lengths[worst])
-    if length < _STUCK or len(np.unique(values)) < _OWN * others:
+    again = int(np.sum(lengths - 1)) - (length - 1)  # readings outside that repeat the one before
+    if length < _STUCK or again > _AGAIN * others:
         return None
     return int(ends[worst]) - length + 1, int(ends[worst])
 
