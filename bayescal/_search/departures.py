@@ -177,7 +177,7 @@ def departed(line: LinearModel, departure: Departure) -> Departed:
     share = contribution(line, departure.name) / contribution(line, name)
     if along in frame.columns:
         units = {c.name: c.unit for c in line.assembly.record.instrument.columns}
-        at, unit = float(frame.columns[along][worst]), units.get(along, "")
+        at, unit = float(frame.columns[along][worst]), units.get(along) or ""
     else:
         at, unit = 60 * float(frame.rates[along.removesuffix(" rate")][worst]), "degC/min"
     return Departed(name, along, share, at, unit)
