@@ -18,9 +18,7 @@ from bayescal._readings.unit_conversion import same_dimension, unit_label
 
 CONFLICT = 4.0  # prior standard deviations from the prior's mean, beyond which readings and prior contradict each other
 FREE = 1e3  # times a plausible size, which is none any more
-MOST = (
-    2  # coefficients of an effect; more of them stand for a function, not for numbers of their own
-)
+MOST = 2  # coefficients of an effect; more of them stand for a function
 SIZES = 10.0  # times a candidate's plausible size, which is known to an order of magnitude only
 WIDER = -1.0  # contraction below which the posterior is wider than the prior can be
 RECORDS = 10.0  # records, beyond which no time can be told
@@ -91,9 +89,7 @@ def _against_priors(
         plain = b.place in ("x", "phi") and b.effect.weights is None
         if not plain or c.flat or c.spread is not None or c.per == "reading":
             continue
-        if len(b.effect.coefficients) > MOST:
-            continue
-        if b.effect.name in accepted:
+        if len(b.effect.coefficients) > MOST or b.effect.name in accepted:
             continue
         most = CONFLICT if b.effect.name in baseline else CONFLICT * SIZES
         for name in b.member_names(calibration.levels):

@@ -114,6 +114,12 @@ def to_disk(path: Path) -> None:
         os.close(handle)
 
 
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file's bytes, read in pieces."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def netcdf_bytes(data: Any, **options: Any) -> memoryview:
     """A Dataset or DataTree as the bytes of a NetCDF file.
 

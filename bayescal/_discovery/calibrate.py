@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._calibration.predict import predict
 from bayescal._core.progress import stage
@@ -85,9 +86,9 @@ def calibrate(
     accepted = frozenset(accept_conflicts)
     loop = _Loop(readings, holdout, method, seed, reference, max_effects, accepted)
     loop, first = loop.begin(model)
-    if reasons := wrong_question(first, accepted):
-        search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(reasons)}")
-        return Trail((first,), gate((first,), accepted), holdout, None, search)
+    if first.against:
+        search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(first.against)}")
+        return Trail((first,), gate((first,)), holdout, None, search)
     if loop.on_trial(first):
         loop, widen_noise = replace(loop, max_effects=0), False
     structures, shut = structures_over(
@@ -192,29 +193,14 @@ class _Loop:
             strict=False,
             reference=self.reference,
         )
-        with stage("checking"):
-            checked = check(calibration)
-            left_out = leave_one_group_out(calibration)
         added, noise_changed = None, ""
         if before is not None and at is not None:
             added = next(iter(at.effects - before.effects), None)
             if at.wanders != before.wanders:
                 noise_changed = "noise widened: wandering"
-        kept = None if self.holdout is None else predict(calibration, self.holdout)
-        return Step(
-            calibration=calibration,
-            added=added,
-            dropped=(),
-            rmse=predict(calibration).rmse,
-            rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
-            holdout_rmse=None if kept is None else kept.rmse,
-            holdout_sd=None if kept is None else float(np.sqrt(np.mean(kept.sd**2))),
-            left_out=left_out,
-            noise_floor=noise_floor(calibration),
-            check=checked,
-            discovery=None,
-            noise_changed=noise_changed,
-        )
+        with stage("checking"):
+            found = step_of(calibration, self.holdout, self.accepted)
+        return replace(found, added=added, noise_changed=noise_changed)
 
     def trail(
         self, steps: Sequence[Step], structures: Structures, *, complete: bool, stopped: str = ""
@@ -227,7 +213,37 @@ class _Loop:
             max_effects=self.max_effects,
         )
         other = _other_path(structures) if complete or stopped else None
-        return Trail(tuple(steps), gate(steps, self.accepted), self.holdout, other, search)
+        return Trail(tuple(steps), gate(steps), self.holdout, other, search)
+
+
+def step_of(
+    calibration: Calibration,
+    holdout: Measurements | None = None,
+    accepted: Collection[str] = (),
+) -> Step:
+    """A fit as a step: checked, with its errors; what is missing from it is not asked yet.
+
+    Args:
+        calibration: the fit.
+        holdout: readings kept apart.
+        accepted: coefficients or effects that may contradict their priors.
+    """
+    checked, floor = check(calibration), noise_floor(calibration)
+    kept = None if holdout is None else predict(calibration, holdout)
+    return Step(
+        calibration=calibration,
+        added=None,
+        dropped=(),
+        rmse=predict(calibration).rmse,
+        rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
+        holdout_rmse=None if kept is None else kept.rmse,
+        holdout_sd=None if kept is None else float(np.sqrt(np.mean(kept.sd**2))),
+        left_out=leave_one_group_out(calibration),
+        noise_floor=floor,
+        check=checked,
+        discovery=None,
+        against=wrong_question(calibration, floor, accepted),
+    )
 
 
 def _other_path(structures: Structures) -> OtherPath | None:

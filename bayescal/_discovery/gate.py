@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Sequence
 from itertools import pairwise
 
+from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._diagnostics.evidence_scale import VERY_STRONG
 from bayescal._discovery.search_path import Gate, Step
@@ -20,16 +21,10 @@ RARE = 1e-5  # p-value of a test that asks once for each covariate
 EXPECTED = 2.0  # times the error that a model expects of readings kept apart
 
 
-def gate(steps: Sequence[Step], accepted: Collection[str] = ()) -> Gate:
-    """Whether the last model is to be used and its probabilities believed; if not, every reason.
-
-    Args:
-        steps: from the first model to the last.
-        accepted: coefficients or effects that may contradict their priors.
-    """
+def gate(steps: Sequence[Step]) -> Gate:
+    """Whether the last model is to be used and its probabilities believed; if not, every reason."""
     last = steps[-1]
-    reasons = wrong_question(last, accepted)
-    reasons = reasons or [*_of_noise(last), *_against_the_steps_before(steps)]
+    reasons = last.against or [*_of_noise(last), *_against_the_steps_before(steps)]
     if reasons:
         return Gate(False, " ".join(dict.fromkeys(reasons)))
     if len(last.calibration.readings) < FEWEST:
@@ -37,16 +32,24 @@ def gate(steps: Sequence[Step], accepted: Collection[str] = ()) -> Gate:
     return Gate(True, "converged; neighbouring residuals are not correlated")
 
 
-def wrong_question(step: Step, accepted: Collection[str] = ()) -> list[str]:
-    """Why nothing can be learnt from a model: readings that contradict it, or that were rounded more than they vary."""
-    found = conflicts(step.calibration, accepted) or without_priors(step.calibration, accepted)
-    grid, unit = rounding_step(step.calibration.readings["output"]), unit_label(step.check.unit)
-    if step.noise_floor < AS_GOOD_AS_NOISE * grid:
+def wrong_question(
+    calibration: Calibration, floor: float, accepted: Collection[str]
+) -> tuple[str, ...]:
+    """Why nothing can be learnt from a model: readings that contradict it, or that were rounded more than they vary.
+
+    Args:
+        calibration: of the model.
+        floor: noise that no model could remove, output unit.
+        accepted: coefficients or effects that may contradict their priors.
+    """
+    found = conflicts(calibration, accepted) or without_priors(calibration, accepted)
+    grid, unit = rounding_step(calibration.readings["output"]), unit_label(calibration.unit)
+    if floor < AS_GOOD_AS_NOISE * grid:
         found.append(
             f"The output is rounded in steps of {grid:.3g} {unit}, which is more than its noise: nothing finer than "
             "a step can be known, and standard uncertainties are too small. Record it with more digits."
         )
-    return found
+    return tuple(found)
 
 
 def _of_noise(step: Step) -> list[str]:

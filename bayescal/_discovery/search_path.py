@@ -30,6 +30,7 @@ class Step:
         rmse_fitted: the same with group deviations as fitted.
         holdout_rmse: of readings that were kept apart; None without them.
         holdout_sd: that the model expects there, rms.
+        against: why nothing can be learnt from this model, in words; empty for most.
         left_out: each group predicted from the others.
         noise_floor: from neighbouring readings alone, whatever the model.
         check: where this model fails.
@@ -48,6 +49,7 @@ class Step:
     discovery: Discovery | None
     noise_changed: str = ""
     holdout_sd: float | None = None
+    against: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:

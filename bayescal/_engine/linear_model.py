@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from bayescal._engine.assembly import Assembly, Line, Point
 from bayescal._engine.closed_form import Density
@@ -124,6 +126,25 @@ class LinearModel:
     def slopes(self) -> dict[str, np.ndarray]:
         """Of the expected output by each slot, at the mode."""
         return self.assembly.slopes(self.mode.point, self.assembly.hyper(self.mode.v))
+
+
+def taken_up(u: np.ndarray, information: np.ndarray) -> tuple[float, float]:
+    """What columns of standard normal coefficients take up: half a log volume, and of the sum of squares.
+
+    Args:
+        u: their score after the nuisances (k,).
+        information: after the nuisances (k, k).
+
+    Returns:
+        An infinite volume where there is none.
+    """
+    if not len(u):
+        return 0.0, 0.0
+    chol, failed = dpotrf(information + np.eye(len(u)), lower=1)
+    if failed:
+        return math.inf, 0.0
+    half = dtrtrs(chol, u, lower=1)[0]
+    return float(np.log(chol.diagonal()).sum()), float(half @ half)
 
 
 def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:

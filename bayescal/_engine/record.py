@@ -96,7 +96,7 @@ class Record:
         Those of one shape are interpolated along it where they run smoothly.
         """
         if not effect.shapes:
-            return self._less(*effect.less) if effect.less else self._fixed_columns(effect.basis)
+            return self._less(effect.less) if effect.less else self._fixed_columns(effect.basis)
         if len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH:
             curve = self._curve(effect)
             if curve is not None:
@@ -138,8 +138,9 @@ class Record:
             self._curves[key] = nodes if smooth else None
         return self._curves[key]
 
-    def _less(self, curves: pieces.Basis, of: Departure) -> Float[np.ndarray, "n k"]:
+    def _less(self, of: Departure) -> Float[np.ndarray, "n k"]:
         """Columns of a departure: curves, less the shares that its effect's own columns have in them."""
+        assert of.own is not None and of.curves is not None
         own = ColumnsOf(of.own, tuple(n for n, _ in of.at), ())
         taken = self._shaped.get(key := (of.own, of.at))
         if taken is None:
@@ -147,7 +148,7 @@ class Record:
             taken = self.moved_columns(own, at, {})[0] if at else self._fixed_columns(of.own)
             self._shaped[key] = taken
             self._bytes += taken.nbytes
-        return self._fixed_columns(curves) - taken @ np.array(of.shares)
+        return self._fixed_columns(of.curves) - taken @ np.array(of.shares)
 
     def _fixed_columns(self, key: pieces.Basis) -> Float[np.ndarray, "n k"]:
         if key not in self._fixed:

@@ -22,20 +22,19 @@ class ColumnsOf(NamedTuple):
         basis: its own.
         shapes: that this takes.
         priors: of the shapes.
-        less: for a departure, whose basis need not be compiled for every record: the basis of its curves, and what is
-            taken from them.
+        less: a departure, whose basis need not be compiled for every record: curves, less what is taken from them.
     """
 
     basis: Basis
     shapes: tuple[str, ...]
     priors: tuple[Any, ...]
-    less: tuple[Basis, Departure] | None = None
+    less: Departure | None = None
 
     @classmethod
     def of(cls, effect: Effect) -> ColumnsOf:
         shapes, less = effect.column_shapes, None
         if isinstance(effect, Departure):
-            less = (effect.curves, len(effect.coefficients), "curves"), effect
+            less = effect
         names, priors = tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
         return cls(basis_of(effect), names, priors, less)
 

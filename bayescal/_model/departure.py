@@ -21,6 +21,7 @@ from bayescal._model.unknown_effect import (
 PARTS = (0.01, 0.3)  # of what a named effect contributes, by which a real law departs from its form
 DIGITS = 6  # of its numbers: enough for any reading, and the same once saved
 
+Basis = tuple[Callable[..., Any], int, str]  # with the number of its columns, and whose it is
 Rows = tuple[tuple[float, ...], ...]
 
 
@@ -32,15 +33,15 @@ class Departure(Effect):
         size: amplitude of a process of which as much is left, beside the rest of the model, as the effect contributes.
         at: shapes at which the effect's columns are taken.
         shares: of each of these columns in each of the process's, (p, terms).
-        own, curves: basis of the effect, with the number of its columns and its name; and that of the process.
+        own, curves: basis of the effect, and of the process.
     """
 
     of: str = eqx.field(static=True, default="")
     size: float = eqx.field(static=True, default=0.0)
     at: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     shares: Rows = eqx.field(static=True, default=())
-    own: Any = eqx.field(static=True, default=None)
-    curves: Any = eqx.field(static=True, default=None)
+    own: Basis | None = eqx.field(static=True, default=None)
+    curves: Basis | None = eqx.field(static=True, default=None)
 
 
 def departure(
@@ -53,15 +54,14 @@ def departure(
         unit: of its slot.
         size, at, shares: see `Departure`.
     """
-    covariate = of.departs_along
+    covariate, curves = of.departs_along, curves_along(of)
     terms, lengths = resolution(covariate in ("time", "elapsed"))
-    curves, own = process_along(covariate, terms), (of.basis, len(of.coefficients), of.name)
-    size = rounded(size)
-    amplitude = Shape("amplitude", unit, *(part * size for part in PARTS))
+    own, size = (of.basis, len(of.coefficients), of.name), rounded(size)
+    amplitude = Shape("amplitude", unit, low=PARTS[0] * size, high=PARTS[1] * size)
     return Departure(
         f"departure({of.name})",
         of.slot,
-        _beside(curves, own, at, shares),
+        _beside(curves[0], own, at, shares),
         coefficients=standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), amplitude),
         weights=process_sizes(terms),
@@ -80,6 +80,13 @@ def departure(
     )
 
 
+def curves_along(of: Effect) -> Basis:
+    """The process along an effect's covariate, as the placeholder for that covariate has it."""
+    covariate = of.departs_along
+    terms, _ = resolution(covariate in ("time", "elapsed"))
+    return process_along(covariate, terms), terms, f"unknown({covariate})"
+
+
 def rounded(value: float) -> float:
     """A number as it is kept."""
     return float(f"{value:.{DIGITS}g}")
@@ -88,7 +95,7 @@ def rounded(value: float) -> float:
 @functools.cache  # of whatever size, so that one program serves
 def _beside(
     curves: Callable[..., Any],
-    own: tuple[Callable[..., Any], int, str],
+    own: Basis,
     at: tuple[tuple[str, float], ...],
     shares: Rows,
 ) -> Callable[..., Any]:

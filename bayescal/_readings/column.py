@@ -13,7 +13,6 @@ from bayescal._readings.unit_parsing import ANY
 
 ROW = "reading"  # the one dimension of readings
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
-_PLACEHOLDERS = (999.0, 9999.0, 99999.0, 999.25, 9999.25, 999.9, 9999.9)
 TAKEN = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
 
 
@@ -134,15 +133,18 @@ class Source:
     rows: int
 
 
+_SIZES = (999.0, 9999.0, 99999.0, 999.25, 9999.25, 999.9, 9999.9)  # that loggers write for nothing
+PLACEHOLDERS = (*(-size for size in _SIZES), *_SIZES)
+
+
 def placeholder(values: np.ndarray) -> int | None:
     """Where a column has a number that stands for a missing reading, such as −999: far from all the others."""
-    for sign in (-1.0, 1.0):
-        for size in _PLACEHOLDERS:
-            there = values == sign * size
-            others = values[~there]
-            if not there.any() or len(others) < len(values) / 2:
-                continue
-            low, high = float(others.min()), float(others.max())
-            if max(low - sign * size, sign * size - high) > 3 * (high - low):
-                return int(np.argmax(there))
+    for value in np.intersect1d(values[np.isin(values, PLACEHOLDERS)], PLACEHOLDERS):
+        there = values == value
+        others = values[~there]
+        if len(others) < len(values) / 2:
+            continue
+        low, high = float(others.min()), float(others.max())
+        if max(low - value, value - high) > 3 * (high - low):
+            return int(np.argmax(there))
     return None

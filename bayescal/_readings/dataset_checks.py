@@ -82,7 +82,12 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
 
 
 def flags_of(
-    columns: Columns, output: str, where: Where, names: str, unchecked: Collection[str] = ()
+    columns: Columns,
+    output: str,
+    where: Where,
+    names: str,
+    repeated: np.ndarray,
+    unchecked: Collection[str] = (),
 ) -> list[str]:
     """What is odd in the readings but no reason to refuse them.
 
@@ -91,10 +96,10 @@ def flags_of(
         output: name of the output column.
         where: names a reading's file and row.
         names: the files, for the flags.
+        repeated: rows that repeat an earlier one.
         unchecked: columns that hold a default, hence are constant.
     """
     flags = []
-    repeated = _repeated(columns)
     if count := len(repeated):
         first = int(repeated[0])
         many, dropped = count > 1, "time" in columns
@@ -120,7 +125,7 @@ def flags_of(
 
 def _stuck(values: np.ndarray) -> tuple[int, int] | None:
     """First and last row of a stretch in which a column that otherwise never repeats itself does not change."""
-    ends = np.append(np.flatnonzero(np.diff(values) != 0), len(values) - 1)
+    ends = np.append(np.flatnonzero(values[1:] != values[:-1]), len(values) - 1)
     lengths = np.diff(ends, prepend=-1)
     worst = int(np.argmax(lengths))
     length, others = int(lengths[worst]), len(values) - int(lengths[worst])
@@ -130,15 +135,14 @@ def _stuck(values: np.ndarray) -> tuple[int, int] | None:
     return int(ends[worst]) - length + 1, int(ends[worst])
 
 
-def once(columns: Columns) -> slice | np.ndarray:
+def once(columns: Columns, repeated: np.ndarray) -> slice | np.ndarray:
     """Rows without exact repeats: with the time among the columns, none can be a reading of its own."""
-    repeated = _repeated(columns) if "time" in columns else ()
-    if not len(repeated):
+    if "time" not in columns or not len(repeated):
         return slice(None)
     return np.setdiff1d(np.arange(len(columns["time"])), repeated)
 
 
-def _repeated(columns: Columns) -> np.ndarray:
+def repeated_rows(columns: Columns) -> np.ndarray:
     """Rows that repeat an earlier one in every column: looked for among those whose hashes agree, to save memory."""
     table = pd.DataFrame(dict(columns), copy=False)
     hashed = pd.util.hash_pandas_object(table, index=False)  # pyright: ignore[reportAttributeAccessIssue]

@@ -25,6 +25,7 @@ from bayescal._readings.dataset_checks import (
     once,
     refuse_backward_time,
     refuse_one_temperature,
+    repeated_rows,
 )
 from bayescal._readings.raw_table import Header, Table, cells_of
 from bayescal._readings.unit_conversion import check_unit
@@ -262,12 +263,10 @@ def assemble(
     if needs_temperature and not allow_one_temperature:
         refuse_one_temperature(converted.values, names)
     refuse_backward_time(converted.values, where)
-    flags = [
-        *converted.flags,
-        *flags_of(converted.values, output, where, names, unchecked=converted.filled),
-    ]
-    kept, units = once(converted.values), converted.units
-    variables = {n: _variable(v[kept], units[n]) for n, v in converted.values.items()}
+    values, units, repeated = converted.values, converted.units, repeated_rows(converted.values)
+    odd = flags_of(values, output, where, names, repeated, unchecked=converted.filled)
+    kept, flags = once(values, repeated), [*converted.flags, *odd]
+    variables = {n: _variable(v[kept], units[n]) for n, v in values.items()}
     return Measurements(xr.Dataset(variables), sources, tuple(flags), output)
 
 

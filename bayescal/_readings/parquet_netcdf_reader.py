@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
+from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._readings.column import ROW
 from bayescal._readings.raw_table import Cells, Header, Table, bytes_text, cells_of
@@ -139,12 +139,6 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
 
 def _dataset(path: Path) -> xr.Dataset:
     return xr.open_dataset(path, engine="h5netcdf", decode_times=False)
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's bytes, read in pieces."""
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def _row(index: int) -> str:

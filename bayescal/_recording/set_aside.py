@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayescal._readings.dataset_checks import clip_levels, once
+from bayescal._readings.dataset_checks import clip_levels, once, repeated_rows
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.rounding import rounding_step
 from bayescal._recording.spikes import find_spikes
@@ -25,7 +25,8 @@ def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements
 
 def _once(readings: Measurements) -> Measurements:
     """Without rows that repeat an earlier one: reading a file drops them, other sources may hold them."""
-    kept = once({name: readings[name] for name in readings.columns})
+    columns = {name: readings[name] for name in readings.columns}
+    kept = once(columns, repeated_rows(columns))
     if isinstance(kept, slice):
         return readings
     count = len(readings) - len(kept)

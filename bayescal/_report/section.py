@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,13 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._calibration.fit import load
-from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError, NotConverged
 from bayescal._diagnostics.check import check
 from bayescal._diagnostics.check_result import Check
-from bayescal._diagnostics.leave_group_out import leave_one_group_out
-from bayescal._diagnostics.neighbours import noise_floor
+from bayescal._discovery.calibrate import step_of
 from bayescal._discovery.discover import discover
 from bayescal._discovery.gate import gate
-from bayescal._discovery.search_path import Step, Trail
+from bayescal._discovery.search_path import Trail
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import SCHEMA, result
@@ -172,23 +170,13 @@ def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) 
     instrument = calibrations[0].model.instrument
     catalogue = {e.name for e in (*instrument.effects, *instrument.candidates)}
     own = [e for n, e in used.items() if n not in catalogue]
-    steps = []
-    for c in calibrations:
-        checked = check(c)
-        steps.append(
-            Step(
-                calibration=c,
-                added=None,
-                dropped=(),
-                rmse=predict(c).rmse,
-                rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
-                holdout_rmse=None,
-                left_out=leave_one_group_out(c),
-                noise_floor=noise_floor(c),
-                check=checked,
-                discovery=discover(c, effects=(*own, *effects)) if c.verdict.ok else None,
-            )
+    steps = [
+        replace(
+            step_of(c),
+            discovery=discover(c, effects=(*own, *effects)) if c.verdict.ok else None,
         )
+        for c in calibrations
+    ]
     return Trail(tuple(steps), gate(steps[-1:]), None)
 
 

@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bayescal._core.atomic_file import left_behind, to_disk, why, write_text
+from bayescal._core.atomic_file import left_behind, sha256_of, to_disk, why, write_text
 from bayescal._core.errors import InputError
 
 MANIFEST = "manifest.json"
@@ -88,7 +88,7 @@ def refuse_mixed(folder: Path, *names: str) -> None:
     """
     listed = {n: d for n, d in files_of(folder).items() if not names or n in names}
     for name, digest in listed.items():
-        if (folder / name).is_file() and _sha256(folder / name) != digest:
+        if (folder / name).is_file() and sha256_of(folder / name) != digest:
             raise InputError(
                 f"{folder / name} is not the file that {MANIFEST} beside it lists: it was changed, or comes "
                 f"from another run, and the files of {folder} do not belong together. {AGAIN}"
@@ -113,7 +113,7 @@ def _write_manifest(folder: Path, calibration: str | None) -> None:
     if calibration is None and inner.is_file():
         calibration = _manifest(folder)["calibration"]
     paths = sorted(p for p in folder.iterdir() if p.is_file() and p != inner)
-    files = {p.name: _sha256(p) for p in paths}
+    files = {p.name: sha256_of(p) for p in paths}
     data = {
         "schema": SCHEMA,
         "identity": _identity(files),
@@ -130,18 +130,13 @@ def _identity(files: dict[str, str]) -> str:
     return hashlib.sha256(told.encode()).hexdigest()
 
 
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def _unchanged(folder: Path) -> set[str]:
     """Results of a run before, as that run left them."""
     try:
         files = files_of(folder)
     except InputError:
         return set()
-    return {n for n, d in files.items() if (folder / n).is_file() and _sha256(folder / n) == d}
+    return {n for n, d in files.items() if (folder / n).is_file() and sha256_of(folder / n) == d}
 
 
 def _take_its_place(hidden: Path, visible: Path, gone: set[str]) -> None:

@@ -16,19 +16,17 @@ from scipy.special import ndtri
 
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.linear_model import LinearModel
+from bayescal._engine.linear_model import LinearModel, taken_up
 from bayescal._engine.record import Record
 from bayescal._engine.terms import ColumnsOf
-from bayescal._model.departure import PARTS, Departure, Rows, departure, rounded
+from bayescal._model.departure import Departure, Rows, curves_along, departure, rounded
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import slot_of
-from bayescal._model.unknown_effect import LENGTHS, process_weights, unknown
+from bayescal._model.unknown_effect import LENGTHS, process_weights
 from bayescal._readings.unit_conversion import unit_label
 
 LEAST_LEFT = 1e-4  # of a curve's squares, below which nothing of it could be seen
 LEVELS = ndtri([1 / 6, 1 / 2, 5 / 6])  # of its amplitude and length, at which a departure is scored
-
-
 _MIDDLE = math.sqrt(LENGTHS[0] * LENGTHS[1])  # of a process's plausible lengths
 
 
@@ -75,7 +73,7 @@ def form_of(base: LinearModel, effect: Effect) -> Form | None:
     of = ColumnsOf.of(effect)
     at = tuple((s.name, rounded(float(s.prior.value(0.0)))) for s in effect.column_shapes)
     white = base.whiten(slope * record.columns(of, tuple(v for _, v in at)))
-    curves = base.whiten(slope * record.columns(ColumnsOf.of(_plain(effect)), ()))
+    curves = base.whiten(slope * record.columns(ColumnsOf(curves_along(effect), (), ()), ()))
     taken, of_curves = base.projected(white), base.projected(curves)
     inner = white.T @ white - taken.T @ taken
     cross = white.T @ curves - taken.T @ of_curves
@@ -86,11 +84,6 @@ def form_of(base: LinearModel, effect: Effect) -> Form | None:
     left = np.sum(curves**2, axis=0) - np.sum(of_curves**2, axis=0) - np.sum(shares * cross, axis=0)
     kept = tuple(tuple(rounded(float(v)) for v in row) for row in shares)
     return Form(effect, at, kept, float(weight @ left / (weight @ np.sum(curves**2, axis=0))))
-
-
-def _plain(effect: Effect) -> Effect:
-    """A process along the effect's covariate, of whatever size."""
-    return unknown(effect.departs_along, effect.slot, *PARTS, "1", name=effect.name)
 
 
 @on_one_thread
@@ -122,10 +115,8 @@ def scored(line: LinearModel, form: Form) -> Scored | None:
 
 def _gain(line: LinearModel, u: np.ndarray, information: np.ndarray) -> float:
     """Log Bayes factor of columns of standard normal coefficients, the noise as large as it then likely is."""
-    chol = np.linalg.cholesky(information + np.eye(len(u)))
-    half = np.linalg.solve(chol, u)
-    left = max(1 - float(half @ half) / line.rest, 1e-12)
-    return -float(np.log(np.diag(chol)).sum()) - 0.5 * line.size * math.log(left)
+    volume, taken = taken_up(u, information)
+    return -volume - 0.5 * line.size * math.log(max(1 - taken / line.rest, 1e-12))
 
 
 def contribution(line: LinearModel, name: str) -> float:

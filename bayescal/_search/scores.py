@@ -15,10 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.linear_model import linear_model
+from bayescal._engine.linear_model import linear_model, taken_up
 from bayescal._search.library import GridPoint, Library, Size
 from bayescal._search.structures import Weighed
 
@@ -170,13 +169,7 @@ class Rest(NamedTuple):
 
         The noise is taken as large as it then is likely to be.
         """
-        if not len(u):
-            return float(self._gain(0.0, 0.0))
-        chol, failed = dpotrf(information + np.eye(len(u)), lower=1)
-        if failed:
-            return -math.inf
-        half = dtrtrs(chol, u, lower=1)[0]
-        return float(self._gain(np.log(chol.diagonal()).sum(), half @ half))
+        return float(self._gain(*taken_up(u, information)))
 
     def _gain(self, volume: Any, taken: Any) -> Any:
         """By log volumes, and by the squares that columns take."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._engine.assembly import Assembly
-from bayescal._engine.linear_model import linear_model
+from bayescal._engine.linear_model import LinearModel, linear_model
 from bayescal._engine.mode import Mode, find_mode
 from bayescal._engine.record import Record
 from bayescal._model.departure import Departure
@@ -187,10 +187,13 @@ class Structures:
         if not may_depart(self.candidates[name], self.record, wanders):
             return None
         if name not in self.forms:
-            base = self.weigh(Structure())
-            line = linear_model(base.assembly, base.mode)
-            self.forms[name] = form_of(line, self.candidates[name])
+            self.forms[name] = form_of(self._base_line, self.candidates[name])
         return self.forms[name]
+
+    @cached_property
+    def _base_line(self) -> LinearModel:
+        base = self.weigh(Structure())
+        return linear_model(base.assembly, base.mode)
 
     def _refitted(self, structure, departures, near, hints) -> Weighed:
         model = self.model(structure, departures)

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
@@ -72,6 +72,7 @@ def readings(draw) -> dict:
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(made=readings())
+@example(made={"output": [1e308, -1e308, 1e308], "angle": [-1.7e308, 1.7e308, 0.0]})
 def test_what_was_written_is_read_again(tmp_path, suffix, made):
     m = Measurements.from_arrays(SCALE, humidity=0.4, units={"humidity": "1"}, **made)
     path = m.write(tmp_path / f"t{suffix}")

@@ -108,7 +108,7 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
     )
     plain = {
         **{"rmse_fitted": 1.0, "left_out": None, "holdout_rmse": None, "title": "+ bias.x"},
-        **{"holdout_sd": None, "noise_floor": 1.0},
+        **{"holdout_sd": None, "noise_floor": 1.0, "against": ()},
     }
     return [
         SimpleNamespace(calibration=line, check=check, **{**plain, **one}) for one in (first, last)
