@@ -47,6 +47,11 @@ class Conditionals(NamedTuple):
         """The x that standard normal numbers stand for."""
         return self.shift + self.sd * solve_upper(self.chol, self.u + normal)
 
+    def of(self, some: np.ndarray) -> Conditionals:
+        """Those of some φ."""
+        log_marginal, shift, *others = self
+        return Conditionals(log_marginal[some], shift, *(a[some] for a in others))
+
     @property
     def log_jacobian(self) -> Float[np.ndarray, "b"]:
         """Log volume of the map from standard normal numbers to x."""

@@ -19,7 +19,7 @@ from bayescal._engine.assembly import Assembly, Values
 from bayescal._engine.closed_form import NOWHERE, Density, Gram, condition
 from bayescal._engine.joint import Grams, linearise_draws
 from bayescal._engine.mode import Mode
-from bayescal._engine.whitening import Batch, known_variance, whitened, whitening
+from bayescal._engine.whitening import Batch, gram_matrices, known_variance, whitening
 from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
 
 REACH = 5.0  # standard deviations of the Laplace fit, up to which polynomials are fitted
@@ -103,12 +103,12 @@ class Products:
             assembly, self.density.point, hyper, len(v) if assembly.moving else 1
         )
         if isinstance(assembly.noise, OrnsteinUhlenbeck):
-            table, logdet = whitened(assembly.noise, record, table, hyper)
+            whole, logdet = gram_matrices(assembly.noise, record, table, hyper)
         else:
             variance = hyper["noise.white"][:, None] ** 2 + known_variance(record)
             variance = np.broadcast_to(variance, (len(v), self.size))
             table, logdet = table / np.sqrt(variance)[:, :, None], np.sum(np.log(variance), axis=1)
-        whole = table.transpose(0, 2, 1) @ table
+            whole = table.transpose(0, 2, 1) @ table
         return Grams(whole[:, :-1, :-1], whole[:, :-1, -1], whole[:, -1, -1], logdet)
 
     def _fitted(self) -> _Polynomials | None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float, Int
 
 from bayescal._engine import pieces
 from bayescal._engine.terms import ColumnsOf, coordinates
@@ -67,7 +67,7 @@ class Record:
         default_factory=dict
     )  # of assemblies: what they know of a coefficient
 
-    @property
+    @cached_property
     def size(self) -> int:
         return self.frame.size
 
@@ -284,9 +284,10 @@ class Record:
                 for both in (one, other)
             )
 
-    def _longer(self, values: Mapping[str, np.ndarray]) -> dict[str, Array]:
-        more = pieces.padded_length(self.size) - self.size
-        return {
-            name: np.pad(v, [(0, 0)] * (np.ndim(v) - 1) + [(0, more)], mode="edge")  # pyright: ignore
-            for name, v in values.items()
-        }
+    def _longer(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {name: v[..., self._to_length] for name, v in values.items()}
+
+    @cached_property
+    def _to_length(self) -> Int[np.ndarray, "m"]:
+        """Positions of readings, the last repeated up to the padded length."""
+        return np.minimum(np.arange(pieces.padded_length(self.size)), self.size - 1)

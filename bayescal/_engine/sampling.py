@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import gammaln, logsumexp
+from scipy.special import gammaln, logsumexp, softmax
 
+from bayescal._core.importance_weights import effective_size
 from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import NOWHERE
@@ -31,6 +32,9 @@ FEW = 128  # in a few dimensions
 KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
 WIDE = 1.7  # last component: wider than the Laplace fit, against tails that are heavier
 PRIOR = 0.2  # share of proposals from the prior, so that no weight exceeds likelihood over 0.2 times evidence
+ADAPTED = (
+    0.5  # of the proposals, that their weights are worth where no further round would raise it
+)
 NUMBERS = 1_000_000  # in what is computed at once, to bound memory,
 IN_CACHE = 150_000  # and to stay in the cache
 TOGETHER = 512  # draws whose distances to all kernels are taken at once
@@ -154,7 +158,7 @@ def weighted_draws(
         mode: its mode.
         seed: of every random number.
         proposals: of the final round, half as many in each round of adaptation; by their cost if not given.
-        rounds: of adaptation.
+        rounds: of adaptation at most.
     """
     random = np.random.default_rng(seed)
     products = Products(assembly, mode)
@@ -164,10 +168,12 @@ def weighted_draws(
     mixture = _around_mode(mode)
     for _ in range(rounds if len(mode.v) else 0):
         v, log_proposal = _propose(assembly, mixture, random, proposals // 2)
-        mixture = _match(mode, v, density.values(v) - log_proposal)
+        log_weight = density.values(v) - log_proposal
+        if effective_size(softmax(log_weight)) > ADAPTED * len(v):
+            break
+        mixture = _match(mode, v, log_weight)
     v, log_proposal = _propose(assembly, mixture, random, proposals)
-    log_phi = density.values(v)
-    return _placed(density, v, log_phi - log_proposal, random)
+    return _placed(density, v, log_proposal, random)
 
 
 def proposals_of(assembly: Assembly, products: Products) -> int:
@@ -180,21 +186,23 @@ def proposals_of(assembly: Assembly, products: Products) -> int:
     return FEWER if cost and not (products.once and assembly.affine) else PROPOSALS
 
 
-def _placed(density: _Density, v, log_weight_phi, random: np.random.Generator) -> WeightedDraws:
-    """Coefficients drawn for φ, and the weights of both."""
+def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> WeightedDraws:
+    """Coefficients drawn for each φ that counts, and the weights of both."""
     assembly, mode = density.assembly, density.products.mode
     count, (size, width) = len(v), mode.point.rows.shape
     x = np.tile(mode.point.x, (count, 1))
     rows = np.broadcast_to(mode.point.rows, (count, size, width))
     rows = np.array(rows) if width else rows
-    log_weight = np.full(count, NOWHERE)
-    (counting,) = np.nonzero(log_weight_phi > np.max(log_weight_phi) - NEGLIGIBLE)
-    together = max(32, min(density.together, IN_CACHE // size))
-    for pick in np.array_split(counting, -(-len(counting) // together)):
-        found, hyper = density.at(v[pick])[1], assembly.hyper(v[pick].T)
-        drawn, own, correction = draw_joint(
-            assembly, mode, found, hyper, density.products.exact, random
-        )
+    log_weight_phi, log_weight = np.empty(count), np.full(count, NOWHERE)
+    highest, together = NOWHERE, max(32, min(density.together, IN_CACHE // size))
+    for stretch in np.array_split(np.arange(count), -(-count // together)):
+        log_phi, found = density.at(v[stretch])
+        log_weight_phi[stretch] = of_phi = log_phi - log_proposal[stretch]
+        highest = max(highest, float(np.max(of_phi)))
+        counting = of_phi > highest - NEGLIGIBLE
+        pick, found = stretch[counting], found.of(counting)
+        hyper, exact = assembly.hyper(v[pick].T), density.products.exact
+        drawn, own, correction = draw_joint(assembly, mode, found, hyper, exact, random)
         some = np.isfinite(correction)
         x[pick[some]] = drawn[some]
         if width:
@@ -235,8 +243,7 @@ def _around_mode(mode: Mode) -> _Mixture:
 
 def _match(mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> _Mixture:
     """The next mixture: around the weighted draws, as wide as the Laplace fit where few of them count."""
-    weight = np.exp(log_weight - np.max(log_weight))
-    weight = weight / np.sum(weight)
+    weight = softmax(log_weight)
     weight = np.minimum(weight, 1 / math.sqrt(weight.size))  # truncation, Ionides 2008
     weight = weight / np.sum(weight)
     effective = 1 / np.sum(weight**2)

@@ -110,39 +110,25 @@ def whitening(
     return Whitening(np.sqrt(pivots), order, band, carry)
 
 
-def whitened(
+def gram_matrices(
     noise: OrnsteinUhlenbeck, record: Record, tables: Float[np.ndarray, "... n m"], hyper: Batch
-) -> tuple[Float[np.ndarray, "b n m"], Float[np.ndarray, "b"]]:
-    """L⁻¹ times a table for each of several φ, by the Kalman filter, all at once; and log|Σ|.
+) -> tuple[Float[np.ndarray, "b m m"], Float[np.ndarray, "b"]]:
+    """TᵀΣ⁻¹T and log|Σ| at each of several φ.
 
     Args:
         noise: the law.
         record: the readings.
-        tables: one for each φ, or one for all.
-        hyper: φ by name.
+        tables: T, one for each φ, or one for all.
+        hyper: φ by name, one value a draw.
     """
-    (order, step), tau = record.in_time, np.atleast_1d(hyper[CORRELATION_TIME])
-    white = np.atleast_1d(hyper["noise.white"])[:, None] ** 2 + known_variance(record)
-    size = 0.5 * np.atleast_1d(hyper[DIFFUSION]) ** 2 * tau
-    tau, size, first = np.broadcast_arrays(tau, size, white[:, 0])
-    count = len(first)
-    white = np.broadcast_to(white, (count, record.size))[:, order].T
-    moved = np.moveaxis(np.asarray(tables)[..., order, :], -2, 0)  # readings first
-    found = np.empty((record.size, count, moved.shape[-1]))
-    state, variance, volume = np.zeros((count, moved.shape[-1])), size, np.zeros(count)
-    for i, h in enumerate(step):
-        if h < 0:
-            state, variance = np.zeros_like(state), size
-        elif h > 0:
-            carry = np.exp(-h / tau)
-            state, variance = carry[:, None] * state, size + carry**2 * (variance - size)
-        total = variance + white[i]
-        new, gain = moved[i] - state, variance / total
-        found[i] = new / np.sqrt(total)[:, None]
-        volume += np.log(total)
-        state = state + gain[:, None] * new
-        variance = gain * white[i]
-    return np.moveaxis(found, 0, 1), volume
+    count = len(hyper[CORRELATION_TIME])
+    found = np.empty((count, tables.shape[-1], tables.shape[-1]))
+    volume = np.empty(count)
+    for b, table in enumerate(np.broadcast_to(tables, (count, *tables.shape[-2:]))):
+        white = whitening(noise, {k: float(v[b]) for k, v in hyper.items()}, record, 0.0)
+        one = white(table)
+        found[b], volume[b] = one.T @ one, white.logdet
+    return found, volume
 
 
 def log_likelihood(

@@ -43,7 +43,7 @@ class Marginal(Method):
         draws: joint draws returned.
         proposals: importance proposals of the final round; None for 8192, fewer where each costs a pass over many
             readings.
-        rounds: of adaptation.
+        rounds: of adaptation at most; none follows one whose weights are even.
         sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7 (0.5, if the model
             is nonlinear) or the effective sample size is below 400; "nuts" for NUTS on φ.
         promote: names of coefficients to sample with φ because their product with another unknown matters;

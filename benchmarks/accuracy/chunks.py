@@ -11,9 +11,8 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any, Protocol
 
-import jax.numpy as jnp
-
 import bayescal as bc
+from bayescal._engine.record import Record
 from bayescal._inference import sampled_products
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
@@ -61,8 +60,8 @@ def promoted(model: bc.Model, plan: bc.Measurements) -> tuple[str, ...]:
     """What `Marginal` promotes, chosen once, on the plan's own readings, because one program serves all data sets."""
     layout, _ = bind(model, plan)
     frame = build_frame(plan, reference_of(plan))
-    chosen, _ = sampled_products.choose(layout, frame, jnp.asarray(plan["output"]), None)
-    return chosen.promoted
+    record = Record(model.instrument, frame, plan["output"])
+    return sampled_products.choose_on(layout, record, None)[0].promoted
 
 
 def collect(campaigns: Chunked, replicates: int, file: Path | None = None) -> list[dict[str, Any]]:

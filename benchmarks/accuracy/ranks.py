@@ -9,6 +9,7 @@ and Computing 32 (2022) 32, arXiv:2103.10522.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from typing import NamedTuple
 
@@ -53,18 +54,31 @@ def drawn(
     return data, {name: np.asarray(value) for name, value in truth.items()}
 
 
-def ranks(batch: bc.Batch, truth: dict[str, np.ndarray], seed: int = 0) -> dict[str, list[float]]:
+class Posterior(NamedTuple):
+    """Weighted draws of one data set.
+
+    Attributes:
+        weights: summing to one, (s,).
+        samples: of every unknown, (s,) or (s, members).
+    """
+
+    weights: np.ndarray
+    samples: dict[str, np.ndarray]
+
+
+def ranks(
+    posteriors: Iterable[Posterior], truth: dict[str, np.ndarray], seed: int = 0
+) -> dict[str, list[float]]:
     """Share of the weighted draws below the truth, for each unknown and group member, one per data set.
 
     Of S equally weighted draws the truth's rank is uniform over 0 … S; with a uniform number U added,
     (rank + U)/(S + 1) is uniform over [0, 1]. S is here what the weights are worth (Kish).
     """
-    weights = batch.weights()
     random = np.random.default_rng(seed)
     found: dict[str, list[float]] = {}
-    for i, weight in enumerate(weights):
+    for i, (weight, samples) in enumerate(posteriors):
         worth = 1 / np.sum(weight**2)
-        for name, draws in batch.samples(i).items():
+        for name, draws in samples.items():
             single = draws.ndim == 1
             draws = draws[:, None] if single else draws
             actual = np.atleast_1d(truth[name][i])

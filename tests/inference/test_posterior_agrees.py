@@ -97,7 +97,8 @@ def test_marginal_carries_the_uncertainty_of_the_noise(least_squares, marginal) 
     for name in ("bias.temperature", "bias.constant"):
         ls, full = least_squares.samples(name), marginal.samples(name)
         assert full.mean() == pytest.approx(ls.mean(), rel=0.02)
-        assert 1.05 < full.std() / ls.std() < 1.12
+        # 1.059 over many seeds; 4000 draws know it to 0.011
+        assert full.std() / ls.std() == pytest.approx(1.059, abs=0.04)
     assert marginal.verdict.pareto_k is not None
     assert marginal.verdict.pareto_k < 0.5
 

@@ -1,8 +1,8 @@
 """What computing costs, and how the cost grows with the readings: beside peers, and beside what the machine can do.
 
 Rows, each in a process of its own on one core: gradients of the log density under white and Ornstein–Uhlenbeck noise
-(`gradient_white.py`, `gradient_correlated.py`); the memory of a fit to ten million readings (`memory_cost.py`); a scan
-of sixty candidates (`scan_cost.py`); one least-squares fit (`fit_cost.py`, `cold_fit.py`). A row that is in
+(`gradient_white.py`, `gradient_correlated.py`); the memory of a fit to ten million readings (`memory_cost.py`); a whole
+search (`stepwise.py`); one least-squares fit (`fit_cost.py`, `cold_fit.py`). A row that is in
 `results/scaling.jsonl` is not run again. Every row compares values before it states a speed; ratios are of times from
 one run, the least of several taken in turn.
 """
@@ -27,11 +27,11 @@ from benchmarks.speed.scaling.memory_cost import memory
 LINES = RESULTS / "scaling.jsonl"
 
 
-def _scan() -> dict[str, Any]:
+def _stepwise() -> dict[str, Any]:
     # Late, for it imports JAX: the kernel counts the memory of a process that starts another to the latter's peak.
-    from benchmarks.speed.scaling.scan_cost import scan
+    from benchmarks.speed.scaling.stepwise import stepwise
 
-    return scan()
+    return stepwise()
 
 
 ROWS: dict[str, Callable[[], dict[str, Any]]] = {
@@ -40,7 +40,7 @@ ROWS: dict[str, Callable[[], dict[str, Any]]] = {
     "memory, least squares, 10⁵ readings": partial(memory, 100_000, "whole"),
     "memory, least squares, 10⁷ readings": partial(memory, 10_000_000, "whole"),
     "memory, the solve alone, 10⁷ readings": partial(memory, 10_000_000, "solve"),
-    "scan, 60 candidates × 2000 readings": _scan,
+    "a whole search beside stepwise BIC": _stepwise,
     "least squares, gyroscope's line": partial(warm, "line"),
     "least squares, gyroscope's warm-up": partial(warm, "warm-up"),
     "least squares, ng accelerometer": partial(warm, "ng accelerometer"),
