@@ -191,12 +191,12 @@ def build_frame(
             the fit itself) takes the readings' own.
     """
     columns = {
-        name: jnp.asarray(readings[name])
+        name: np.asarray(readings[name])
         for name in readings.columns
         if readings.unit(name) is not None and name != "temperature_point"
     }
     labels = {
-        f"{name}={label}": jnp.asarray(readings[name] == label, dtype=float)
+        f"{name}={label}": np.asarray(readings[name] == label, dtype=float)
         for name in readings.columns
         if readings.unit(name) is None and name not in GROUPS
         for label in readings.groups(name)[0]
@@ -205,10 +205,10 @@ def build_frame(
     order, step = np.arange(len(readings)), -np.ones(len(readings))
     if readings.has("time"):
         time, (names, codes) = readings["time"], run_codes(readings)
-        columns["elapsed"] = jnp.asarray(time - _run_starts(time, names, codes, reference)[codes])
+        columns["elapsed"] = np.asarray(time - _run_starts(time, names, codes, reference)[codes])
         order, step = _sequence(time, codes)
         rates = {
-            name: jnp.asarray(causal_slope(time, readings[name], order, step))
+            name: np.asarray(causal_slope(time, readings[name], order, step))
             for name in readings.columns
             if readings.unit(name) == "degC" and name != "temperature_point"
         }
@@ -217,9 +217,9 @@ def build_frame(
         labels=labels,
         rates=rates,
         codes={group: _member_codes(readings, group, levels) for group in GROUPS},
-        reference={k: jnp.asarray(v) for k, v in reference.items() if not isinstance(v, dict)},
-        order=jnp.asarray(order, dtype=jnp.int32),
-        step=jnp.asarray(step),
+        reference={k: np.asarray(v) for k, v in reference.items() if not isinstance(v, dict)},
+        order=np.asarray(order, dtype=np.int32),
+        step=np.asarray(step),
         record=dict(columns),
     )
 
@@ -245,7 +245,7 @@ def _member_codes(
         codes = np.array([known.get(level, -1) for level in members] + [-1])[codes]
         members = fitted
     fitting = np.min_scalar_type(-len(members) - 1)  # of four for each reading, most are zeros
-    return jnp.asarray(codes, dtype=fitting)
+    return codes.astype(fitting)
 
 
 def causal_slope(

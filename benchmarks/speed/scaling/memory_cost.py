@@ -14,7 +14,6 @@ from typing import Any
 from benchmarks.record import ROOT
 
 GOAL, LIMIT = 2.0, 8.0  # GiB; the last ends a process
-STEPS = {"whole": "bc.fit", "solve": "least squares without its tree of draws"}
 DATA = """
 import numpy as np, bayescal as bc, sys
 from bayescal_models import mems_gyro
@@ -26,22 +25,13 @@ m.write(sys.argv[1])
 """
 
 
-def fit_in_here(path: str, what: str) -> None:
-    """Read a Parquet file, fit the gyroscope's line, and print peak memory, GiB, and the answer as JSON.
-
-    Args:
-        path: the file.
-        what: "whole" for `bc.fit`, "solve" for the optimisation alone.
-    """
+def fit_in_here(path: str) -> None:
+    """Read a Parquet file, fit the gyroscope's line, and print peak memory, GiB, and the answer as JSON."""
     import resource
 
-    import jax.numpy as jnp
     import numpy as np
 
     import bayescal as bc
-    from bayescal._inference import laplace, least_squares
-    from bayescal._model.frame import build_frame, reference_of
-    from bayescal._model.parameters import bind
     from bayescal_models import mems_gyro
 
     def peak() -> float:
@@ -52,13 +42,7 @@ def fit_in_here(path: str, what: str) -> None:
     readings = bc.read(path, mems_gyro.INSTRUMENT)
     memory["readings"] = peak()
     model = mems_gyro.INSTRUMENT.baseline()
-    if what == "whole":
-        mode = bc.fit(model, readings, bc.LeastSquares()).mode
-    else:
-        frame = build_frame(readings, reference_of(readings))
-        layout, y = bind(model, readings)[0], jnp.asarray(readings["output"])
-        mode = laplace.compiled_mode(layout, frame, y)
-        mode = least_squares.refine(layout, frame, y, mode, False).mode
+    mode = bc.fit(model, readings, bc.LeastSquares()).mode
     x = np.asarray(mode.point.x)
     memory["fit"] = peak()
     seconds = time.perf_counter() - begun
@@ -92,7 +76,7 @@ def _guarded(code: str, *arguments: str) -> dict[str, Any]:
     return json.loads(told) if told else {}
 
 
-def memory(readings: int, what: str) -> dict[str, Any]:
+def memory(readings: int) -> dict[str, Any]:
     """Peak memory of reading a Parquet file and fitting it, by the kernel's account of the process.
 
     Raises:
@@ -102,16 +86,16 @@ def memory(readings: int, what: str) -> dict[str, Any]:
         path = str(Path(folder) / "readings.parquet")
         _guarded(DATA, path, str(readings))
         code = "import sys; from benchmarks.speed.scaling.memory_cost import fit_in_here; fit_in_here(*sys.argv[1:])"
-        found = _guarded(code, path, what)
-    found = {"readings": readings, "what": STEPS[what], "goal_gib": GOAL, **found}
+        found = _guarded(code, path)
+    found = {"readings": readings, "goal_gib": GOAL, **found}
     if "ended_above" in found:
-        told = f"{STEPS[what]}: above {LIMIT:.0f} GiB, where it was ended"
+        told = f"above {LIMIT:.0f} GiB, where it was ended"
         return {**found, "told": f"{told} (goal {GOAL:.0f})"}
     if not found["apart_sd"] < 1e-3:  # the priors' own pull is 2e-4 at 1e5 readings, 2e-5 at 1e7
-        raise RuntimeError(f"{STEPS[what]} at {readings} readings: {found['apart_sd']} sd apart")
+        raise RuntimeError(f"{readings} readings: {found['apart_sd']} sd apart")
     own = found["memory"]
     return {
         **found,
-        "told": f"{STEPS[what]}: peak {own['fit']:.2f} GiB (goal {GOAL:.0f}), of which imports "
+        "told": f"peak {own['fit']:.2f} GiB (goal {GOAL:.0f}), of which imports "
         f"{own['imports']:.2f}, with the readings {own['readings']:.2f}; {found['seconds']:.0f} s",
     }

@@ -37,9 +37,8 @@ def _stepwise() -> dict[str, Any]:
 ROWS: dict[str, Callable[[], dict[str, Any]]] = {
     "gradient, white noise": white,
     "gradient, Ornstein–Uhlenbeck noise": wander,
-    "memory, least squares, 10⁵ readings": partial(memory, 100_000, "whole"),
-    "memory, least squares, 10⁷ readings": partial(memory, 10_000_000, "whole"),
-    "memory, the solve alone, 10⁷ readings": partial(memory, 10_000_000, "solve"),
+    "memory, least squares, 10⁵ readings": partial(memory, 100_000),
+    "memory, least squares, 10⁷ readings": partial(memory, 10_000_000),
     "a whole search beside stepwise BIC": _stepwise,
     "least squares, gyroscope's line": partial(warm, "line"),
     "least squares, gyroscope's warm-up": partial(warm, "warm-up"),
