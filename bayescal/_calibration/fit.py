@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from bayescal._numpyro.program_fit import ProgramFit
 
 
-DIGITS = 1e4 * float(np.finfo(float).eps)  # of the largest output, by which it changes at least
+DIGITS = 1e6 * float(np.finfo(float).eps)  # of the largest output, by which it changes at least
 
 
 @overload

@@ -6,10 +6,13 @@ import math
 from collections.abc import Collection, Sequence
 from itertools import pairwise
 
+import numpy as np
+
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._diagnostics.evidence_scale import VERY_STRONG
 from bayescal._discovery.search_path import Gate, Step
+from bayescal._model.unknown_effect import FORMS, covariate_in
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._recording.rounding import AS_GOOD_AS_NOISE, rounding_step
 
@@ -18,6 +21,7 @@ NOTICEABLE = 0.1  # if the coefficient itself is above this
 FEWEST = int(AUTOCORRELATED**2) + 1  # readings, below which no correlation reaches that z
 WORSE = 1.05  # error against that of an earlier step, above which an effect does harm
 RARE = 1e-5  # p-value of a test that asks once for each covariate
+WITHIN = 0.05  # of the squares of a step, that lie within runs where it is one between them
 EXPECTED = 2.0  # times the error that a model expects of readings kept apart
 
 
@@ -68,6 +72,7 @@ def _of_noise(step: Step) -> list[str]:
         )
     found += _of_scatter(step)
     found += _left_over(step)
+    found += _between_runs(step)
     coefficient, z = step.check.autocorrelation
     if abs(z) > AUTOCORRELATED and abs(coefficient) > NOTICEABLE:
         found.append(
@@ -94,6 +99,24 @@ def _left_over(step: Step) -> list[str]:
             f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): something is missing that no "
             "candidate describes, or readings of two devices or conditions are mixed."
         ]
+    return []
+
+
+def _between_runs(step: Step) -> list[str]:
+    """A function of time that only tells runs apart: of which of them a new run would be is not known."""
+    calibration = step.calibration
+    _, codes = calibration.readings.groups("run")
+    for name in calibration.model.names:
+        if covariate_in(name) not in FORMS:
+            continue
+        added = calibration.linear.contribution(name)
+        means = np.bincount(codes, added) / np.bincount(codes)
+        if np.sum((added - means[codes]) ** 2) < WITHIN * np.sum((added - added.mean()) ** 2):
+            return [
+                f"Runs stand {np.ptp(means):.3g} {unit_label(calibration.unit)} apart ({name} steps where none goes "
+                "on): they are of two devices or conditions, or the sensor was restarted, and which of them a new run "
+                "will be like is not known."
+            ]
     return []
 
 

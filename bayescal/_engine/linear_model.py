@@ -68,6 +68,12 @@ class LinearModel:
         found[self.whiten.order] = white
         return found
 
+    def contribution(self, name: str) -> Float[np.ndarray, "n"]:
+        """What an effect's coefficients add to the expected output, against their priors' means, output unit."""
+        own = np.array([owner == name for owner in self.owners])
+        x = np.flatnonzero(own[: self.line.jacobian.shape[1]])
+        return self.nuisance[:, x] @ self.z[x]
+
     @cached_property
     def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
         """R with R·Rᵀ the inverse of AᵀA + W, A whitened and W the weights, where this has one; and A·R."""

@@ -20,7 +20,8 @@ _LEAST_SATURATED = 5  # readings at the very extreme before one speaks of satura
 _SHARE_SATURATED = 0.01
 _GAP = 0.1  # of the range: further off, the end is a set-up of its own, such as one position
 _STUCK = 8  # readings in a row
-_AGAIN = 0.05  # of the other readings repeat the one before, at most: more are rounded, or set
+_LONGER = 4  # times the next longest stretch
+_AGAIN = 0.1  # of the other readings repeat the one before, at most: more are rounded, or set
 _AGAINST_NEXT = 3  # times as many as at the next level, which a rounded output does not show
 
 Columns = Mapping[str, np.ndarray]
@@ -124,13 +125,14 @@ def flags_of(
 
 
 def _stuck(values: np.ndarray) -> tuple[int, int] | None:
-    """First and last row of a stretch in which a column that otherwise never repeats itself does not change."""
+    """First and last row of a stretch, far longer than any other, in which a column that else changes does not."""
     ends = np.append(np.flatnonzero(values[1:] != values[:-1]), len(values) - 1)
     lengths = np.diff(ends, prepend=-1)
     worst = int(np.argmax(lengths))
-    length, others = int(lengths[worst]), len(values) - int(lengths[worst])
-    again = int(np.sum(lengths - 1)) - (length - 1)  # readings outside that repeat the one before
-    if length < _STUCK or again > _AGAIN * others:
+    length, others = int(lengths[worst]), np.delete(lengths, worst)
+    again = int(np.sum(others - 1))  # readings outside that repeat the one before
+    longest = int(np.max(others, initial=1))
+    if length < max(_STUCK, _LONGER * longest) or again > _AGAIN * int(np.sum(others)):
         return None
     return int(ends[worst]) - length + 1, int(ends[worst])
 

@@ -18,11 +18,6 @@ from benchmarks.spoilt_records.subjects import SUBJECTS
 
 GYRO = SUBJECTS["mems_gyro"]
 SEED = 2
-# Silently wrong, or an error that is no refusal: what is to be mended, each to leave this list when it is.
-WRONG = {
-    "one run of another unit": "a jump in time takes the place of the run's own constant and slope",
-    "a thermometer stuck for a while": "the board's thermometer takes the place of the stuck one",
-}
 SLOW = {
     "one run of another unit",
     "a thermometer stuck for a while",
@@ -51,8 +46,6 @@ def cases() -> list:
     for name, kind in KINDS.items():
         if kind.fits(GYRO):
             marks = [pytest.mark.slow] if name in SLOW else []
-            if name in WRONG:
-                marks.append(pytest.mark.xfail(strict=False, reason=WRONG[name]))
             made.append(pytest.param(name, id=name, marks=marks))
     return made
 

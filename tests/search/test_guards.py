@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -249,3 +250,17 @@ def test_an_output_of_too_few_digits_is_refused() -> None:
     far = readings.with_column("output", readings["output"] + 1e14)
     with pytest.raises(bc.ModelError, match="too few of its digits are left"):
         bc.fit(INSTRUMENT.baseline(), far)
+
+
+@pytest.mark.parametrize("between", [True, False])
+def test_a_step_between_runs_shuts_the_gate_and_one_within_a_run_does_not(between: bool) -> None:
+    readings = mems_gyro.simulate({}, seed=1, campaign=mems_gyro.Campaign(average=60))
+    time, later = readings["time"], readings["run"] != readings["run"][0]
+    begins = time[later].min() if between else np.quantile(time[~later], 0.7)
+    moved = readings.with_column("output", readings["output"] + 5.0 * (time >= begins))
+    model = INSTRUMENT.for_readings(moved).baseline() + "unknown(time, jump)"
+    stepped = bc.fit(model, moved, bc.LeastSquares(draws=200), strict=False)
+    found = gate(steps(stepped, {}, {}))
+    assert found.ok is not between, found.reason
+    if between:
+        assert re.match(r"Runs stand (4\.9|5)\S* °/s apart \(unknown\(time, jump\)", found.reason)
