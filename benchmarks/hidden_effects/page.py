@@ -55,7 +55,7 @@ def write(banks: Banks, spoilt: dict[str, Any], path: Path) -> None:
         "## Nothing hidden\n",
         _empty(banks),
         "## Nothing hidden, and noise or priors that are not as the model takes them\n",
-        "By `python -m benchmarks false_discoveries`; measured before effects could depart from their forms.\n",
+        "By `python -m benchmarks false_discoveries`.\n",
         _spoilt(spoilt),
         "## Two hidden effects, several, and effects outside the catalogue\n",
         _others(banks),

@@ -37,7 +37,7 @@ NOISE = 0.1  # half-Cauchy scale of the noise, °/s: the instrument's own
 CHAINS, DRAWS = 4, 1000  # 4000 draws, as of `calibrate`
 AGAIN = 2  # runs with what the first one left; the least counts
 NEAR = 0.1  # standard deviations that the slopes may differ by
-GOALS = {"cold": 2.0, "warm": 4.0}  # times the peer's cold start
+GOALS = {"cold": 3.0, "warm": 8.0}  # times the peer's cold start
 
 OURS = (
     "from bayescal._cli.main import main; main()",
