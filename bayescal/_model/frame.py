@@ -109,6 +109,29 @@ class Frame(eqx.Module):
         lagged = jnp.zeros_like(lagged).at[self.order].set(lagged)
         return lagged + (self.record[name] - self.columns[name])
 
+    def direction(
+        self, width: Float[Array, ""], name: str = "temperature"
+    ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+        """Which way a column goes, −1 … 1, turned round within `width` of it; and what is left of a run's first state.
+
+        Dahl's hysteresis, dD/dT = (sign(dT) − D)/width from 0 at a run's first reading, exact between readings: the
+        pace does not matter, and a pause is remembered. It follows the record, as a lag does.
+        Source: P. Dahl, A solid friction model (The Aerospace Corporation, TOR-0158(3107-18)-1, 1968).
+        """
+        values, first = self.record[name][self.order], self.step < 0
+        change = jnp.where(first, 0.0, jnp.diff(values, prepend=values[:1]))
+        kept = jnp.exp(-jnp.abs(change) / width)
+
+        def advance(state, row):
+            begins, share, sign = row
+            turned, left = jnp.where(begins, 0.0, state[0]), jnp.where(begins, 1.0, state[1])
+            state = jnp.stack([share * turned + (1.0 - share) * sign, share * left])
+            return state, state
+
+        _, states = jax.lax.scan(advance, jnp.zeros(2), (first, kept, jnp.sign(change)))
+        states = jnp.zeros_like(states).at[self.order].set(states)
+        return states[:, 0], states[:, 1]
+
     def with_column(self, name: str, values: Float[Array, "n"]) -> Frame:
         """The same readings with one measured column corrected (its rate stays that of the record)."""
         return eqx.tree_at(lambda f: f.columns[name], self, values)

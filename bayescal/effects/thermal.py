@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,7 +14,10 @@ from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements
 
 WINDOWS = (2.0, 120.0)  # s, of a rate: from a reading or two to what a lag describes
-DEAD_BAND = 0.2  # °C/min, of hysteresis: a chamber that holds its temperature wanders by less
+WIDTHS = (
+    0.2,
+    5.0,
+)  # °C, within which hysteresis turns round: a chamber that holds its temperature wanders by less
 SEEN = 0.02  # share of the readings that a direction must have to count as one
 
 
@@ -37,42 +42,38 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
 
 
 def hysteresis(
-    slot: str,
-    size: float,
-    unit: str,
-    *,
-    source: str,
-    dead_band: float = DEAD_BAND,
-    column: str = "temperature",
+    slot: str, size: float, unit: str, *, source: str, column: str = "temperature"
 ) -> Effect:
-    """c·sign(dT/dt) in a continuous record: +c while it warms, −c while it cools, 0 between.
+    """c·D in a continuous record: +c while it warms, −c while it cools, turned round within w of the temperature.
 
-    The rate is the causal slope of the last minute.
-
-    Args:
-        dead_band: rate below which the temperature stands still, °C/min.
+    D is Dahl's hysteresis. Of the state in which a run began exp(−travel/w) is left: one coefficient a run.
     """
-    still = dead_band / 60.0
 
     def untestable(readings: Measurements) -> str | None:
-        rate = np.asarray(build_frame(readings, reference_of(readings)).rate(column))
-        rises, falls = (rate > still).mean() >= SEEN, (rate < -still).mean() >= SEEN
-        if rises and falls:
+        frame = build_frame(readings, reference_of(readings))
+        turned = np.asarray(frame.direction(jnp.asarray(math.sqrt(math.prod(WIDTHS))), column)[0])
+        warmed, cooled = (turned > 0.5).mean() >= SEEN, (turned < -0.5).mean() >= SEEN
+        if warmed and cooled:
             return None
-        seen = "only rises" if rises else "only falls" if falls else "stands still"
-        return f"needs {column} to rise and to fall, faster than {dead_band:g} °C/min; it {seen}"
+        seen = "only rises" if warmed else "only falls" if cooled else "stands still"
+        return (
+            f"needs {column} to rise and to fall within runs, by over {WIDTHS[0]:g} °C; it {seen}"
+        )
 
     return Effect(
         f"{slot}.hysteresis",
         slot,
-        basis=lambda r: jnp.where(jnp.abs(r.rate(column)) > still, jnp.sign(r.rate(column)), 0.0),
-        coefficients=(Coefficient(unit, Normal(0.0, size)),),
+        basis=lambda r, width: jnp.stack(r.direction(width, column), axis=1),
+        coefficients=(
+            Coefficient(unit, Normal(0.0, size)),
+            Coefficient(unit, Normal(0.0, size), part="start", per="run"),
+        ),
+        shapes=(Shape("width", "degC", *WIDTHS),),
         columns=("time", column),
         varies=(column,),
         untestable=untestable,
-        equation=f"c·sign(dT/dt),  0 where |dT/dt| ≤ {dead_band:g} °C/min",
+        equation="c·D + d[run]·exp(−∫|dT|/w),  dD/dT = (sign(dT) − D)/w",
         source=source,
-        along=f"{column} rate",
     )
 
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
+from bayescal._model.frame import run_codes
 from bayescal_models import INSTRUMENTS
 from benchmarks.hidden_effects.bank import instrument_named
 from benchmarks.hidden_effects.resume import chosen, go_on
@@ -116,9 +117,9 @@ Spoil = Callable[[bc.Instrument, bc.Measurements, float, np.random.Generator], S
 
 def _wandering(instrument, readings, noise, random) -> Spoilt:
     """A wander of the noise's own size in each run, remembered for a tenth of the run."""
-    run, at = np.unique(readings["run"], return_inverse=True)
+    runs, at = run_codes(readings)
     wander = np.zeros(len(readings))
-    for one in range(len(run)):
+    for one in range(len(runs)):
         rows = np.flatnonzero(at == one)
         time_ = readings["time"][rows]
         memory = 0.1 * (time_.max() - time_.min())
