@@ -99,15 +99,18 @@ class Frame(eqx.Module):
         change = jnp.diff(values, prepend=values[:1])
         drive = jnp.where(first, 0.0, change * jnp.where(still, -1.0, jnp.expm1(-h) / h))
 
-        def advance(behind, row):
-            share, push = row
-            behind = share * behind + push
-            return behind, behind
+        return self._followed(decay, drive) + (self.record[name] - self.columns[name])
+
+    def _followed(self, share: Float[Array, "n"], push: Float[Array, "n"]) -> Float[Array, "n"]:
+        """x ← share·x + push from one reading to the next in time."""
+
+        def advance(state, row):
+            state = row[0] * state + row[1]
+            return state, state
 
         # One small loop rather than an associative scan, which takes ten times as long to compile.
-        _, lagged = jax.lax.scan(advance, jnp.zeros(()), (decay, drive))
-        lagged = jnp.zeros_like(lagged).at[self.order].set(lagged)
-        return lagged + (self.record[name] - self.columns[name])
+        _, states = jax.lax.scan(advance, jnp.zeros(()), (share, push))
+        return jnp.zeros_like(states).at[self.order].set(states)
 
     def direction(
         self, width: Float[Array, ""], name: str = "temperature"
@@ -120,17 +123,9 @@ class Frame(eqx.Module):
         """
         values, first = self.record[name][self.order], self.step < 0
         change = jnp.where(first, 0.0, jnp.diff(values, prepend=values[:1]))
-        kept = jnp.exp(-jnp.abs(change) / width)
-
-        def advance(state, row):
-            begins, share, sign = row
-            turned, left = jnp.where(begins, 0.0, state[0]), jnp.where(begins, 1.0, state[1])
-            state = jnp.stack([share * turned + (1.0 - share) * sign, share * left])
-            return state, state
-
-        _, states = jax.lax.scan(advance, jnp.zeros(2), (first, kept, jnp.sign(change)))
-        states = jnp.zeros_like(states).at[self.order].set(states)
-        return states[:, 0], states[:, 1]
+        share = jnp.where(first, 0.0, jnp.exp(-jnp.abs(change) / width))
+        turned = self._followed(share, jnp.where(first, 0.0, (1.0 - share) * jnp.sign(change)))
+        return turned, self._followed(share, jnp.where(first, 1.0, 0.0))
 
     def with_column(self, name: str, values: Float[Array, "n"]) -> Frame:
         """The same readings with one measured column corrected (its rate stays that of the record)."""

@@ -12,8 +12,10 @@ from bayescal.effects.constant import deviation as deviation
 from bayescal.effects.temperature import cubic as cubic
 from bayescal.effects.temperature import linear as linear
 from bayescal.effects.temperature import quadratic as quadratic
+from bayescal.effects.temperature import quartic as quartic
 from bayescal.effects.thermal import hysteresis as hysteresis
 from bayescal.effects.thermal import rate as rate
+from bayescal.effects.thermal import temperature_x_lag as temperature_x_lag
 from bayescal.effects.thermal import thermal_lag as thermal_lag
 from bayescal.effects.thermometer import thermometer as thermometer
 from bayescal.effects.time import drift as drift

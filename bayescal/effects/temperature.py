@@ -6,7 +6,7 @@ from bayescal._model.coefficient import Coefficient
 from bayescal._model.effect import Effect
 from bayescal._model.prior import Normal
 
-_POWERS = {1: ("", ""), 2: ("_quadratic", "²"), 3: ("_cubic", "³")}
+_POWERS = {1: ("", ""), 2: ("_quadratic", "²"), 3: ("_cubic", "³"), 4: ("_quartic", "⁴")}
 
 
 def _power(
@@ -95,3 +95,27 @@ def cubic(
     Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
     """
     return _power(slot, 3, column, size, unit, name, source)
+
+
+def quartic(
+    slot: str,
+    size: float,
+    unit: str,
+    *,
+    source: str,
+    column: str = "temperature",
+    name: str = "temperature",
+) -> Effect:
+    """c·(T − T0)⁴: what bends more at the ends than in the middle.
+
+    Args:
+        slot: that it adds to, such as "bias".
+        size: prior standard deviation of c, in `unit`: how large it plausibly is.
+        unit: of c, such as "deg/s/degC^4"; of the dimension of the slot's unit over the fourth power of a temperature.
+        source: where the size comes from: a document, or whose estimate it is.
+        column: the temperature T, °C; T0 is its rounded mean in the fit, printed and stored with the result.
+        name: of the effect, after the slot: `slot.name_quartic`.
+
+    Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
+    """
+    return _power(slot, 4, column, size, unit, name, source)

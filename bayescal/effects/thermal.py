@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
 
 from bayescal._model.coefficient import Coefficient, Shape
 from bayescal._model.effect import Effect
-from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.frame import build_frame, reference_of, run_codes
 from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements
 
@@ -88,6 +89,7 @@ def thermal_lag(
     start_unit: str,
     source: str,
     column: str = "temperature",
+    name: str = "thermal_lag",
 ) -> Effect:
     """c·(T̃ − T), with T̃ a first-order body that lags T by τ.
 
@@ -97,9 +99,10 @@ def thermal_lag(
         size: prior standard deviation of c, in `unit`.
         low, high: plausible range of τ, s.
         start: prior standard deviation of the initial state's effect, in `start_unit`.
+        name: of the effect, after the slot; another for a second body.
     """
     return Effect(
-        f"{slot}.thermal_lag",
+        f"{slot}.{name}",
         slot,
         basis=lambda r, tau: jnp.stack([r.lag(tau, column), jnp.exp(-r.elapsed / tau)], axis=1),
         coefficients=(
@@ -109,6 +112,47 @@ def thermal_lag(
         shapes=(Shape("tau", "s", low, high),),
         columns=("time", column),
         varies=(column,),
+        untestable=partial(_too_short, low),
         equation="c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃",
         source=source,
     )
+
+
+def temperature_x_lag(
+    slot: str,
+    size: float,
+    unit: str,
+    *,
+    low: float,
+    high: float,
+    source: str,
+    column: str = "temperature",
+) -> Effect:
+    """c·(T − T0)·(T̃ − T): a lag that grows with the temperature, or shrinks.
+
+    Args:
+        size: prior standard deviation of c, in `unit`, such as "deg/s/degC^2".
+        low, high: plausible range of τ, s.
+    """
+    return Effect(
+        f"{slot}.temperature_x_lag",
+        slot,
+        basis=lambda r, tau: r.centred(column) * r.lag(tau, column),
+        coefficients=(Coefficient(unit, Normal(0.0, size)),),
+        shapes=(Shape("tau", "s", low, high),),
+        columns=("time", column),
+        varies=(column,),
+        untestable=partial(_too_short, low),
+        equation="c·(T − T0)·(T̃ − T),  τ·dT̃/dt = T − T̃",
+        source=source,
+    )
+
+
+def _too_short(low: float, readings: Measurements) -> str | None:
+    """Why no run is long enough to see a body whose time is `low` at the least, s, if so."""
+    _, codes = run_codes(readings)
+    time = readings["time"]
+    longest = max(float(np.ptp(time[codes == run])) for run in np.unique(codes))
+    if longest >= low:
+        return None
+    return f"needs a run longer than {low:g} s, the shortest plausible lag; the longest has {longest:g} s"

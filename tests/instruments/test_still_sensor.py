@@ -15,7 +15,7 @@ from bayescal._cli.request import open_request
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable as can_test
 from bayescal_models import still_sensor
-from bayescal_models.still_sensor.campaign import LAG_TIME
+from bayescal_models.still_sensor.campaign import LAG_TIME, SLOW_TIME
 from bayescal_models.still_sensor.simulator import NOISE_LAWS, WARM_UP_TIME
 
 UNITS = [
@@ -156,6 +156,8 @@ def test_the_simulated_laws_are_the_catalogues() -> None:
     frame = build_frame(plain, reference_of(plain))
     shapes_of = {
         "bias.thermal_lag": LAG_TIME,
+        "bias.thermal_lag_slow": SLOW_TIME,
+        "bias.temperature_x_lag": LAG_TIME,
         "bias.warm_up": WARM_UP_TIME,
         "bias.rate": 2.0,
         "bias.hysteresis": 0.5,

@@ -11,7 +11,7 @@ import numpy as np
 
 RAMPS = ((0.0, 25.0), (10.0, -15.0), (25.0, 65.0), (40.0, 25.0))  # min, °C: cooled, heated, cooled
 PAUSE = 3600.0  # s between runs
-CHAMBER_TIME, LAG_TIME = 60.0, 300.0  # s
+CHAMBER_TIME, LAG_TIME, SLOW_TIME = 60.0, 300.0, 2400.0  # s
 REVERSAL_TIME = 30.0  # s, in which hysteresis follows a change of direction
 
 
@@ -25,6 +25,7 @@ class World:
         rate: dT/dt, °C/min.
         direction: sign of the rate, which takes its time to turn.
         behind: T̃ − T of a body of first order, °C.
+        far_behind: of a slower one.
         turn_on: one standard normal number for each run.
         progress: (t − t̄)/(tmax − tmin) over all runs.
     """
@@ -34,6 +35,7 @@ class World:
     rate: np.ndarray
     direction: np.ndarray
     behind: np.ndarray
+    far_behind: np.ndarray
     turn_on: np.ndarray
     progress: np.ndarray
 
@@ -57,6 +59,7 @@ def make_world(runs: int, turn_on: np.ndarray) -> tuple[np.ndarray, World]:
         rate=np.tile(rate, (runs, 1)),
         direction=np.tile(_body(np.sign(rate), REVERSAL_TIME), (runs, 1)),
         behind=np.tile(_body(one, LAG_TIME) - one, (runs, 1)),
+        far_behind=np.tile(_body(one, SLOW_TIME) - one, (runs, 1)),
         turn_on=turn_on[:, None],
         progress=(elapsed - elapsed.mean()) / np.ptp(elapsed),
     )

@@ -9,7 +9,7 @@ MINUTE = 60.0  # s
 SOURCE = (
     "ours: {share:g} of the record's own robust spread{at}; empirical, for want of a data sheet"
 )
-LAG_TIME = 5.0  # min, of a body whose lag would show such a spread
+LAG_TIME, SLOW_TIME = 5.0, 40.0  # min, of bodies whose lag would show such a spread
 
 
 def constant(unit: str, sd: float) -> bc.Effect:
@@ -19,40 +19,61 @@ def constant(unit: str, sd: float) -> bc.Effect:
 
 
 def thermal(unit: str, size: float, span: float, pace: float) -> tuple[bc.Effect, ...]:
-    """What follows the temperature: powers, rate, lag, direction."""
+    """What follows the temperature: powers, rate, bodies that lag, direction."""
     from_middle = ", from the middle to an end of the temperatures"
-    rate_source = SOURCE.format(share=0.25, at=" at the mean rate of the temperature")
-    lag_source = SOURCE.format(
-        share=0.25, at=f" at the mean rate of the temperature and a lag of {LAG_TIME:g} min"
-    )
+    quarter = 0.25 * size
+
+    def behind(minutes: float) -> str:
+        return SOURCE.format(
+            share=0.25, at=f" at the mean rate of the temperature and a lag of {minutes:g} min"
+        )
+
+    def power(effect, order: int, share: float) -> bc.Effect:
+        per = f"{unit}/degC" + (f"^{order}" if order > 1 else "")
+        source = SOURCE.format(share=share, at=from_middle)
+        return effect("bias", share * size / span**order, per, source=source)
+
     return (
-        effects.linear(
-            "bias", size / span, f"{unit}/degC", source=SOURCE.format(share=1, at=from_middle)
-        ),
-        effects.quadratic(
+        power(effects.linear, 1, 1.0),
+        power(effects.quadratic, 2, 0.5),
+        power(effects.cubic, 3, 0.25),
+        power(effects.quartic, 4, 0.25),
+        effects.rate(
             "bias",
-            0.5 * size / span**2,
-            f"{unit}/degC^2",
-            source=SOURCE.format(share=0.5, at=from_middle),
+            quarter / pace,
+            f"{unit}/(degC/min)",
+            source=SOURCE.format(share=0.25, at=" at the mean rate of the temperature"),
         ),
-        effects.cubic(
-            "bias",
-            0.25 * size / span**3,
-            f"{unit}/degC^3",
-            source=SOURCE.format(share=0.25, at=from_middle),
-        ),
-        effects.rate("bias", 0.25 * size / pace, f"{unit}/(degC/min)", source=rate_source),
         effects.thermal_lag(
             "bias",
-            0.25 * size / (pace * LAG_TIME),
+            quarter / (pace * LAG_TIME),
             f"{unit}/degC",
             low=MINUTE,
             high=20 * MINUTE,
-            start=0.25 * size,
+            start=quarter,
             start_unit=unit,
-            source=lag_source,
+            source=behind(LAG_TIME),
         ),
-        effects.hysteresis("bias", 0.25 * size, unit, source=SOURCE.format(share=0.25, at="")),
+        effects.thermal_lag(
+            "bias",
+            quarter / (pace * SLOW_TIME),
+            f"{unit}/degC",
+            low=20 * MINUTE,
+            high=180 * MINUTE,
+            start=quarter,
+            start_unit=unit,
+            source=behind(SLOW_TIME),
+            name="thermal_lag_slow",
+        ),
+        effects.temperature_x_lag(
+            "bias",
+            quarter / (pace * LAG_TIME * span),
+            f"{unit}/degC^2",
+            low=MINUTE,
+            high=20 * MINUTE,
+            source=behind(LAG_TIME),
+        ),
+        effects.hysteresis("bias", quarter, unit, source=SOURCE.format(share=0.25, at="")),
     )
 
 

@@ -9,8 +9,9 @@ units):
     output = bias
 
 One slot, `bias`, in the output's unit. Baseline: `bias.constant` and `bias.temperature`, a line.
-Candidates: `bias.temperature_quadratic`, `bias.temperature_cubic`, `bias.rate`, `bias.thermal_lag`,
-`bias.hysteresis`, `bias.warm_up`, `bias.drift`, `bias.run`.
+Candidates: `bias.temperature_quadratic`, `bias.temperature_cubic`, `bias.temperature_quartic`,
+`bias.rate`, `bias.thermal_lag`, `bias.thermal_lag_slow` (a second body, 20 min to 3 h),
+`bias.temperature_x_lag`, `bias.hysteresis`, `bias.warm_up`, `bias.drift`, `bias.run`.
 
 The true input is taken not to change: whatever moves is the sensor's. Noise: white, of unknown
 size.
