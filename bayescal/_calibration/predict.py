@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,6 +10,9 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.on_readings import Vectors, moments
+from bayescal._engine.whitening import known_variance, wander_given
+from bayescal._model.frame import run_codes
+from bayescal._model.noise_laws import OrnsteinUhlenbeck
 from bayescal._readings.measurements import Measurements
 
 
@@ -23,12 +26,17 @@ class Prediction:
             has not seen, from their spread.
         sd: standard uncertainty of a reading: with noise.
         residual: output − mean.
+        wander: posterior mean of the wandering noise, for readings between those of the fit in the same record; NaN
+            beyond them, None where it was not asked for or the noise does not wander.
+        wander_sd: its standard deviation.
     """
 
     mean: np.ndarray
     model_sd: np.ndarray
     sd: np.ndarray
     residual: np.ndarray
+    wander: np.ndarray | None = None
+    wander_sd: np.ndarray | None = None
 
     @property
     def rmse(self) -> float:
@@ -40,6 +48,7 @@ def predict(
     readings: Measurements | None = None,
     *,
     new_groups: bool = True,
+    same_record: bool = False,
     draws: int = 1000,
 ) -> Prediction:
     """Predict readings.
@@ -50,6 +59,8 @@ def predict(
         new_groups: take every run, cell or device as one that the fit has not seen: its deviation is zero,
             give or take its spread. False uses the deviations of members that the fit knows by name. An axis
             is part of its instrument: one that the fit knows is itself either way.
+        same_record: the readings belong to the very record that was fitted, on its clock and with its labels: groups
+            are known, and between fitted readings `wander` is what these say of the noise that wanders.
         draws: posterior draws to average over, at most.
 
     Raises:
@@ -59,6 +70,8 @@ def predict(
     readings = calibration.readings if readings is None else readings
     calibration.model.require(readings)
     frame = calibration.frame_of(readings)
+    if same_record:
+        new_groups = False
     if new_groups:
         frame = eqx.tree_at(
             lambda f: f.codes,
@@ -73,4 +86,29 @@ def predict(
     expected = found.mean.mean(axis=0)
     model_variance = found.mean.var(axis=0) + found.beside
     total = np.sqrt(model_variance + found.noise)
-    return Prediction(expected, np.sqrt(model_variance), total, readings["output"] - expected)
+    residual = readings["output"] - expected
+    made = Prediction(expected, np.sqrt(model_variance), total, residual)
+    if not same_record or not isinstance(calibration.model.noise, OrnsteinUhlenbeck):
+        return made
+    mean, sd = _wander(calibration, readings)
+    return replace(made, wander=mean, wander_sd=sd)
+
+
+def _wander(calibration: Calibration, readings: Measurements) -> tuple[np.ndarray, np.ndarray]:
+    """Of the fitted record's wander at these readings' times, at the mode; NaN beyond the fitted ones of their run."""
+    fitted, assembly = calibration.readings, calibration.assembly
+    left = predict(calibration, new_groups=False).residual
+    values = assembly.hyper(calibration.mode.v)
+    white = values["noise.white"] ** 2 + known_variance(assembly.record)
+    white = np.broadcast_to(white, left.shape)
+    (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
+    mean, variance = np.full((2, len(readings)), np.nan)
+    for code, name in enumerate(asked):
+        rows = np.flatnonzero(known == names.index(name)) if name in names else []
+        if not len(rows):
+            continue
+        time, at = fitted["time"][rows], readings["time"]
+        inside = (codes == code) & (at >= time.min()) & (at <= time.max())
+        found = wander_given(values, time, left[rows], white[rows], at[inside])
+        mean[inside], variance[inside] = found
+    return mean, np.sqrt(variance)

@@ -170,6 +170,14 @@ def predict(
     out: Annotated[
         Path | None, typer.Option("--out", help="File to write: .csv, .parquet or .nc.")
     ] = None,
+    same_record: Annotated[
+        bool,
+        typer.Option(
+            "--same-record",
+            help="The readings are of the record that was fitted, on its clock: between fitted readings the wander "
+            "that these show is told, in columns of its own.",
+        ),
+    ] = False,
     columns: ColumnOptions,
     own: OwnParts,
     json_: options.Json = False,
@@ -183,7 +191,7 @@ def predict(
     loaded = load_saved(calibration, own)
     readings = bc.read(list(files), loaded.model.instrument, **columns.for_read())
     print_notes(readings.flags)
-    prediction = bc.predict(loaded, readings)
+    prediction = bc.predict(loaded, readings, same_record=same_record)
     if out is not None:
         write_prediction(prediction, readings, out)
     expected = float((prediction.sd**2).mean()) ** 0.5

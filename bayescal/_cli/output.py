@@ -214,7 +214,7 @@ def loop_text(trail: Trail, own: Sequence[Effect] = (), begun: bool = False) -> 
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
-    """The readings with columns predicted, predicted_uncertainty and residual beside them.
+    """The readings with columns predicted, predicted_uncertainty and residual beside them, and the wander if told.
 
     Raises:
         InputError: the file type is not known or the folder is not there.
@@ -225,4 +225,7 @@ def write_prediction(prediction: Prediction, readings: Measurements, path: Path)
         "predicted_uncertainty": ("reading", np.asarray(prediction.sd), unit),
         "residual": ("reading", np.asarray(prediction.residual), unit),
     }
+    if prediction.wander is not None:
+        added["wander"] = ("reading", np.asarray(prediction.wander), unit)
+        added["wander_uncertainty"] = ("reading", np.asarray(prediction.wander_sd), unit)
     Measurements(data=readings.data.assign(added), sources=readings.sources).write(path)

@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 
 import bayescal as bc
+from bayescal._engine.whitening import wander_given
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.noise_laws import correlated_size, over_record
 from bayescal._model.prior import LogNormal, LogUniform, Positive, multiplied
@@ -201,3 +202,44 @@ def test_correlated_noise_does_not_take_the_place_of_a_constant(missing) -> None
         assert ((tau >= law.shortest) & (tau <= law.longest)).all()
         assert np.median(diffusion * np.sqrt(tau / 2)) < np.ptp(right["output"])
     assert errors[1] == pytest.approx(errors[0], rel=0.02)
+
+
+def test_a_wander_between_readings_is_that_of_the_dense_process(rng) -> None:
+    time = np.sort(rng.uniform(0, 200, 30))
+    time[5], at = time[4], np.append(rng.uniform(time[0], time[-1], 9), time[7])
+    left, white = rng.normal(size=30), rng.uniform(0.02, 0.2, 30)
+
+    def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        size = 0.5 * AT["noise.diffusion"] ** 2 * AT["noise.correlated.time"]
+        return size * np.exp(-abs(a[:, None] - b) / AT["noise.correlated.time"])
+
+    share = covariance(at, time) @ np.linalg.inv(covariance(time, time) + np.diag(white))
+    mean, variance = wander_given(AT, time, left, white, at)
+    np.testing.assert_allclose(mean, share @ left, rtol=1e-9)
+    expected = np.diag(covariance(at, at) - share @ covariance(time, at))
+    np.testing.assert_allclose(variance, expected, rtol=1e-8)
+
+
+def test_between_fitted_readings_a_prediction_tells_the_wander_and_beyond_them_never() -> None:
+    whole = still_sensor.simulate({}, seed=3, runs=2, noise_law="ornstein_uhlenbeck")
+    inside = np.arange(len(whole)) % 3 == 1
+    last = whole["time"] > np.quantile(whole["time"][whole["run"] == "2"], 0.8)
+    fitted = whole.select(np.flatnonzero(~inside & ~last))
+    model = still_sensor.INSTRUMENT.for_readings(fitted).baseline()
+    wandering = over_record(model.noise, 10.0, 2400.0)
+    made = bc.fit(model.with_noise(wandering), fitted, FAST)
+    asked = whole.select(np.flatnonzero(inside | last))
+    found = bc.predict(made, asked, same_record=True)
+    assert found.wander is not None
+    own = {run: fitted["time"][fitted["run"] == run] for run in ("1", "2")}
+    low, high = np.array([(own[run].min(), own[run].max()) for run in asked["run"]]).T
+    beyond = (asked["time"] < low) | (asked["time"] > high)
+    assert beyond.sum() > 40
+    assert np.isnan(found.wander[beyond]).all() and np.isfinite(found.wander[~beyond]).all()
+    left = (found.residual - found.wander)[~beyond]
+    assert np.std(left) < 0.9 * np.std(found.residual[~beyond])
+    expected = np.hypot(found.wander_sd[~beyond], float(made.samples("noise.white")[0]))
+    assert np.mean((left / expected) ** 2) == pytest.approx(1.0, abs=0.2)
+    assert bc.predict(made, asked).wander is None
+    other = asked.with_column("run", np.full(len(asked), "another"))
+    assert np.isnan(bc.predict(made, other, same_record=True).wander).all()
