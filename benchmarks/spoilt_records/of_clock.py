@@ -53,7 +53,7 @@ def fast_clock(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     return changed(columns, time=columns["time"] * 1.001 + late)
 
 
-@kind("time in minutes under a header in seconds", CLOCK)
+@kind("time in minutes under a header in seconds", CLOCK, alike=True)
 def minutes(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     """The wrong unit of time. True: the unit as it was; its laws in time are sixty times slower than they look."""
     return changed(columns, time=columns["time"] / 60.0)
