@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from jaxtyping import Array, Float, Int
 
 from bayescal._core.jax_setup import configure_jax
@@ -123,7 +124,6 @@ def derived(readings: Measurements) -> dict[str, np.ndarray]:
     found = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in own}
     if readings.has("time"):
         time, (names, codes) = readings["time"], run_codes(readings)
-        starts = np.array([np.min(time[codes == i]) for i in range(len(names))])
         order, step = _sequence(time, codes)
         found |= {
             f"{n} rate": causal_slope(time, readings[n], order, step)
@@ -131,7 +131,7 @@ def derived(readings: Measurements) -> dict[str, np.ndarray]:
             if readings.unit(n) == "degC" and n not in own
         }
         if len(names) > 1:
-            found["elapsed"] = time - starts[codes]
+            found["elapsed"] = time - _first_times(time, codes, len(names))[codes]
     return found
 
 
@@ -152,7 +152,7 @@ def reference_of(readings: Measurements) -> Reference:
     found: Reference = {}
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
-            found[reference_name(name)] = float(np.round(np.mean(readings[name])))
+            found[reference_name(name)] = _round_middle(readings[name])
     for name, values in derived(readings).items():
         found[f"{name}_low"], found[f"{name}_high"] = float(values.min()), float(values.max())
     if readings.has("time"):
@@ -160,10 +160,25 @@ def reference_of(readings: Measurements) -> Reference:
         found["time_mean"] = float(np.mean(time))
         found["time_span"] = float(np.ptp(time)) or 1.0
         levels, codes = run_codes(readings)
-        found["run_starts"] = {
-            level: float(np.min(time[codes == i])) for i, level in enumerate(levels)
-        }
+        starts = _first_times(time, codes, len(levels)).tolist()
+        found["run_starts"] = dict(zip(levels, starts, strict=True))
     return found
+
+
+def _round_middle(values: np.ndarray) -> float:
+    """The mean, to the fewest decimal places that keep it in the record and within a tenth of its spread."""
+    mean, low, high = float(np.mean(values)), float(np.min(values)), float(np.max(values))
+    near = 0.1 * float(np.std(values))
+    rounded = (round(mean, places) for places in range(16))
+    kept = (r for r in rounded if abs(r - mean) <= near and low <= r <= high)
+    return next(kept, min(max(mean, low), high))
+
+
+def _first_times(time: np.ndarray, codes: np.ndarray, count: int) -> np.ndarray:
+    """When each of the runs has its first reading, s."""
+    first = np.full(count, np.inf)
+    np.minimum.at(first, codes, time)
+    return first
 
 
 def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
@@ -190,11 +205,8 @@ def build_frame(
         levels: group members known to the fit; members that are not among them get the code −1. None (at
             the fit itself) takes the readings' own.
     """
-    columns = {
-        name: np.asarray(readings[name])
-        for name in readings.columns
-        if readings.unit(name) is not None and name != "temperature_point"
-    }
+    unit = {name: readings.unit(name) for name in readings.columns if name != "temperature_point"}
+    columns = {name: np.asarray(readings[name]) for name in unit if unit[name] is not None}
     labels = {
         f"{name}={label}": np.asarray(readings[name] == label, dtype=float)
         for name in readings.columns
@@ -205,13 +217,14 @@ def build_frame(
     order, step = np.arange(len(readings)), -np.ones(len(readings))
     if readings.has("time"):
         time, (names, codes) = readings["time"], run_codes(readings)
-        columns["elapsed"] = np.asarray(time - _run_starts(time, names, codes, reference)[codes])
+        # A run began as stored at the fit, or at its own first reading where that came earlier.
+        stored, own = reference["run_starts"], _first_times(time, codes, len(names))
+        assert isinstance(stored, dict)
+        began = np.minimum(own, [stored.get(name, np.inf) for name in names])
+        columns["elapsed"] = time - began[codes]
         order, step = _sequence(time, codes)
-        rates = {
-            name: np.asarray(causal_slope(time, readings[name], order, step))
-            for name in readings.columns
-            if readings.unit(name) == "degC" and name != "temperature_point"
-        }
+        warm = [name for name in unit if unit[name] == "degC"]
+        rates = {name: causal_slope(time, readings[name], order, step) for name in warm}
     return Frame(
         columns=columns,
         labels=labels,
@@ -222,16 +235,6 @@ def build_frame(
         step=np.asarray(step),
         record=dict(columns),
     )
-
-
-def _run_starts(
-    time: np.ndarray, names: tuple[str, ...], codes: np.ndarray, reference: Reference
-) -> np.ndarray:
-    """When each run began, s: as stored at the fit, or its own first reading where that came earlier."""
-    stored = reference["run_starts"]
-    assert isinstance(stored, dict)
-    first = [float(np.min(time[codes == i])) for i in range(len(names))]
-    return np.array([min(stored.get(n, own), own) for n, own in zip(names, first, strict=True)])
 
 
 def _member_codes(
@@ -254,7 +257,7 @@ def causal_slope(
     """Least-squares slope over the last minute (or the last step, if longer) within each run, unit/s.
 
     The first reading of a run has no past and gets 0; so does the first after a gap of ten windows, such as the
-    soak before a tumble, for the change over hours says nothing of the rate now.
+    soak before a tumble, for the change over hours says nothing of the rate now. Linear in the readings.
     """
     t, y, here = time[order], values[order], np.arange(time.size)
     steps = step[step > 0]
@@ -265,21 +268,33 @@ def causal_slope(
         own = t[low:high]
         earlier = np.searchsorted(own, own) - 1
         first[low:high] = low + np.clip(np.searchsorted(own, own - window), 0, earlier.clip(0))
-    count, *sums = (
-        np.ones(t.size),
-        *np.zeros((4, t.size)),
-    )  # of dt, dy, dt², dt·dy before each reading
-    for back in range(1, int(np.max(here - first, initial=0)) + 1):
-        at = here[here - back >= first]
-        dt, dy = t[at - back] - t[at], y[at - back] - y[at]
-        count[at] += 1
-        for total, part in zip(sums, (dt, dy, dt * dt, dt * dy), strict=True):
-            total[at] += part
-    of_t, of_y, of_tt, of_ty = sums
+    of_t, of_y, of_tt, of_ty = _window_sums(t, y, first)
+    count = here - first + 1
     scatter = of_tt - of_t**2 / count
     known = (first < here) & (scatter > 0) & (t - t[first] <= GAP * window)
     slopes = np.zeros_like(y)
-    slopes[known] = (of_ty - of_t * of_y / count)[known] / scatter[known]
-    result = np.zeros_like(slopes)
-    result[order] = slopes
-    return result
+    slopes[order[known]] = (of_ty - of_t * of_y / count)[known] / scatter[known]
+    return slopes
+
+
+def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Sums of dt, dy, dt² and dt·dy over the readings first[i] … i, for each i; `first` rises.
+
+    An anchor stands in each window: the sums grow away from it on either side, dt and dy are distances from it, and
+    nothing is ever subtracted from a sum, so no digits are lost however long the record.
+    """
+    here = np.arange(t.size)
+    beyond = np.searchsorted(first, here, side="right")  # the first window without this reading
+    anchors = [0]
+    while (after := int(beyond[anchors[-1]])) < t.size:
+        anchors.append(after)
+    stretch = np.searchsorted(anchors, here, side="right") - 1
+    at, after = np.array(anchors)[stretch], np.array([*anchors[1:], t.size - 1])[stretch]
+
+    def sums(origin: np.ndarray, rows: slice) -> np.ndarray:  # of each stretch, in this direction
+        dt, dy = t - t[origin], y - y[origin]
+        terms = pd.DataFrame(np.stack([dt, dy, dt * dt, dt * dy], axis=1)[rows])
+        return terms.groupby(stretch[rows]).cumsum().to_numpy()[rows].T
+
+    since, until = sums(at, slice(None)), sums(after, slice(None, None, -1))
+    return since + np.where(first < at, until[:, first], 0.0)
