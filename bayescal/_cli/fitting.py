@@ -27,6 +27,7 @@ def fit(
     instrument: options.Name,
     columns: ColumnOptions,
     choice: ModelOptions,
+    average: options.Average = None,
     method: options.MethodName = "marginal",
     seed: options.Seed = 0,
     out: options.Folder = None,
@@ -35,7 +36,7 @@ def fit(
     """Fit one model: coefficients with uncertainty."""
     from bayescal._cli.request import method_named, open_request, reference_of
 
-    _, model, readings = open_request(instrument, files, columns, choice)
+    _, model, readings = open_request(instrument, files, columns, choice, average)
     print_notes(readings.flags)
     with result_folder(out) as folder:
         calibration = bc.fit(
@@ -123,6 +124,7 @@ def compare(
     columns: ColumnOptions,
     reference: options.Ref = None,
     effects_file: options.OwnEffects = None,
+    average: options.Average = None,
     method: options.MethodName = "marginal",
     seed: options.Seed = 0,
     json_: options.Json = False,
@@ -137,7 +139,7 @@ def compare(
     )
 
     baseline = ModelOptions(effects_file=effects_file)
-    chosen, _, readings = open_request(instrument, files, columns, baseline)
+    chosen, _, readings = open_request(instrument, files, columns, baseline, average)
     names = structure or [name for name, _ in chosen.structures]
     if len(set(names)) < 2:
         raise InputError("compare needs two structures or more: give --structure twice, or never")
@@ -171,17 +173,20 @@ def predict(
         Path | None, typer.Option("--out", help="File to write: .csv, .parquet or .nc.")
     ] = None,
     columns: ColumnOptions,
+    average: options.Average = None,
     own: OwnParts,
     json_: options.Json = False,
 ) -> None:
     """Predict readings with a calibration, and compare."""
     from bayescal._cli.output import write_prediction
+    from bayescal._cli.request import averaged
     from bayescal._cli.saved import load_saved
     from bayescal._core.formatting import number
     from bayescal._readings.unit_conversion import unit_label
 
     loaded = load_saved(calibration, own)
     readings = bc.read(list(files), loaded.model.instrument, **columns.for_read())
+    readings = averaged(readings, average)
     print_notes(readings.flags)
     prediction = bc.predict(loaded, readings)
     if out is not None:
@@ -209,6 +214,7 @@ def calibrate(
     holdout: options.Holdout = None,
     columns: ColumnOptions,
     choice: ModelOptions,
+    average: options.Average = None,
     method: options.MethodName = "marginal",
     max_effects: options.MostEffects = 5,
     time_limit: options.TimeLimit = None,
@@ -222,10 +228,17 @@ def calibrate(
 
     The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far.
     """
-    from bayescal._cli.request import method_named, open_request, reference_of, user_effects
+    from bayescal._cli.request import (
+        averaged,
+        method_named,
+        open_request,
+        reference_of,
+        user_effects,
+    )
 
-    chosen, model, readings = open_request(instrument, files, columns, choice)
+    chosen, model, readings = open_request(instrument, files, columns, choice, average, keep_spikes)
     kept = bc.read(list(holdout), chosen, **columns.for_read()) if holdout else None
+    kept = None if kept is None else averaged(kept, average, keep_spikes)
     print_notes(readings.flags)
     own = user_effects(choice.effects_file)
     with result_folder(out) as folder:
