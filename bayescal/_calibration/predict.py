@@ -70,7 +70,7 @@ def predict(
         rows = np.zeros((len(x), len(readings), rows.shape[2]))
     assembly = calibration.assembly_on(readings, frame)
     found = moments(assembly, Vectors(x, rows, v))
-    expected = found.mean.mean(axis=0)
-    model_variance = found.mean.var(axis=0) + found.beside
+    model_variance = found.variance + found.beside
     total = np.sqrt(model_variance + found.noise)
-    return Prediction(expected, np.sqrt(model_variance), total, readings["output"] - expected)
+    residual = readings["output"] - found.mean
+    return Prediction(found.mean, np.sqrt(model_variance), total, residual)

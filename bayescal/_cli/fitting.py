@@ -228,19 +228,14 @@ def calibrate(
 
     The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far.
     """
-    from bayescal._cli.request import (
-        averaged,
-        method_named,
-        open_request,
-        reference_of,
-        user_effects,
-    )
+    from bayescal._cli import request
 
-    chosen, model, readings = open_request(instrument, files, columns, choice, average, keep_spikes)
-    kept = bc.read(list(holdout), chosen, **columns.for_read()) if holdout else None
-    kept = None if kept is None else averaged(kept, average, keep_spikes)
+    chosen, model, readings = request.open_request(
+        instrument, files, columns, choice, average, keep_spikes
+    )
+    kept = request.open_kept(holdout, chosen, columns, average, keep_spikes)
     print_notes(readings.flags)
-    own = user_effects(choice.effects_file)
+    own = request.user_effects(choice.effects_file)
     with result_folder(out) as folder:
         from bayescal._cli.output import Told, loop_text
         from bayescal._report.under_way import earlier
@@ -253,11 +248,11 @@ def calibrate(
             readings,
             holdout=kept,
             effects=own,
-            method=method_named(method),
+            method=request.method_named(method),
             max_effects=max_effects,
             keep_spikes=keep_spikes,
             seed=seed,
-            reference=reference_of(choice.reference, readings),
+            reference=request.reference_of(choice.reference, readings),
             time_limit=time_limit,
             seeds=seeds,
             accept_conflicts=accept_conflict or (),
@@ -267,8 +262,7 @@ def calibrate(
             trail.save(folder)
     from bayescal._report.result_json import result
 
-    later = trail.final.calibration.readings.flags
-    print_notes(flag for flag in later if flag not in readings.flags)
+    print_notes(f for f in trail.final.calibration.readings.flags if f not in readings.flags)
     print_result(result(trail) if json_ else loop_text(trail, own, told.begun))
     if folder is not None and not json_:
         print(f"\nwritten: {folder}/result.json, calibration.nc, loop.png, manifest.json")

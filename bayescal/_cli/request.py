@@ -69,6 +69,19 @@ def open_request(
     return tailored, model if tailored is general else compose(tailored, choice, own), readings
 
 
+def open_kept(
+    files: Sequence[Path] | None,
+    instrument: Instrument,
+    columns: ColumnOptions,
+    average: str | None,
+    keep_spikes: bool,
+) -> Measurements | None:
+    """Readings kept apart, averaged as the others are; None where there are none."""
+    if not files:
+        return None
+    return averaged(read(list(files), instrument, **columns.for_read()), average, keep_spikes)
+
+
 def averaged(
     readings: Measurements, average: str | None, keep_spikes: bool = False
 ) -> Measurements:
