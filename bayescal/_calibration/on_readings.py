@@ -37,24 +37,35 @@ class Vectors(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Expected outputs (b, n); mean variance of the noise, and of what is not known of a reading's own, (n,) each."""
+    """Mean and variance of the expected output over draws; mean variance of the noise, and of what is not known of a
+    reading's own: (n,) each."""
 
-    mean: Float[np.ndarray, "b n"]
+    mean: Float[np.ndarray, "n"]
+    variance: Float[np.ndarray, "n"]
     noise: Float[np.ndarray, "n"]
     beside: Float[np.ndarray, "n"]
 
 
 @on_one_thread
 def moments(assembly: Assembly, draws: Vectors) -> Moments:
-    """Of readings, per-reading coefficients and members of groups that are not known (of code −1) beside the mean."""
+    """Of readings, per-reading coefficients and members of groups that are not known (of code −1) beside the mean.
+
+    Draws are taken a stretch at a time and never held together; sums are of differences from the first.
+    """
     count, size = len(draws.x), assembly.record.size
-    found = Moments(np.empty((count, size)), np.zeros(size), np.zeros(size))
+    first, total, squares, noise, beside = np.zeros((5, size))
     for part, some, hyper in _stretches(assembly, draws):
-        found.mean[part], beside = _with_beside(assembly, some, hyper)
-        share = (part.stop - part.start) / count
-        for total, one in ((found.noise, _variance(assembly, hyper)), (found.beside, beside)):
-            total += share * np.mean(np.broadcast_to(one, (part.stop - part.start, size)), axis=0)
-    return found
+        mean, own = _with_beside(assembly, some, hyper)
+        first = mean[0].copy() if part.start == 0 else first
+        away = mean - first
+        total += np.sum(away, axis=0)
+        squares += np.einsum("bn,bn->n", away, away)
+        many = part.stop - part.start
+        noise += many * np.mean(_variance(assembly, hyper), axis=0)
+        beside += many * np.mean(np.atleast_1d(own), axis=0)  # a single zero where there is none
+    away = total / count
+    variance = np.maximum(squares / count - away**2, 0.0)
+    return Moments(first + away, variance, noise / count, beside / count)
 
 
 @on_one_thread

@@ -83,11 +83,10 @@ def predict(
         rows = np.zeros((len(x), len(readings), rows.shape[2]))
     assembly = calibration.assembly_on(readings, frame)
     found = moments(assembly, Vectors(x, rows, v))
-    expected = found.mean.mean(axis=0)
-    model_variance = found.mean.var(axis=0) + found.beside
+    model_variance = found.variance + found.beside
     total = np.sqrt(model_variance + found.noise)
-    residual = readings["output"] - expected
-    made = Prediction(expected, np.sqrt(model_variance), total, residual)
+    residual = readings["output"] - found.mean
+    made = Prediction(found.mean, np.sqrt(model_variance), total, residual)
     if not same_record or not isinstance(calibration.model.noise, OrnsteinUhlenbeck):
         return made
     mean, sd = _wander(calibration, readings)

@@ -27,6 +27,7 @@ def fit(
     instrument: options.Name,
     columns: ColumnOptions,
     choice: ModelOptions,
+    average: options.Average = None,
     method: options.MethodName = "marginal",
     seed: options.Seed = 0,
     out: options.Folder = None,
@@ -35,7 +36,7 @@ def fit(
     """Fit one model: coefficients with uncertainty."""
     from bayescal._cli.request import method_named, open_request, reference_of
 
-    _, model, readings = open_request(instrument, files, columns, choice)
+    _, model, readings = open_request(instrument, files, columns, choice, average)
     print_notes(readings.flags)
     with result_folder(out) as folder:
         calibration = bc.fit(
@@ -123,6 +124,7 @@ def compare(
     columns: ColumnOptions,
     reference: options.Ref = None,
     effects_file: options.OwnEffects = None,
+    average: options.Average = None,
     method: options.MethodName = "marginal",
     seed: options.Seed = 0,
     json_: options.Json = False,
@@ -137,7 +139,7 @@ def compare(
     )
 
     baseline = ModelOptions(effects_file=effects_file)
-    chosen, _, readings = open_request(instrument, files, columns, baseline)
+    chosen, _, readings = open_request(instrument, files, columns, baseline, average)
     names = structure or [name for name, _ in chosen.structures]
     if len(set(names)) < 2:
         raise InputError("compare needs two structures or more: give --structure twice, or never")
@@ -179,17 +181,20 @@ def predict(
         ),
     ] = False,
     columns: ColumnOptions,
+    average: options.Average = None,
     own: OwnParts,
     json_: options.Json = False,
 ) -> None:
     """Predict readings with a calibration, and compare."""
     from bayescal._cli.output import write_prediction
+    from bayescal._cli.request import averaged
     from bayescal._cli.saved import load_saved
     from bayescal._core.formatting import number
     from bayescal._readings.unit_conversion import unit_label
 
     loaded = load_saved(calibration, own)
     readings = bc.read(list(files), loaded.model.instrument, **columns.for_read())
+    readings = averaged(readings, average)
     print_notes(readings.flags)
     prediction = bc.predict(loaded, readings, same_record=same_record)
     if out is not None:
@@ -217,6 +222,7 @@ def calibrate(
     holdout: options.Holdout = None,
     columns: ColumnOptions,
     choice: ModelOptions,
+    average: options.Average = None,
     method: options.MethodName = "marginal",
     max_effects: options.MostEffects = 5,
     time_limit: options.TimeLimit = None,
@@ -230,12 +236,14 @@ def calibrate(
 
     The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far.
     """
-    from bayescal._cli.request import method_named, open_request, reference_of, user_effects
+    from bayescal._cli import request
 
-    chosen, model, readings = open_request(instrument, files, columns, choice)
-    kept = bc.read(list(holdout), chosen, **columns.for_read()) if holdout else None
+    chosen, model, readings = request.open_request(
+        instrument, files, columns, choice, average, keep_spikes
+    )
+    kept = request.open_kept(holdout, chosen, columns, average, keep_spikes)
     print_notes(readings.flags)
-    own = user_effects(choice.effects_file)
+    own = request.user_effects(choice.effects_file)
     with result_folder(out) as folder:
         from bayescal._cli.output import Told, loop_text
         from bayescal._report.under_way import earlier
@@ -248,11 +256,11 @@ def calibrate(
             readings,
             holdout=kept,
             effects=own,
-            method=method_named(method),
+            method=request.method_named(method),
             max_effects=max_effects,
             keep_spikes=keep_spikes,
             seed=seed,
-            reference=reference_of(choice.reference, readings),
+            reference=request.reference_of(choice.reference, readings),
             time_limit=time_limit,
             seeds=seeds,
             accept_conflicts=accept_conflict or (),
@@ -262,8 +270,7 @@ def calibrate(
             trail.save(folder)
     from bayescal._report.result_json import result
 
-    later = trail.final.calibration.readings.flags
-    print_notes(flag for flag in later if flag not in readings.flags)
+    print_notes(f for f in trail.final.calibration.readings.flags if f not in readings.flags)
     print_result(result(trail) if json_ else loop_text(trail, own, told.begun))
     if folder is not None and not json_:
         print(f"\nwritten: {folder}/result.json, calibration.nc, loop.png, manifest.json")

@@ -33,13 +33,15 @@ def pairs(
     ] = "residual",
     columns: ColumnOptions,
     add: options.Add = None,
+    average: options.Average = None,
     seed: options.Seed = 0,
     json_: options.Json = False,
 ) -> None:
     """Which two devices make the best pair, each pair with its probability."""
     from bayescal._cli.request import open_request
 
-    chosen, model, readings = open_request(instrument, files, columns, ModelOptions(add=add))
+    choice = ModelOptions(add=add)
+    chosen, model, readings = open_request(instrument, files, columns, choice, average)
     select = offered(PAIR_SELECTIONS, chosen.name)
     if select is None:
         raise InputError(f"instrument {chosen.name!r} does not choose its devices in pairs")

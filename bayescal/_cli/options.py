@@ -80,6 +80,14 @@ def _refuse_no_time(seconds: float | None) -> float | None:
     return seconds
 
 
+def _refuse_no_duration(text: str | None) -> str | None:
+    if text is not None:
+        from bayescal._readings.averaging import duration  # a second that `--help` does without
+
+        duration(text)
+    return text
+
+
 Files = Annotated[
     list[Path],
     typer.Argument(
@@ -194,6 +202,15 @@ TimeLimit = Annotated[
         metavar="SECONDS",
         help="End the search after this time with the best so far, as Ctrl-C does; the same command takes it up again.",
         callback=_refuse_no_time,
+    ),
+]
+Average = Annotated[
+    str | None,
+    typer.Option(
+        "--average",
+        metavar="TIME",
+        help="1s, 0.5s or 2min: means over this time in place of single readings; spikes are set aside first.",
+        callback=_refuse_no_duration,
     ),
 ]
 KeepSpikes = Annotated[

@@ -6,14 +6,17 @@ A bad file is refused first, before the instrument loads, and JAX with it; no sa
 from __future__ import annotations
 
 import importlib.util
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 import bayescal as bc
-from bayescal._cli.console import OWN_FILES, in_one_line, own_file_line
+from bayescal._cli.console import OWN_FILES, in_one_line, own_file_line, print_notes
 from bayescal._cli.options import METHODS, ColumnOptions, ModelOptions, named_numbers
 from bayescal._core.errors import InputError
 from bayescal._model.installed import (
@@ -32,11 +35,17 @@ if TYPE_CHECKING:
     from bayescal._model.model import Model
     from bayescal._readings.measurements import Measurements
 
+LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
 LONG = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
 
 
 def open_request(
-    instrument: str, files: Sequence[Path], columns: ColumnOptions, choice: ModelOptions
+    instrument: str,
+    files: Sequence[Path],
+    columns: ColumnOptions,
+    choice: ModelOptions,
+    average: str | None = None,
+    keep_spikes: bool = False,
 ) -> tuple[Instrument, Model, Measurements]:
     """Instrument, model and readings that are asked for; the instrument tailored to the readings.
 
@@ -53,8 +62,51 @@ def open_request(
         readings = early
     else:
         readings = read(list(files), general, **columns.for_read())
+    if average is None:
+        print_notes(long_log(readings))
+    readings = averaged(readings, average, keep_spikes)
     tailored = general.for_readings(readings)
     return tailored, model if tailored is general else compose(tailored, choice, own), readings
+
+
+def open_kept(
+    files: Sequence[Path] | None,
+    instrument: Instrument,
+    columns: ColumnOptions,
+    average: str | None,
+    keep_spikes: bool,
+) -> Measurements | None:
+    """Readings kept apart, averaged as the others are; None where there are none."""
+    if not files:
+        return None
+    return averaged(read(list(files), instrument, **columns.for_read()), average, keep_spikes)
+
+
+def averaged(
+    readings: Measurements, average: str | None, keep_spikes: bool = False
+) -> Measurements:
+    """The means that --average asks for; clipped readings and spikes are set aside before, for a mean hides them."""
+    if average is None:
+        return readings
+    from bayescal._recording.set_aside import set_aside
+
+    return set_aside(readings, keep_spikes).average(average)
+
+
+def long_log(readings: Measurements) -> list[str]:
+    """A sentence that proposes --average, where there are more readings than a calibration has use for."""
+    if len(readings) <= LONG_LOG or not readings.has("time"):
+        return []
+    steps = np.diff(readings["time"])
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    least = usual * max(10.0, len(readings) / LONG_LOG)  # ten readings to a mean, and a short log
+    power = math.floor(math.log10(least)) if usual else 0
+    step = next((r for m in (1, 2, 5, 10) if (r := m * 10.0**power) >= least * (1 - 1e-9)), least)
+    means = f"{float(f'{len(readings) * usual / step:.2g}'):,.0f}"
+    return [
+        f"{readings.file}: {len(readings):,} readings: --average {step:g}s would leave about {means} "
+        "with nearly the same information"
+    ] * (usual > 0)
 
 
 def compose(instrument: Instrument, choice: ModelOptions, own: Mapping[str, Effect]) -> Model:

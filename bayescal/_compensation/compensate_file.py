@@ -25,8 +25,8 @@ from bayescal._readings.column import ROW, Column, NominalScale, Source
 from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
 from bayescal._readings.column_matching import ReadOptions, match
 from bayescal._readings.csv_reader import csv_parts, open_csv
+from bayescal._readings.file_formats import open_netcdf, open_parquet, parquet_parts
 from bayescal._readings.measurements import Measurements, assemble
-from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet, parquet_parts
 from bayescal._readings.raw_table import Table, bytes_text
 from bayescal._readings.read import MAX_BYTES
 

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from bayescal._calibration.calibration import Calibration
 from bayescal._compensation.operating_equation import OperatingEquation
 from bayescal._core.errors import InputError
-from bayescal._model.frame import RATE_WINDOW, Frame, build_frame
+from bayescal._core.slope_in_time import RATE_WINDOW
+from bayescal._model.frame import Frame, build_frame
 from bayescal._readings.column import ROW
 from bayescal._readings.measurements import Measurements
 

@@ -23,7 +23,7 @@ from bayescal._readings.column_matching import (
     unit_of,
 )
 from bayescal._readings.csv_reader import open_csv
-from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet
+from bayescal._readings.file_formats import open_netcdf, open_parquet
 from bayescal._readings.raw_table import FORMATS, Cells, Table, load_whole
 from bayescal._readings.unit_conversion import base_unit
 from bayescal._readings.unit_parsing import STANDARD_GRAVITY

@@ -6,7 +6,6 @@ the mean time, the span, the start of every run): stored at the fit and never re
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 
 import equinox as eqx
@@ -16,13 +15,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bayescal._core.jax_setup import configure_jax
+from bayescal._core.slope_in_time import causal_slope
 from bayescal._readings.measurements import Measurements
 
 configure_jax()
 
 GROUPS = ("run", "cell", "axis", "device")  # whose members coefficients may be given one of each
-RATE_WINDOW = 60.0  # s, of the causal least-squares slope
-GAP = 10.0  # windows without a reading, after which nothing is known of the rate
 Reference = dict[str, float | dict[str, float]]
 
 
@@ -141,7 +139,6 @@ def derived(readings: Measurements) -> dict[str, np.ndarray]:
     found = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in own}
     if readings.has("time"):
         time, (names, codes) = readings["time"], run_codes(readings)
-        starts = np.array([np.min(time[codes == i]) for i in range(len(names))])
         order, step = _sequence(time, codes)
         found |= {
             f"{n} rate": causal_slope(time, readings[n], order, step)
@@ -149,7 +146,7 @@ def derived(readings: Measurements) -> dict[str, np.ndarray]:
             if readings.unit(n) == "degC" and n not in own
         }
         if len(names) > 1:
-            found["elapsed"] = time - starts[codes]
+            found["elapsed"] = time - _first_times(time, codes, len(names))[codes]
     return found
 
 
@@ -170,7 +167,7 @@ def reference_of(readings: Measurements) -> Reference:
     found: Reference = {}
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
-            found[reference_name(name)] = float(np.round(np.mean(readings[name])))
+            found[reference_name(name)] = _round_middle(readings[name])
     for name, values in derived(readings).items():
         found[f"{name}_low"], found[f"{name}_high"] = float(values.min()), float(values.max())
     if readings.has("time"):
@@ -178,10 +175,25 @@ def reference_of(readings: Measurements) -> Reference:
         found["time_mean"] = float(np.mean(time))
         found["time_span"] = float(np.ptp(time)) or 1.0
         levels, codes = run_codes(readings)
-        found["run_starts"] = {
-            level: float(np.min(time[codes == i])) for i, level in enumerate(levels)
-        }
+        starts = _first_times(time, codes, len(levels)).tolist()
+        found["run_starts"] = dict(zip(levels, starts, strict=True))
     return found
+
+
+def _round_middle(values: np.ndarray) -> float:
+    """The mean, to the fewest decimal places that keep it in the record and within a tenth of its spread."""
+    mean, low, high = float(np.mean(values)), float(np.min(values)), float(np.max(values))
+    near = 0.1 * float(np.std(values))
+    rounded = (round(mean, places) for places in range(16))
+    kept = (r for r in rounded if abs(r - mean) <= near and low <= r <= high)
+    return next(kept, min(max(mean, low), high))
+
+
+def _first_times(time: np.ndarray, codes: np.ndarray, count: int) -> np.ndarray:
+    """When each of the runs has its first reading, s."""
+    first = np.full(count, np.inf)
+    np.minimum.at(first, codes, time)
+    return first
 
 
 def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
@@ -208,11 +220,8 @@ def build_frame(
         levels: group members known to the fit; members that are not among them get the code −1. None (at
             the fit itself) takes the readings' own.
     """
-    columns = {
-        name: np.asarray(readings[name])
-        for name in readings.columns
-        if readings.unit(name) is not None and name != "temperature_point"
-    }
+    unit = {name: readings.unit(name) for name in readings.columns if name != "temperature_point"}
+    columns = {name: np.asarray(readings[name]) for name in unit if unit[name] is not None}
     labels = {
         f"{name}={label}": np.asarray(readings[name] == label, dtype=float)
         for name in readings.columns
@@ -223,13 +232,14 @@ def build_frame(
     order, step = np.arange(len(readings)), -np.ones(len(readings))
     if readings.has("time"):
         time, (names, codes) = readings["time"], run_codes(readings)
-        columns["elapsed"] = np.asarray(time - _run_starts(time, names, codes, reference)[codes])
+        # A run began as stored at the fit, or at its own first reading where that came earlier.
+        stored, own = reference["run_starts"], _first_times(time, codes, len(names))
+        assert isinstance(stored, dict)
+        began = np.minimum(own, [stored.get(name, np.inf) for name in names])
+        columns["elapsed"] = time - began[codes]
         order, step = _sequence(time, codes)
-        rates = {
-            name: np.asarray(causal_slope(time, readings[name], order, step))
-            for name in readings.columns
-            if readings.unit(name) == "degC" and name != "temperature_point"
-        }
+        warm = [name for name in unit if unit[name] == "degC"]
+        rates = {name: causal_slope(time, readings[name], order, step) for name in warm}
     return Frame(
         columns=columns,
         labels=labels,
@@ -240,16 +250,6 @@ def build_frame(
         step=np.asarray(step),
         record=dict(columns),
     )
-
-
-def _run_starts(
-    time: np.ndarray, names: tuple[str, ...], codes: np.ndarray, reference: Reference
-) -> np.ndarray:
-    """When each run began, s: as stored at the fit, or its own first reading where that came earlier."""
-    stored = reference["run_starts"]
-    assert isinstance(stored, dict)
-    first = [float(np.min(time[codes == i])) for i in range(len(names))]
-    return np.array([min(stored.get(n, own), own) for n, own in zip(names, first, strict=True)])
 
 
 def _member_codes(
@@ -264,40 +264,3 @@ def _member_codes(
         members = fitted
     fitting = np.min_scalar_type(-len(members) - 1)  # of four for each reading, most are zeros
     return codes.astype(fitting)
-
-
-def causal_slope(
-    time: np.ndarray, values: np.ndarray, order: np.ndarray, step: np.ndarray
-) -> np.ndarray:
-    """Least-squares slope over the last minute (or the last step, if longer) within each run, unit/s.
-
-    The first reading of a run has no past and gets 0; so does the first after a gap of ten windows, such as the
-    soak before a tumble, for the change over hours says nothing of the rate now.
-    """
-    t, y, here = time[order], values[order], np.arange(time.size)
-    steps = step[step > 0]
-    window = max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0) * (1 + 1e-9)
-    begins = np.flatnonzero(step < 0)
-    first = np.empty(t.size, dtype=int)  # reading of each window, one of an earlier time at least
-    for low, high in itertools.pairwise([*begins, t.size]):
-        own = t[low:high]
-        earlier = np.searchsorted(own, own) - 1
-        first[low:high] = low + np.clip(np.searchsorted(own, own - window), 0, earlier.clip(0))
-    count, *sums = (
-        np.ones(t.size),
-        *np.zeros((4, t.size)),
-    )  # of dt, dy, dt², dt·dy before each reading
-    for back in range(1, int(np.max(here - first, initial=0)) + 1):
-        at = here[here - back >= first]
-        dt, dy = t[at - back] - t[at], y[at - back] - y[at]
-        count[at] += 1
-        for total, part in zip(sums, (dt, dy, dt * dt, dt * dy), strict=True):
-            total[at] += part
-    of_t, of_y, of_tt, of_ty = sums
-    scatter = of_tt - of_t**2 / count
-    known = (first < here) & (scatter > 0) & (t - t[first] <= GAP * window)
-    slopes = np.zeros_like(y)
-    slopes[known] = (of_ty - of_t * of_y / count)[known] / scatter[known]
-    result = np.zeros_like(slopes)
-    result[order] = slopes
-    return result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from bayescal._readings.unit_parsing import ANY
 
 ROW = "reading"  # the one dimension of readings
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
+ARRAYS = "the given arrays"  # in place of files
 TAKEN = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
 
 
@@ -131,6 +133,13 @@ class Source:
     file: str
     sha256: str
     rows: int
+
+
+def file_names(files: Sequence[str]) -> str:
+    """Files, short, for messages."""
+    if not files:
+        return ARRAYS
+    return files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
 
 
 _SIZES = (999.0, 9999.0, 99999.0, 999.25, 9999.25, 999.9, 9999.9)  # that loggers write for nothing

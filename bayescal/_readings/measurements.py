@@ -12,7 +12,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import MAY_BE_EMPTY, ROW, NominalScale, Source
+from bayescal._readings.averaging import average
+from bayescal._readings.column import ARRAYS, MAY_BE_EMPTY, ROW, NominalScale, Source, file_names
 from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
 from bayescal._readings.column_matching import (
     InstrumentLike,
@@ -27,12 +28,10 @@ from bayescal._readings.dataset_checks import (
     refuse_one_temperature,
     repeated_rows,
 )
-from bayescal._readings.raw_table import Header, Table, cells_of
+from bayescal._readings.file_formats import write
+from bayescal._readings.raw_table import Header, Table, cells_of, equally_long
 from bayescal._readings.unit_conversion import check_unit
 from bayescal._readings.unit_parsing import ANY, STANDARD_GRAVITY
-from bayescal._readings.write import write
-
-_ARRAYS = "the given arrays"
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +101,9 @@ class Measurements:
         }
         own.setdefault("output_uncertainty", own.get(output_name(instrument)))
         headers = tuple(Header.parse(name, own.get(name)) for name in columns)
-        arrays = _equally_long(columns)
+        arrays = equally_long(columns)
         table = Table(
-            file=_ARRAYS,
+            file=ARRAYS,
             headers=headers,
             rows=len(arrays[0]) if arrays else 0,
             sha256="",
@@ -229,6 +228,25 @@ class Measurements:
         unit = self.unit(name) if self.has(name) else unit
         return replace(self, data=self.data.assign({name: _variable(np.array(values), unit)}))
 
+    def average(self, step: str | float) -> Measurements:
+        """Means over times that follow each other, of readings whose labels and settings agree.
+
+        Each mean keeps the noise it has: `noise.white` of a fit is that of the mean of most readings, the column
+        `output_uncertainty` holds what a mean of fewer has beside it, and a flag says what a single reading scatters
+        by. Correlated noise slower than `step` stays as it is. Lost is what happens within `step`: rates, lags and
+        vibration that fast, and spikes, which a mean hides: set them aside first.
+
+        Args:
+            step: such as "1 s", "0.5 s" or "2 min"; a number is in s.
+
+        Raises:
+            InputError: no such time, no column `time`, or no two readings in any of these times.
+        """
+        columns, units = {n: self[n] for n in self.columns}, {n: self.unit(n) for n in self.columns}
+        made = average(columns, units, self.output, step, self.file)
+        means = {name: _variable(values, made.units[name]) for name, values in made.columns.items()}
+        return replace(self, data=xr.Dataset(means), flags=(*self.flags, made.flag))
+
     def write(self, path: str | Path) -> Path:
         """Write the readings to .csv, .parquet or .nc, as `read` reads them.
 
@@ -270,30 +288,8 @@ def assemble(
     return Measurements(xr.Dataset(variables), sources, tuple(flags), output)
 
 
-def file_names(files: Sequence[str]) -> str:
-    """Files, short, for messages."""
-    if not files:
-        return _ARRAYS
-    return files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
-
-
 def _variable(values: np.ndarray, unit: str | None) -> xr.Variable:
     if unit is None:
         return xr.Variable(ROW, values.astype(str))
     check_unit(unit)
     return xr.Variable(ROW, values.astype(np.float64, copy=False), {"units": unit})
-
-
-def _equally_long(columns: Mapping[str, ArrayLike]) -> list[np.ndarray]:
-    """The columns as vectors; a single value counts for every reading.
-
-    Raises:
-        InputError: lengths differ, or a column is no vector.
-    """
-    arrays = {name: np.asarray(values) for name, values in columns.items()}
-    lengths = {len(array) for array in arrays.values() if array.ndim == 1}
-    if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
-        shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
-        raise InputError(f"columns must be vectors of one length, these are: {shapes}")
-    rows = lengths.pop() if lengths else 1
-    return [np.broadcast_to(array, (rows,)) for array in arrays.values()]

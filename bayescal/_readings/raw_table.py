@@ -158,6 +158,21 @@ def cells_of(values: object, number: bool) -> Cells:
     return Cells(np.full(len(array), np.nan), (0, str(array[0])) if len(array) else None)
 
 
+def equally_long(columns: Mapping[str, object]) -> list[np.ndarray]:
+    """The columns as vectors; a single value counts for every reading.
+
+    Raises:
+        InputError: lengths differ, or a column is no vector.
+    """
+    arrays = {name: np.asarray(values) for name, values in columns.items()}
+    lengths = {len(array) for array in arrays.values() if array.ndim == 1}
+    if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+        raise InputError(f"columns must be vectors of one length, these are: {shapes}")
+    rows = lengths.pop() if lengths else 1
+    return [np.broadcast_to(array, (rows,)) for array in arrays.values()]
+
+
 def _text(value: object, missing: object) -> str:
     """A cell as a label: whole numbers without a point, nothing for what is `missing`."""
     if value is None or value is missing or (isinstance(value, float) and np.isnan(value)):

@@ -163,7 +163,7 @@ def _open(path: Path, name: str, max_bytes: int) -> Table:
             )
         if suffix == ".csv":
             return open_csv(path, name)
-        from bayescal._readings.parquet_netcdf_reader import open_netcdf, open_parquet
+        from bayescal._readings.file_formats import open_netcdf, open_parquet
 
         return (open_parquet if suffix == ".parquet" else open_netcdf)(path, name, max_bytes)
     except OSError as error:

@@ -115,3 +115,54 @@ def test_constants_of_the_bases_are_those_of_the_fit() -> None:
     np.testing.assert_array_equal(tail.codes["run"], old.codes["run"][14:])
     stranger = found.frame_of(data.with_column("run", np.full(20, "third")))
     assert (np.asarray(stranger.codes["run"]) == -1).all()
+
+
+@pytest.mark.parametrize("step", [0.1, 4.0, 70.0])  # s: 600 readings a window, 15, and two
+def test_slopes_of_a_long_record_are_those_of_the_formula(step: float) -> None:
+    rng = np.random.default_rng(5)
+    time = 1.7e9 + np.cumsum(rng.exponential(step, 900))  # uneven, and seconds since 1970
+    time[300:] += 50 * step  # a short gap
+    time[600:] += 3000 * step  # one after which nothing is known
+    time[10] = time[9]
+    temperature = 20 + np.cumsum(rng.normal(0.0, 0.1, 900))
+    temperature[200] += 300  # one wild reading must not cost digits elsewhere
+    codes = rng.integers(0, 3, 900)  # runs that interleave
+    rate = np.asarray(framed(thermal(time, temperature, codes.astype(str))).rate())
+    steps = [np.diff(time[codes == run]) for run in range(3)]
+    window = max(60.0, np.median([s for s in np.concatenate(steps) if s > 0])) * (1 + 1e-9)
+    for i in range(900):
+        past = np.flatnonzero((codes == codes[i]) & (time <= time[i]) & (np.arange(900) <= i))
+        inside = past[time[past] >= time[i] - window]
+        if (time[inside] == time[i]).all():  # the last step then
+            inside = past[-1 - np.sum(time[past] == time[i]) :]
+        dt = time[inside] - time[i]
+        dt -= dt.mean()
+        known = np.sum(dt**2) > 0 and np.ptp(time[inside]) <= 10 * window
+        expected = np.sum(dt * temperature[inside]) / np.sum(dt**2) if known else 0.0
+        dy = np.abs(temperature[inside] - temperature[inside].mean()).max()
+        assert rate[i] == pytest.approx(expected, rel=1e-9, abs=1e-11 * dy)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [(20.2, 60.4, 40.0), (25.3, 25.7, 25.5), (24.61, 24.69, 24.65), (25.3, 25.3, 25.3)],
+)
+def test_reference_temperature_lies_in_the_record(low: float, high: float, expected: float) -> None:
+    temperature = np.linspace(low, high, 50)
+    data = thermal(np.arange(50) * 60.0, np.linspace(20, 30, 50))
+    narrow = data.with_column("temperature", temperature)
+    assert reference_of(narrow)["T0"] == pytest.approx(expected, rel=1e-14)
+    skew = narrow.with_column("temperature", np.where(np.arange(50) < 49, low, high + 1))
+    assert low <= float(reference_of(skew)["T0"]) <= high + 1  # pyright: ignore[reportArgumentType]
+
+
+def test_a_narrow_record_does_not_swell_the_constant() -> None:
+    rng = np.random.default_rng(6)
+    temperature = rng.uniform(25.3, 25.7, 400)
+    data = bc.Measurements.from_arrays(
+        INSTRUMENT, temperature=temperature, output=rng.normal(0.0, 0.1, 400)
+    )
+    model, how = INSTRUMENT.baseline(), bc.LeastSquares()
+    own = bc.fit(model, data, how, strict=False)
+    centred = bc.fit(model, data, how, strict=False, reference={"T0": float(np.mean(temperature))})
+    assert np.std(own.samples("bias.constant")) < 1.02 * np.std(centred.samples("bias.constant"))

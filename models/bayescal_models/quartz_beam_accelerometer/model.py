@@ -12,7 +12,7 @@ Both b and κ are, after source 2, sums of 15 columns (its `b_com = b0 − [ …
     c01 + c11·t1 + c21·t1² + c31·t1³ + c02 + c12·t2 + c22·t2² + c32·t2³ + cδ1·δt + cδ2·δt² + cδ3·δt³
         + ċ1·dt1/dt + ċ2·dt2/dt + c×rate·t2·dt2/dt + c×grad·t2·δt
 
-with t1 and t2 about one T0 (mean of t2, rounded to 1 °C, stored with the calibration as temperature_head_0). The
+with t1 and t2 about one T0 (mean of t2, rounded, stored with the calibration as temperature_head_0). The
 columns have rank 12: c01 − c02, c11 − c12 − cδ1 and c21 − c22 − cδ2 − 2·c×grad leave no trace in any readings; all
 15 are kept, their priors hold these three, and every calibration names them. On soaked points the rank is 4.
 

@@ -1,20 +1,25 @@
-"""Parquet and NetCDF as tables: numbers and text only, nothing that a file could have evaluated."""
+"""Files of readings: Parquet and NetCDF opened as tables, and readings written, with the units where `read` finds them.
+
+Numbers and text only, nothing that a file could have evaluated. Everything is written beside its place and then
+renamed, so a file is there whole or not at all.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-import h5py
+import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
-from bayescal._core.atomic_file import sha256_of
+from bayescal._core.atomic_file import netcdf_bytes, replacing_for_user, sha256_of
 from bayescal._core.errors import InputError
 from bayescal._readings.column import ROW
-from bayescal._readings.raw_table import Cells, Header, Table, bytes_text, cells_of
+from bayescal._readings.raw_table import FORMATS, Cells, Header, Table, bytes_text, cells_of
 
 
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
@@ -104,6 +109,8 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
         InputError: it is not NetCDF-4, has several dimensions to choose from, or is too large once
             unpacked.
     """
+    import h5py  # a tenth of a second that only NetCDF needs
+
     with _as_format(file, "NetCDF-4"), h5py.File(path) as hdf5:
         hdf5.attrs.get(
             "_nc3_strict"
@@ -174,3 +181,68 @@ def _as_format(file: str, name: str) -> Iterator[None]:
 def _first_line(error: Exception) -> str:
     first = (str(error).strip().splitlines() or [type(error).__name__])[0]
     return first[:200].rstrip(".")
+
+
+def write(dataset: xr.Dataset, path: str | Path) -> Path:
+    """Write a data set of readings in the format that the suffix names.
+
+    Args:
+        dataset: one dimension, numbers with the attribute `units`, and text.
+        path: ending in .csv, .parquet or .nc.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: another suffix, no such folder, or a place that cannot be written to.
+    """
+    path = Path(path)
+    writers: dict[str, Callable[[xr.Dataset, Path], None]] = {
+        ".csv": _write_csv,
+        ".parquet": _write_parquet,
+        ".nc": _write_netcdf,
+    }
+    writer = writers.get(path.suffix.lower())
+    if writer is None:
+        raise InputError(
+            f"{path.name!r}: readings cannot be written as "
+            f"{path.suffix or 'a file without a suffix'!r}; choose {', '.join(FORMATS)}"
+        )
+    with replacing_for_user(path) as partial:
+        writer(dataset, partial)
+    return path
+
+
+def _columns(dataset: xr.Dataset) -> dict[str, np.ndarray]:
+    """Values under `name [unit]`, labels under their name."""
+    found = {}
+    for name, variable in dataset.data_vars.items():
+        unit = variable.attrs.get("units")
+        found[str(name) if unit is None else f"{name} [{unit}]"] = variable.values
+    return found
+
+
+def _write_csv(dataset: xr.Dataset, path: Path) -> None:
+    frame = pd.DataFrame(_columns(dataset))
+    frame.to_csv(path, index=False, lineterminator="\n", encoding="utf-8")
+
+
+def _write_parquet(dataset: xr.Dataset, path: Path) -> None:
+    arrays, fields = [], []
+    units = [variable.attrs.get("units") for variable in dataset.data_vars.values()]
+    for (name, values), unit in zip(_columns(dataset).items(), units, strict=True):
+        kind = pa.string() if unit is None else pa.float64()
+        metadata = None if unit is None else {"units": unit}
+        arrays.append(pa.array(values.tolist() if unit is None else values, type=kind))
+        fields.append(pa.field(name, kind, metadata=metadata))
+    pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), path)
+
+
+def _write_netcdf(dataset: xr.Dataset, path: Path) -> None:
+    for name in dataset.data_vars:
+        if "/" in str(name):
+            raise InputError(
+                f"column {name!r} cannot be written to NetCDF because of its '/': rename it, or "
+                "write .csv or .parquet"
+            )
+    path.write_bytes(netcdf_bytes(dataset))

@@ -1,0 +1,60 @@
+"""The causal slope of a column in time: a line through the last minute."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pandas as pd
+
+RATE_WINDOW = 60.0  # s
+GAP = 10.0  # windows without a reading, after which nothing is known of the rate
+
+
+def causal_slope(
+    time: np.ndarray, values: np.ndarray, order: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """Least-squares slope over the last minute (or the last step, if longer) within each run, unit/s.
+
+    The first reading of a run has no past and gets 0; so does the first after a gap of ten windows, such as the
+    soak before a tumble, for the change over hours says nothing of the rate now. Linear in the readings.
+    """
+    t, y, here = time[order], values[order], np.arange(time.size)
+    steps = step[step > 0]
+    window = max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0) * (1 + 1e-9)
+    begins = np.flatnonzero(step < 0)
+    first = np.empty(t.size, dtype=int)  # reading of each window, one of an earlier time at least
+    for low, high in itertools.pairwise([*begins, t.size]):
+        own = t[low:high]
+        earlier = np.searchsorted(own, own) - 1
+        first[low:high] = low + np.clip(np.searchsorted(own, own - window), 0, earlier.clip(0))
+    of_t, of_y, of_tt, of_ty = _window_sums(t, y, first)
+    count = here - first + 1
+    scatter = of_tt - of_t**2 / count
+    known = (first < here) & (scatter > 0) & (t - t[first] <= GAP * window)
+    slopes = np.zeros_like(y)
+    slopes[order[known]] = (of_ty - of_t * of_y / count)[known] / scatter[known]
+    return slopes
+
+
+def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Sums of dt, dy, dt² and dt·dy over the readings first[i] … i, for each i; `first` rises.
+
+    An anchor stands in each window: the sums grow away from it on either side, dt and dy are distances from it, and
+    nothing is ever subtracted from a sum, so no digits are lost however long the record.
+    """
+    here = np.arange(t.size)
+    beyond = np.searchsorted(first, here, side="right")  # the first window without this reading
+    anchors = [0]
+    while (after := int(beyond[anchors[-1]])) < t.size:
+        anchors.append(after)
+    stretch = np.searchsorted(anchors, here, side="right") - 1
+    at, after = np.array(anchors)[stretch], np.array([*anchors[1:], t.size - 1])[stretch]
+
+    def sums(origin: np.ndarray, rows: slice) -> np.ndarray:  # of each stretch, in this direction
+        dt, dy = t - t[origin], y - y[origin]
+        terms = pd.DataFrame(np.stack([dt, dy, dt * dt, dt * dy], axis=1)[rows])
+        return terms.groupby(stretch[rows]).cumsum().to_numpy()[rows].T
+
+    since, until = sums(at, slice(None)), sums(after, slice(None, None, -1))
+    return since + np.where(first < at, until[:, first], 0.0)

@@ -1,0 +1,75 @@
+"""Commands average long logs where they are asked to, and propose it where they are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayescal as bc
+from tests.support.command_line import QUICK, needs_installation, run
+
+pytestmark = needs_installation
+STILL = ("--instrument", "still_sensor")
+
+
+def write_log(path: Path, rows: int, seed: int, spike: float = 0.0) -> Path:
+    """Ten readings a second at rest, a slow wave of temperature, noise of 20 µg."""
+    rng = np.random.default_rng(seed)
+    time = 0.1 * np.arange(rows)
+    temperature = 25 + 5 * np.sin(time / 200.0)
+    output = 300 + 12 * (temperature - 25) + rng.normal(0.0, 20.0, rows)
+    output[rows // 3] += spike
+    columns = {"time [s]": time, "temperature [degC]": temperature, "output [ug]": output}
+    pd.DataFrame(columns).round(4).to_csv(path, index=False)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("averaged") / "log.csv", 6000, 1)
+
+
+def test_a_calibration_of_means_is_saved_verified_and_predicts(log: Path, tmp_path: Path) -> None:
+    fitted = run("fit", log, *STILL, *QUICK, "--average", "1s", "--out", tmp_path)
+    assert fitted.status == 0, fitted.err
+    assert "6000 readings averaged over 1 s, to 600 means of 10; noise.white is that" in fitted.err
+    loaded = bc.load(tmp_path / "calibration.nc")
+    assert len(loaded.readings) == 600
+    assert run("check", tmp_path / "calibration.nc").status == 0
+    predicted = run("predict", tmp_path / "calibration.nc", log, "--average", "1 s", "--json").data
+    assert predicted["rows"] == 600
+    assert predicted["rmse"] == pytest.approx(predicted["expected_rmse"], rel=0.1)
+
+
+def test_a_loop_over_means_sets_spikes_aside_before(tmp_path: Path) -> None:
+    log, kept = (write_log(tmp_path / f"{n}.csv", 3000, n, spike=2000.0) for n in (2, 3))
+    asked = ("--average", "1s", "--max-effects", 1, *QUICK, "--json")
+    found = run("calibrate", log, *STILL, "--holdout", kept, *asked)
+    assert found.status == 0, found.err
+    assert "log.csv: 1 reading(s) set aside" in found.err.replace("2.csv", "log.csv")
+    step = found.data["steps"][-1]
+    assert step["holdout_rmse"] == pytest.approx(20 / np.sqrt(10), rel=0.2)
+
+
+def test_averaging_is_proposed_where_a_log_is_long(tmp_path: Path, log: Path) -> None:
+    long = run("fit", write_log(tmp_path / "long.csv", 25_000, 4), *STILL, *QUICK)
+    proposed = "long.csv: 25,000 readings: --average 1s would leave about 2,500 with nearly the"
+    assert proposed in long.err
+    assert "--average" not in run("fit", log, *STILL, *QUICK).err
+
+
+@pytest.mark.parametrize(
+    ("time", "words"),
+    [
+        ("1m", "'1m' is no time to average over: write a positive number with a unit of time"),
+        ("50ms", "no two readings with the same labels and settings lie within 0.05 s"),
+        ("1day", "a mean over 86400 s is one of all 6000 readings: give a shorter time"),
+    ],
+)
+def test_a_time_that_cannot_be_is_refused(log: Path, time: str, words: str) -> None:
+    refused = run("fit", log, *STILL, *QUICK, "--average", time)
+    assert refused.status == 2
+    assert words in refused.err
