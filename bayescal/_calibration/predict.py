@@ -11,9 +11,9 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.on_readings import Vectors, moments
 from bayescal._engine.whitening import known_variance, wander_given
-from bayescal._model.frame import run_codes
 from bayescal._model.noise_laws import OrnsteinUhlenbeck
 from bayescal._readings.measurements import Measurements
+from bayescal._recording.time_in_runs import run_codes
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from bayescal._calibration.calibration import Calibration
 from bayescal._compensation.operating_equation import OperatingEquation
 from bayescal._core.errors import InputError
-from bayescal._core.slope_in_time import RATE_WINDOW
 from bayescal._model.frame import Frame, build_frame
 from bayescal._readings.column import ROW
 from bayescal._readings.measurements import Measurements
+from bayescal._recording.time_in_runs import RATE_WINDOW
 
 MARGIN = 0.01  # of the range of the stimulus: a reading at its end scatters about it
 

@@ -1,4 +1,4 @@
 """What a model is: priors, coefficients, effects, noise laws, instruments, and their one composition.
 
-Imports `_core` and `_readings`.
+Imports `_core`, `_readings` and `_recording`.
 """

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bayescal._core.jax_setup import configure_jax
-from bayescal._core.slope_in_time import causal_slope
 from bayescal._readings.measurements import Measurements
+from bayescal._recording.time_in_runs import causal_slope, first_times, run_codes, sequence
 
 configure_jax()
 
@@ -139,23 +139,15 @@ def derived(readings: Measurements) -> dict[str, np.ndarray]:
     found = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in own}
     if readings.has("time"):
         time, (names, codes) = readings["time"], run_codes(readings)
-        order, step = _sequence(time, codes)
+        order, step = sequence(time, codes)
         found |= {
             f"{n} rate": causal_slope(time, readings[n], order, step)
             for n in readings.columns
             if readings.unit(n) == "degC" and n not in own
         }
         if len(names) > 1:
-            found["elapsed"] = time - _first_times(time, codes, len(names))[codes]
+            found["elapsed"] = time - first_times(time, codes, len(names))[codes]
     return found
-
-
-def _sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The order of time within runs, and the time since the previous reading of the run, −1 at its first."""
-    order = np.lexsort((time, codes))
-    step = np.diff(time[order], prepend=time[order][:1])
-    step[np.diff(codes[order], prepend=-1) != 0] = -1.0
-    return order, step
 
 
 def reference_name(column: str) -> str:
@@ -175,7 +167,7 @@ def reference_of(readings: Measurements) -> Reference:
         found["time_mean"] = float(np.mean(time))
         found["time_span"] = float(np.ptp(time)) or 1.0
         levels, codes = run_codes(readings)
-        starts = _first_times(time, codes, len(levels)).tolist()
+        starts = first_times(time, codes, len(levels)).tolist()
         found["run_starts"] = dict(zip(levels, starts, strict=True))
     return found
 
@@ -187,24 +179,6 @@ def _round_middle(values: np.ndarray) -> float:
     rounded = (round(mean, places) for places in range(16))
     kept = (r for r in rounded if abs(r - mean) <= near and low <= r <= high)
     return next(kept, min(max(mean, low), high))
-
-
-def _first_times(time: np.ndarray, codes: np.ndarray, count: int) -> np.ndarray:
-    """When each of the runs has its first reading, s."""
-    first = np.full(count, np.inf)
-    np.minimum.at(first, codes, time)
-    return first
-
-
-def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
-    """Runs as records in time: one for each run of each device and axis."""
-    levels, codes = readings.groups("run")
-    for group in ("device", "axis"):
-        if readings.has(group):
-            members, own = readings.groups(group)
-            pairs, codes = np.unique(own * len(levels) + codes, return_inverse=True)
-            levels = tuple(f"{members[p // len(levels)]}|{levels[p % len(levels)]}" for p in pairs)
-    return levels, codes
 
 
 def build_frame(
@@ -233,11 +207,11 @@ def build_frame(
     if readings.has("time"):
         time, (names, codes) = readings["time"], run_codes(readings)
         # A run began as stored at the fit, or at its own first reading where that came earlier.
-        stored, own = reference["run_starts"], _first_times(time, codes, len(names))
+        stored, own = reference["run_starts"], first_times(time, codes, len(names))
         assert isinstance(stored, dict)
         began = np.minimum(own, [stored.get(name, np.inf) for name in names])
         columns["elapsed"] = time - began[codes]
-        order, step = _sequence(time, codes)
+        order, step = sequence(time, codes)
         warm = [name for name in unit if unit[name] == "degC"]
         rates = {name: causal_slope(time, readings[name], order, step) for name in warm}
     return Frame(

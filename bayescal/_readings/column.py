@@ -151,7 +151,7 @@ def placeholder(values: np.ndarray) -> int | None:
     for value in np.intersect1d(values[np.isin(values, PLACEHOLDERS)], PLACEHOLDERS):
         there = values == value
         others = values[~there]
-        if len(others) < len(values) / 2:
+        if len(others) < max(3, len(values) / 2):  # of two numbers, each is far from all others
             continue
         low, high = float(others.min()), float(others.max())
         if max(low - value, value - high) > 3 * (high - low):

@@ -1,1 +1,4 @@
-"""How readings were recorded: what is set aside before a fit (clipped readings, spikes), and rounding."""
+"""How readings were recorded, before any model: order in time, what is set aside (clipped readings, spikes), rounding.
+
+Imports `_core` and `_readings`.
+"""

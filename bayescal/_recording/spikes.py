@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal._model.frame import run_codes
 from bayescal._readings.measurements import Measurements
+from bayescal._recording.time_in_runs import run_codes
 
 HEIGHT = 8.0  # robust standard deviations of such distances, from which a reading is a spike
 FEWEST = 50  # readings that a record needs before any can be called a spike

@@ -10,9 +10,10 @@ import numpy as np
 
 from bayescal._model.coefficient import Coefficient, Shape
 from bayescal._model.effect import Effect
-from bayescal._model.frame import build_frame, reference_of, run_codes
+from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements
+from bayescal._recording.time_in_runs import run_codes
 
 WINDOWS = (2.0, 120.0)  # s, of a rate: from a reading or two to what a lag describes
 WIDTHS = (

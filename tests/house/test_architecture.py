@@ -25,12 +25,12 @@ MOST_ROOMS = 17
 # From the ground up. A module imports only what stands before it, wherever in the file the import stands.
 ROOMS = {
     "_core": "version errors atomic_file formatting jax_setup progress parallel jit tall_qr "
-    "levenberg_marquardt null_space importance_weights slope_in_time",
+    "levenberg_marquardt null_space importance_weights",
     "_readings": "unit_parsing unit_conversion column raw_table dataset_checks averaging file_formats column_matching "
     "column_conversion measurements csv_reader read",
+    "_recording": "time_in_runs rounding spikes set_aside",
     "_model": "prior coefficient frame effect unknown_effect departure noise_laws instrument "
     "installed model parameters forward",
-    "_recording": "rounding spikes set_aside",
     "effects": "constant temperature thermal thermometer time",
     "_engine": "pieces terms record assembly whitening closed_form mode linear_model joint products sampling "
     "refinement",

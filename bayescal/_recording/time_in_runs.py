@@ -1,4 +1,4 @@
-"""The causal slope of a column in time: a line through the last minute."""
+"""Time within runs: which readings make a run, in what order, and the slope of a column over the last minute."""
 
 from __future__ import annotations
 
@@ -7,8 +7,36 @@ import itertools
 import numpy as np
 import pandas as pd
 
+from bayescal._readings.measurements import Measurements
+
 RATE_WINDOW = 60.0  # s
 GAP = 10.0  # windows without a reading, after which nothing is known of the rate
+
+
+def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
+    """Runs as records in time: one for each run of each device and axis."""
+    levels, codes = readings.groups("run")
+    for group in ("device", "axis"):
+        if readings.has(group):
+            members, own = readings.groups(group)
+            pairs, codes = np.unique(own * len(levels) + codes, return_inverse=True)
+            levels = tuple(f"{members[p // len(levels)]}|{levels[p % len(levels)]}" for p in pairs)
+    return levels, codes
+
+
+def sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The order of time within runs, and the time since the previous reading of the run, −1 at its first."""
+    order = np.lexsort((time, codes))
+    step = np.diff(time[order], prepend=time[order][:1])
+    step[np.diff(codes[order], prepend=-1) != 0] = -1.0
+    return order, step
+
+
+def first_times(time: np.ndarray, codes: np.ndarray, count: int) -> np.ndarray:
+    """When each of the runs has its first reading, s."""
+    first = np.full(count, np.inf)
+    np.minimum.at(first, codes, time)
+    return first
 
 
 def causal_slope(
