@@ -1,1 +1,1 @@
-"""How readings were recorded: what is set aside before a fit (clipped readings, spikes), and rounding."""
+"""How readings were recorded: what is set aside before a fit (clipped readings, spikes), rounding, Allan deviation."""

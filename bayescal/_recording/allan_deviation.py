@@ -157,9 +157,7 @@ def overlapping(
     for rows in runs.rows:
         there = factors[len(rows) + 1 - 2 * factors > 1]  # two differences or more
         if len(there):
-            _, found, _, n = allantools.oadev(
-                values[rows], rate=1.0, data_type="freq", taus=there
-            )
+            _, found, _, n = allantools.oadev(values[rows], rate=1.0, data_type="freq", taus=there)
             squares[: len(n)] += n * found**2
             count[: len(n)] += n
     return squares / count, count
@@ -195,9 +193,7 @@ def noise_types(variance: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
     return np.clip(np.round(-1 - np.gradient(np.log2(variance))), -2, 0)
 
 
-def degrees_of_freedom(
-    runs: EvenRuns, types: Float[np.ndarray, "k"]
-) -> Float[np.ndarray, "k"]:
+def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
     """Equivalent degrees of freedom of the runs together, of each run by Greenhall & Riley (2003).
 
     A mean of estimates of the variance 2·v²/eᵢ with weights wᵢ has the variance 2·v²·Σ wᵢ²/eᵢ.

@@ -21,6 +21,7 @@ HALFWAY = 0.25  # from the slope of one kind of noise to where that of the next 
 FLAT = 2 * np.log(2) / np.pi  # σ² of flicker noise over B²; its root is the 0.664 of data sheets
 WIDE = 2.0  # standard uncertainties, as everywhere that an interval of 95 % is meant
 RARE = 1e-3  # p-value, as of all tests in a check
+FREQUENCIES = 4096  # of an integral over a spectrum; twice as many change no digit that is printed
 ROUNDS = 5  # of weighting anew; more change nothing to three digits
 
 
@@ -51,8 +52,8 @@ class Curve(NamedTuple):
 
     @property
     def frequencies(self) -> Float[np.ndarray, "f"]:
-        """Up to half of one per reading."""
-        return (np.arange(self.readings) + 0.5) / (2 * self.readings)
+        """From that of the longest run to half of one per reading, by equal factors."""
+        return np.geomspace(0.25 / self.readings, 0.5, FREQUENCIES)
 
     def spectrum(self, symbol: str) -> Float[np.ndarray, "f"]:
         """The spectral density of a term of size one, per reading."""
@@ -63,9 +64,9 @@ class Curve(NamedTuple):
 
     @property
     def responses(self) -> Float[np.ndarray, "k f"]:
-        """How much of each frequency is in each Allan variance, but for a factor."""
+        """How much of each frequency is in each Allan variance, but for a factor: of its square, that of its band."""
         f, m = self.frequencies, self.factors[:, None]
-        return np.sin(np.pi * f * m) ** 4 / (m * np.sin(np.pi * f)) ** 2
+        return np.sqrt(f) * np.sin(np.pi * f * m) ** 4 / (m * np.sin(np.pi * f)) ** 2
 
 
 def terms_of(curve: Curve, unit: str) -> tuple[Term, ...]:
