@@ -136,18 +136,18 @@ def check_text(check: Check) -> str:
 
 
 def _allan_lines(check: Check) -> list[str]:
-    """Where the noise law is contradicted; and the terms of data sheets, where the curve shows any."""
+    """Where the noise law is contradicted; and the terms of data sheets, where the curve shows any.
+
+    What a covariate explains is no noise, and has no such terms.
+    """
     found, lines = check.allan, []
     if found is None:
         return lines
     if found.apart is not None:
         lines.append(textwrap.fill(found.sentence(), WIDTH, subsequent_indent="  "))
-    if any(t.value is not None for t in found.measured.terms):
-        lacking = any(
-            e.log_bayes_factor > STRONG for e in check.entries if e.against not in IN_TIME
-        )
-        head = "residuals, with what the model lacks" if lacking else "residuals"
-        lines += ["", found.table(head)]
+    explained = any(e.log_bayes_factor > STRONG for e in check.entries if e.against not in IN_TIME)
+    if not explained and any(t.value is not None for t in found.measured.terms):
+        lines += ["", found.table()]
     return lines
 
 

@@ -59,13 +59,13 @@ class AllanCheck:
     def __str__(self) -> str:
         return f"{self.table()}\n{self.sentence()}"
 
-    def table(self, head: str = "residuals") -> str:
-        """The terms in the units of data sheets: of the residuals, under this head, and of the law."""
+    def table(self) -> str:
+        """The terms in the units of data sheets: of the residuals, and of the law."""
         said = {t.symbol: str(t) for t in self.law_terms}
         rows = [
             [f"{t.name} {t.symbol}", str(t), said.get(t.symbol, "–")] for t in self.measured.terms
         ]
-        return table(["Allan deviation", head, f"noise law ({self.law_name})"], rows)
+        return table(["Allan deviation", "residuals", f"noise law ({self.law_name})"], rows)
 
     @property
     def law_name(self) -> str:

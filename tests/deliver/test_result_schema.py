@@ -14,6 +14,7 @@ import pytest
 import bayescal as bc
 from bayescal._report.result_json import clean, result, write_json
 from bayescal_models import mems_gyro
+from tests.support import reported
 from tests.support.command_line import write_bent_table
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "result_schema.md").read_text("utf-8")
@@ -157,6 +158,17 @@ def test_every_documented_key_is_found_in_one_result_or_the_other(
         *(f"missing[].departures[].{key}" for key in KEYS["missing[].departures[]"].split()),
     }
     assert set(DOCUMENTED) - found <= rare
+
+
+def test_the_allan_deviation_of_readings_in_time_is_as_documented(tmp_path: Path) -> None:
+    found = read_back(reported.trail(), tmp_path)
+    told = {p: v for p, v in values(found) if p.startswith("allan[]")}
+    assert {p for p in DOCUMENTED if p.startswith("allan[]")} <= set(told)
+    test_every_key_is_documented_with_its_type(found)
+    assert [a["step"] for a in found["allan"]] == list(range(len(found["steps"])))
+    assert found["allan"][-1]["agrees"]
+    (white,) = [t for t in found["allan"][-1]["terms"] if t["symbol"] == "N"]
+    assert abs(white["value"] - white["law"]) < 3 * white["uncertainty"]
 
 
 def test_what_the_values_mean(written: dict[str, Any]) -> None:
