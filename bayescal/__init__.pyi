@@ -16,6 +16,10 @@ from ._discovery.false_reports import false_reports as false_reports
 from ._discovery.draft_effect import shape_of as shape_of
 from ._discovery.draft_effect import template as template
 
+# a sensor's noise, as data sheets give it
+from ._recording.allan_deviation import allan_deviation as allan_deviation
+from ._recording.allan_deviation import AllanDeviation as AllanDeviation
+
 # what leaves: the compensation, its budget, pictures, the report to sign
 from ._compensation.compensator import compensator as compensator
 from ._compensation.compensator import load_compensator as load_compensator

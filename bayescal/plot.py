@@ -5,6 +5,7 @@ Colours that the colour-blind can tell apart (Okabe and Ito), a unit on every ax
 
 from __future__ import annotations
 
+from bayescal._plots.allan import allan as allan
 from bayescal._plots.posterior import coefficients as coefficients
 from bayescal._plots.posterior import identifiability as identifiability
 from bayescal._plots.posterior import members as members

@@ -81,6 +81,12 @@ def of_the_posterior(after: bc.Calibration) -> list[Entry]:
             lambda: bc.plot.coefficients(after),
         ),
         Entry(
+            "allan",
+            "bc.plot.allan(trail.final.calibration)",
+            "Allan deviation of the residuals with its 95 % intervals, and what the noise law lets one expect (grey).",
+            lambda: bc.plot.allan(after),
+        ),
+        Entry(
             "members",
             'bc.plot.members(trail.final.calibration, "bias.thermal_lag[start]")',
             "A coefficient with one value for each run: means, 50 % and 95 % credible intervals.",

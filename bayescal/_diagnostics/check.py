@@ -14,6 +14,7 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._diagnostics import covariate_evidence, efficient_score
 from bayescal._diagnostics.check_result import Check, Entry, FixedComparison, Pair
 from bayescal._diagnostics.evidence_scale import STRONG
+from bayescal._diagnostics.noise_in_time import allan_check
 from bayescal._diagnostics.worst_region import worst_regions
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model.frame import GROUPS
@@ -67,6 +68,7 @@ def check(calibration: Calibration) -> Check:
         if free_noise is None
         else _compare_fixed(calibration, residual, noise, free_noise),
         residuals=residual,
+        allan=allan_check(judged),
     )
 
 

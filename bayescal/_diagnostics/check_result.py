@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from bayescal._core.formatting import number, table
+from bayescal._core.formatting import WIDTH, number, table
 from bayescal._diagnostics.evidence_scale import STRONG
+from bayescal._diagnostics.noise_in_time import AllanCheck
 from bayescal._diagnostics.worst_region import Region
 from bayescal._readings.unit_conversion import unit_label
+
+IN_TIME = ("time", "elapsed", "order", "run")  # what noise that wanders seems to follow
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,7 @@ class Check:
         pit_p: p-value of uniform leave-one-out probability integral transforms.
         fixed: only for models with fixed coefficients.
         residuals: (n,), output unit.
+        allan: Allan deviation of the residuals beside the noise law; None where readings are not evenly spaced in time.
     """
 
     entries: tuple[Entry, ...]
@@ -87,6 +92,7 @@ class Check:
     pit_p: float
     fixed: FixedComparison | None
     residuals: np.ndarray = field(repr=False)
+    allan: AllanCheck | None = None
 
     def __str__(self) -> str:
         return check_text(self)
@@ -125,7 +131,24 @@ def check_text(check: Check) -> str:
         shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
     lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
+    lines += _allan_lines(check)
     return "\n".join(lines)
+
+
+def _allan_lines(check: Check) -> list[str]:
+    """Where the noise law is contradicted; and the terms of data sheets, where the curve shows any.
+
+    What a covariate explains is no noise, and has no such terms.
+    """
+    found, lines = check.allan, []
+    if found is None:
+        return lines
+    if found.apart is not None:
+        lines.append(textwrap.fill(found.sentence(), WIDTH, subsequent_indent="  "))
+    explained = any(e.log_bayes_factor > STRONG for e in check.entries if e.against not in IN_TIME)
+    if not explained and any(t.value is not None for t in found.measured.terms):
+        lines += ["", found.table()]
+    return lines
 
 
 def _where(against: str, region: Region) -> str:

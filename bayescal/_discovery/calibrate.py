@@ -17,7 +17,7 @@ from bayescal._core.progress import stage
 from bayescal._diagnostics.check import check
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.leave_group_out import leave_one_group_out
-from bayescal._diagnostics.neighbours import noise_floor
+from bayescal._diagnostics.noise_in_time import noise_floor
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over, told
 from bayescal._discovery.gate import gate, wrong_question

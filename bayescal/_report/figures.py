@@ -72,6 +72,16 @@ class Pictures:
             )
         return pictures
 
+    def allan(self, found: Check, which: str) -> Picture | None:
+        """The Allan deviation of the residuals, where there is one."""
+        if found.allan is None:
+            return None
+        return self.draw(
+            lambda: plot.allan(found),
+            f"Allan deviation of the residuals of {which}, and what its noise law lets one expect (grey, 95 %)",
+            f"Allan deviation over averaging time: {found.allan.sentence()}.",
+        )
+
     def error(self, chapter: Chapter) -> Picture:
         steps = chapter.data["steps"]
         unit = unit_label(steps[-1]["unit"])

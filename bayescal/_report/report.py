@@ -124,6 +124,7 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
         "skewed": tables.skewed(chapter),
         "check": chapter.check,
         "checks": _checks(data, last),
+        "allan": tables.allan(chapter.check),
         "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
         "budget": found,
         "budget_rows": _budget_rows(found),
@@ -234,4 +235,5 @@ def _pictures(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
         "identifiability": pictures.identifiability(c),
         "pairs": pictures.pairs(c),
         "predictive": pictures.predictive(c),
+        "allan": pictures.allan(chapter.check, "the last model"),
     }

@@ -33,6 +33,7 @@ PACKAGES = (
     "arviz-stats",
     "numpy",
     "scipy",
+    "allantools",
 )
 
 
@@ -64,6 +65,7 @@ def result(trail: Trail) -> dict[str, Any]:
             "steps": [step_data(s) for s in trail.steps],
             "check": [e for i, s in enumerate(trail.steps) for e in check_data(s.check, i)],
             "pairs": [p for i, s in enumerate(trail.steps) for p in pairs_data(s.check, i)],
+            "allan": [a for i, s in enumerate(trail.steps) for a in allan_data(s.check, i)],
             "missing": [
                 missing_data(s.discovery, i, s.check)
                 for i, s in enumerate(trail.steps)
@@ -190,6 +192,11 @@ def pairs_data(check: Check, step: int) -> list[dict[str, Any]]:
         {"step": step, "against": list(p.against), "log_bayes_factor": p.log_bayes_factor}
         for p in check.pairs
     ]
+
+
+def allan_data(check: Check, step: int) -> list[dict[str, Any]]:
+    """One entry, or none where readings are not evenly spaced in time."""
+    return [] if check.allan is None else [{"step": step, **check.allan.data()}]
 
 
 def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:

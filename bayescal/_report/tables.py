@@ -11,6 +11,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.formatting import number, with_error
+from bayescal._diagnostics.check_result import Check
 from bayescal._model.effect import Effect
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._readings.column import Source
@@ -137,6 +138,17 @@ def _between(low: float, high: float, error: float) -> str:
         digits = max(3, 1 - floor(log10(error)) + floor(log10(max(abs(low), abs(high)))) + 1)
         text = f"{low:.{min(digits, 9)}g} to {high:.{min(digits, 9)}g}"
     return text.replace("-", "−")
+
+
+def allan(check: Check) -> dict[str, Any] | None:
+    """The terms of the Allan deviation, of the residuals and of the noise law; None where there is none."""
+    found = check.allan
+    if found is None:
+        return None
+    law = {t.symbol: str(t) for t in found.law_terms}
+    rows = [(f"{t.name} {t.symbol}", str(t), law.get(t.symbol, "–")) for t in found.measured.terms]
+    said = found.sentence()
+    return {"rows": rows, "law": found.law_name, "said": f"{said[0].upper()}{said[1:]}."}
 
 
 def skewed(chapter: Chapter) -> list[str]:

@@ -23,6 +23,7 @@ def every() -> dict[str, Figure]:
     assert found.steps[0].discovery is not None
     return {
         "residuals": bc.plot.residuals(final),
+        "allan": bc.plot.allan(final),
         "trail": bc.plot.trail(found),
         "coefficients": bc.plot.coefficients(final),
         "missing": bc.plot.missing(found.steps[0].discovery),

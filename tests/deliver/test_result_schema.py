@@ -14,6 +14,7 @@ import pytest
 import bayescal as bc
 from bayescal._report.result_json import clean, result, write_json
 from bayescal_models import mems_gyro
+from tests.support import reported
 from tests.support.command_line import write_bent_table
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "result_schema.md").read_text("utf-8")
@@ -47,6 +48,8 @@ KEYS = {
     "steps[].noise": "law white correlated diffusion tau",
     "check[]": "step against log_bayes_factor worst",
     "check[].worst": "from to group size unit",
+    "allan[]": "step unit runs curve terms agrees in_words",
+    "allan[].terms[]": "symbol name unit value uncertainty law law_uncertainty",
     "missing[]": "step nothing_missing_probability noise_wanders sets departures candidates unknown",
     "missing[].sets[]": "effects probability",
     "missing[].departures[]": "effect along share at unit in_words",
@@ -151,9 +154,21 @@ def test_every_documented_key_is_found_in_one_result_or_the_other(
         ),  # the table has one covariate
         *(f"other_path.{key}" for key in KEYS["other_path"].split()),
         "other_path.added[]",
+        *(path for path in DOCUMENTED if path.startswith("allan[]")),  # the table has no times
         *(f"missing[].departures[].{key}" for key in KEYS["missing[].departures[]"].split()),
     }
     assert set(DOCUMENTED) - found <= rare
+
+
+def test_the_allan_deviation_of_readings_in_time_is_as_documented(tmp_path: Path) -> None:
+    found = read_back(reported.trail(), tmp_path)
+    told = {p: v for p, v in values(found) if p.startswith("allan[]")}
+    assert {p for p in DOCUMENTED if p.startswith("allan[]")} <= set(told)
+    test_every_key_is_documented_with_its_type(found)
+    assert [a["step"] for a in found["allan"]] == list(range(len(found["steps"])))
+    assert found["allan"][-1]["agrees"]
+    (white,) = [t for t in found["allan"][-1]["terms"] if t["symbol"] == "N"]
+    assert abs(white["value"] - white["law"]) < 3 * white["uncertainty"]
 
 
 def test_what_the_values_mean(written: dict[str, Any]) -> None:

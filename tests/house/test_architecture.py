@@ -28,7 +28,7 @@ ROOMS = {
     "levenberg_marquardt null_space importance_weights",
     "_readings": "unit_parsing unit_conversion column raw_table dataset_checks averaging file_formats column_matching "
     "column_conversion measurements csv_reader read",
-    "_recording": "time_in_runs rounding spikes set_aside",
+    "_recording": "time_in_runs rounding spikes set_aside allan_terms allan_fit allan_deviation",
     "_model": "prior coefficient frame effect unknown_effect departure noise_laws instrument "
     "installed model parameters forward",
     "effects": "constant temperature thermal thermometer time",
@@ -39,15 +39,15 @@ ROOMS = {
     "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",
     "_calibration": "named_draws on_readings fitted description posterior_tree storage summary guards calibration "
     "predict fit evidence",
-    "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence neighbours covariate_evidence "
-    "part worst_region check_result check leave_group_out compare",
+    "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_in_time "
+    "covariate_evidence part worst_region check_result check leave_group_out compare",
     "_search": "plausible_sizes departures structures library scores walk posterior",
     "_discovery": "candidate discover next_experiment false_reports draft_effect search_path gate calibrate",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
     "compensation_program code_writer compensator compensate_file budget",
     "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack population "
     "device_result batch_result partial_pooling fit_batch",
-    "_plots": "style residuals search posterior",
+    "_plots": "style residuals allan search posterior",
     "_report": "result_json whole_folder under_way save_search section figures tables sentences report",
     "_cli": "options console offered request saved output catalogue fitting instrument_extras deliverables batch main",
 }

@@ -1,0 +1,232 @@
+"""Allan deviation: the estimator against published values, its terms and units, and the noise law beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._diagnostics.noise_in_time import allan_check, law_variance
+from bayescal._recording.allan_deviation import EvenRuns, of_columns, overlapping
+from bayescal._recording.allan_terms import term
+from bayescal_models import mems_gyro, still_sensor
+
+# W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), section 12: the data, their overlapping Allan
+# deviations at one and two readings, and at 1, 10 and 100.
+NBS_SHORT = np.array([892.0, 809.0, 823.0, 798.0, 671.0, 644.0, 883.0, 903.0, 677.0])
+NBS_SHORT_DEVIATIONS = {1: 91.22945, 2: 85.95287}
+NBS_LONG_DEVIATIONS = {1: 2.922319e-1, 10: 9.159953e-2, 100: 3.241343e-2}
+
+
+def nbs_long() -> np.ndarray:
+    """Its thousand numbers, of the multiplicative congruential generator given there."""
+    made = [1234567890]
+    for _ in range(999):
+        made.append(16807 * made[-1] % 2147483647)
+    assert made[1:4] == [395529916, 1209410747, 633705974]
+    return np.array(made) / 2147483647
+
+
+class Factors(EvenRuns):
+    """One run, averaged over numbers of readings of one's own."""
+
+    chosen: np.ndarray
+
+    @property
+    def factors(self) -> np.ndarray:
+        return self.chosen
+
+
+@pytest.mark.parametrize(
+    ("data", "published"), [(NBS_SHORT, NBS_SHORT_DEVIATIONS), (nbs_long(), NBS_LONG_DEVIATIONS)]
+)
+def test_the_estimator_gives_the_published_deviations(data, published) -> None:
+    runs = Factors((np.arange(len(data)),), 1.0)
+    runs.chosen = np.array([*published], float)
+    variance, count = overlapping(data, runs)
+    assert np.sqrt(variance) == pytest.approx([*published.values()], rel=1e-6)
+    assert list(count) == [len(data) + 1 - 2 * m for m in published]
+    assert of_columns(data[:, None], runs, count) == pytest.approx(variance, rel=1e-9)
+
+
+def record(output: np.ndarray, step: float, unit: str = "deg/s", runs: int = 1) -> bc.Measurements:
+    count = len(output)
+    return bc.Measurements.from_arrays(
+        still_sensor.INSTRUMENT,
+        units={"output": unit},
+        time=np.arange(count) * step,
+        temperature=25 + 5 * np.sin(np.arange(count) / (0.1 * count)),
+        run=np.repeat([str(i) for i in range(runs)], count // runs),
+        output=output,
+    )
+
+
+def ornstein_uhlenbeck(
+    rng: np.random.Generator, count: int, time: float, diffusion: float
+) -> np.ndarray:
+    """At steps of one second, s in the stationary state."""
+    rho, size = np.exp(-1 / time), diffusion * np.sqrt(time / 2)
+    drawn = rng.standard_normal(count) * size
+    for i in range(1, count):
+        drawn[i] = rho * drawn[i - 1] + np.sqrt(1 - rho**2) * drawn[i]
+    return drawn
+
+
+def within(found, value: float) -> bool:
+    return abs(found.value - value) < 3 * found.uncertainty
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_white_noise_has_an_angle_random_walk_and_no_more(seed: int) -> None:
+    noise = 0.05 * np.random.default_rng(seed).standard_normal(330)
+    white, flat, walk = bc.allan_deviation(record(noise, 10.0, runs=3)).terms
+    assert (white.name, white.unit) == ("angle random walk", "deg/h^0.5")
+    assert within(white, 0.05 * np.sqrt(10.0) * 60)  # °/s·√s is 60 °/√h
+    assert flat.value is walk.value is None
+    assert str(flat) == "not seen in this record"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_random_walk_has_its_diffusion(seed: int) -> None:
+    walked = 1e-3 * np.sqrt(2.0) * np.cumsum(np.random.default_rng(seed).standard_normal(5000))
+    white, _, walk = bc.allan_deviation(record(walked, 2.0)).terms
+    assert walk.unit == "deg/h/h^0.5"
+    assert within(walk, 1e-3 * 3600 * 60)
+    assert white.value is None
+
+
+def test_flicker_noise_has_its_bias_instability() -> None:
+    rng, count, size = np.random.default_rng(4), 2**14, 300.0
+    frequency = np.fft.rfftfreq(count)[1:]
+    phases = np.concatenate([[0.0], rng.standard_normal((len(frequency), 2)) @ [1, 1j]])
+    shaped = phases * np.concatenate([[0.0], np.sqrt(count / 2 / (2 * np.pi * frequency))])
+    flicker = size * np.fft.irfft(shaped, count)  # S = B²/(2πf), IEEE 952
+    made = flicker + 1000 * rng.standard_normal(count)
+    white, flat, _ = bc.allan_deviation(record(made, 1.0, unit="ug")).terms
+    assert (white.unit, flat.unit) == ("ug/Hz^0.5", "ug")
+    assert within(white, 1000.0)
+    assert within(flat, size)
+
+
+@pytest.mark.parametrize(
+    ("unit", "printed"),
+    [
+        ("deg/s", ("60.0 ± 6.0 °/√h", "3600 ± 360 °/h", "216000 ± 21600 °/h/√h")),
+        ("ug", ("1.00 ± 0.10 µg/√Hz", "1.00 ± 0.10 µg", "60.0 ± 6.0 µg/√h")),
+        ("m/s^2", ("60.0 ± 6.0 m/s/√h", "1.00 ± 0.10 m/s²", "60.0 ± 6.0 m/s²/√h")),
+        ("mdeg", ("1.00 ± 0.10 m°/√Hz", "1.00 ± 0.10 m°", "1.00 ± 0.10 m°/√s")),
+        ("", ("1.00 ± 0.10 1/√Hz", "1.00 ± 0.10", "1.00 ± 0.10 1/√s")),
+    ],
+)
+def test_units_are_those_of_data_sheets(unit: str, printed: tuple[str, ...]) -> None:
+    assert tuple(str(term(s, unit, 1.0, 0.1)) for s in "NBK") == printed
+
+
+@pytest.mark.parametrize("time", [2.0, 30.0, 1e8])
+def test_the_laws_curve_is_that_of_simulated_readings(time: float) -> None:
+    """Mean of 100 simulations, of which each curve is known to a few per cent at the longest time (seed 8)."""
+    rng, count = np.random.default_rng(8), 600
+    runs = EvenRuns((np.arange(count),), 1.0)
+    seen = [
+        overlapping(
+            ornstein_uhlenbeck(rng, count, time, 0.1) + 0.2 * rng.standard_normal(count), runs
+        )[0]
+        for _ in range(100)
+    ]
+    values = {"noise.white": 0.2, "noise.diffusion": 0.1, "noise.correlated.time": time}
+    law = law_variance(values, 0.2**2 + 0.1**2 * time / 2, runs.factors, 1.0)
+    error = np.std(seen, axis=0) / 10
+    assert np.all(np.abs(np.mean(seen, axis=0) - law) < 4 * error)
+
+
+def test_correlated_noise_over_short_times_is_a_random_walk() -> None:
+    """The closed form meets its limit where the one hands over to the other."""
+    factors = 2.0 ** np.arange(12)
+    for time in factors[-1] * np.array([0.9e5, 1.1e5]):
+        values = {"noise.white": 0.0, "noise.diffusion": 0.1, "noise.correlated.time": time}
+        law = law_variance(values, 0.1**2 * time / 2, factors, 1.0)
+        assert law == pytest.approx(0.1**2 * (2 * factors**2 + 1) / (6 * factors), rel=1e-4)
+
+
+def fitted(readings: bc.Measurements, noise: bc.Noise | None = None) -> bc.Calibration:
+    model = still_sensor.INSTRUMENT.for_readings(readings).baseline()
+    model = model if noise is None else model.with_noise(noise)
+    return bc.fit(model, readings, bc.LeastSquares(draws=200), strict=False)
+
+
+def test_a_check_says_where_the_noise_law_is_contradicted() -> None:
+    rng = np.random.default_rng(2)
+    made = 0.02 * rng.standard_normal(3000) + ornstein_uhlenbeck(rng, 3000, 300.0, 5e-4)
+    readings = record(made, 1.0)
+    white = bc.check(fitted(readings))
+    assert white.allan is not None
+    assert white.allan.apart is not None
+    said = " ".join(str(white).split())
+    assert "the noise law (white) says" in said
+    assert "the residuals change more over this time than such noise would" in said
+    assert "angle random walk N" in said
+    law = bc.OrnsteinUhlenbeck(1.0, 3000.0, bc.HalfCauchy(0.01), bc.HalfCauchy(0.01))
+    told = allan_check(fitted(readings, law))
+    assert told is not None
+    assert told.apart is None
+    assert "Ornstein–Uhlenbeck) agree" in told.sentence()
+    assert [t.symbol for t in told.law_terms] == ["N", "K"]
+    assert told.law_terms[1].value == pytest.approx(5e-4 * 3600 * 60, rel=0.4)
+
+
+def test_the_noise_of_a_good_model_is_not_contradicted() -> None:
+    """The law's band takes account of what the fit absorbs (seeds 0 to 19; one in a thousand each)."""
+    told = []
+    for seed in range(20):
+        readings = mems_gyro.simulate({}, seed=seed)
+        fit = bc.fit(
+            mems_gyro.INSTRUMENT.baseline(), readings, bc.LeastSquares(draws=50), strict=False
+        )
+        found = allan_check(fit)
+        assert found is not None
+        told.append(found.apart is not None)
+    assert sum(told) <= 1
+
+
+NOISE = np.random.default_rng(5).standard_normal(100)
+
+
+def without_time(readings: bc.Measurements) -> bc.Measurements:
+    return bc.Measurements(data=readings.data.drop_vars("time"), sources=readings.sources)
+
+
+@pytest.mark.parametrize(
+    ("readings", "said"),
+    [
+        (without_time(record(NOISE, 1.0)), "needs the column 'time'"),
+        (record(NOISE[:29], 1.0), "a run of 30 readings or more"),
+        (
+            record(NOISE, 1.0).select(np.delete(np.arange(100), [50, 51])),
+            r"1 of 97 steps, such as 3 s, differ from the usual 1 s\. Give runs without gaps",
+        ),
+        (
+            record(NOISE, 1.0).with_column("time", np.arange(100) ** 1.1),
+            "needs readings evenly spaced in time",
+        ),
+        (record(NOISE, 1.0).with_column("output", np.ones(100)), "the output does not change"),
+    ],
+)
+def test_what_has_no_allan_deviation_is_refused_with_the_reason(readings, said: str) -> None:
+    with pytest.raises(bc.InputError, match=said):
+        bc.allan_deviation(readings)
+
+
+def test_a_check_of_readings_with_a_gap_says_nothing_of_it() -> None:
+    gap = record(NOISE, 1.0).select(np.delete(np.arange(100), [50, 51]))
+    found = bc.check(fitted(gap))
+    assert found.allan is None
+    assert "Allan" not in str(found)
+    with pytest.raises(bc.InputError, match="no Allan deviation to draw"):
+        bc.plot.allan(found)
+
+
+def test_readings_without_a_fit_are_drawn_too() -> None:
+    (ax,) = bc.plot.allan(bc.allan_deviation(record(NOISE, 1.0))).axes
+    assert ax.get_ylabel() == "Allan deviation [°/s]"
+    assert ax.get_xlabel() == "averaging time τ [s]"
+    assert ax.get_title(loc="left").startswith("N = ")
