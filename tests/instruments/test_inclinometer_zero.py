@@ -114,7 +114,7 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
     )
     readings = inclinometer.simulate(seed=3, campaign=tilted)
     effect = INSTRUMENT.effect(name)
-    frame = build_frame(readings, reference_of(readings))
+    frame = build_frame(readings, {**reference_of(readings), "T0": 20.0})  # as of the simulator
     slots = {s.name: jnp.zeros(len(readings)) for s in INSTRUMENT.slots}
     unit = effects.ARCSEC_PER[effect.coefficients[0].unit]
     share = np.where(readings["axis"] == "x", 1.0, -0.6)
