@@ -87,25 +87,53 @@ def find_mode(
     if starts is None and density.even and assembly.kinds == ["noise"]:  # one hill
         wanted = wanted[:5]
     v = max(wanted, key=lambda one: density.at(one)[0]) if dim else np.zeros(0)
-    change, found = math.inf, None
+    found = _climbed(assembly, v, covariance, point, flat, still)
+    promoted = np.array([h.kind == "promoted" for h in assembly.hypers], dtype=bool)
+    if starts is None and promoted.any():  # of a product both factors may have the other sign
+        mirrored = np.where(promoted, -found.v, found.v)
+        other = _climbed(assembly, mirrored, covariance, point, flat, still)
+        found = max(found, other, key=lambda summit: summit.value)
+    if not found.value > NOWHERE:
+        return _lost(found.point, found.v, flat)
+    return at_mode(Density(assembly, found.point, flat), found.v, found.change)
+
+
+class _Summit(NamedTuple):
+    """Where a climb ended: the log density there, and by how much the last round still moved anything."""
+
+    value: float
+    change: float
+    v: np.ndarray
+    point: Point
+
+
+def _climbed(
+    assembly: Assembly,
+    v: np.ndarray,
+    covariance: np.ndarray | None,
+    point: Point,
+    flat: np.ndarray,
+    still: float,
+) -> _Summit:
+    """The mode of φ and of x in turn, from one start."""
+    density, change, value = Density(assembly, point, flat), math.inf, NOWHERE
     for _ in range(ROUNDS):
         if not assembly.affine:
             point = mode_of_x(assembly, point, v, flat, still)
             density = Density(assembly, point, flat)
-        best = climb(density, v, covariance, max(NOTHING_LEFT, 0.01 * still**2)) if dim else v
-        found = density.at(best)[1]
+        best = climb(density, v, covariance, max(NOTHING_LEFT, 0.01 * still**2)) if len(v) else v
+        value, found = density.at(best)
         if found is None:
-            return _lost(point, best, flat)
+            return _Summit(NOWHERE, math.inf, best, point)
         width = np.sqrt(np.diag(found.covariance)) + 1e-300
         moved = float(np.max(np.abs((found.mean - point.x) / width), initial=0.0))
         change = max(moved, float(np.max(np.abs(best - v), initial=0.0)))
         v, point = best, _with_rows(assembly, density, found, best)
         if assembly.affine:
-            change = 0.0
-            break
+            return _Summit(value, 0.0, v, point)
         if change < still:
             break
-    return at_mode(Density(assembly, point, flat), v, change)
+    return _Summit(value, change, v, point)
 
 
 def climb(
