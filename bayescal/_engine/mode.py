@@ -93,8 +93,6 @@ def find_mode(
         mirrored = np.where(promoted, -found.v, found.v)
         other = _climbed(assembly, mirrored, covariance, point, flat, still)
         found = max(found, other, key=lambda summit: summit.value)
-    if not found.value > NOWHERE:
-        return _lost(found.point, found.v, flat)
     return at_mode(Density(assembly, found.point, flat), found.v, found.change)
 
 

@@ -100,7 +100,7 @@ def drawn_one_by_one(
     """Weighted draws of each data set by the engine, with their Pareto k̂."""
     made, k_hats = [], []
     for index, one in enumerate(data):
-        found, of = _drawn(model, one, method, seed + index)
+        found, of = drawn_once(model, one, method, seed + index)
         weights, k_hat = smoothed(found.log_weight)
         names = named(*of, *(a[None] for a in (found.x, found.rows, found.v)))
         made.append(Posterior(weights, {str(n): names[n].values[0] for n in names}))
@@ -108,9 +108,10 @@ def drawn_one_by_one(
     return made, k_hats
 
 
-def _drawn(
+def drawn_once(
     model: bc.Model, readings: bc.Measurements, method: bc.Marginal, seed: int
 ) -> tuple[WeightedDraws, tuple[Layout, Levels]]:
+    """Weighted draws of one data set by the engine, and what their numbers are of."""
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference_of(readings))
     record = Record(model.instrument, frame, readings["output"])

@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._calibration.named_draws import named
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.pairing import criteria
 from bayescal_models.differential_pair.pairing.best_pair_probability import judge
+from benchmarks.accuracy import coverage
+from benchmarks.accuracy.chunks import seed_of
+from benchmarks.accuracy.ranks import drawn
 from tests.support.command_line import needs_installation, run
 from tests.support.made_up.pairs import SMALL
 
@@ -94,3 +98,15 @@ def test_a_factor_of_the_product_is_put_with_the_hyper_parameters(count: int) ->
     found = bc.fit(dp.INSTRUMENT.baseline(), dp.simulate(seed=7, campaign=plan))
     assert set(found.layout.promoted) == set(order_names(SHARED.name))
     assert found.verdict.sampler == "importance sampling"
+
+
+def test_the_mode_is_looked_for_on_both_sides_of_a_product() -> None:
+    # With the environment's sign turned, sensitivities are far from 1, and the density is some 25 nats less.
+    ground = coverage.Ground.of("differential_pair")
+    data, truth = drawn(ground.model, 3, ground.plan, seed_of(ground.name, 0))
+    for one, sensitivity in zip(data, truth["environment.shared[sensitivity]"], strict=True):
+        draws, (layout, levels) = coverage.drawn_once(ground.model, one, ground.method, 0)
+        best = np.argsort(draws.log_weight)[-200:]
+        names = named(layout, levels, *(a[best][None] for a in (draws.x, draws.rows, draws.v)))
+        found = names["environment.shared[sensitivity]"].values[0].mean(axis=0)
+        assert found @ sensitivity > 0
