@@ -190,12 +190,15 @@ class _Refinement:
         """A function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
         table, extra = self.table(theta, v)
         size, even = len(table), self.density.even
-        upper = _triangle(table) if even else table
+        upper, lost = _triangle(table) if even else table, np.full((theta.size, theta.size), np.nan)
+        nowhere = _Given(-math.inf, np.full(theta.size, np.nan), lost, math.nan, math.nan)
 
         def given(v: np.ndarray) -> _Given:
             prior = self.prior(v)
             if even:
                 sd = self.assembly.hyper(v)["noise.white"]
+                if not sd > np.finfo(float).tiny:
+                    return nowhere
                 made, logdet = upper / sd, 2 * size * math.log(sd)
             else:
                 white = self.whiten(v, extra)
@@ -205,8 +208,7 @@ class _Refinement:
             rows = np.column_stack([np.diag(prior.weight), 0 * offset])
             found = _factors(np.concatenate([own, rows]))
             if not found.determined:
-                lost = np.full((theta.size, theta.size), np.nan)
-                return _Given(-math.inf, np.full(theta.size, np.nan), lost, math.nan, math.nan)
+                return nowhere
             z = found.solution
             inverse = dtrtri(found.root)[0] if z.size else found.root
             of_z = inverse @ inverse.T
@@ -231,14 +233,13 @@ class _Refinement:
         given, assembly = self.conditional(theta, v), self.assembly
         if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
-        spreads = [
-            (i, assembly.hypers[i].prior) for i in self.scales if assembly.kinds[i] != "noise"
-        ]
+        spreads = [i for i in self.scales if assembly.kinds[i] != "noise"]
 
         def value(scales: np.ndarray) -> float:
             moved = v.copy()
             moved[self.scales] = scales
-            prior = sum(float(np.asarray(p.log_density(moved[i]))) for i, p in spreads)
+            priors = (assembly.hypers[i].prior.log_density(moved[i]) for i in spreads)
+            prior = sum(float(np.asarray(density)) for density in priors)
             return given(moved).log_marginal + prior
 
         def slope(scales: np.ndarray) -> np.ndarray:
@@ -283,12 +284,10 @@ class _Refinement:
             table = white(self.table(at, v)[0])
             return tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1]
 
-        rows = []
-        for i, width in enumerate(sd):
-            step = np.zeros_like(theta)
-            step[i] = 1e-3 * width
-            rows.append((slope(theta + step) - slope(theta - step)) / (2 * step[i]))
-        return 0.5 * (np.array(rows) + np.array(rows).T)
+        steps = 1e-3 * np.diag(sd)
+        pairs = zip(steps, 1e-3 * sd, strict=True)
+        rows = np.array([(slope(theta + s) - slope(theta - s)) / (2 * h) for s, h in pairs])
+        return 0.5 * (rows + rows.T)
 
 
 def _damped(found: _Factors, damping: float) -> Float[np.ndarray, "q"]:
