@@ -199,7 +199,9 @@ def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> 
         log_phi, found = density.at(v[stretch])
         log_weight_phi[stretch] = of_phi = log_phi - log_proposal[stretch]
         highest = max(highest, float(np.max(of_phi)))
-        counting = of_phi > highest - NEGLIGIBLE
+        counting = (log_phi > NOWHERE) & (of_phi > highest - NEGLIGIBLE)
+        if not counting.any():
+            continue
         pick, found = stretch[counting], found.of(counting)
         hyper, exact = assembly.hyper(v[pick].T), density.products.exact
         drawn, own, correction = draw_joint(assembly, mode, found, hyper, exact, random)

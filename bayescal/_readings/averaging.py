@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from bayescal._core.errors import InputError
 from bayescal._readings.column import MAY_BE_EMPTY
+from bayescal._readings.dataset_checks import label_codes
 from bayescal._readings.unit_conversion import convert, unit_label
 
 UNCERTAINTY = "output_uncertainty"
@@ -78,7 +78,7 @@ def average(
             f"{', '.join(columns)}). Name the column that holds the time, or do not average"
         )
     time = columns["time"]
-    alike = _codes(columns, [n for n in columns if units[n] is None or n == MAY_BE_EMPTY])
+    alike = label_codes(columns, [n for n in columns if units[n] is None or n == MAY_BE_EMPTY])
     order = np.lexsort((time, alike))
     same = np.diff(alike[order], prepend=-1) == 0  # as the reading before, in this order
     bins = _bins(time[order], same, seconds)
@@ -98,7 +98,9 @@ def average(
         noise = _noise(columns, output, order, ~starts)
         known = _uncertainty(columns, order, begins, noise)
         means |= {UNCERTAINTY: known} if known is not None else {}
-    runs = _codes(columns, [n for n in ("run", "device", "axis") if n in columns])[order][begins]
+    runs = label_codes(columns, [n for n in ("run", "device", "axis") if n in columns])[order][
+        begins
+    ]
     row = np.lexsort((means["time"], runs))
     found = {name: values[row] for name, values in means.items()}
     own = units.get(output)
@@ -137,15 +139,6 @@ def _told(counts: np.ndarray, noise: float, unit: str | None) -> str:
     return (
         f"{means}; noise.white is that of a mean of {high}, {alone} that of one" if noise else means
     )
-
-
-def _codes(columns: Mapping[str, np.ndarray], names: list[str]) -> np.ndarray:
-    """A number for each combination of labels, in the order in which they first appear."""
-    codes = np.zeros(len(columns["time"]), dtype=np.int64)
-    for name in names:
-        own, levels = pd.factorize(columns[name], use_na_sentinel=False)
-        codes = pd.factorize(codes * len(levels) + own)[0]
-    return codes
 
 
 def _bins(time: np.ndarray, same: np.ndarray, seconds: float) -> np.ndarray:

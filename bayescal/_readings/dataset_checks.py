@@ -62,11 +62,7 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
     if "time" not in columns:
         return
     time = columns["time"]
-    record = np.zeros(len(time), dtype=np.int64)
-    for name in ("run", "device", "axis"):
-        if name in columns:
-            codes, levels = pd.factorize(columns[name])
-            record = record * len(levels) + codes
+    record = label_codes(columns, [n for n in ("run", "device", "axis") if n in columns])
     order = np.argsort(record, kind="stable")
     back = (np.diff(time[order]) < 0) & (np.diff(record[order]) == 0)
     if back.any():
@@ -80,6 +76,15 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
             f"s in {where(before)}: time runs backwards{inside}. Put the rows in the order in "
             "which they were taken, or give each record its own label in a column 'run'"
         )
+
+
+def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
+    """A number for each combination of labels, in the order in which they first appear."""
+    codes = np.zeros(len(columns["time"]), dtype=np.int64)
+    for name in names:
+        own, levels = pd.factorize(columns[name], use_na_sentinel=False)
+        codes = pd.factorize(codes * len(levels) + own)[0]
+    return codes
 
 
 def flags_of(
