@@ -36,10 +36,9 @@ from bayescal._compensation.posterior_moments import PosteriorMoments, posterior
 from bayescal._compensation.provenance import provenance_of
 from bayescal._core.errors import InputError
 from bayescal._model.instrument import Use
-from bayescal._readings.column import Column
+from bayescal._readings.column import UNCERTAINTY, Column
 from bayescal._readings.measurements import Measurements
 
-UNCERTAINTY = "output_uncertainty"
 Method = Literal["draws", "first order"]
 
 

@@ -18,11 +18,11 @@ from bayescal._readings.unit_conversion import unit_label
 from bayescal._recording.allan_deviation import (
     CONFIDENCE,
     AllanDeviation,
-    allan_deviation,
     degrees_of_freedom,
     even_runs,
     noise_types,
     of_columns,
+    of_runs,
 )
 from bayescal._recording.allan_terms import Term, term
 
@@ -108,7 +108,7 @@ def allan_check(calibration: Calibration) -> AllanCheck | None:
     linear, readings = calibration.linear, calibration.readings
     try:
         runs = even_runs(readings)
-        measured = allan_deviation(readings, linear.settled)
+        measured = of_runs(readings, linear.settled, runs)
     except InputError:
         return None
     mode = calibration.assembly.hyper(calibration.mode.v)

@@ -17,11 +17,11 @@ from bayescal._engine.record import Record
 from bayescal._model.noise_laws import (
     CORRELATION_TIME,
     DIFFUSION,
-    UNCERTAINTY,
     Noise,
     OrnsteinUhlenbeck,
     White,
 )
+from bayescal._readings.column import UNCERTAINTY
 
 Values = dict[str, float]
 Batch = Mapping[str, np.ndarray]  # φ by name, one value a draw

@@ -27,8 +27,9 @@ from bayescal._inference import sampled_products
 from bayescal._inference.laplace import start_point
 from bayescal._model import forward
 from bayescal._model.frame import Frame
-from bayescal._model.noise_laws import UNCERTAINTY, White
+from bayescal._model.noise_laws import White
 from bayescal._model.parameters import Layout
+from bayescal._readings.column import UNCERTAINTY
 
 GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
 STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits

@@ -26,8 +26,8 @@ from bayescal._model.frame import (
     reference_of,
 )
 from bayescal._model.model import Model
-from bayescal._model.noise_laws import UNCERTAINTY
 from bayescal._model.parameters import bind
+from bayescal._readings.column import UNCERTAINTY
 
 EXACT = 3  # so many different numbers of readings have a program each; more are padded to a common ladder
 STEP = 1.25  # from one rung of the ladder to the next

@@ -19,9 +19,9 @@ from jaxtyping import Array, Float
 
 from bayescal._model.frame import Frame
 from bayescal._model.prior import HalfCauchy, LogNormal, LogUniform, Positive, multiplied
+from bayescal._readings.column import UNCERTAINTY
 
 Parameters = dict[str, Float[Array, ""]]
-UNCERTAINTY = "output_uncertainty"  # column: known standard uncertainty per reading
 DIFFUSION, CORRELATION_TIME = "noise.diffusion", "noise.correlated.time"
 _LOG_2PI = math.log(2 * math.pi)
 

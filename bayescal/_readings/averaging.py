@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import MAY_BE_EMPTY
+from bayescal._readings.column import MAY_BE_EMPTY, UNCERTAINTY
 from bayescal._readings.dataset_checks import label_codes
 from bayescal._readings.unit_conversion import convert, unit_label
 
-UNCERTAINTY = "output_uncertainty"
 JUMP = 10.0  # usual changes of a column, beyond which a change is a step between two settings
 RARE = 0.1  # of the readings, at most, may step: so steps leave ten readings to a mean at the least
 _DURATION = re.compile(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([^\W\d_]+)\s*")

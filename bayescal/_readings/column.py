@@ -13,6 +13,7 @@ from bayescal._core.errors import InputError
 from bayescal._readings.unit_parsing import ANY
 
 ROW = "reading"  # the one dimension of readings
+UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
 ARRAYS = "the given arrays"  # in place of files
 TAKEN = (ROW, "cell")  # names of groupings: each reading, and run × temperature point

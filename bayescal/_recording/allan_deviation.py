@@ -94,8 +94,18 @@ def allan_deviation(
     Raises:
         InputError: no column `time`, no run of 30 readings, or steps that differ by more than 5 %.
     """
-    runs = even_runs(readings)
     values = np.asarray(readings["output"] if values is None else values, float)
+    return of_runs(readings, values, even_runs(readings))
+
+
+def of_runs(
+    readings: Measurements, values: Float[np.ndarray, "n"], runs: EvenRuns
+) -> AllanDeviation:
+    """The same, of runs that are known to be even.
+
+    Raises:
+        InputError: the values do not change.
+    """
     factors, unit = runs.factors, readings.unit("output") or ""
     variance, differences = overlapping(values, runs)
     if not np.all(variance > 0):

@@ -10,6 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.named_draws import named
+from bayescal._engine import sampling
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.pairing import criteria
@@ -110,3 +111,13 @@ def test_the_mode_is_looked_for_on_both_sides_of_a_product() -> None:
         names = named(layout, levels, *(a[best][None] for a in (draws.x, draws.rows, draws.v)))
         found = names["environment.shared[sensitivity]"].values[0].mean(axis=0)
         assert found @ sensitivity > 0
+
+
+def test_stretches_of_draws_of_which_none_counts_are_passed_over(monkeypatch) -> None:
+    monkeypatch.setattr(sampling, "IN_CACHE", 1)
+    monkeypatch.setattr(sampling, "NEGLIGIBLE", 1e-9)  # only draws beyond all before them count
+    ground = coverage.Ground.of("differential_pair")
+    data, _ = drawn(ground.model, 1, ground.plan, seed_of(ground.name, 0))
+    draws, _ = coverage.drawn_once(ground.model, data[0], ground.method, 0)
+    assert np.isfinite(draws.log_evidence)
+    assert 1 <= np.sum(draws.log_weight > draws.log_weight.min()) < 100
