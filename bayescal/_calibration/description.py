@@ -68,6 +68,9 @@ def description(c: Fitted) -> dict[str, Any]:
             if isinstance(e, Departure)
         },
         "unknowns": {e.name: stated(e) for e in c.model.effects},
+        "ranges": {
+            e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in c.model.effects if e.shapes
+        },
         "fixed": dict(c.model.fixed),
         "noise": _noise_words(c.model.noise),
         "promoted": list(c.layout.promoted),
@@ -157,7 +160,8 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
             f"{path.name} uses the effect {', '.join(missing)}, which {name!r} does not have. Give the file "
             "that defines it: --effects my_effects.py (in Python: load(path, effects=[…]))"
         )
-    chosen = tuple(catalogue[n] for n in described["effects"])
+    ranges = described["ranges"]
+    chosen = tuple(catalogue[n].ranging(ranges.get(n, {})) for n in described["effects"])
     for effect in chosen:
         then, now = described["unknowns"][effect.name], stated(effect)
         if then != now:

@@ -84,22 +84,21 @@ def calibrate(
     readings = set_aside(readings, keep_spikes)
     holdout = None if holdout is None else set_aside(holdout, keep_spikes)
     accepted = frozenset(accept_conflicts)
-    loop = _Loop(readings, holdout, method, seed, reference, max_effects, accepted)
+    loop = Loop(readings, holdout, method, seed, reference, max_effects, accepted, time_limit)
     loop, first = loop.begin(model)
     if first.against:
-        search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(first.against)}")
-        return Trail((first,), gate((first,)), holdout, None, search)
+        return loop.not_looked(first)
     if loop.on_trial(first):
         loop, widen_noise = replace(loop, max_effects=0), False
     structures, shut = structures_over(
         model, readings, first.calibration.reference, effects=effects, widen_noise=widen_noise
     )
-    return loop.search(first, Library(structures), shut, time_limit, seeds, follow)
+    return loop.search(first, Library(structures), shut, seeds, follow)
 
 
 @dataclass(frozen=True)
-class _Loop:
-    """What stays the same from step to step."""
+class Loop:
+    """What stays the same from step to step: see `calibrate`."""
 
     readings: Measurements
     holdout: Measurements | None
@@ -108,9 +107,10 @@ class _Loop:
     reference: Reference | None
     max_effects: int
     accepted: frozenset[str]
+    time_limit: float | None = None
     begun: float = 0.0  # of the search
 
-    def begin(self, model: Model) -> tuple[_Loop, Step]:
+    def begin(self, model: Model) -> tuple[Loop, Step]:
         """The first step."""
         first = self.step(model, method=self.quick(model))
         return replace(self, begun=time.monotonic()), first
@@ -125,25 +125,53 @@ class _Loop:
         wrong = first.check.fixed is not None and first.check.fixed.wrong
         return not first.calibration.verdict.ok or wrong
 
+    def not_looked(self, first: Step) -> Trail:
+        """What is left of the loop where nothing can be learnt from the first model."""
+        search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(first.against)}")
+        return Trail((first,), gate((first,)), self.holdout, None, search)
+
     def search(
         self,
         first: Step,
         library: Library,
         shut: Sequence[Candidate],
-        time_limit: float | None,
         seeds: Sequence[Structure | Shown],
         follow: Callable[[Trail], None],
     ) -> Trail:
         """Walk over the structures, and fit those on the way to the most probable one."""
+
+        def tell() -> None:
+            follow(self.trail([first], library.structures, complete=False))
+
+        tell()
+        stopped = self.look(library, seeds, tell)
+        return self.steps_to_best(first, library, shut, stopped, follow)
+
+    def look(
+        self,
+        library: Library,
+        seeds: Sequence[Structure | Shown] = (),
+        tell: Callable[[], None] = lambda: None,
+    ) -> str:
+        """Walk over the structures; why that ended early, if it did."""
+        with stage("looking for missing effects"):
+            known = self._known(seeds, library.structures)
+            return walk(library, self.max_effects, self.time_limit, lambda _: tell(), known)
+
+    def steps_to_best(
+        self,
+        first: Step,
+        library: Library,
+        shut: Sequence[Candidate],
+        stopped: str,
+        follow: Callable[[Trail], None] = lambda _: None,
+    ) -> Trail:
+        """Fit the models on the way to the most probable structure."""
         structures, steps = library.structures, [first]
 
         def tell() -> None:
             follow(self.trail(steps, structures, complete=False))
 
-        tell()
-        with stage("looking for missing effects"):
-            known = self._known(seeds, structures)
-            stopped = walk(library, self.max_effects, time_limit, lambda _: tell(), known)
         path = structures.path(Posterior.of(structures).chosen)
         try:
             for before, at in pairwise(path):

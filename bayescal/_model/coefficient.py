@@ -65,6 +65,7 @@ class Shape(eqx.Module):
         low, high: plausible range, in `unit`.
         scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one.
         ragged: whether the evidence has many maxima over it, as over a period; the search begins at more points.
+        shared: whether it is one for all channels of a unit, as the time of a body that they share.
     """
 
     name: str = eqx.field(static=True)
@@ -73,6 +74,7 @@ class Shape(eqx.Module):
     high: float = eqx.field(static=True)
     scale: Literal["log", "linear"] = eqx.field(static=True, default="log")
     ragged: bool = eqx.field(static=True, default=False)
+    shared: bool = eqx.field(static=True, default=False, repr=False)
 
     def __check_init__(self) -> None:
         if not self.low < self.high or (self.scale == "log" and self.low <= 0):

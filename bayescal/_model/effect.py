@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -106,6 +107,19 @@ class Effect(eqx.Module):
         """Shapes that the columns depend on."""
         apart = self.weight_shapes
         return tuple(s for s in self.shapes if s.name not in apart)
+
+    @property
+    def shared_shape(self) -> Shape | None:
+        """The shape that all channels of a unit share; None where each has its own."""
+        return next((s for s in self.column_shapes if s.shared), None)
+
+    def ranging(self, ranges: Mapping[str, tuple[float, float]]) -> Effect:
+        """The effect with other plausible ranges of some shapes, name → (low, high)."""
+        shapes = (
+            replace(s, low=ranges[s.name][0], high=ranges[s.name][1]) if s.name in ranges else s
+            for s in self.shapes
+        )
+        return replace(self, shapes=tuple(shapes))
 
     def coefficient_name(self, index: int) -> str:
         part = self.coefficients[index].part

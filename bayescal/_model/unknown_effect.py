@@ -159,7 +159,7 @@ def jump(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Ef
         _step,
         coefficients=standard_normals(unit, 1),
         shapes=(
-            Shape("place", "1", *PLACES, scale="linear", ragged=True),
+            Shape("place", "1", *PLACES, scale="linear", ragged=True, shared=True),
             Shape("amplitude", unit, low, high),
         ),
         equation="−a/2 before one moment, a/2 after it",

@@ -50,12 +50,14 @@ class Library:
     """All candidates at all points of their shapes, with their sizes: the same for every structure.
 
     Attributes:
+        grids: for some candidates alone, the coordinates of their shapes (points, shapes); none for all at usual ones.
         points: of each candidate.
         sizes: of each candidate.
         width: columns in all.
     """
 
     structures: Structures
+    grids: Mapping[str, Float[np.ndarray, "points shapes"]] = field(default_factory=dict)
     points: dict[str, list[GridPoint]] = field(default_factory=dict)
     sizes: dict[str, list[Size]] = field(default_factory=dict)
     width: int = 0
@@ -64,10 +66,13 @@ class Library:
     def __post_init__(self) -> None:
         record, counts = self.structures.record, dict(self.structures.layout.counts)
         for name, effect in self.structures.candidates.items():
+            if self.grids and name not in self.grids:
+                continue
             of, width = ColumnsOf.of(effect), [_members(c, counts) for c in effect.coefficients]
             self.sizes[name] = _sizes(effect, np.cumsum([0, *width]))
             self.points[name] = []
-            for v in _grid(effect.column_shapes):
+            grid = self.grids[name] if self.grids else _grid(effect.column_shapes)
+            for v in grid:
                 values = [
                     float(s.prior.value(x)) for s, x in zip(effect.column_shapes, v, strict=True)
                 ]

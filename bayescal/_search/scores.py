@@ -72,29 +72,30 @@ class View:
         of = {d.name: d.of for d in at.departures}
         self.owners = [of.get(owner, owner) for owner in line.owners]
         self.columns = line.whiten(library.columns(line.slopes))
-        nuisance, z = line.white_nuisance, line.z
+        nuisance = line.white_nuisance
         self.inner = nuisance.T @ nuisance
         self.cross = nuisance.T @ self.columns
-        self.of_start = (
-            self.inner @ z + line.weight * z
-        )  # N'r₀, r₀ with nuisances at their prior's mean
-        self.u_start = self.columns.T @ line.white_residual + self.cross.T @ z
-        self.squares = line.rest + float(self.of_start @ z)
+        self.u = self.columns.T @ line.white_residual
         self.volume = 0.0
         self.volume = self.without().volume
 
     def without(self, *names: str) -> Rest:
         """What is left where some of its effects are dropped, φ held."""
+        line = self.line
         kept = np.array([owner not in names for owner in self.owners], dtype=bool)
-        inner = self.inner[np.ix_(kept, kept)] + np.diag(self.line.weight[kept])
+        # r₀: all coefficients at their prior's mean. Without its coefficients a dropped effect's shapes move nothing.
+        z = np.where(kept | (np.arange(kept.size) < line.line.jacobian.shape[1]), line.z, 0.0)
+        of_start = self.inner @ z + line.weight * line.z
+        squares = line.rest - float(line.weight @ (line.z**2 - z**2)) + float(of_start @ z)
+        inner = self.inner[np.ix_(kept, kept)] + np.diag(line.weight[kept])
         chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
-        half = solve_triangular(chol, self.of_start[kept], lower=True)
+        half = solve_triangular(chol, of_start[kept], lower=True)
         inside = solve_triangular(chol, self.cross[kept], lower=True)
         return Rest(
             view=self,
             inside=inside,
-            u=self.u_start - inside.T @ half,
-            rest=self.squares - float(half @ half),
+            u=self.u + self.cross.T @ z - inside.T @ half,
+            rest=squares - float(half @ half),
             volume=float(np.sum(np.log(np.diag(chol)))),
         )
 

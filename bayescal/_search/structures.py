@@ -88,6 +88,7 @@ class Structures:
         record: the readings.
         candidates: effects that may be added, by name.
         wide: the wandering law; None where the readings cannot tell, or the base's own law wanders.
+        odds: prior log odds of candidates of which more is known than their number.
     """
 
     base: Model
@@ -95,6 +96,7 @@ class Structures:
     record: Record
     candidates: Mapping[str, Effect]
     wide: Noise | None
+    odds: Mapping[str, float] = field(default_factory=dict)
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
     forms: dict[str, Form | None] = field(default_factory=dict)  # of departures, by candidate
@@ -109,7 +111,7 @@ class Structures:
         for names, part in ((unknown, share), (named, 1 - share if unknown else 1.0)):
             for name in names:
                 each[name] = math.log(math.expm1(-math.log(NOTHING) * part / len(names)))
-        return each
+        return {**each, **{n: v for n, v in self.odds.items() if n in each}}
 
     def log_prior(self, structure: Structure) -> float:
         """Of a structure, against that of the base under the same law."""

@@ -1,0 +1,216 @@
+"""The loop for the channels of one unit: each searched alone, then again with what the others say of the shared body."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from bayescal._channels.channels import Channels
+from bayescal._channels.shared_shape import FromOthers, SharedShape, channel_says, grid
+from bayescal._core.errors import InputError
+from bayescal._core.progress import stage
+from bayescal._discovery.calibrate import Loop
+from bayescal._discovery.candidate import Candidate
+from bayescal._discovery.discover import structures_over
+from bayescal._discovery.search_path import Step, Trail
+from bayescal._inference.method import Method
+from bayescal._model.effect import Effect
+from bayescal._model.model import Model
+from bayescal._readings.measurements import Measurements
+from bayescal._recording.set_aside import set_aside
+from bayescal._search.library import Library
+from bayescal._search.structures import Structures
+from bayescal._search.walk import NEAR
+
+ROUNDS = 3  # of hearing the others, at most
+MOVED = 0.5  # log odds, or standard deviations of a shape, by which a channel's prior moves before it is asked again
+
+
+def calibrate_channels(
+    models: Mapping[str, Model],
+    readings: Mapping[str, Measurements],
+    *,
+    holdout: Mapping[str, Measurements] | None = None,
+    effects: Sequence[Effect] = (),
+    method: Method | None = None,
+    max_effects: int = 5,
+    widen_noise: bool = True,
+    keep_spikes: bool = False,
+    seed: int = 0,
+    time_limit: float | None = None,
+    accept_conflicts: Collection[str] = (),
+    follow: Callable[[str, Trail], None] = lambda _, __: None,
+) -> Channels:
+    """Calibrate the channels of one unit together: `calibrate` for each, one body for all.
+
+    Each channel has its own effects, coefficients and noise. A shape that an instrument declares shared (the time of
+    a body's lag, the moment of a jump) is one for the unit: given it, the channels are independent, and what each says
+    of it is to the others a prior. The unit has such an effect or not; if it has, some share of its channels shows it.
+
+    Args:
+        models: of each channel, to begin with.
+        readings: of each channel, as `read(…, outputs=[…])` gives them.
+        holdout: readings kept apart, of each channel.
+        follow: called with a channel's name and its trail so far, whenever that grows.
+        effects, method, max_effects, widen_noise, keep_spikes, seed, time_limit, accept_conflicts: as `calibrate`
+            has them; the time limit is for one search of one channel.
+
+    Raises:
+        InputError: fewer than two channels, or models, readings and holdout of different ones.
+        ModelError: the readings lack what a model needs.
+    """
+    _refuse_different(models, readings, holdout)
+    channels = []
+    for name, model in models.items():
+        kept = None if holdout is None else set_aside(holdout[name], keep_spikes)
+        if kept is not None:
+            model.require(kept)
+        loop = Loop(
+            set_aside(readings[name], keep_spikes),
+            kept,
+            method,
+            seed,
+            None,
+            max_effects,
+            frozenset(accept_conflicts),
+            time_limit,
+        )
+        with stage(name):
+            channels.append(_Channel.begun(name, model, loop, effects, widen_noise))
+    shared = _heard(channels)
+    trails = {}
+    for channel in channels:
+        with stage(channel.name):
+            trails[channel.name] = channel.trail(follow)
+    return Channels(trails, tuple(shared))
+
+
+def _refuse_different(models, readings, holdout) -> None:
+    for given in (readings, holdout):
+        if given is not None and set(given) != set(models):
+            raise InputError(
+                f"models are given for {', '.join(models)}; readings for {', '.join(given)}: give both for each channel"
+            )
+    if len(models) < 2:
+        raise InputError("a unit has two channels or more: use `calibrate` for one")
+
+
+@dataclass(eq=False)
+class _Channel:
+    """One channel: its loop, its first step, the structures weighed, and what the others say.
+
+    Attributes:
+        structures: None where nothing can be looked for.
+    """
+
+    name: str
+    loop: Loop
+    first: Step
+    structures: Structures | None
+    shut: list[Candidate]
+    heard: dict[str, FromOthers]
+    prior_odds: dict[str, float]
+    stopped: str = ""
+
+    @classmethod
+    def begun(
+        cls, name: str, model: Model, loop: Loop, effects: Sequence[Effect], widen_noise: bool
+    ) -> _Channel:
+        """After a first search alone."""
+        loop, first = loop.begin(model)
+        if first.against:
+            return cls(name, loop, first, None, [], {}, {})
+        if loop.on_trial(first):
+            loop, widen_noise = replace(loop, max_effects=0), False
+        reference = first.calibration.reference
+        structures, shut = structures_over(
+            model, loop.readings, reference, effects=effects, widen_noise=widen_noise
+        )
+        own = cls(name, loop, first, structures, shut, {}, dict(structures.log_odds))
+        own.stopped = loop.look(Library(structures))
+        return own
+
+    def shared(self) -> dict[str, Effect]:
+        """Candidates with a shape that all channels share."""
+        if self.structures is None or self.loop.max_effects == 0:
+            return {}
+        return {n: e for n, e in self.structures.candidates.items() if e.shared_shape is not None}
+
+    def moved_by(self, told: Mapping[str, FromOthers], shared: Mapping[str, SharedShape]) -> bool:
+        """Whether the others say something else than before; then it is the prior of what is weighed from now on."""
+        news = {n: t for n, t in told.items() if self._moves(t, shared[n])}
+        if self.structures is None or not news:
+            return False
+        before = self.structures
+        candidates = dict(before.candidates)
+        for name, t in news.items():
+            shape = shared[name].shape
+            candidates[name] = shared[name].effect.ranging({shape.name: (t.low, t.high)})
+        self.heard.update(news)
+        odds = {n: t.log_odds for n, t in self.heard.items()}
+        after = replace(before, candidates=candidates, odds=odds, visited={}, expected={}, forms={})
+        for structure, weighed in before.visited.items():
+            if structure.effects.isdisjoint(news):
+                log_prior = after.log_prior(structure)
+                after.visited[structure] = replace(weighed, log_prior=log_prior)
+        self.structures = after
+        near = sorted(before.visited.values(), key=lambda w: -w.total)
+        self.stopped = self.loop.look(
+            Library(after),
+            [w.structure for w in near if w.total > near[0].total - NEAR],
+        )
+        return True
+
+    def _moves(self, told: FromOthers, shared: SharedShape) -> bool:
+        """Whether a channel's prior differs from what it was last asked with."""
+        prior, name = shared.shape.prior, shared.effect.name
+        shape = shared.shape
+        then = self.heard.get(name, FromOthers(self.prior_odds[name], shape.low, shape.high))
+        low, high, low_then, high_then = (
+            prior.coordinate(value) for value in (told.low, told.high, then.low, then.high)
+        )
+        least = MOVED * min(high - low, high_then - low_then) / 4  # 95 % are four deviations
+        aside = max(abs(low - low_then), abs(high - high_then)) > least
+        return abs(told.log_odds - then.log_odds) > MOVED or aside
+
+    def trail(self, follow: Callable[[str, Trail], None]) -> Trail:
+        """The models on the way to the most probable structure."""
+        if self.structures is None:
+            return self.loop.not_looked(self.first)
+        return self.loop.steps_to_best(
+            self.first,
+            Library(self.structures),
+            self.shut,
+            self.stopped,
+            lambda trail: follow(self.name, trail),
+        )
+
+
+def _heard(channels: Sequence[_Channel]) -> list[SharedShape]:
+    """Have the channels hear each other until nothing new is said; what they say in the end."""
+    effects = {n: e for channel in channels for n, e in channel.shared().items()}
+    shared: dict[str, SharedShape] = {}
+    for asked in range(ROUNDS + 1):
+        shared = {n: _shared(e, channels, shared.get(n)) for n, e in effects.items()}
+        moved = []
+        for channel in channels if asked < ROUNDS else ():
+            told = {n: shared[n].from_others(channel.name) for n in channel.shared()}
+            with stage(channel.name):
+                moved.append(channel.moved_by(told, shared))
+        if not any(moved):
+            break
+    return list(shared.values())
+
+
+def _shared(
+    effect: Effect, channels: Sequence[_Channel], before: SharedShape | None
+) -> SharedShape:
+    """What all channels that can say something of an effect say of it."""
+    able = {c.name: c for c in channels if effect.name in c.shared()}
+    found = {n: c.structures for n, c in able.items() if c.structures is not None}
+    stated = effect if before is None else before.effect
+    v = grid(stated, found.values())
+    alone = max(1 / (1 + math.exp(-c.prior_odds[effect.name])) for c in able.values())
+    says = {n: channel_says(s, stated, v) for n, s in found.items()}
+    return SharedShape(stated, v, min(2 * alone, 0.5), says)

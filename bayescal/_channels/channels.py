@@ -1,0 +1,94 @@
+"""The channels of one unit, calibrated together: a trail for each, and the shapes that they share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from bayescal._channels.shared_shape import SharedShape
+from bayescal._core.formatting import number, probability, table, with_error
+from bayescal._diagnostics.evidence_scale import STRONG
+from bayescal._discovery.search_path import Trail
+from bayescal._readings.unit_conversion import unit_label
+
+
+@dataclass(frozen=True)
+class Channels:
+    """What `calibrate_channels` gives.
+
+    Attributes:
+        trails: of each channel, by name: its models, errors, findings and last calibration.
+        shared: what the channels say of each effect whose shape they share.
+    """
+
+    trails: Mapping[str, Trail]
+    shared: tuple[SharedShape, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether every channel may be trusted."""
+        return all(trail.ok for trail in self.trails.values())
+
+    @property
+    def reason(self) -> str:
+        """Why not, channel by channel; empty if all may be."""
+        return " ".join(f"{n}: {t.gate.reason}" for n, t in self.trails.items() if not t.ok)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects that some channel's last model holds, in the order of the models."""
+        return tuple(
+            dict.fromkeys(
+                n for t in self.trails.values() for n in t.final.calibration.model.names
+            )
+        )
+
+    def __str__(self) -> str:
+        head = ["", *self.trails]
+        parts = [table(head, [*self._errors(), *map(self._effect, self.effects), self._noise()])]
+        parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
+        parts += [f"{n}: not to be trusted: {t.gate.reason}" for n, t in self.trails.items() if not t.ok]
+        return "\n".join(parts)
+
+    def _errors(self) -> list[list[str]]:
+        trails = self.trails.values()
+        rows = [
+            ["unit", *(unit_label(t.final.calibration.unit) for t in trails)],
+            ["error of the first model", *(number(t.steps[0].rmse) for t in trails)],
+            ["error of the last", *(number(t.final.rmse) for t in trails)],
+        ]
+        if any(t.holdout is not None for t in trails):
+            rows += [
+                ["held out, first", *(number(t.steps[0].holdout_rmse) for t in trails)],
+                ["held out, last", *(number(t.final.holdout_rmse) for t in trails)],
+            ]
+        return [*rows, ["noise floor", *(number(t.final.noise_floor) for t in trails)]]
+
+    def _effect(self, name: str) -> list[str]:
+        cells = []
+        for trail in self.trails.values():
+            calibration = trail.final.calibration
+            if name not in calibration.model.names:
+                cells.append("–")
+                continue
+            effect = calibration.model.effect(name)
+            unknown = effect.shape_name(next(s for s in effect.shapes if s.name == effect.measure)) if (
+                effect.measure
+            ) else effect.coefficient_name(0)
+            draws = calibration.samples(unknown)
+            cells.append(with_error(float(draws.mean()), float(draws.std())))
+        return [name, *cells]
+
+    def _noise(self) -> list[str]:
+        return ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
+
+
+def _shared_text(s: SharedShape) -> str:
+    """One line on what the unit has."""
+    middle, low, high = s.posterior
+    showing = [n for n, log_ratio in s.says.items() if log_ratio.max() > STRONG]
+    unit = unit_label(s.shape.unit)
+    return (
+        f"{s.effect.name}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "
+        f"{number(middle)} {unit} (95 %: {number(low)} to {number(high)}), shown by {', '.join(showing) or 'none alone'}"
+    )

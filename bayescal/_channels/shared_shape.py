@@ -1,0 +1,168 @@
+"""A shape that the channels of a unit share, such as the lag of their body: what each says of it, and what all do.
+
+The unit has the effect or not; if it has, some share of its channels shows it, any share as probable as another. Given
+shape and share the channels are independent, so that what they say multiplies. What the others say is to a channel its
+prior: how probable the effect is there, and in which range its shape lies.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._model.effect import Effect
+from bayescal._search.library import Library
+from bayescal._search.scores import View
+from bayescal._search.structures import Structures, Weighed
+
+SHARES = (np.arange(10) + 0.5)[:, None] / 10  # of the channels that show what their unit has
+REACH, STEP = 3.5, 0.05  # of the shape's grid, prior standard deviations
+RAGGED_STEP = 0.02
+CLOSE = np.linspace(-4.0, 4.0, 25)  # about what a channel found, in its standard deviations
+ASKED = 3  # most probable structures with the effect and without, of which a channel is asked
+CENTRAL_95 = 1.959963984540054
+
+
+class FromOthers(NamedTuple):
+    """What the other channels say of an effect: log odds that this channel shows it, and its shape's plausible range."""
+
+    log_odds: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class SharedShape:
+    """What the channels say of an effect whose shape they share.
+
+    Attributes:
+        effect: as the instrument states it.
+        v: grid of the shape's coordinate, standard normal a priori (k,).
+        prior: probability that the unit has the effect.
+        says: of each channel, log ratio of its evidence with the effect, at each v, to that without it (k,).
+    """
+
+    effect: Effect
+    v: Float[np.ndarray, "k"]
+    prior: float
+    says: Mapping[str, Float[np.ndarray, "k"]]
+
+    @property
+    def shape(self):
+        shape = self.effect.shared_shape
+        assert shape is not None
+        return shape
+
+    @cached_property
+    def _log_mass(self) -> Float[np.ndarray, "k"]:
+        return log_mass(self.v)
+
+    def _joint(self, names: Iterable[str]) -> Float[np.ndarray, "shares k"]:
+        """Log prior mass of share and shape times what these channels say, where the unit has the effect."""
+        shown = (np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + self.says[n]) for n in names)
+        return self._log_mass - math.log(SHARES.size) + sum(shown) + math.log(self.prior)
+
+    def from_others(self, channel: str) -> FromOthers:
+        """What all but one channel say of the effect there."""
+        joint = self._joint(n for n in self.says if n != channel)
+        here, not_here = joint + np.log(SHARES), joint + np.log1p(-SHARES)
+        log_odds = np.logaddexp.reduce(here, axis=None) - np.logaddexp(
+            np.logaddexp.reduce(not_here, axis=None), math.log1p(-self.prior)
+        )
+        _, low, high = self._range(here)
+        return FromOthers(float(log_odds), low, high)
+
+    @property
+    def probability(self) -> float:
+        """That the unit has the effect."""
+        with_it = float(np.logaddexp.reduce(self._joint(self.says), axis=None))
+        return math.exp(with_it - np.logaddexp(with_it, math.log1p(-self.prior)))
+
+    @property
+    def posterior(self) -> tuple[float, float, float]:
+        """Middle of the shape and the ends of its central 95 %, in its unit, if the unit has the effect."""
+        return self._range(self._joint(self.says))
+
+    def _range(self, joint: Float[np.ndarray, "shares k"]) -> tuple[float, float, float]:
+        weight = np.exp(joint - joint.max()).sum(axis=0)
+        weight /= weight.sum()
+        mean = float(weight @ self.v)
+        sd = math.sqrt(float(weight @ (self.v - mean) ** 2))
+        middle, low, high = (
+            float(self.shape.prior.value(mean + s * CENTRAL_95 * sd)) for s in (0, -1, 1)
+        )
+        return middle, low, high
+
+
+def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> np.ndarray:
+    """Log of a normal prior's mass about each point of a grid."""
+    width = np.gradient(v)
+    log_density = -0.5 * ((v - mean) / sd) ** 2 + np.log(width)
+    return log_density - np.logaddexp.reduce(log_density)
+
+
+def grid(effect: Effect, found: Iterable[Structures]) -> Float[np.ndarray, "k"]:
+    """Coordinates of a shape: even ones, and closer about what channels found."""
+    shape = effect.shared_shape
+    assert shape is not None
+    parts = [np.arange(-REACH, REACH, RAGGED_STEP if shape.ragged else STEP)]
+    for structures in found:
+        if best := _best(structures, effect.name, holds=True):
+            at = [h.name for h in best[0].assembly.hypers].index(effect.shape_name(shape))
+            own = best[0].model.effect(effect.name).shared_shape
+            assert own is not None
+            sd = math.sqrt(best[0].mode.covariance[at, at])
+            close = own.prior.value(best[0].mode.v[at] + np.clip(sd, 1e-4, 1.0) * CLOSE)
+            parts.append(np.array([shape.prior.coordinate(float(value)) for value in close]))
+    v = np.sort(np.concatenate(parts))
+    v = v[np.abs(v) <= REACH]
+    return v[np.insert(np.diff(v) > 1e-6, 0, True)]
+
+
+def channel_says(
+    structures: Structures, effect: Effect, v: Float[np.ndarray, "k"]
+) -> Float[np.ndarray, "k"]:
+    """Log ratio of a channel's evidence with an effect, its shape at each v, to that without it.
+
+    Args:
+        structures: weighed ones of the channel.
+        effect: as the instrument states it; the structures may hold it with a narrower range.
+        v: coordinates under the instrument's range.
+    """
+    name, shape = effect.name, effect.shared_shape
+    own = structures.candidates.get(name)
+    if own is None or shape is None:
+        return np.zeros(v.size)
+    narrow = own.shared_shape
+    assert narrow is not None
+    u = np.array([narrow.prior.coordinate(float(shape.prior.value(x))) for x in v])
+    fine = Library(structures, {name: u[:, None]})
+    with_it, without = [], _best(structures, name, holds=False)
+    for weighed in _best(structures, name, holds=True):
+        gains = _gains(fine, weighed, name)
+        total = weighed.total - structures.log_odds[name]
+        with_it.append(total + gains - np.logaddexp.reduce(gains + log_mass(u)))
+    for weighed in without:
+        if weighed.structure.plus(name) not in structures.visited:
+            with_it.append(weighed.total + _gains(fine, weighed, name))
+    totals = [w.total for w in without]
+    return np.logaddexp.reduce(with_it, axis=0) - np.logaddexp.reduce(totals)
+
+
+def _best(structures: Structures, name: str, *, holds: bool) -> list[Weighed]:
+    """The most probable structures that hold an effect, or do not."""
+    weighed = (w for s, w in structures.visited.items() if (name in s.effects) == holds)
+    known = [w for w in weighed if math.isfinite(w.total)]
+    return sorted(known, key=lambda w: -w.total)[:ASKED]
+
+
+def _gains(fine: Library, at: Weighed, name: str) -> Float[np.ndarray, "k"]:
+    """Log Bayes factor by score of an effect at each point of its grid, in the order of the grid."""
+    scored = View(fine, at).without(name).scores([name])[name]
+    return np.array([s.gain for s in sorted(scored, key=lambda s: s.point.at.start)])

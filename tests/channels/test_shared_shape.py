@@ -1,0 +1,110 @@
+"""What channels say of a shape that they share: against enumeration, and against refits with the shape held."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._channels.shared_shape import SHARES, SharedShape, channel_says, grid, log_mass
+from bayescal._discovery.discover import structures_over
+from bayescal._model.frame import reference_of
+from bayescal._search.structures import Structure, Structures
+from bayescal._search.walk import walk
+from bayescal._search.library import Library
+from bayescal_models import still_sensor
+
+LAG = "bias.thermal_lag"
+
+
+def three_channels(prior: float = 0.2) -> SharedShape:
+    """A clear one, one that shows nothing, one in doubt."""
+    v = np.arange(-3.0, 3.0, 0.1)
+    says = {
+        "clear": 8.0 - 0.5 * ((v - 0.5) / 0.2) ** 2,
+        "nothing": -3.0 - 0.1 * v**2,
+        "in doubt": 1.0 - 0.5 * ((v - 0.7) / 0.4) ** 2,
+    }
+    return SharedShape(still_sensor.INSTRUMENT.effect(LAG), v, prior, says)
+
+
+def enumerated(shared: SharedShape) -> dict[tuple[bool, ...], np.ndarray]:
+    """Probability, by which channels show it, and by its shape; all False twice: the unit may not have it."""
+    mass = np.exp(log_mass(shared.v))
+    found = {}
+    for shown in itertools.product((False, True), repeat=len(shared.says)):
+        there = np.zeros(shared.v.size)
+        for share in SHARES[:, 0]:
+            one = shared.prior * mass / SHARES.size
+            for log_ratio, holds in zip(shared.says.values(), shown, strict=True):
+                one = one * (share * np.exp(log_ratio) if holds else 1 - share)
+            there += one
+        found[shown] = there
+    return found
+
+
+def test_the_unit_has_it_as_enumeration_says() -> None:
+    shared, found = three_channels(), enumerated(three_channels())
+    with_it = sum(one.sum() for one in found.values())
+    expected = with_it / (with_it + 1 - shared.prior)
+    assert shared.probability == pytest.approx(expected, rel=1e-9)
+    weight = sum(found.values())
+    mean = weight @ shared.v / weight.sum()
+    assert shared.shape.prior.coordinate(shared.posterior[0]) == pytest.approx(mean, abs=1e-9)
+
+
+def test_what_the_others_say_and_the_own_evidence_are_the_whole_posterior() -> None:
+    """Prior odds from the others times a channel's own evidence over their range: what enumeration gives it."""
+    shared, found = three_channels(), enumerated(three_channels())
+    total = sum(one.sum() for one in found.values()) + 1 - shared.prior
+    for i, name in enumerate(shared.says):
+        expected = sum(one.sum() for shown, one in found.items() if shown[i]) / total
+        told = shared.from_others(name)
+        low, high = (shared.shape.prior.coordinate(end) for end in (told.low, told.high))
+        mass = log_mass(shared.v, (low + high) / 2, (high - low) / (2 * 1.959963984540054))
+        own = np.logaddexp.reduce(mass + shared.says[name])
+        here = 1 / (1 + np.exp(-(told.log_odds + own)))
+        assert here == pytest.approx(expected, abs=0.02), name  # their range is taken as normal
+
+
+def weighed(readings: bc.Measurements) -> Structures:
+    model = still_sensor.INSTRUMENT.for_readings(readings).baseline()
+    made, _ = structures_over(model, readings, reference_of(readings))
+    names = (LAG, "bias.temperature_quadratic", "bias.rate", "bias.drift")
+    made.candidates = {n: made.candidates[n] for n in names}
+    walk(Library(made), 3)
+    return made
+
+
+def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
+    readings = still_sensor.simulate({LAG: 8.0}, seed=3, runs=1, interval=20)
+    made = weighed(readings)
+    effect = made.candidates[LAG]
+    v = grid(effect, [made])
+    log_ratio = channel_says(made, effect, v)
+    assert LAG in made.best.structure.effects
+    prior = effect.shared_shape.prior
+    peak = v[int(np.argmax(log_ratio))]
+    held = []
+    for value in map(float, prior.value(np.array([peak - 0.3, peak, peak + 0.3]))):
+        narrow = effect.ranging({"tau": (0.999 * value, 1.001 * value)})
+        fixed = Structures(
+            made.base, made.layout, made.record, {**made.candidates, LAG: narrow}, made.wide
+        )
+        with_it = [fixed.weigh(s) for s in made.visited if LAG in s.effects]
+        without = [fixed.weigh(s) for s in made.visited if LAG not in s.effects]
+        totals = [np.logaddexp.reduce([w.total for w in ws]) for ws in (with_it, without)]
+        held.append(totals[0] - fixed.log_odds[LAG] - totals[1])
+    found = np.interp([peak - 0.3, peak, peak + 0.3], v, log_ratio)
+    np.testing.assert_allclose(found, held, atol=0.7)
+    assert found[1] > found[0] + 1 and found[1] > found[2] + 1  # it tells the shape
+
+
+def test_a_channel_that_cannot_see_it_says_nothing() -> None:
+    readings = still_sensor.simulate(seed=3, runs=1, interval=20)
+    made = weighed(readings)
+    effect = made.candidates.pop(LAG)
+    made.visited = {Structure(): made.weigh(Structure())}
+    assert not channel_says(made, effect, np.linspace(-3, 3, 9)).any()
