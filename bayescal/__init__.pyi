@@ -9,6 +9,7 @@ from ._diagnostics.check import check as check
 from ._diagnostics.compare import compare as compare
 from ._discovery.discover import discover as discover
 from ._report.save_search import calibrate as calibrate
+from ._report.save_channels import calibrate_channels as calibrate_channels
 
 # beside the loop: which test to run next, how often a search reports what is not there, an effect's draft
 from ._discovery.next_experiment import next_experiment as next_experiment
@@ -63,6 +64,9 @@ from ._diagnostics.check_result import Check as Check
 from ._diagnostics.compare import Comparison as Comparison
 from ._discovery.discover import Discovery as Discovery
 from ._report.save_search import Trail as Trail  # with `save`, which save_search.py attaches
+from ._report.save_channels import (
+    Channels as Channels,
+)  # with `save`, which save_channels.py attaches
 from ._discovery.next_experiment import NextExperiment as NextExperiment
 from ._discovery.false_reports import FalseReports as FalseReports
 from ._compensation.compensator import Compensator as Compensator

@@ -1,4 +1,4 @@
-"""The loop for the channels of one unit: each searched alone, then again with what the others say of the shared body."""
+"""The loop for the channels of one unit: each searched alone, then again with what the others say of their body."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over
 from bayescal._discovery.search_path import Step, Trail
 from bayescal._inference.method import Method
+from bayescal._model.coefficient import Shape
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
@@ -131,11 +132,12 @@ class _Channel:
         own.stopped = loop.look(Library(structures))
         return own
 
-    def shared(self) -> dict[str, Effect]:
-        """Candidates with a shape that all channels share."""
+    def shared(self) -> dict[str, Shape]:
+        """Shapes that all channels share, by the candidate that has it."""
         if self.structures is None or self.loop.max_effects == 0:
             return {}
-        return {n: e for n, e in self.structures.candidates.items() if e.shared_shape is not None}
+        candidates = self.structures.candidates.items()
+        return {n: e.shared_shape for n, e in candidates if e.shared_shape is not None}
 
     def moved_by(self, told: Mapping[str, FromOthers], shared: Mapping[str, SharedShape]) -> bool:
         """Whether the others say something else than before; then it is the prior of what is weighed from now on."""
@@ -146,7 +148,7 @@ class _Channel:
         candidates = dict(before.candidates)
         for name, t in news.items():
             shape = shared[name].shape
-            candidates[name] = shared[name].effect.ranging({shape.name: (t.low, t.high)})
+            candidates[name] = candidates[name].ranging({shape.name: (t.low, t.high)})
         self.heard.update(news)
         odds = {n: t.log_odds for n, t in self.heard.items()}
         after = replace(before, candidates=candidates, odds=odds, visited={}, expected={}, forms={})
@@ -164,9 +166,9 @@ class _Channel:
 
     def _moves(self, told: FromOthers, shared: SharedShape) -> bool:
         """Whether a channel's prior differs from what it was last asked with."""
-        prior, name = shared.shape.prior, shared.effect.name
-        shape = shared.shape
-        then = self.heard.get(name, FromOthers(self.prior_odds[name], shape.low, shape.high))
+        shape, prior = shared.shape, shared.shape.prior
+        alone = FromOthers(self.prior_odds[shared.effect], shape.low, shape.high)
+        then = self.heard.get(shared.effect, alone)
         low, high, low_then, high_then = (
             prior.coordinate(value) for value in (told.low, told.high, then.low, then.high)
         )
@@ -189,10 +191,10 @@ class _Channel:
 
 def _heard(channels: Sequence[_Channel]) -> list[SharedShape]:
     """Have the channels hear each other until nothing new is said; what they say in the end."""
-    effects = {n: e for channel in channels for n, e in channel.shared().items()}
+    shapes = {n: shape for channel in channels for n, shape in channel.shared().items()}
     shared: dict[str, SharedShape] = {}
     for asked in range(ROUNDS + 1):
-        shared = {n: _shared(e, channels, shared.get(n)) for n, e in effects.items()}
+        shared = {n: _shared(n, shape, channels) for n, shape in shapes.items()}
         moved = []
         for channel in channels if asked < ROUNDS else ():
             told = {n: shared[n].from_others(channel.name) for n in channel.shared()}
@@ -203,14 +205,11 @@ def _heard(channels: Sequence[_Channel]) -> list[SharedShape]:
     return list(shared.values())
 
 
-def _shared(
-    effect: Effect, channels: Sequence[_Channel], before: SharedShape | None
-) -> SharedShape:
+def _shared(effect: str, shape: Shape, channels: Sequence[_Channel]) -> SharedShape:
     """What all channels that can say something of an effect say of it."""
-    able = {c.name: c for c in channels if effect.name in c.shared()}
-    found = {n: c.structures for n, c in able.items() if c.structures is not None}
-    stated = effect if before is None else before.effect
-    v = grid(stated, found.values())
-    alone = max(1 / (1 + math.exp(-c.prior_odds[effect.name])) for c in able.values())
-    says = {n: channel_says(s, stated, v) for n, s in found.items()}
-    return SharedShape(stated, v, min(2 * alone, 0.5), says)
+    able = [c for c in channels if effect in c.shared()]
+    found = {c.name: c.structures for c in able if c.structures is not None}
+    v = grid(effect, shape, found.values())
+    alone = max(1 / (1 + math.exp(-c.prior_odds[effect])) for c in able)
+    says = {n: channel_says(s, effect, shape, v) for n, s in found.items()}
+    return SharedShape(effect, shape, v, min(2 * alone, 0.5), says)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bayescal._channels.shared_shape import SharedShape
 from bayescal._core.formatting import number, probability, table, with_error
@@ -29,6 +31,11 @@ class Channels:
         """Whether every channel may be trusted."""
         return all(trail.ok for trail in self.trails.values())
 
+    if TYPE_CHECKING:
+
+        def save(self, folder: Path) -> None:
+            """Write all results to a folder; `save_channels.py` attaches it."""
+
     @property
     def reason(self) -> str:
         """Why not, channel by channel; empty if all may be."""
@@ -38,16 +45,16 @@ class Channels:
     def effects(self) -> tuple[str, ...]:
         """Effects that some channel's last model holds, in the order of the models."""
         return tuple(
-            dict.fromkeys(
-                n for t in self.trails.values() for n in t.final.calibration.model.names
-            )
+            dict.fromkeys(n for t in self.trails.values() for n in t.final.calibration.model.names)
         )
 
     def __str__(self) -> str:
         head = ["", *self.trails]
         parts = [table(head, [*self._errors(), *map(self._effect, self.effects), self._noise()])]
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
-        parts += [f"{n}: not to be trusted: {t.gate.reason}" for n, t in self.trails.items() if not t.ok]
+        parts += [
+            f"{n}: not to be trusted: {t.gate.reason}" for n, t in self.trails.items() if not t.ok
+        ]
         return "\n".join(parts)
 
     def _errors(self) -> list[list[str]]:
@@ -72,10 +79,8 @@ class Channels:
                 cells.append("–")
                 continue
             effect = calibration.model.effect(name)
-            unknown = effect.shape_name(next(s for s in effect.shapes if s.name == effect.measure)) if (
-                effect.measure
-            ) else effect.coefficient_name(0)
-            draws = calibration.samples(unknown)
+            size = f"{name}.{effect.measure}" if effect.measure else effect.coefficient_name(0)
+            draws = calibration.samples(size)
             cells.append(with_error(float(draws.mean()), float(draws.std())))
         return [name, *cells]
 
@@ -86,9 +91,9 @@ class Channels:
 def _shared_text(s: SharedShape) -> str:
     """One line on what the unit has."""
     middle, low, high = s.posterior
-    showing = [n for n, log_ratio in s.says.items() if log_ratio.max() > STRONG]
+    showing = ", ".join(n for n in s.says if s.evidence(n) > STRONG) or "none alone"
     unit = unit_label(s.shape.unit)
     return (
-        f"{s.effect.name}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "
-        f"{number(middle)} {unit} (95 %: {number(low)} to {number(high)}), shown by {', '.join(showing) or 'none alone'}"
+        f"{s.effect}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "
+        f"{number(middle)} {unit} (95 %: {number(low)} to {number(high)}), shown by {showing}"
     )

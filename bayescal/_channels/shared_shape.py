@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._model.effect import Effect
+from bayescal._model.coefficient import Shape
 from bayescal._search.library import Library
 from bayescal._search.scores import View
 from bayescal._search.structures import Structures, Weighed
@@ -30,7 +30,7 @@ CENTRAL_95 = 1.959963984540054
 
 
 class FromOthers(NamedTuple):
-    """What the other channels say of an effect: log odds that this channel shows it, and its shape's plausible range."""
+    """What the other channels say of an effect: log odds that this one shows it, and its shape's plausible range."""
 
     log_odds: float
     low: float
@@ -42,22 +42,18 @@ class SharedShape:
     """What the channels say of an effect whose shape they share.
 
     Attributes:
-        effect: as the instrument states it.
+        effect: its name.
+        shape: as the instrument states it.
         v: grid of the shape's coordinate, standard normal a priori (k,).
         prior: probability that the unit has the effect.
         says: of each channel, log ratio of its evidence with the effect, at each v, to that without it (k,).
     """
 
-    effect: Effect
+    effect: str
+    shape: Shape
     v: Float[np.ndarray, "k"]
     prior: float
     says: Mapping[str, Float[np.ndarray, "k"]]
-
-    @property
-    def shape(self):
-        shape = self.effect.shared_shape
-        assert shape is not None
-        return shape
 
     @cached_property
     def _log_mass(self) -> Float[np.ndarray, "k"]:
@@ -77,6 +73,12 @@ class SharedShape:
         )
         _, low, high = self._range(here)
         return FromOthers(float(log_odds), low, high)
+
+    def evidence(self, channel: str) -> float:
+        """Log Bayes factor of the effect in one channel, its shape as the others have it."""
+        joint = self._joint(n for n in self.says if n != channel)
+        mass = np.logaddexp.reduce(joint + np.log(SHARES), axis=0)
+        return float(np.logaddexp.reduce(mass + self.says[channel]) - np.logaddexp.reduce(mass))
 
     @property
     def probability(self) -> float:
@@ -107,15 +109,13 @@ def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> n
     return log_density - np.logaddexp.reduce(log_density)
 
 
-def grid(effect: Effect, found: Iterable[Structures]) -> Float[np.ndarray, "k"]:
-    """Coordinates of a shape: even ones, and closer about what channels found."""
-    shape = effect.shared_shape
-    assert shape is not None
+def grid(effect: str, shape: Shape, found: Iterable[Structures]) -> Float[np.ndarray, "k"]:
+    """Coordinates of an effect's shape: even ones, and closer about what channels found."""
     parts = [np.arange(-REACH, REACH, RAGGED_STEP if shape.ragged else STEP)]
     for structures in found:
-        if best := _best(structures, effect.name, holds=True):
-            at = [h.name for h in best[0].assembly.hypers].index(effect.shape_name(shape))
-            own = best[0].model.effect(effect.name).shared_shape
+        if best := _best(structures, effect, holds=True):
+            at = [h.name for h in best[0].assembly.hypers].index(f"{effect}.{shape.name}")
+            own = best[0].model.effect(effect).shared_shape
             assert own is not None
             sd = math.sqrt(best[0].mode.covariance[at, at])
             close = own.prior.value(best[0].mode.v[at] + np.clip(sd, 1e-4, 1.0) * CLOSE)
@@ -126,20 +126,17 @@ def grid(effect: Effect, found: Iterable[Structures]) -> Float[np.ndarray, "k"]:
 
 
 def channel_says(
-    structures: Structures, effect: Effect, v: Float[np.ndarray, "k"]
+    structures: Structures, name: str, shape: Shape, v: Float[np.ndarray, "k"]
 ) -> Float[np.ndarray, "k"]:
     """Log ratio of a channel's evidence with an effect, its shape at each v, to that without it.
 
     Args:
         structures: weighed ones of the channel.
-        effect: as the instrument states it; the structures may hold it with a narrower range.
-        v: coordinates under the instrument's range.
+        name: of the effect.
+        shape: as the instrument states it; the structures may hold it with a narrower range.
+        v: its coordinates.
     """
-    name, shape = effect.name, effect.shared_shape
-    own = structures.candidates.get(name)
-    if own is None or shape is None:
-        return np.zeros(v.size)
-    narrow = own.shared_shape
+    narrow = structures.candidates[name].shared_shape
     assert narrow is not None
     u = np.array([narrow.prior.coordinate(float(shape.prior.value(x))) for x in v])
     fine = Library(structures, {name: u[:, None]})

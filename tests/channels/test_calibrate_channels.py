@@ -1,0 +1,82 @@
+"""Channels of one unit together: one body for all, structures of their own, results that can be kept."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal_models import still_sensor
+from bayescal_models.still_sensor.campaign import LAG_TIME
+
+LAG, QUADRATIC = "bias.thermal_lag", "bias.temperature_quadratic"
+HIDDEN = {
+    "strong": {LAG: 8.0},
+    "weak": {LAG: 3.0},
+    "none": {QUADRATIC: 0.05},
+}
+
+
+@pytest.fixture(scope="module")
+def unit() -> bc.Channels:
+    readings = {
+        name: still_sensor.simulate(effects, seed=20 + i, runs=1, interval=20)
+        for i, (name, effects) in enumerate(HIDDEN.items())
+    }
+    models = {n: still_sensor.INSTRUMENT.for_readings(r).baseline() for n, r in readings.items()}
+    return bc.calibrate_channels(models, readings, method=bc.LeastSquares(draws=400))
+
+
+def test_what_one_channel_shows_helps_another_and_none_gets_what_it_has_not(unit) -> None:
+    models = {n: t.final.calibration.model for n, t in unit.trails.items()}
+    assert LAG in models["strong"].names
+    assert LAG in models["weak"].names
+    assert LAG not in models["none"].names and QUADRATIC in models["none"].names
+    shape = {n: models[n].effect(LAG).shared_shape for n in ("strong", "weak")}
+    assert shape["weak"].high / shape["weak"].low < 2  # by what the strong one says
+    assert shape["strong"].high / shape["strong"].low > shape["weak"].high / shape["weak"].low
+
+
+def test_the_unit_has_one_time_and_it_is_the_true_one(unit) -> None:
+    lag = next(s for s in unit.shared if s.effect == LAG)
+    _, low, high = lag.posterior
+    assert lag.probability > 0.95
+    assert low < LAG_TIME < high
+    tau = {n: unit.trails[n].final.calibration.samples(f"{LAG}.tau") for n in ("strong", "weak")}
+    for (
+        draws
+    ) in tau.values():  # each channel's own readings, with what the others say: one posterior
+        middle, spread = np.log(draws).mean(), np.log(draws).std()
+        assert middle == pytest.approx(np.log(lag.posterior[0]), abs=0.5 * spread)
+        assert spread == pytest.approx(np.log(high / low) / 3.92, rel=0.3)
+
+
+def test_a_unit_is_saved_channel_by_channel_and_each_is_loaded_as_it_was(unit, tmp_path) -> None:
+    unit.save(tmp_path)
+    data = json.loads((tmp_path / "channels.json").read_text("utf-8"))
+    assert set(data["channels"]) == set(HIDDEN)
+    for name, told in data["channels"].items():
+        kept = bc.load(tmp_path / told["folder"] / "calibration.nc")
+        now = unit.trails[name].final.calibration
+        assert kept.model.names == now.model.names
+        assert [e.shapes for e in kept.model.effects] == [e.shapes for e in now.model.effects]
+        np.testing.assert_array_equal(kept.samples("bias.constant"), now.samples("bias.constant"))
+    lag = next(s for s in data["shared"] if s["effect"] == LAG)
+    assert lag["low"] < LAG_TIME < lag["high"]
+
+
+def test_the_table_has_a_column_for_each_channel_and_a_row_for_each_effect(unit) -> None:
+    lines = str(unit).splitlines()
+    assert lines[0].split() == list(HIDDEN)
+    row = next(line for line in lines if line.startswith(QUADRATIC))
+    assert "±" in row and "–" in row
+
+
+def test_models_and_readings_of_different_channels_are_refused(unit) -> None:
+    trail = unit.trails["none"].final.calibration
+    with pytest.raises(bc.InputError, match="readings for b"):
+        bc.calibrate_channels({"a": trail.model, "c": trail.model}, {"b": trail.readings})
+    with pytest.raises(bc.InputError, match="two channels"):
+        bc.calibrate_channels({"a": trail.model}, {"a": trail.readings})
