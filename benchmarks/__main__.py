@@ -20,6 +20,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "batches": "speed.batches",
     "samplers": "speed.samplers.rows",
     "hidden_effects": "hidden_effects.measurement",
+    "units": "hidden_effects.units",
     "gauntlet": "spoilt_records.measurement",
     "start_up": "speed.start_up",
     "scaling": "speed.scaling.rows",

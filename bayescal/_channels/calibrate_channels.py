@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from bayescal._channels.channels import Channels
-from bayescal._channels.shared_shape import FromOthers, SharedShape, channel_says, grid
+from bayescal._channels.shared_shape import MOVED, FromOthers, SharedShape, channel_says, grid
 from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
 from bayescal._discovery.calibrate import Loop
@@ -25,7 +25,6 @@ from bayescal._search.structures import Structures
 from bayescal._search.walk import NEAR
 
 ROUNDS = 3  # of hearing the others, at most
-MOVED = 0.5  # log odds, or standard deviations of a shape, by which a channel's prior moves before it is asked again
 
 
 def calibrate_channels(
@@ -141,40 +140,34 @@ class _Channel:
 
     def moved_by(self, told: Mapping[str, FromOthers], shared: Mapping[str, SharedShape]) -> bool:
         """Whether the others say something else than before; then it is the prior of what is weighed from now on."""
-        news = {n: t for n, t in told.items() if self._moves(t, shared[n])}
-        if self.structures is None or not news:
+        aside = {n for n, t in told.items() if t.aside(self._heard(shared[n]), shared[n].shape)}
+        likelier = {
+            n for n, t in told.items() if abs(t.log_odds - self._heard(shared[n]).log_odds) > MOVED
+        }
+        if self.structures is None or not aside | likelier:
             return False
-        before = self.structures
-        candidates = dict(before.candidates)
-        for name, t in news.items():
-            shape = shared[name].shape
-            candidates[name] = candidates[name].ranging({shape.name: (t.low, t.high)})
-        self.heard.update(news)
+        before, candidates = self.structures, dict(self.structures.candidates)
+        for name in aside | likelier:
+            then, now, shape = self._heard(shared[name]), told[name], shared[name].shape
+            self.heard[name] = now if name in aside else then._replace(log_odds=now.log_odds)
+            if name in aside:
+                candidates[name] = candidates[name].ranging({shape.name: (now.low, now.high)})
         odds = {n: t.log_odds for n, t in self.heard.items()}
         after = replace(before, candidates=candidates, odds=odds, visited={}, expected={}, forms={})
         for structure, weighed in before.visited.items():
-            if structure.effects.isdisjoint(news):
+            if structure.effects.isdisjoint(aside):
                 log_prior = after.log_prior(structure)
                 after.visited[structure] = replace(weighed, log_prior=log_prior)
         self.structures = after
         near = sorted(before.visited.values(), key=lambda w: -w.total)
-        self.stopped = self.loop.look(
-            Library(after),
-            [w.structure for w in near if w.total > near[0].total - NEAR],
-        )
+        again = [w.structure for w in near if w.total > near[0].total - NEAR]
+        self.stopped = self.loop.look(Library(after), again)
         return True
 
-    def _moves(self, told: FromOthers, shared: SharedShape) -> bool:
-        """Whether a channel's prior differs from what it was last asked with."""
-        shape, prior = shared.shape, shared.shape.prior
-        alone = FromOthers(self.prior_odds[shared.effect], shape.low, shape.high)
-        then = self.heard.get(shared.effect, alone)
-        low, high, low_then, high_then = (
-            prior.coordinate(value) for value in (told.low, told.high, then.low, then.high)
-        )
-        least = MOVED * min(high - low, high_then - low_then) / 4  # 95 % are four deviations
-        aside = max(abs(low - low_then), abs(high - high_then)) > least
-        return abs(told.log_odds - then.log_odds) > MOVED or aside
+    def _heard(self, shared: SharedShape) -> FromOthers:
+        """What the others said of an effect when the channel was last asked; at first what the instrument says."""
+        alone = FromOthers(self.prior_odds[shared.effect], shared.shape.low, shared.shape.high)
+        return self.heard.get(shared.effect, alone)
 
     def trail(self, follow: Callable[[str, Trail], None]) -> Trail:
         """The models on the way to the most probable structure."""

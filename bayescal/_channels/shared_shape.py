@@ -25,6 +25,7 @@ SHARES = (np.arange(10) + 0.5)[:, None] / 10  # of the channels that show what t
 REACH, STEP = 3.5, 0.05  # of the shape's grid, prior standard deviations
 RAGGED_STEP = 0.02
 CLOSE = np.linspace(-4.0, 4.0, 25)  # about what a channel found, in its standard deviations
+MOVED = 0.5  # standard deviations of a shape, or log odds, by which a channel's prior moves before it is asked again
 ASKED = 3  # most probable structures with the effect and without, of which a channel is asked
 CENTRAL_95 = 1.959963984540054
 
@@ -35,6 +36,13 @@ class FromOthers(NamedTuple):
     log_odds: float
     low: float
     high: float
+
+    def aside(self, then: FromOthers, shape: Shape) -> bool:
+        """Whether the range stands elsewhere than another one did, or has another width."""
+        now = [shape.prior.coordinate(end) for end in (self.low, self.high)]
+        before = [shape.prior.coordinate(end) for end in (then.low, then.high)]
+        narrower = min(now[1] - now[0], before[1] - before[0])
+        return max(abs(a - b) for a, b in zip(now, before, strict=True)) > MOVED * narrower / 4
 
 
 @dataclass(frozen=True, eq=False)
