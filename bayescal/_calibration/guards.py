@@ -13,7 +13,7 @@ from bayescal._core.formatting import number
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import find_mode, in_numpy
-from bayescal._model.noise_laws import CORRELATION_TIME
+from bayescal._model.correlated_noise import CORRELATION_TIME
 from bayescal._readings.unit_conversion import same_dimension, unit_label
 
 CONFLICT = 4.0  # prior standard deviations from the prior's mean, beyond which readings and prior contradict each other

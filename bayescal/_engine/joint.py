@@ -8,18 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.gaussian_algebra import LOG_2PI, factors, solve_lower, solve_upper
 from bayescal._engine.assembly import Assembly, Point
-from bayescal._engine.closed_form import LOG_2PI, NOWHERE
+from bayescal._engine.closed_form import NOWHERE
 from bayescal._engine.mode import Mode
 from bayescal._engine.terms import ColumnsOf, Term
-from bayescal._engine.whitening import (
-    Batch,
-    factors,
-    known_variance,
-    log_likelihood,
-    solve_lower,
-    solve_upper,
-)
+from bayescal._engine.whitening import Batch, log_likelihood, variance_of
 
 
 class Grams(NamedTuple):
@@ -138,8 +132,7 @@ def _draw_rows(assembly: Assembly, mode: Mode, x, hyper: Batch, own: Float[np.nd
             line = assembly.linearise(mode.point, one)
             known = line.mean - np.sum(line.rows * mode.point.rows, axis=1)
         left = assembly.record.y - known - line.jacobian @ (x[b] - mode.point.x)
-        variance = one["noise.white"] ** 2 + known_variance(assembly.record)
-        variance = np.broadcast_to(variance, left.shape)
+        variance = variance_of(assembly.noise, one, assembly.record, 0.0)
         precision = line.rows[:, :, None] * line.rows[:, None, :] / variance[:, None, None]
         precision = precision + np.diag(1 / assembly.row_sd**2)
         chol = np.linalg.cholesky(precision)

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.gaussian_algebra import LOG_2PI, Conditional, condition
 from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly, Point
-from bayescal._engine.closed_form import LOG_2PI, NOWHERE, Conditional, Density, condition
-from bayescal._engine.whitening import known_variance
+from bayescal._engine.closed_form import NOWHERE, Density
+from bayescal._engine.whitening import variance_of
 
 STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
@@ -195,7 +196,7 @@ def mode_of_x(
         # Squares at the point itself, not at the linear model's minimum.
         z = prior.weight * (at.x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
         found = condition(gram, assembly.record.size, prior, at.x)
-        return gram.rtr + float(z @ z), found, density
+        return density.squares(hyper, gram) + float(z @ z), found, density
 
     squares, found, _ = look(point)
     for _ in range(50):
@@ -231,13 +232,13 @@ def _with_rows(assembly, density: Density, found, v, x=None) -> Point:
     hyper = assembly.hyper(v)
     line = assembly.linearise(point, hyper)
     rest = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
-    variance = np.broadcast_to(noise_variance(assembly, hyper), rest.shape)
+    variance = noise_variance(assembly, hyper)
     return Point(x, mean_of_rows(assembly, line.rows, rest, variance)[0])
 
 
 def noise_variance(assembly: Assembly, hyper) -> np.ndarray:
     """Variance of each reading by the noise alone."""
-    return hyper["noise.white"] ** 2 + known_variance(assembly.record)
+    return variance_of(assembly.noise, hyper, assembly.record, 0.0)
 
 
 def mean_of_rows(assembly: Assembly, slopes, residual, variance):

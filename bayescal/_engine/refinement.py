@@ -14,11 +14,13 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs
 from scipy.optimize import minimize
 
+from bayescal._core.gaussian_algebra import LOG_2PI, Prior
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.assembly import Assembly, Point, Prior
-from bayescal._engine.closed_form import LOG_2PI, Density
+from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import Mode, root_near
-from bayescal._engine.whitening import whitening
+from bayescal._engine.whitening import Whitening, whitening
+from bayescal._model.noise_laws import CURVATURE, SLOPE
 
 STILL = 1e-6  # standard deviations: a further step smaller than this is none
 GOOD = 1e-5  # share of the residuals in the tangent plane, at which a point counts as the optimum
@@ -103,7 +105,7 @@ def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
     sd = np.sqrt(np.diag(given.covariance))
     converged = converged or bool(np.max(np.abs(given.theta - theta) / sd, initial=0.0) < STILL)
     covariance = given.covariance
-    if full_hessian and np.all(np.isfinite(covariance)):
+    if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
         covariance = np.linalg.inv(fit.hessian(theta, v, sd))
     point = Point(theta[: assembly.size], mode.point.rows)
     return Solution(mode._replace(point=point, v=v), covariance, converged)
@@ -115,8 +117,9 @@ class _Refinement:
     def __init__(self, assembly: Assembly, mode: Mode) -> None:
         self.assembly, self.mode = assembly, mode
         self.density = Density(assembly, mode.point, mode.flat)
-        kinds = assembly.kinds
-        self.scales = [i for i, k in enumerate(kinds) if k in ("noise", "spread")]
+        kinds, self.gaussian = assembly.kinds, assembly.noise.gaussian
+        # Of a law that is not Gaussian they stay where the marginal likelihood of the mode has them.
+        self.scales = [i for i, k in enumerate(kinds) if k in ("noise", "spread") and self.gaussian]
         self.places = [i for i, k in enumerate(kinds) if k in ("shape", "promoted")]
 
     def prior(self, v: Float[np.ndarray, "d"]) -> Prior:
@@ -146,25 +149,26 @@ class _Refinement:
         rest = self.assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
         return np.column_stack([*slopes, rest]), self.density.extra(line)
 
-    def whiten(self, v: np.ndarray, extra: np.ndarray | float):
+    def whiten(self, v: np.ndarray, extra: np.ndarray | float, left: np.ndarray) -> Whitening:
         assembly = self.assembly
-        return whitening(assembly.noise, assembly.hyper(v), assembly.record, extra)
+        return whitening(assembly.noise, assembly.hyper(v), assembly.record, extra, left)
 
     def fit_theta(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
         """θ by least squares of the whitened residuals and the prior's, given the scales in v."""
         if not theta.size:
             return theta, True
         prior, (first, extra) = self.prior(v), self.table(theta, v)
-        white = self.whiten(v, extra)
         own = np.diag(prior.weight)
 
         def look(at: np.ndarray, made: np.ndarray | None = None) -> tuple[float, _Factors]:
-            table = white(self.table(at, v)[0] if made is None else made)
+            plain = self.table(at, v)[0] if made is None else made
+            white = self.whiten(v, extra, plain[:, -1])
+            table = white(plain)
             z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
             whole = np.concatenate([table * np.append(prior.sd, 1.0), np.column_stack([own, -z])])
             if not np.all(np.isfinite(whole)):
                 return math.inf, _factors(np.zeros_like(whole))
-            return float(whole[:, -1] @ whole[:, -1]), _factors(whole)
+            return float(whole[:, -1] @ whole[:, -1]) + white.beyond, _factors(whole)
 
         cost, found = look(theta, first)
         damping, best = 0.0, float(np.linalg.norm(found.inside))
@@ -201,7 +205,7 @@ class _Refinement:
                     return nowhere
                 made, logdet = upper / sd, 2 * size * math.log(sd)
             else:
-                white = self.whiten(v, extra)
+                white = self.whiten(v, extra, table[:, -1])
                 made, logdet = white(upper), white.logdet
             offset = prior.weight * (prior.mean - theta)
             own = np.column_stack([made[:, :-1] * prior.sd, made[:, -1] - made[:, :-1] @ offset])
@@ -233,7 +237,8 @@ class _Refinement:
         given, assembly = self.conditional(theta, v), self.assembly
         if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
-        spreads = [i for i in self.scales if assembly.kinds[i] != "noise"]
+        names, kinds = [h.name for h in assembly.hypers], assembly.kinds
+        spreads = [i for i in self.scales if kinds[i] != "noise" or names[i] in (SLOPE, CURVATURE)]
 
         def value(scales: np.ndarray) -> float:
             moved = v.copy()
@@ -276,12 +281,11 @@ class _Refinement:
     def hessian(self, theta: np.ndarray, v: np.ndarray, sd: np.ndarray) -> Float[np.ndarray, "q q"]:
         """Curvature of the negative log density of θ, second derivatives of the expected output included."""
         prior, extra = self.prior(v), self.table(theta, v)[1]
-        white = self.whiten(v, extra)
-
         tightness = prior.weight / prior.sd**2
 
         def slope(at: np.ndarray) -> np.ndarray:
-            table = white(self.table(at, v)[0])
+            table = self.table(at, v)[0]
+            table = self.whiten(v, extra, table[:, -1])(table)
             return tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1]
 
         steps = 1e-3 * np.diag(sd)

@@ -179,7 +179,7 @@ def weighted_draws(
 def proposals_of(assembly: Assembly, products: Products) -> int:
     """How many: fewer where each costs a pass over many readings, or a large matrix."""
     cost = assembly.record.size > LONG
-    if products.direct and cost:
+    if products.direct and (cost or not assembly.noise.gaussian):
         return FEWEST
     if products.direct or assembly.size > 100:
         return FEWER

@@ -19,8 +19,8 @@ from bayescal._diagnostics.leave_group_out import groups_of
 from bayescal._discovery.discover import Discovery
 from bayescal._discovery.next_experiment import NextExperiment
 from bayescal._discovery.search_path import Step, Trail
+from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION, correlated_size
 from bayescal._model.frame import GROUPS
-from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, correlated_size
 from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.result/1"
@@ -97,7 +97,7 @@ def search_data(trail: Trail) -> dict[str, Any] | None:
         "structures": [
             {
                 "effects": list(s.effects),
-                "wanders": s.wanders,
+                "noise": s.noise,
                 "log_evidence": s.log_evidence,
                 "probability": s.probability,
             }
@@ -204,6 +204,7 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
         "step": step,
         "nothing_missing_probability": found.nothing_missing,
         "noise_wanders": found.noise_wanders,
+        "noise_laws": [vars(n) for n in found.noise],
         "sets": [{"effects": list(s.effects), "probability": s.probability} for s in found.sets],
         "departures": [{**vars(d), "in_words": str(d)} for d in found.departures],
         "candidates": [

@@ -58,7 +58,7 @@ def earlier(folder: Path, model: Model, readings: Measurements) -> tuple[Shown, 
 
 def _shown(said: dict[str, Any]) -> Shown:
     evidence, probability = said["log_evidence"], said["probability"]
-    return Shown(tuple(said["effects"]), bool(said["wanders"]), evidence, probability)
+    return Shown(tuple(said["effects"]), str(said["noise"]), evidence, probability)
 
 
 def refuse_unfinished(path: Path, data: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ from bayescal._discovery.discover import structures_over
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.record import Record
 from bayescal._model.frame import reference_of
-from bayescal._model.noise_laws import CORRELATION_TIME
+from bayescal._model.correlated_noise import CORRELATION_TIME
 from bayescal._model.parameters import Hyper, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
 from bayescal._search.plausible_sizes import SIZES
@@ -27,8 +27,8 @@ def by_law(
     """
     rng = np.random.default_rng([seed, 1])
     structures, _ = structures_over(model, readings, reference_of(readings))
-    wanders = structures.wide is not None and bool(rng.random() < 0.5)
-    barred = structures.barred(Structure(wanders=wanders))
+    wanders = WANDER in structures.laws and bool(rng.random() < 0.5)
+    barred = structures.barred(Structure(noise=WANDER if wanders else ""))
     odds = {n: o for n, o in structures.log_odds.items() if n not in barred}
     names = [n for n, o in odds.items() if rng.random() < 1 / (1 + np.exp(-o))]
     added = np.zeros(len(readings))
@@ -80,8 +80,7 @@ def _coordinate(h: Hyper, rng: np.random.Generator) -> float:
 def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
     """Correlated noise with diffusion and time by the wandering law's priors."""
     record: Record = structures.record
-    assert structures.wide is not None
-    priors = structures.wide.parameters()
+    priors = structures.laws[WANDER].parameters()
     values = {
         n: float(p.value(_coordinate(Hyper(n, "", p, "noise"), rng)))  # pyright: ignore
         for n, p in priors.items()

@@ -39,7 +39,7 @@ KEYS = {
     "holdout": "file sha256 rows",
     "gate": "ok reason",
     "search": "weighed complete stopped ending seconds structures",
-    "search.structures[]": "effects wanders log_evidence probability",
+    "search.structures[]": "effects noise log_evidence probability",
     "other_path": "noise added log_bayes_factor in_words",
     "steps[]": "effects added dropped rmse rmse_fitted unit holdout_rmse leave_one_group_out "
     "log_evidence noise noise_floor verdict",
@@ -50,7 +50,7 @@ KEYS = {
     "check[].worst": "from to group size unit",
     "allan[]": "step unit runs curve terms agrees in_words",
     "allan[].terms[]": "symbol name unit value uncertainty law law_uncertainty",
-    "missing[]": "step nothing_missing_probability noise_wanders sets departures candidates unknown",
+    "missing[]": "step nothing_missing_probability noise_wanders noise_laws sets departures candidates unknown",
     "missing[].sets[]": "effects probability",
     "missing[].departures[]": "effect along share at unit in_words",
     "missing[].candidates[]": "effect probability log_bayes_factor source z size size_sd unit "

@@ -24,12 +24,12 @@ MOST_ROOMS = 17
 
 # From the ground up. A module imports only what stands before it, wherever in the file the import stands.
 ROOMS = {
-    "_core": "version errors atomic_file formatting jax_setup progress parallel jit tall_qr "
+    "_core": "version errors atomic_file formatting jax_setup progress parallel jit gaussian_algebra "
     "levenberg_marquardt null_space importance_weights",
     "_readings": "unit_parsing unit_conversion column raw_table dataset_checks averaging file_formats column_matching "
     "column_conversion measurements csv_reader read",
     "_recording": "time_in_runs rounding spikes set_aside allan_terms allan_fit allan_deviation",
-    "_model": "prior coefficient frame effect unknown_effect departure noise_laws instrument "
+    "_model": "prior frame effect unknown_effect departure noise_laws correlated_noise instrument "
     "installed model parameters forward",
     "effects": "constant temperature thermal thermometer time",
     "_engine": "pieces terms record assembly whitening closed_form mode linear_model joint products sampling "

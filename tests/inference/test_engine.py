@@ -18,8 +18,8 @@ from bayescal._engine.terms import ColumnsOf
 from bayescal._engine.whitening import whitening
 from bayescal._inference import gaussian, laplace
 from bayescal._model import forward
+from bayescal._model.correlated_noise import over_record
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.noise_laws import over_record
 from bayescal._model.parameters import Layout, bind
 from bayescal_models import (
     differential_pair,

@@ -23,6 +23,7 @@ from bayescal._search.walk import walk
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 
 INSTRUMENT = mems_gyro.INSTRUMENT
+WANDER = "ornstein_uhlenbeck"
 FEW = (
     "bias.temperature_quadratic",
     "bias.thermal_lag",
@@ -64,8 +65,8 @@ def test_the_walk_finds_what_enumeration_finds(truth: dict[str, float]) -> None:
     root = whole.weigh(Structure())
     for count in range(len(FEW) + 1):
         for names in itertools.combinations(FEW, count):
-            for wanders in (False, True):
-                whole.weigh(Structure(frozenset(names), wanders), root)
+            for law in ("", *whole.laws):
+                whole.weigh(Structure(frozenset(names), law), root)
     found, exact = Posterior.of(walked), Posterior.of(whole)
     assert found.best == exact.best
     assert len(walked.visited) < len(whole.visited)
@@ -177,7 +178,7 @@ def test_a_walk_without_time_ends_with_what_it_has_and_says_so() -> None:
     made = structures(hidden(1, thermal_lag=0.05))
     said = walk(Library(made), max_effects=5, time_limit=0.0)
     assert said.startswith("The search was ended after 0 s")
-    assert set(made.visited) == {Structure(), Structure(wanders=True)}
+    assert set(made.visited) == {Structure(), Structure(noise=WANDER)}
     assert Posterior.of(made).chosen == Posterior.of(made).best
 
 
@@ -195,17 +196,17 @@ def test_an_interruption_keeps_what_was_weighed() -> None:
 def test_a_free_curve_in_time_stands_beside_no_wander() -> None:
     made = structures(hidden())
     assert "unknown(time)" in made.open_to(Structure())
-    assert "unknown(time)" not in made.open_to(Structure(wanders=True))
-    assert "unknown(time, jump)" in made.open_to(Structure(wanders=True))
+    assert "unknown(time)" not in made.open_to(Structure(noise=WANDER))
+    assert "unknown(time, jump)" in made.open_to(Structure(noise=WANDER))
 
 
 def test_a_path_leads_from_the_base_to_the_end_one_change_at_a_time() -> None:
     made = structures(hidden(9, thermal_lag=0.05, run=0.1))
-    end = Structure(frozenset(["bias.thermal_lag", "bias.run"]), True)
+    end = Structure(frozenset(["bias.thermal_lag", "bias.run"]), WANDER)
     path = made.path(end)
     assert (path[0], path[-1], len(path)) == (Structure(), end, 4)
     for before, after in itertools.pairwise(path):
-        changed = len(after.effects - before.effects) + (after.wanders != before.wanders)
+        changed = len(after.effects - before.effects) + (after.noise != before.noise)
         assert changed == 1
 
 
