@@ -70,6 +70,7 @@ def _of_noise(step: Step) -> list[str]:
         found.append(
             "The log evidence is not finite: the readings have too few digits, or a prior is improper."
         )
+    found += step.doubts
     found += _of_scatter(step)
     found += _left_over(step)
     found += _between_runs(step)
@@ -128,6 +129,11 @@ def _of_scatter(step: Step) -> list[str]:
         return [
             f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "
             "for no part of the record. Give the readings their own uncertainties (column output_uncertainty)."
+        ]
+    if check.one_sided < RARE:
+        return [
+            "Noise model inadequate: the readings far from the model stand on one side "
+            f"(p = {check.one_sided:.1g}), outliers that draw it there. Find what makes them, and leave them out."
         ]
     if check.pit_p < RARE:
         outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""

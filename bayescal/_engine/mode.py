@@ -24,9 +24,7 @@ STARTS = 64  # prior draws of φ among which the start is chosen,
 RAGGED = 4  # times as many where a shape's evidence has many maxima
 HALVINGS = 8  # of a Gauss–Newton step that makes the sum of squares larger
 CURVED = 1e-4  # step of a coordinate for the curvature
-LEAST_CURVATURE = (
-    0.05  # a coordinate is never known worse than a few units before its prior takes over
-)
+LEAST_CURVATURE = 0.05  # a coordinate is known to a few units, where its prior takes over
 CLIMB = 100  # steps uphill at most
 LONGEST = 1.5  # of them, in prior standard deviations
 NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found
@@ -84,7 +82,7 @@ def find_mode(
     hyper = assembly.hyper(np.zeros(dim))
     flat = column_scale(assembly.linearise(point, hyper).jacobian)
     density = Density(assembly, point, flat)
-    wanted = _prior_draws(assembly) if starts is None else list(starts)
+    wanted = prior_draws(assembly) if starts is None else list(starts)
     if starts is None and density.even and assembly.kinds == ["noise"]:  # one hill
         wanted = wanted[:5]
     v = max(wanted, key=lambda one: density.at(one)[0]) if dim else np.zeros(0)
@@ -174,7 +172,8 @@ def climb(
     return v
 
 
-def _prior_draws(assembly: Assembly) -> list[np.ndarray]:
+def prior_draws(assembly: Assembly) -> list[np.ndarray]:
+    """Where the mode may be looked for: the middle of φ's prior, and draws half as wide again. Deterministic."""
     ragged = any(s.ragged for e in assembly.layout.model.effects for s in e.column_shapes)
     count, dim = STARTS * (RAGGED if ragged else 1), len(assembly.hypers)
     draws = 1.5 * np.random.default_rng(0).standard_normal((count, dim))

@@ -26,15 +26,8 @@ from bayescal._model.noise_laws import CURVATURE, SLOPE
 
 LINEAR = (SLOPE, CURVATURE)  # parameters of the noise that are no scales
 REACH = 5.0  # standard deviations of the Laplace fit, up to which polynomials are fitted
-DEGREES = {
-    1: (6, 12, 20),
-    2: (4, 8, 12, 17),
-    3: (3, 5, 7, 9),
-    4: (2, 4, 6),
-    5: (2, 4),
-    6: (2, 3, 4),
-}
-MANY = {7: (2, 3), 8: (2, 3)}
+FEW = {1: (6, 12, 20), 2: (4, 8, 12, 17), 3: (3, 5, 7, 9)}
+DEGREES = FEW | {4: (2, 4, 6), 5: (2, 4), 6: (2, 3, 4)}
 NUMBERS = 2_000_000  # in the tables that are computed at once
 TRIED = 12  # draws of the Laplace fit at which polynomials are tried
 CLOSE = 0.03  # log density, within which they are good there,

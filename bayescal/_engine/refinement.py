@@ -20,8 +20,9 @@ from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import Mode, root_near
 from bayescal._engine.whitening import Whitening, whitening
-from bayescal._model.noise_laws import CURVATURE, SLOPE
+from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION
 
+SCALES = ("noise.white", DIFFUSION, CORRELATION_TIME)  # whose priors do not count
 STILL = 1e-6  # standard deviations: a further step smaller than this is none
 GOOD = 1e-5  # share of the residuals in the tangent plane, at which a point counts as the optimum
 RESTS = 1e-9  # change of φ's coordinates in a round, below which it rests
@@ -237,8 +238,7 @@ class _Refinement:
         given, assembly = self.conditional(theta, v), self.assembly
         if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
-        names, kinds = [h.name for h in assembly.hypers], assembly.kinds
-        spreads = [i for i in self.scales if kinds[i] != "noise" or names[i] in (SLOPE, CURVATURE)]
+        spreads = [i for i in self.scales if assembly.hypers[i].name not in SCALES]
 
         def value(scales: np.ndarray) -> float:
             moved = v.copy()

@@ -12,7 +12,7 @@ from scipy.linalg.lapack import (  # pyright: ignore[reportAttributeAccessIssue]
     dpttrf,
     dtbtrs,
 )
-from scipy.special import gammaln
+from scipy.special import gammaln, ndtri, stdtr
 
 from bayescal._core.gaussian_algebra import LOG_2PI
 from bayescal._engine.record import Record
@@ -122,6 +122,17 @@ def robust(noise: Noise, values: Values, record: Record, left: Float[np.ndarray,
     logdet = -2 * float(np.sum(np.broadcast_to(norm, n))) - n * LOG_2PI
     curvature = weight * (nu * scale - left**2) / wide
     return Robust(squares, logdet, weight * left, weight, curvature)
+
+
+def normal_scores(
+    noise: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """What independent readings show, as standard normal numbers if the law is right: Φ⁻¹ of their probabilities."""
+    if not isinstance(noise, StudentT):
+        return left / np.sqrt(variance_of(noise, values, record, 0.0))
+    scale = np.sqrt(_squared_scale(noise, values, record))
+    tail = np.maximum(stdtr(values["noise.freedom"], -np.abs(left) / scale), np.finfo(float).tiny)
+    return -np.sign(left) * ndtri(tail)
 
 
 def whitening(

@@ -48,7 +48,7 @@ def earlier(folder: Path, model: Model, readings: Measurements) -> tuple[Shown, 
             return ()
         first = data["steps"][0]
         then = (data["instrument"], first["effects"], first["noise"]["law"], data["fixed"])
-        now = (model.instrument.name, list(model.names), model.noise.law, dict(model.fixed))
+        now = (model.instrument.name, list(model.names), model.noise.name, dict(model.fixed))
         if then != now or data["readings"]["sha256"] != hashes(readings):
             return ()
         return tuple(_shown(s) for s in data["search"]["structures"])

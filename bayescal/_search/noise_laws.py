@@ -23,7 +23,11 @@ from bayescal._model.model import Model
 from bayescal._model.noise_laws import Heteroscedastic, Noise, StudentT, White
 
 FEWEST = 30  # readings from which the noise law can be told at all
-LEVELS = (-2.0, 0.0, 1.0)  # coordinates of a law's further parameters, at which a maximum is looked for first
+LEVELS = (
+    -2.0,
+    0.0,
+    1.0,
+)  # coordinates of a law's further parameters, at which a maximum is looked for first
 SHIFT = 1e-3  # of a coordinate, for slopes and curvatures
 STEPS = 20  # of Newton's at most, none longer than this many prior standard deviations
 LONGEST = 1.0
@@ -112,6 +116,8 @@ def _quadratic(values, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np
     here, d = found[0], len(v)
     up, down = found[1 : d + 1], found[d + 1 : 2 * d + 1]
     second = np.diag(up + down - 2 * here)
-    for (i, j), b, c in zip(pairs, found[2 * d + 1 :], found[2 * d + 1 + len(pairs) :], strict=False):
+    for (i, j), b, c in zip(
+        pairs, found[2 * d + 1 :], found[2 * d + 1 + len(pairs) :], strict=False
+    ):
         second[i, j] = second[j, i] = 0.5 * (b + c - 2 * here - second[i, i] - second[j, j])
     return float(here), (up - down) / (2 * SHIFT), -second / SHIFT**2
