@@ -95,8 +95,8 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
         return []
     if mode.indefinite:
         return [
-            "The curvature at the mode is not positive definite: the fit ended on a ridge or a saddle. Log evidence and "
-            "standard uncertainties are not reliable. Take an effect out that these readings do not determine."
+            "The curvature at the mode is not positive definite: the fit ended on a ridge or a saddle. Log evidence "
+            "and standard uncertainties are not reliable. Take an effect out that these readings do not determine."
         ]
     shapes = [i for i, h in enumerate(assembly.hypers) if h.kind == "shape"]
     sd = np.sqrt(np.diag(mode.covariance))

@@ -149,7 +149,9 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
     """What an added effect made worse: the error as fitted, left-out groups, readings kept apart."""
     reasons, unit = [], unit_label(steps[-1].calibration.unit)
     for before, after in pairwise(steps):
-        if after.rmse_fitted > WORSE * before.rmse_fitted:
+        # Under another independent law readings weigh differently: their plain error may well be larger.
+        weighs = after.added is None and after.calibration.model.noise.independent
+        if not weighs and after.rmse_fitted > WORSE * before.rmse_fitted:
             reasons.append(
                 f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
                 f"{after.rmse_fitted:.3g} {unit}: do not use it."

@@ -57,8 +57,7 @@ class _Factors(NamedTuple):
 
 
 def _factors(table: Float[np.ndarray, "m q1"]) -> _Factors:
-    upper = _triangle(table)
-    size = table.shape[1] - 1
+    upper, size = _triangle(table), table.shape[1] - 1
     last = float(upper[size, size]) if len(upper) > size else 0.0
     return _Factors(upper[:size, :size], upper[:size, size], last)
 
@@ -218,9 +217,8 @@ class _Refinement:
             inverse = dtrtri(found.root)[0] if z.size else found.root
             of_z = inverse @ inverse.T
             root = prior.sd[:, None] * inverse
-            flat = (1 - prior.weight) @ (
-                np.log(np.where(prior.weight > 0, 1.0, prior.sd)) + 0.5 * LOG_2PI
-            )
+            log_sd = np.log(np.where(prior.weight > 0, 1.0, prior.sd))
+            flat = (1 - prior.weight) @ (log_sd + 0.5 * LOG_2PI)
             volume = logdet + 2 * float(np.sum(np.log(np.abs(np.diag(found.root)))))
             rest = found.outside**2
             total = float(flat) - 0.5 * (size * LOG_2PI + volume + rest)
@@ -238,14 +236,13 @@ class _Refinement:
         given, assembly = self.conditional(theta, v), self.assembly
         if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
-        spreads = [i for i in self.scales if assembly.hypers[i].name not in SCALES]
+        told = [(i, h.prior) for i, h in enumerate(assembly.hypers) if h.name not in SCALES]
+        priors = [(i, prior.log_density) for i, prior in told if i in self.scales]
 
         def value(scales: np.ndarray) -> float:
             moved = v.copy()
             moved[self.scales] = scales
-            priors = (assembly.hypers[i].prior.log_density(moved[i]) for i in spreads)
-            prior = sum(float(np.asarray(density)) for density in priors)
-            return given(moved).log_marginal + prior
+            return given(moved).log_marginal + sum(float(d(moved[i])) for i, d in priors)
 
         def slope(scales: np.ndarray) -> np.ndarray:
             shifts = SHIFT * np.eye(len(scales))

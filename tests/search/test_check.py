@@ -80,3 +80,38 @@ def test_noise_known_beforehand_stands_beside_a_published_line() -> None:
         }
     )
     assert "(converter step 0.011, rounding of the voltage 0.035, thermometer 0.015)" in str(found)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_outliers_on_one_side_are_told_from_outliers_on_both(seed: int) -> None:
+    readings = mems_gyro.simulate({}, seed=seed)
+    random = np.random.default_rng(seed)
+    high = random.uniform(0.3, 1.5, len(readings)) * (random.random(len(readings)) < 0.2)
+    heavy = MODEL.with_noise(bc.StudentT(bc.HalfCauchy(0.1)))
+    found = []
+    for more in (high, high * random.choice([-1.0, 1.0], len(readings))):
+        spoilt = readings.with_column("output", readings["output"] + more)
+        found.append(bc.check(bc.fit(heavy, spoilt, FAST, strict=False)))
+    assert found[0].one_sided < 1e-5 < 1e-3 < found[1].one_sided
+    assert "stand on one side" in str(found[0])
+    assert "stand on one side" not in str(found[1])
+
+
+def test_a_law_that_is_right_leaves_normal_scores() -> None:
+    """Where the tails are those of the law, or the scatter follows what it says, no test of the noise objects."""
+    readings = mems_gyro.simulate({}, seed=9)
+    random = np.random.default_rng(9)
+    z = 2 * (readings["temperature"] - 30.0) / 50.0 - 1
+    cases = [
+        (bc.StudentT(bc.HalfCauchy(0.1)), 0.1 * random.standard_t(2.0, len(readings))),
+        (
+            bc.Heteroscedastic("temperature", bc.HalfCauchy(0.1)),
+            0.2 * np.exp(z) * random.standard_normal(len(readings)),
+        ),
+    ]
+    for law, more in cases:
+        spoilt = readings.with_column("output", readings["output"] + more)
+        found = bc.check(bc.fit(MODEL.with_noise(law), spoilt, FAST, strict=False))
+        assert found.pit_p > 1e-3
+        assert found.spread_with == {}
+        assert bc.check(fitted(spoilt)).pit_p < 1e-5 or bc.check(fitted(spoilt)).spread_with

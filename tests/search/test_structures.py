@@ -12,9 +12,11 @@ import pytest
 import bayescal as bc
 from bayescal._discovery.discover import structures_over
 from bayescal._engine.assembly import Assembly
+from bayescal._engine.linear_model import linear_model
 from bayescal._engine.mode import find_mode
 from bayescal._model.frame import reference_of
 from bayescal._search.library import Library
+from bayescal._search.noise_laws import on_residuals
 from bayescal._search.plausible_sizes import SIZES
 from bayescal._search.posterior import FOUND, Posterior
 from bayescal._search.scores import View, gain_of
@@ -217,3 +219,66 @@ def test_a_lag_three_times_as_large_as_plausible_is_found_in_the_quartz_record()
     made, _ = structures_over(instrument.baseline(), readings, reference_of(readings))
     walk(Library(made), max_effects=5)
     assert "bias.thermal_lag" in Posterior.of(made).chosen.effects
+
+
+# Noise laws.
+
+
+def with_noise(seed: int, law: str) -> bc.Measurements:
+    """An ordinary record with heavy tails, or scatter that follows the temperature."""
+    readings = hidden(seed, thermal_lag=0.03)
+    random = np.random.default_rng([seed, 1])
+    if law == "student_t":
+        more = 0.05 * random.standard_t(1.5, len(readings))
+    else:
+        warm = readings["temperature"] > np.quantile(readings["temperature"], 0.67)
+        more = np.where(warm, 0.4, 0.0) * random.standard_normal(len(readings))
+    return readings.with_column("output", readings["output"] + more)
+
+
+@pytest.mark.parametrize("law", ["student_t", "heteroscedastic(temperature)"])
+@pytest.mark.parametrize("seed", [3, 4])
+def test_the_noise_law_is_found_beside_the_effect(law: str, seed: int) -> None:
+    made = structures(with_noise(seed, law), FEW)
+    walk(Library(made), max_effects=3)
+    posterior = Posterior.of(made)
+    kind = made.laws[law].law
+    assert made.noise(posterior.best).law == kind
+    of_kind = [n for n, other in made.laws.items() if other.law == kind]
+    assert sum(posterior.noise(n) for n in of_kind) > FOUND
+    assert "bias.thermal_lag" in posterior.chosen.effects
+
+
+def test_what_a_law_gains_on_residuals_is_what_a_refit_gains() -> None:
+    for seed in (5, 6):
+        made = structures(hidden(seed))
+        base = made.weigh(Structure())
+        left = linear_model(base.assembly, base.mode).residual
+        own = on_residuals(made.base.noise, made.record, left).log_evidence
+        for name, law in made.laws.items():
+            if law.independent:
+                found = on_residuals(law, made.record, left)
+                refit = made.weigh(Structure(noise=name), base, (found.hint,))
+                gain = refit.log_evidence - base.log_evidence
+                assert found.log_evidence - own == pytest.approx(gain, abs=0.4), name
+
+
+def test_white_noise_is_rarely_taken_for_another_and_no_law_is_refitted_in_vain() -> None:
+    taken = 0
+    for seed in range(40, 48):
+        made = structures(hidden(seed), FEW)
+        walk(Library(made), max_effects=3)
+        taken += Posterior.of(made).noise("") < 0.5
+        tried = [s for s in made.visited if s.noise not in ("", WANDER)]
+        assert len(tried) <= 0.5 * len(made.visited)
+    assert taken <= 2
+
+
+def test_columns_share_the_prior_of_scatter_that_follows_one() -> None:
+    made = structures(hidden())
+    kinds = {law.law for law in made.laws.values()}
+    shares = dict.fromkeys(kinds, 0.0)
+    for name, law in made.laws.items():
+        shares[law.law] += math.exp(made.log_prior(Structure(noise=name)))
+    assert kinds == {"student_t", "ornstein_uhlenbeck", "heteroscedastic"}
+    assert all(share == pytest.approx(1.0) for share in shares.values())
