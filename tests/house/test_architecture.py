@@ -41,7 +41,7 @@ ROOMS = {
     "predict fit evidence",
     "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_in_time "
     "covariate_evidence part worst_region check_result check leave_group_out compare",
-    "_search": "plausible_sizes departures structures library scores walk posterior",
+    "_search": "noise_laws plausible_sizes departures structures library scores walk posterior",
     "_discovery": "candidate discover next_experiment false_reports draft_effect search_path gate calibrate",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
     "compensation_program code_writer compensator compensate_file budget",

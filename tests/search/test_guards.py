@@ -7,7 +7,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -135,37 +134,6 @@ def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
     (reason,) = guards.doubts_of_the_mode(mended)
     assert "curvature at the mode is not positive definite" in reason
     assert not gate(steps(line, {}, {"doubts": (reason,)})).ok
-
-
-def test_two_periods_that_even_readings_confuse_are_two_modes() -> None:
-    """At even times a wave of frequency f is one of 1/Δ − f; at uneven times there is one mode."""
-    wave = bc.Effect(
-        "bias.wave",
-        "bias",
-        basis=lambda r, period: jnp.cos(2 * jnp.pi * r["time"] / period),
-        coefficients=(bc.Coefficient("deg/s", bc.Normal(0.0, 0.5)),),
-        shapes=(bc.Shape("period", "s", 25.0, 200.0, ragged=True),),
-        columns=("time",),
-    )
-    random = np.random.default_rng(5)
-    even, noise = 30.0 * np.arange(60), 0.05 * random.standard_normal(60)
-    doubts = []
-    for time in (even, even + random.uniform(-14.0, 14.0, 60)):
-        output = 0.3 * np.cos(2 * np.pi * time / 130.0) + noise
-        readings = bc.Measurements.from_arrays(
-            INSTRUMENT,
-            run=np.full(60, "a"),
-            time=time,
-            temperature=np.linspace(30, 80, 60),
-            output=output,
-        )
-        model = INSTRUMENT.baseline() + wave
-        fit = bc.fit(model, readings, bc.LeastSquares(draws=200), strict=False)
-        doubts.append(guards.doubts_of_the_mode(fit))
-    (reason,), none = doubts
-    assert none == []
-    assert "Two modes explain the readings nearly as well" in reason
-    assert "bias.wave.period" in reason
 
 
 @pytest.mark.parametrize(
