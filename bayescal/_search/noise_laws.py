@@ -55,9 +55,14 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
 
 
 def log_prior(laws: Mapping[str, Noise], name: str) -> float:
-    """Of a law against the model's own: the kinds are equally probable, and columns share one of them."""
+    """Of a law against the model's own, which is right with probability one half.
+
+    The other kinds share the other half, columns that the scatter may follow one of these shares.
+    """
+    if name not in laws:
+        return 0.0
     kinds = [law.law for law in laws.values()]
-    return -math.log(kinds.count(laws[name].law)) if name in laws else 0.0
+    return -math.log(len(set(kinds)) * kinds.count(laws[name].law))
 
 
 class OnResiduals(NamedTuple):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 import bayescal as bc
@@ -24,12 +26,13 @@ def by_law(
     """An empty campaign's readings with what the prior says added; what was, and whether the noise wanders.
 
     Each candidate is in by its prior odds, its shapes, spreads and coefficients by their priors in the catalogue's own
-    columns, its size times 1, 3 or 10 by their probabilities. Half of the time the noise wanders, its diffusion and
-    time by their priors; its white part stays the simulator's.
+    columns, its size times 1, 3 or 10 by their probabilities. The noise is white or wanders, by the odds of these two
+    laws, its diffusion and time by their priors; its white part stays the simulator's.
     """
     rng = np.random.default_rng([seed, 1])
     structures, _ = structures_over(model, readings, reference_of(readings))
-    wanders = WANDER in structures.laws and bool(rng.random() < 0.5)
+    odds = math.exp(structures.log_prior(Structure(noise=WANDER)))
+    wanders = WANDER in structures.laws and bool(rng.random() < odds / (1 + odds))
     barred = structures.barred(Structure(noise=WANDER if wanders else ""))
     odds = {n: o for n, o in structures.log_odds.items() if n not in barred}
     names = [n for n, o in odds.items() if rng.random() < 1 / (1 + np.exp(-o))]

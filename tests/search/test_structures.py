@@ -276,11 +276,11 @@ def test_white_noise_is_rarely_taken_for_another_and_no_law_is_refitted_in_vain(
     assert taken <= 2
 
 
-def test_columns_share_the_prior_of_scatter_that_follows_one() -> None:
+def test_the_given_law_has_half_of_the_prior_and_the_other_kinds_share_the_rest() -> None:
     made = structures(hidden())
     kinds = {law.law for law in made.laws.values()}
     shares = dict.fromkeys(kinds, 0.0)
     for name, law in made.laws.items():
         shares[law.law] += math.exp(made.log_prior(Structure(noise=name)))
     assert kinds == {"student_t", "ornstein_uhlenbeck", "heteroscedastic"}
-    assert all(share == pytest.approx(1.0) for share in shares.values())
+    assert all(share == pytest.approx(1 / 3) for share in shares.values())
