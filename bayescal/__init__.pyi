@@ -34,8 +34,8 @@ from ._model.instrument import Slot as Slot
 from ._model.instrument import Use as Use
 from ._model.model import Model as Model
 from ._model.effect import Effect as Effect
-from ._model.coefficient import Coefficient as Coefficient
-from ._model.coefficient import Shape as Shape
+from ._model.effect import Coefficient as Coefficient
+from ._model.effect import Shape as Shape
 from ._model.frame import Frame as Frame
 from ._readings.column import Column as Column
 from ._readings.column import NominalScale as NominalScale
@@ -44,7 +44,8 @@ from ._readings.measurements import Measurements as Measurements
 # noise laws and priors
 from ._model.noise_laws import Noise as Noise
 from ._model.noise_laws import White as White
-from ._model.noise_laws import OrnsteinUhlenbeck as OrnsteinUhlenbeck
+from ._model.noise_laws import Heteroscedastic as Heteroscedastic
+from ._model.correlated_noise import OrnsteinUhlenbeck as OrnsteinUhlenbeck
 from ._model.noise_laws import StudentT as StudentT
 from ._model.noise_laws import Quantised as Quantised
 from ._model.prior import Flat as Flat

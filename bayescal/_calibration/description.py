@@ -12,27 +12,20 @@ import numpy as np
 
 from bayescal._calibration.fitted import Fitted
 from bayescal._core.errors import InputError
-from bayescal._model import noise_laws
+from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._model.departure import Departure, departure
 from bayescal._model.effect import Effect
 from bayescal._model.installed import installed_instruments
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform
+from bayescal._model.noise_laws import Heteroscedastic, Noise, Quantised, StudentT, White
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.calibration/1"
-_NOISES = {
-    c.__name__: c
-    for c in (
-        noise_laws.White,
-        noise_laws.OrnsteinUhlenbeck,
-        noise_laws.StudentT,
-        noise_laws.Quantised,
-    )
-}
-_PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform)}
+_NOISES = {c.__name__: c for c in (White, Heteroscedastic, OrnsteinUhlenbeck, StudentT, Quantised)}
+_PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal)}
 
 
 def identity(c: Fitted) -> str:
@@ -91,7 +84,7 @@ def stated(effect: Effect) -> str:
     return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
 
 
-def _noise_words(noise: noise_laws.Noise) -> dict[str, Any]:
+def _noise_words(noise: Noise) -> dict[str, Any]:
     name = type(noise).__name__
     if name not in _NOISES:
         raise InputError(
@@ -105,7 +98,7 @@ def _noise_words(noise: noise_laws.Noise) -> dict[str, Any]:
     return found
 
 
-def noise_from(described: dict[str, Any]) -> noise_laws.Noise:
+def noise_from(described: dict[str, Any]) -> Noise:
     """The noise law that a description names."""
     arguments = {k: v for k, v in described.items() if k != "law"}
     for key, value in arguments.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -10,10 +11,11 @@ import numpy as np
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
+from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import Density
-from bayescal._engine.mode import find_mode, in_numpy
-from bayescal._model.noise_laws import CORRELATION_TIME
+from bayescal._engine.mode import find_mode, in_numpy, prior_draws
+from bayescal._model.correlated_noise import CORRELATION_TIME
 from bayescal._readings.unit_conversion import same_dimension, unit_label
 
 CONFLICT = 4.0  # prior standard deviations from the prior's mean, beyond which readings and prior contradict each other
@@ -21,6 +23,9 @@ FREE = 1e3  # times a plausible size, which is none any more
 MOST = 2  # coefficients of an effect; more of them stand for a function
 SIZES = 10.0  # times a candidate's plausible size, which is known to an order of magnitude only
 WIDER = -1.0  # contraction below which the posterior is wider than the prior can be
+APART = 3.0  # standard deviations between two modes
+NEARLY = 3.0  # log Bayes factor of two modes, below which one does not stand for both
+TRIED = 3  # starts of the search for another mode
 RECORDS = 10.0  # records, beyond which no time can be told
 
 
@@ -76,6 +81,50 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
         for i, name in enumerate(b.member_names(calibration.levels)):
             stands[name] = (float(mean[b.start + i]), CONFLICT * float(sd[b.start + i]))
     return _against_priors(calibration, stands, accepted)
+
+
+@on_one_thread
+def doubts_of_the_mode(calibration: Fitted) -> list[str]:
+    """Why the Gaussian fit about a mode, on which the evidence stands, does not describe the posterior.
+
+    The curvature is not positive definite; or shapes far from the mode's explain the readings nearly as well, which is
+    looked for from the best of some prior draws.
+    """
+    assembly, mode = calibration.assembly, in_numpy(calibration.mode)
+    if not math.isfinite(mode.log_evidence):
+        return []
+    if mode.indefinite:
+        return [
+            "The curvature at the mode is not positive definite: the fit ended on a ridge or a saddle. Log evidence "
+            "and standard uncertainties are not reliable. Take an effect out that these readings do not determine."
+        ]
+    shapes = [i for i, h in enumerate(assembly.hypers) if h.kind == "shape"]
+    sd = np.sqrt(np.diag(mode.covariance))
+
+    def far(v: np.ndarray) -> np.ndarray:
+        return np.abs(v - mode.v)[shapes] > APART * sd[shapes]
+
+    density = Density(assembly, mode.point, mode.flat)
+    starts = [v for v in prior_draws(assembly) if far(v).any()] if shapes else []
+    for start in sorted(starts, key=lambda v: -density.at(v)[0])[:TRIED]:
+        other = find_mode(assembly, [start], None, mode.point, still=0.01)
+        behind = mode.log_evidence - other.log_evidence
+        if far(other.v).any() and behind < NEARLY:
+            apart = [
+                h
+                for h, away in zip([assembly.hypers[i] for i in shapes], far(other.v), strict=True)
+                if away
+            ]
+            here, there = assembly.hyper(mode.v), assembly.hyper(other.v)
+            values = ", ".join(
+                f"{h.name} {number(here[h.name])} or {number(there[h.name])} {h.unit}"
+                for h in apart
+            )
+            return [
+                f"Two modes explain the readings nearly as well (log Bayes factor {behind:.1f}): {values}. The fit "
+                "describes one of them."
+            ]
+    return []
 
 
 def _against_priors(

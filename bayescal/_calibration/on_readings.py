@@ -10,20 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.gaussian_algebra import LOG_2PI
 from bayescal._core.jit import compiled
 from bayescal._core.parallel import on_one_thread, over
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.joint import expected, expected_with_slopes
 from bayescal._engine.terms import Term
-from bayescal._engine.whitening import LOG_2PI, Batch, variance_of, whitening
+from bayescal._engine.whitening import Batch, log_densities, variance_of, whitening
+from bayescal._model.correlated_noise import CORRELATION_TIME, OrnsteinUhlenbeck, correlated_size
 from bayescal._model.frame import Frame
-from bayescal._model.noise_laws import (
-    CORRELATION_TIME,
-    Noise,
-    OrnsteinUhlenbeck,
-    White,
-    correlated_size,
-)
+from bayescal._model.noise_laws import Heteroscedastic, Noise, StudentT, White
 
 CELLS = 2_000_000  # draws × readings worked out together
 
@@ -137,9 +133,11 @@ def _densities(assembly: Assembly, draws: Vectors, hyper: Batch) -> Float[np.nda
         mean, beside = _with_beside(assembly, draws._replace(rows=np.zeros_like(draws.rows)), hyper)
     else:
         mean, beside = expected(assembly, draws.x, draws.rows, hyper), None
-    if beside is not None or isinstance(noise, White):
+    if beside is not None:
         variance = _variance(assembly, hyper) + (0.0 if beside is None else beside)
         return -0.5 * ((record.y - mean) ** 2 / variance + np.log(variance) + LOG_2PI)
+    if isinstance(noise, (White, Heteroscedastic, StudentT)):
+        return log_densities(noise, record, record.y - mean, hyper)
     if not isinstance(noise, OrnsteinUhlenbeck):
         return np.asarray(_densities_of(noise, record.frame, record.y, mean, _own(noise, hyper)))
     found = np.empty_like(mean)
@@ -154,11 +152,11 @@ def _with_noise(
     assembly: Assembly, mean: Float[np.ndarray, "b n"], hyper: Batch, random: np.random.Generator
 ) -> Float[np.ndarray, "b n"]:
     noise, record = assembly.noise, assembly.record
-    if not isinstance(noise, (White, OrnsteinUhlenbeck)):
+    if not noise.gaussian:
         keys = jax.random.split(jax.random.key(int(random.integers(2**31))), len(mean))
         return np.asarray(_sampled(noise, record.frame, mean, _own(noise, hyper), keys))
     variance = _variance(assembly, hyper)
-    if isinstance(noise, White):
+    if not isinstance(noise, OrnsteinUhlenbeck):
         return mean + np.sqrt(variance) * random.standard_normal(mean.shape)
     tau, size = hyper[CORRELATION_TIME], np.asarray(correlated_size(hyper))
     white = np.sqrt(np.maximum(variance - size[:, None] ** 2, 0.0))

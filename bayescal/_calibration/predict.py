@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
+from scipy.linalg.lapack import dpttrf, dpttrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.on_readings import Vectors, moments
-from bayescal._engine.whitening import known_variance, wander_given
-from bayescal._model.noise_laws import OrnsteinUhlenbeck
+from bayescal._engine.whitening import known_variance
+from bayescal._model.correlated_noise import CORRELATION_TIME, OrnsteinUhlenbeck, correlated_size
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.time_in_runs import run_codes
 
@@ -111,3 +113,41 @@ def _wander(calibration: Calibration, readings: Measurements) -> tuple[np.ndarra
         found = wander_given(values, time, left[rows], white[rows], at[inside])
         mean[inside], variance[inside] = found
     return mean, np.sqrt(variance)
+
+
+def wander_given(
+    values: dict[str, float],
+    time: Float[np.ndarray, "n"],
+    left: Float[np.ndarray, "n"],
+    white: Float[np.ndarray, "n"],
+    at: Float[np.ndarray, "m"],
+) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+    """Mean and variance of a wander at some times of a run, given what a model leaves of its readings.
+
+    Args:
+        values: φ by name.
+        time: of the readings, s.
+        left: of the readings, output unit.
+        white: variance of each reading's own noise.
+        at: where it is asked for, s.
+
+    Source: H. Rue and L. Held, Gaussian Markov Random Fields (2005), ch. 2: the wander's precision over sorted times
+    has three diagonals.
+    """
+    grid = np.union1d(time, at)
+    variance, step = float(correlated_size(values)) ** 2, np.diff(grid) / values[CORRELATION_TIME]
+    kept, fresh = np.exp(-step), -np.expm1(-2 * step)
+    diagonal = np.ones(grid.size)
+    diagonal[1:] = 1 / fresh
+    diagonal[:-1] += kept**2 / fresh
+    place, pull, diagonal = np.searchsorted(grid, time), np.zeros(grid.size), diagonal / variance
+    np.add.at(diagonal, place, 1 / white)
+    np.add.at(pull, place, left / white)
+    pivots, below, _ = dpttrf(diagonal, -kept / fresh / variance)
+    mean = dpttrs(pivots, below, pull[:, None])[0][:, 0]
+    spread, beyond = 1 / pivots, 0.0
+    for i in range(grid.size - 1, -1, -1):  # the diagonal of the inverse
+        spread[i] += beyond
+        beyond = below[i - 1] ** 2 * spread[i] if i else 0.0
+    asked = np.searchsorted(grid, at)
+    return mean[asked], spread[asked]

@@ -15,8 +15,7 @@ from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over
 from bayescal._discovery.search_path import Step, Trail
 from bayescal._inference.method import Method
-from bayescal._model.coefficient import Shape
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Effect, Shape
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.set_aside import set_aside

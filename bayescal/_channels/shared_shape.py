@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._model.coefficient import Shape
+from bayescal._model.effect import Shape
 from bayescal._search.library import Library
 from bayescal._search.scores import View
 from bayescal._search.structures import Structures, Weighed

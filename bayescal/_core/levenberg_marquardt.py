@@ -21,7 +21,7 @@ import optimistix as optx
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Int
 
-from bayescal._core.tall_qr import triangle
+from bayescal._core.gaussian_algebra import triangle
 
 TRIES = 2  # by the columns' norms, then by the unknowns' own scales
 NEAR = 1e-6  # share of the residuals in the tangent plane, at which polishing starts

@@ -6,13 +6,19 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from scipy.special import kolmogorov, ndtr, smirnov, stdtr
+from scipy.special import bdtr, kolmogorov, ndtr, smirnov, stdtr
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._core.parallel import on_one_thread
 from bayescal._diagnostics import covariate_evidence, efficient_score
-from bayescal._diagnostics.check_result import Check, Entry, FixedComparison, Pair
+from bayescal._diagnostics.check_result import (
+    SIGNIFICANT,
+    Check,
+    Entry,
+    FixedComparison,
+    Pair,
+)
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.noise_in_time import allan_check
 from bayescal._diagnostics.worst_region import worst_regions
@@ -26,7 +32,7 @@ OUTLIER = 4.0  # leave-one-out standard deviations
 BOUND = 0.99  # expected autocorrelation from which neighbours are what the fit leaves, such as two about a free level
 ROUNDING = 1e-9  # share of a sum, below which it is the rounding of its terms
 RARE = 0.12  # one-sided p-value, whose fourth power is about that of both sides at once
-SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
+FAR = 0.1  # share of the readings that stand farthest from the model
 
 
 @on_one_thread
@@ -64,6 +70,7 @@ def check(calibration: Calibration) -> Check:
         spread_with=_spread_with(covariates, white) if max(factors, default=0.0) < STRONG else {},
         outliers=tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
         pit_p=_uniform(ndtr(loo)),
+        one_sided=_one_sided(loo),
         fixed=None
         if free_noise is None
         else _compare_fixed(calibration, residual, noise, free_noise),
@@ -247,6 +254,13 @@ def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
     leverage = np.sum(efficient_score.fitted_directions(calibration) ** 2, axis=1)
     # V⁻¹r over the root of V⁻¹'s diagonal, both from the leverages.
     return white / np.sqrt(np.maximum(1 - leverage, 1e-12))
+
+
+def _one_sided(loo: np.ndarray) -> float:
+    """p-value of the sign test (binomial, two-sided) on the readings that stand farthest from the model."""
+    count = int(FAR * len(loo))
+    above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
+    return min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5))) if count else 1.0
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from bayescal._diagnostics.noise_in_time import AllanCheck
 from bayescal._diagnostics.worst_region import Region
 from bayescal._readings.unit_conversion import unit_label
 
+SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
 IN_TIME = ("time", "elapsed", "order", "run")  # what noise that wanders seems to follow
 
 
@@ -76,6 +77,7 @@ class Check:
         spread_with: covariates with which the scatter changes, and the p-value of each.
         outliers: (row, leave-one-out standard deviations).
         pit_p: p-value of uniform leave-one-out probability integral transforms.
+        one_sided: p-value of as many readings far above the model as far below it.
         fixed: only for models with fixed coefficients.
         residuals: (n,), output unit.
         allan: Allan deviation of the residuals beside the noise law; None where readings are not evenly spaced in time.
@@ -93,6 +95,7 @@ class Check:
     fixed: FixedComparison | None
     residuals: np.ndarray = field(repr=False)
     allan: AllanCheck | None = None
+    one_sided: float = 1.0
 
     def __str__(self) -> str:
         return check_text(self)
@@ -131,6 +134,8 @@ def check_text(check: Check) -> str:
         shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
     lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
+    if check.one_sided < SIGNIFICANT:
+        lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
     lines += _allan_lines(check)
     return "\n".join(lines)
 

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._engine.whitening import normal_scores
+from bayescal._model.noise_laws import StudentT
 
 
 class Score(NamedTuple):
@@ -48,8 +50,11 @@ def score(calibration: Calibration, columns: np.ndarray) -> Score:
 
 
 class Residuals(NamedTuple):
-    """Residuals at the fit (n,): in the output unit; whitened, so that sd is one and neighbours are independent if
-    the noise law is right; and the standard deviation of the noise of each reading, output unit."""
+    """Residuals at the fit (n,): in the output unit; whitened; and the noise's standard deviations, output unit.
+
+    Whitened they are standard normal and independent if the noise law is right: by their probabilities, where it is not
+    Gaussian.
+    """
 
     raw: np.ndarray
     white: np.ndarray
@@ -60,6 +65,10 @@ def residuals(calibration: Calibration) -> Residuals:
     """Residuals of the fitted readings, group deviations as fitted."""
     linear = calibration.linear
     white = linear.by_reading(linear.white_settled)
+    noise, assembly = calibration.model.noise, calibration.assembly
+    if isinstance(noise, StudentT):
+        values = assembly.hyper(calibration.mode.v)
+        white = normal_scores(noise, values, assembly.record, linear.settled)
     return Residuals(linear.settled, white, np.sqrt(linear.variance))
 
 

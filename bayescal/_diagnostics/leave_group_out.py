@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._core.gaussian_algebra import Gram, Prior, condition
 from bayescal._core.parallel import on_one_thread
 from bayescal._diagnostics.part import Part
-from bayescal._engine.assembly import Assembly, Point, Prior
-from bayescal._engine.closed_form import Density, Gram, condition
+from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import Mode, climb, in_numpy
 from bayescal._readings.measurements import Measurements
 

@@ -13,7 +13,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, table
 from bayescal._diagnostics.efficient_score import residuals
-from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, correlated_size
+from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION, correlated_size
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._recording.allan_deviation import (
     CONFIDENCE,

@@ -57,7 +57,7 @@ def calibrate(
 ) -> Trail:
     """Fit, check, find what is missing, add it and fit again: the most probable structure, and the way to it.
 
-    The structures weighed differ by the effects added and by the noise law, white or wandering. What has a
+    The structures weighed differ by the effects added and by the noise law. What has a
     probability of 0.95 is added; the steps shown lead from the model given to the one chosen, at each what gains most.
 
     Args:
@@ -194,14 +194,14 @@ class Loop:
 
     def _known(self, seeds: Sequence[Structure | Shown], structures: Structures) -> list[Structure]:
         """Of an earlier search's structures, those that this one may weigh."""
-        given = dict.fromkeys(Structure(frozenset(s.effects), s.wanders) for s in seeds)
+        given = dict.fromkeys(Structure(frozenset(s.effects), s.noise) for s in seeds)
         return [
             s
             for s in given
             if s.effects <= set(structures.candidates)
             and s.effects.isdisjoint(structures.barred(s))
             and len(s.effects) <= self.max_effects
-            and (structures.wide is not None or not s.wanders)
+            and s.noise in ("", *structures.laws)
         ]
 
     def step(
@@ -224,8 +224,8 @@ class Loop:
         added, noise_changed = None, ""
         if before is not None and at is not None:
             added = next(iter(at.effects - before.effects), None)
-            if at.wanders != before.wanders:
-                noise_changed = "noise widened: wandering"
+            if at.noise != before.noise:
+                noise_changed = f"noise widened: {model.noise.in_words}"
         with stage("checking"):
             found = step_of(calibration, self.holdout, self.accepted)
         return replace(found, added=added, noise_changed=noise_changed)
@@ -275,13 +275,13 @@ def step_of(
 
 
 def _other_path(structures: Structures) -> OtherPath | None:
-    """The best end under the other noise law, if it is another end and nearly as probable."""
+    """The best end under another noise law, if it is another end and nearly as probable."""
     best = structures.best
-    ends = [w for w in structures.visited.values() if w.structure.wanders != best.structure.wanders]
+    ends = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
     other = max(ends, key=lambda w: w.total, default=None)
     if other is None or not math.isfinite(other.total) or other.total < best.total - STRONG:
         return None
     if other.structure.effects == best.structure.effects:
         return None
-    law = other.assembly.noise.law
-    return OtherPath(law, tuple(sorted(other.structure.effects)), other.total - best.total)
+    law, effects = other.assembly.noise, tuple(sorted(other.structure.effects))
+    return OtherPath(law.name, effects, other.total - best.total, law.in_words)

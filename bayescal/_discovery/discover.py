@@ -14,23 +14,36 @@ from bayescal._core.progress import stage
 from bayescal._discovery.candidate import Candidate, alike, judge, kind_of
 from bayescal._engine.linear_model import linear_model
 from bayescal._engine.record import Record
+from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Frame, Reference, build_frame, derived
+from bayescal._model.frame import Reference, build_frame, derived
 from bayescal._model.model import Model, testable
-from bayescal._model.noise_laws import Noise, White, over_record
 from bayescal._model.parameters import bind
 from bayescal._model.unknown_effect import FORMS
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._search.departures import Departed, departed
 from bayescal._search.library import Library
+from bayescal._search.noise_laws import laws_over
 from bayescal._search.posterior import Found, Posterior
 from bayescal._search.scores import View
 from bayescal._search.structures import Structure, Structures, Weighed
 from bayescal._search.walk import walk
 
+SHOWN = 0.01  # probability from which a noise law is worth a word
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
-FEWEST = 30  # readings from which the noise law can be told at all
+
+
+@dataclass(frozen=True)
+class LawProbability:
+    """A noise law and its probability."""
+
+    law: str
+    in_words: str
+    probability: float
+
+    def __str__(self) -> str:
+        return f"{self.in_words} {probability(self.probability)}"
 
 
 @dataclass(frozen=True)
@@ -42,7 +55,7 @@ class Discovery:
         sets: findings, the most probable first.
         candidates: every candidate, the most probable first.
         best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
-        noise_wanders: probability that the noise wanders; None where the readings cannot tell.
+        noise: every noise law with its probability, the most probable first; empty where the readings cannot tell.
         stopped: why the search ended before its end; empty where it did not.
         departures: from the forms of the effects to add, where there are any; `best` holds them too.
         rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
@@ -55,8 +68,13 @@ class Discovery:
     best: tuple[Effect, ...]
     rivals: tuple[Effect, ...] = ()
     departures: tuple[Departed, ...] = ()
-    noise_wanders: float | None = None
+    noise: tuple[LawProbability, ...] = ()
     stopped: str = ""
+
+    @property
+    def noise_wanders(self) -> float | None:
+        """Probability that the noise wanders; None where the readings cannot tell."""
+        return next((n.probability for n in self.noise if n.law == OrnsteinUhlenbeck.law), None)
 
     def __str__(self) -> str:
         return discovery_text(self)
@@ -112,8 +130,8 @@ def structures_over(
     frame = build_frame(readings, reference)
     library = instrument.shown_by(frame, (*open_.values(), *model.effects))
     record = Record(instrument, frame, np.asarray(readings["output"]), library)
-    wide = wandering(model, frame) if widen_noise else None
-    return Structures(model, bind(model, readings)[0], record, open_, wide), shut
+    laws = laws_over(model, frame) if widen_noise else {}
+    return Structures(model, bind(model, readings)[0], record, open_, laws), shut
 
 
 def placeholders(model: Model, readings: Measurements) -> list[Effect]:
@@ -124,19 +142,6 @@ def placeholders(model: Model, readings: Measurements) -> list[Effect]:
     names = [name for name, values in derived(readings).items() if np.ptp(values) > 0]
     forms = [form for form in FORMS if form.split(",")[0] in names]
     return [instrument.unknown(name) for name in (*names, *forms)]
-
-
-def wandering(model: Model, frame: Frame) -> Noise | None:
-    """The wandering law over a record; None where the readings cannot tell, or the model's noise is not white."""
-    together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
-    fixed = any(name.startswith("noise.") for name, _ in model.fixed)
-    steps = np.asarray(frame.step)
-    if together or fixed or frame.size < FEWEST or not (steps > 0).any():
-        return None
-    if not isinstance(model.noise, White):
-        return None
-    span = float(np.max(np.asarray(frame.columns["elapsed"])))
-    return over_record(model.noise, float(np.median(steps[steps > 0])), span)
 
 
 def told(
@@ -174,9 +179,18 @@ def told(
         best=tuple(dict.fromkeys((*best, *departures))),
         departures=tuple(departures.values()),
         rivals=tuple(structures.candidates[n] for n in rivals),
-        noise_wanders=None if structures.wide is None else posterior.wanders,
+        noise=tuple(_laws(structures, posterior)),
         stopped=stopped,
     )
+
+
+def _laws(structures: Structures, posterior: Posterior) -> list[LawProbability]:
+    """The laws that were weighed, the most probable first; none where there was no choice."""
+    if not structures.laws:
+        return []
+    laws = {"": structures.base.noise, **structures.laws}
+    each = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
+    return sorted(each, key=lambda law: -law.probability)
 
 
 def _departures(structures: Structures, to: Structure, here: Weighed) -> dict[Effect, Departed]:
@@ -207,8 +221,10 @@ def discovery_text(found: Discovery) -> str:
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
     lines += map(str, found.departures)
-    if found.noise_wanders is not None:
-        lines.append(f"the noise wanders: probability {probability(found.noise_wanders)}")
+    if found.noise:
+        shown = [n for n in found.noise if n.probability >= SHOWN]
+        line = f"noise law (probability): {', '.join(map(str, shown))}"
+        lines.append(textwrap.fill(line, WIDTH, subsequent_indent="  "))
     if found.stopped:
         lines.append(found.stopped)
     quiet = (None, "not visible")  # an unknown dependence without evidence is not worth a line

@@ -70,6 +70,7 @@ def _of_noise(step: Step) -> list[str]:
         found.append(
             "The log evidence is not finite: the readings have too few digits, or a prior is improper."
         )
+    found += step.doubts
     found += _of_scatter(step)
     found += _left_over(step)
     found += _between_runs(step)
@@ -129,6 +130,11 @@ def _of_scatter(step: Step) -> list[str]:
             f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "
             "for no part of the record. Give the readings their own uncertainties (column output_uncertainty)."
         ]
+    if check.one_sided < RARE:
+        return [
+            "Noise model inadequate: the readings far from the model stand on one side "
+            f"(p = {check.one_sided:.1g}), outliers that draw it there. Find what makes them, and leave them out."
+        ]
     if check.pit_p < RARE:
         outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
         return [
@@ -143,7 +149,9 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
     """What an added effect made worse: the error as fitted, left-out groups, readings kept apart."""
     reasons, unit = [], unit_label(steps[-1].calibration.unit)
     for before, after in pairwise(steps):
-        if after.rmse_fitted > WORSE * before.rmse_fitted:
+        # Under another independent law readings weigh differently: their plain error may well be larger.
+        weighs = after.added is None and after.calibration.model.noise.independent
+        if not weighs and after.rmse_fitted > WORSE * before.rmse_fitted:
             reasons.append(
                 f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
                 f"{after.rmse_fitted:.3g} {unit}: do not use it."

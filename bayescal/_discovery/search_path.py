@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.guards import doubts_of_the_mode
 from bayescal._core.formatting import number, probability, table
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
@@ -50,6 +52,11 @@ class Step:
     noise_changed: str = ""
     holdout_sd: float | None = None
     against: tuple[str, ...] = ()
+
+    @cached_property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the Gaussian fit about its mode does not describe the posterior, in words; empty for most."""
+        return tuple(doubts_of_the_mode(self.calibration))
 
     @property
     def title(self) -> str:

@@ -10,20 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.gaussian_algebra import Prior
 from bayescal._engine.record import Record
 from bayescal._engine.terms import Sizes, Term
 from bayescal._model.parameters import MOVING, Layout
 
 Values = dict[str, float]
 NUDGE = 1e-6  # of a coordinate, for derivatives of priors
-
-
-class Prior(NamedTuple):
-    """Prior of a Gaussian vector: mean, scale, and weight (1 proper, 0 flat)."""
-
-    mean: Float[np.ndarray, "p"]
-    sd: Float[np.ndarray, "p"]
-    weight: Float[np.ndarray, "p"]
 
 
 class Point(NamedTuple):

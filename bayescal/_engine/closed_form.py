@@ -9,102 +9,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dpotrf, dpotri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
-from bayescal._engine.assembly import NUDGE, Assembly, Line, Point, Prior, Values
-from bayescal._engine.whitening import Whitening, known_variance, whitening
+from bayescal._core.gaussian_algebra import Conditional, Gram, condition
+from bayescal._engine.assembly import NUDGE, Assembly, Line, Point, Values
+from bayescal._engine.whitening import Robust, Whitening, known_variance, robust, whitening
 from bayescal._model.noise_laws import White
 
-LOG_2PI = math.log(2 * math.pi)
 STEP = 1e-6  # of a coordinate that moves products over the readings, for its slope
 CAREFUL = 1e-4  # the same, where differences are taken on both sides
 NOWHERE = -1e300  # log density where there is none
-
-
-class Gram(NamedTuple):
-    """Weighted products of a matrix J and a vector r, and log|Σ|: all that a Gaussian likelihood needs."""
-
-    jtj: Float[np.ndarray, "p p"]
-    jtr: Float[np.ndarray, "p"]
-    rtr: float
-    logdet: float
-
-
-class Conditional(NamedTuple):
-    """x given φ and the readings, x = shift + sd·L⁻ᵀ(u + ε), and the log density of the readings given φ."""
-
-    log_marginal: float
-    shift: Float[np.ndarray, "p"]
-    sd: Float[np.ndarray, "p"]
-    chol: Float[np.ndarray, "p p"]
-    u: Float[np.ndarray, "p"]
-    rest: float  # sum of squares at the mean, the prior's share included
-
-    def place(self, normal: Float[np.ndarray, "p m"] | Float[np.ndarray, "p"]) -> np.ndarray:
-        """The x that standard normal numbers stand for; one column a draw."""
-        u = self.u if normal.ndim == 1 else self.u[:, None]
-        z = dtrtrs(self.chol, u + normal, lower=1, trans=1)[0] if self.u.size else normal
-        return (self.shift + self.sd * z.T).T
-
-    @property
-    def mean(self) -> Float[np.ndarray, "p"]:
-        return self.place(np.zeros_like(self.u))
-
-    @property
-    def covariance_of_z(self) -> Float[np.ndarray, "p p"]:
-        """Covariance of the whitened z."""
-        if not self.u.size:
-            return np.zeros((0, 0))
-        inverse, _ = dpotri(self.chol, lower=1)
-        return np.tril(inverse) + np.tril(inverse, -1).T
-
-    @property
-    def covariance(self) -> Float[np.ndarray, "p p"]:
-        return self.sd[:, None] * self.covariance_of_z * self.sd
-
-    @property
-    def log_jacobian(self) -> float:
-        """Log volume of the map from standard normal numbers to x."""
-        return float(np.sum(np.log(self.sd)) - np.sum(np.log(np.diag(self.chol))))
-
-
-def condition(
-    gram: Gram, size: int, prior: Prior, at: Float[np.ndarray, "p"]
-) -> Conditional | None:
-    """Integrate x out; None where the precision has no Cholesky factor.
-
-    Args:
-        gram: weighted products of J and r.
-        size: number of readings.
-        prior: prior of x.
-        at: x̂, where r was taken.
-    """
-    sd, weight = prior.sd, prior.weight
-    offset = weight * (prior.mean - at)
-    if not sd.size:
-        log_marginal = -0.5 * (size * LOG_2PI + gram.logdet + gram.rtr)
-        return Conditional(log_marginal, at, sd, np.zeros((0, 0)), sd, gram.rtr)
-    pulled = sd * (gram.jtr - gram.jtj @ offset)
-    precision = sd[:, None] * gram.jtj * sd
-    precision.flat[:: sd.size + 1] += weight
-    chol, failed = dpotrf(precision.T, lower=1, clean=1, overwrite_a=1)
-    if failed:
-        return None
-    pivots = chol.diagonal()
-    u = dtrtrs(chol, pulled, lower=1)[0]
-    z = dtrtrs(chol, u, lower=1, trans=1)[0]
-    move = offset + sd * z
-    rest = gram.rtr - move @ (2 * gram.jtr - gram.jtj @ move) + weight @ (z * z)
-    if not rest > 0:  # no digits left: noise far below any residual
-        return None
-    flat = float((1 - weight) @ np.log(sd)) + float((1 - weight).sum()) * 0.5 * LOG_2PI
-    volume = gram.logdet + 2 * float(np.log(pivots).sum())
-    log_marginal = flat - 0.5 * (size * LOG_2PI + volume + rest)
-    return Conditional(float(log_marginal), at + offset, sd, chol, u, float(rest))
+NEWTON = 50  # steps to the mode of x at most, and what the last of them gains, in nats
+RESTS = 1e-11
 
 
 @dataclass(eq=False)
@@ -131,6 +49,7 @@ class Density:
         self.evaluations = 0
         self._lines: dict[tuple[float, ...], tuple[Line, Gram | None]] = {}
         self._white: tuple[Whitening, np.ndarray] | None = None  # of the last products
+        self._mode = self.point.x  # of x, where it was sought
 
     def _line(self, v: np.ndarray, hyper: Values) -> tuple[Line, Gram | None]:
         key = tuple(float(v[i]) for i in self.assembly.moving)
@@ -139,9 +58,7 @@ class Density:
             line = self.assembly.linearise(self.point, hyper)
             gram = None
             if self.even:
-                table = self._beside(line)
-                whole = table.T @ table
-                gram = Gram(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), 0.0)
+                gram = Gram.of(self._beside(line), 0.0)
             if len(self._lines) > 64:
                 self._lines.clear()
             found = self._lines[key] = (line, gram)
@@ -186,11 +103,65 @@ class Density:
                 gram.rtr / variance,
                 size * math.log(variance),
             )
+        if not self.assembly.noise.gaussian:
+            return self._about_the_mode(self._beside(line), hyper)
         white = whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
         table = white(self._beside(line))
         self._white = (white, table)
-        whole = table.T @ table
-        return Gram(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), white.logdet)
+        return Gram.of(table, white.logdet)
+
+    def _about_the_mode(self, table: Float[np.ndarray, "n q"], hyper: Values) -> Gram:
+        """The products that stand for a law that is not Gaussian: of the quadratic about the mode of x given φ.
+
+        Newton's steps with the law's own curvature; where one leads down, the step of a Gaussian scale mixture, which
+        never does. With the mode's distance m from here, products there become JᵀWJ, JᵀWr + JᵀWJ·m, and so on.
+        Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
+        """
+        noise, record = self.assembly.noise, self.assembly.record
+        prior, jacobian, residual = (
+            self.assembly.prior(hyper, self.flat),
+            table[:, :-1],
+            table[:, -1],
+        )
+        x, move = self.point.x, self._mode - self.point.x
+
+        def look(move: np.ndarray) -> tuple[float, Robust]:
+            terms = robust(noise, hyper, record, residual - jacobian @ move)
+            z = prior.weight * (x + move - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
+            return terms.squares + float(z @ z), terms
+
+        def products(terms: Robust, weight: np.ndarray) -> Gram:
+            jtj = (jacobian * weight[:, None]).T @ jacobian
+            return Gram(jtj, jacobian.T @ terms.slope, terms.squares, terms.logdet)
+
+        value, terms = look(move)
+        for _ in range(NEWTON):
+            for weight in (terms.curvature, terms.weight):
+                found = condition(products(terms, weight), len(residual), prior, x + move)
+                if found is None:
+                    continue
+                step = found.mean - x - move
+                there, further = look(move + step)
+                if there <= value:
+                    break
+            else:
+                break
+            move, gained, value, terms = move + step, value - there, there, further
+            if gained < RESTS:
+                break
+        self._mode = x + move
+        gram = products(terms, terms.curvature)
+        across = gram.jtj @ move
+        squares = gram.rtr + float(move @ (2 * gram.jtr + across))
+        return Gram(gram.jtj, gram.jtr + across, squares, gram.logdet)
+
+    def squares(self, hyper: Values, gram: Gram) -> float:
+        """Of the whitened residuals at the point itself; under a heavy-tailed law what stands in their place."""
+        noise, record = self.assembly.noise, self.assembly.record
+        if noise.gaussian:
+            return gram.rtr
+        line = self.assembly.linearise(self.point, hyper)
+        return robust(noise, hyper, record, self.residual(line)).squares
 
     def at(self, v: np.ndarray) -> tuple[float, Conditional | None]:
         """The log density at a coordinate, and x given φ there; none where there is no density."""
@@ -221,9 +192,12 @@ class Density:
         covariance = found.covariance_of_z
         z = (found.mean - found.shift) / np.where(found.sd > 0, found.sd, 1.0)
         excess = (z**2 + np.diag(covariance) - 1) * assembly.weight_of_x
-        by_shape = self._shape_slopes(v, found, covariance)
+        exact = assembly.noise.gaussian  # else the curvature at the mode of x moves with all of φ
+        by_shape = self._shape_slopes(v, found, covariance) if exact else {}
         for i, kind in enumerate(assembly.kinds):
-            if kind == "spread" and i not in assembly.moving:
+            if not exact:
+                gradient[i] += self._difference(v, i, value, careful=True)
+            elif kind == "spread" and i not in assembly.moving:
                 gradient[i] += excess @ self._log_size_slope(v, i)
             elif kind == "noise" and self.even:
                 gradient[i] += self._white_slope(v, found, z, covariance)

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import gammaln
 
+from bayescal._core.gaussian_algebra import LOG_2PI, factors, solve_lower, solve_upper
 from bayescal._engine.assembly import Assembly, Point
-from bayescal._engine.closed_form import LOG_2PI, NOWHERE
+from bayescal._engine.closed_form import NOWHERE
 from bayescal._engine.mode import Mode
 from bayescal._engine.terms import ColumnsOf, Term
-from bayescal._engine.whitening import (
-    Batch,
-    factors,
-    known_variance,
-    log_likelihood,
-    solve_lower,
-    solve_upper,
-)
+from bayescal._engine.whitening import Batch, log_likelihood, variance_of
+from bayescal._model.noise_laws import Noise
+
+FREEDOM = 5  # of the Student-t proposals
 
 
 class Grams(NamedTuple):
@@ -107,6 +106,8 @@ def draw_joint(
     """
     count, (size, width) = len(found.u), mode.point.rows.shape
     normal = random.standard_normal(found.u.shape)
+    if not assembly.noise.gaussian:  # whose posterior has heavier tails than its Gaussian fit
+        normal *= np.sqrt(FREEDOM / random.chisquare(FREEDOM, count))[:, None]
     own = random.standard_normal((count, size, width))
     x = found.place(normal)
     rows = np.broadcast_to(mode.point.rows, (count, size, width))
@@ -116,7 +117,7 @@ def draw_joint(
     if width:
         rows, volume = _draw_rows(assembly, mode, x, hyper, own)
         log_jacobian, squares = log_jacobian + volume, squares + np.sum(own**2, axis=(1, 2))
-    log_drawn = -0.5 * (squares + (normal.shape[1] + size * width) * LOG_2PI) - log_jacobian
+    log_drawn = _log_density(squares, normal.shape[1] + size * width, assembly.noise) - log_jacobian
     left = assembly.record.y - expected(assembly, x, rows, hyper)
     z = (x - assembly.mean_of_x) / found.sd
     prior = -0.5 * (z**2 + 2 * np.log(found.sd) + LOG_2PI) @ assembly.weight_of_x
@@ -126,6 +127,15 @@ def draw_joint(
         prior -= 0.5 * size * float(np.sum(2 * np.log(spread) + LOG_2PI))
     true = log_likelihood(assembly.noise, assembly.record, left, hyper)
     return x, rows, true + prior - log_drawn - found.log_marginal
+
+
+def _log_density(squares: Float[np.ndarray, "b"], dim: int, noise: Noise) -> np.ndarray:
+    """Of the numbers that x is placed by: standard normal, or Student-t."""
+    if noise.gaussian:
+        return -0.5 * (squares + dim * LOG_2PI)
+    half = 0.5 * (FREEDOM + dim)
+    norm = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dim * math.log(FREEDOM * math.pi)
+    return norm - half * np.log1p(squares / FREEDOM)
 
 
 def _draw_rows(assembly: Assembly, mode: Mode, x, hyper: Batch, own: Float[np.ndarray, "b n k"]):
@@ -138,8 +148,7 @@ def _draw_rows(assembly: Assembly, mode: Mode, x, hyper: Batch, own: Float[np.nd
             line = assembly.linearise(mode.point, one)
             known = line.mean - np.sum(line.rows * mode.point.rows, axis=1)
         left = assembly.record.y - known - line.jacobian @ (x[b] - mode.point.x)
-        variance = one["noise.white"] ** 2 + known_variance(assembly.record)
-        variance = np.broadcast_to(variance, left.shape)
+        variance = variance_of(assembly.noise, one, assembly.record, 0.0)
         precision = line.rows[:, :, None] * line.rows[:, None, :] / variance[:, None, None]
         precision = precision + np.diag(1 / assembly.row_sd**2)
         chol = np.linalg.cholesky(precision)

@@ -191,6 +191,6 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
         sd=np.concatenate(sd),
         owners=(*own, *(assembly.hypers[i].name.rpartition(".")[0] for i in assembly.moving)),
         z=np.append(prior.weight * z, mode.v[assembly.moving]),
-        whiten=whitening(assembly.noise, hyper, assembly.record, extra),
+        whiten=whitening(assembly.noise, hyper, assembly.record, extra, residual),
         extra=extra,
     )

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.gaussian_algebra import LOG_2PI, Conditional, condition
 from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly, Point
-from bayescal._engine.closed_form import LOG_2PI, NOWHERE, Conditional, Density, condition
-from bayescal._engine.whitening import known_variance
+from bayescal._engine.closed_form import NOWHERE, Density
+from bayescal._engine.whitening import variance_of
 
 STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
@@ -23,9 +24,7 @@ STARTS = 64  # prior draws of φ among which the start is chosen,
 RAGGED = 4  # times as many where a shape's evidence has many maxima
 HALVINGS = 8  # of a Gauss–Newton step that makes the sum of squares larger
 CURVED = 1e-4  # step of a coordinate for the curvature
-LEAST_CURVATURE = (
-    0.05  # a coordinate is never known worse than a few units before its prior takes over
-)
+LEAST_CURVATURE = 0.05  # a coordinate is known to a few units, where its prior takes over
 CLIMB = 100  # steps uphill at most
 LONGEST = 1.5  # of them, in prior standard deviations
 NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found
@@ -83,7 +82,7 @@ def find_mode(
     hyper = assembly.hyper(np.zeros(dim))
     flat = column_scale(assembly.linearise(point, hyper).jacobian)
     density = Density(assembly, point, flat)
-    wanted = _prior_draws(assembly) if starts is None else list(starts)
+    wanted = prior_draws(assembly) if starts is None else list(starts)
     if starts is None and density.even and assembly.kinds == ["noise"]:  # one hill
         wanted = wanted[:5]
     v = max(wanted, key=lambda one: density.at(one)[0]) if dim else np.zeros(0)
@@ -173,7 +172,8 @@ def climb(
     return v
 
 
-def _prior_draws(assembly: Assembly) -> list[np.ndarray]:
+def prior_draws(assembly: Assembly) -> list[np.ndarray]:
+    """Where the mode may be looked for: the middle of φ's prior, and draws half as wide again. Deterministic."""
     ragged = any(s.ragged for e in assembly.layout.model.effects for s in e.column_shapes)
     count, dim = STARTS * (RAGGED if ragged else 1), len(assembly.hypers)
     draws = 1.5 * np.random.default_rng(0).standard_normal((count, dim))
@@ -195,7 +195,7 @@ def mode_of_x(
         # Squares at the point itself, not at the linear model's minimum.
         z = prior.weight * (at.x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
         found = condition(gram, assembly.record.size, prior, at.x)
-        return gram.rtr + float(z @ z), found, density
+        return density.squares(hyper, gram) + float(z @ z), found, density
 
     squares, found, _ = look(point)
     for _ in range(50):
@@ -231,13 +231,13 @@ def _with_rows(assembly, density: Density, found, v, x=None) -> Point:
     hyper = assembly.hyper(v)
     line = assembly.linearise(point, hyper)
     rest = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
-    variance = np.broadcast_to(noise_variance(assembly, hyper), rest.shape)
+    variance = noise_variance(assembly, hyper)
     return Point(x, mean_of_rows(assembly, line.rows, rest, variance)[0])
 
 
 def noise_variance(assembly: Assembly, hyper) -> np.ndarray:
     """Variance of each reading by the noise alone."""
-    return hyper["noise.white"] ** 2 + known_variance(assembly.record)
+    return variance_of(assembly.noise, hyper, assembly.record, 0.0)
 
 
 def mean_of_rows(assembly: Assembly, slopes, residual, variance):

@@ -15,23 +15,19 @@ from itertools import combinations_with_replacement
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.gaussian_algebra import Gram, condition
 from bayescal._engine.assembly import Assembly, Values
-from bayescal._engine.closed_form import NOWHERE, Density, Gram, condition
+from bayescal._engine.closed_form import NOWHERE, Density
 from bayescal._engine.joint import Grams, linearise_draws
 from bayescal._engine.mode import Mode
-from bayescal._engine.whitening import Batch, gram_matrices, known_variance, whitening
-from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
+from bayescal._engine.whitening import Batch, gram_matrices, known_variance, variance_of, whitening
+from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
+from bayescal._model.noise_laws import CURVATURE, SLOPE
 
+LINEAR = (SLOPE, CURVATURE)  # parameters of the noise that are no scales
 REACH = 5.0  # standard deviations of the Laplace fit, up to which polynomials are fitted
-DEGREES = {
-    1: (6, 12, 20),
-    2: (4, 8, 12, 17),
-    3: (3, 5, 7, 9),
-    4: (2, 4, 6),
-    5: (2, 4),
-    6: (2, 3, 4),
-}
-MANY = {7: (2, 3), 8: (2, 3)}
+FEW = {1: (6, 12, 20), 2: (4, 8, 12, 17), 3: (3, 5, 7, 9)}
+DEGREES = FEW | {4: (2, 4, 6), 5: (2, 4), 6: (2, 3, 4)}
 NUMBERS = 2_000_000  # in the tables that are computed at once
 TRIED = 12  # draws of the Laplace fit at which polynomials are tried
 CLOSE = 0.03  # log density, within which they are good there,
@@ -51,12 +47,13 @@ class Products:
         self.density = Density(assembly, mode.point, mode.flat)
         self.size = assembly.record.size
         self._axes = _Axes(assembly)
-        self.once = not self._axes.names
+        gaussian = assembly.noise.gaussian
+        self.once = gaussian and not self._axes.names
         self._fit: _Polynomials | None = None
-        if not self.once and np.all(np.isfinite(mode.covariance)):
+        if gaussian and not self.once and np.all(np.isfinite(mode.covariance)):
             self._fit = self._fitted()
         self.direct = not self.once and self._fit is None
-        self.exact = self._fit is None
+        self.exact = gaussian and self._fit is None
 
     @cached_property
     def _shared(self) -> Gram:
@@ -89,7 +86,7 @@ class Products:
     def directly(self, v: Float[np.ndarray, "b d"]) -> Grams:
         """Products computed for each φ."""
         assembly = self.assembly
-        if assembly.corrected or len(assembly.row_sd):
+        if assembly.corrected or len(assembly.row_sd) or not assembly.noise.gaussian:
             made = [self.density.gram(one, assembly.hyper(one)) for one in v]
             return Grams(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
         together = max(8, NUMBERS // (self.size * (assembly.size + 1)))
@@ -105,7 +102,8 @@ class Products:
         if isinstance(assembly.noise, OrnsteinUhlenbeck):
             whole, logdet = gram_matrices(assembly.noise, record, table, hyper)
         else:
-            variance = hyper["noise.white"][:, None] ** 2 + known_variance(record)
+            columns = {name: value[:, None] for name, value in hyper.items()}
+            variance = variance_of(assembly.noise, columns, record, 0.0)
             variance = np.broadcast_to(variance, (len(v), self.size))
             table, logdet = table / np.sqrt(variance)[:, :, None], np.sum(np.log(variance), axis=1)
             whole = table.transpose(0, 2, 1) @ table
@@ -199,8 +197,9 @@ class _Axes:
             # Where no variance is known beforehand, all scales by the one unit.
             self.ratio = not self.absolute and {"noise.white", DIFFUSION} <= free
             self.noise = [n for n in names if n in free and not (self.ratio and n == "noise.white")]
-        elif self.absolute:
-            self.noise = [n for n in ("noise.white",) if n in free]
+        else:
+            names = [n for n in noise.parameters() if n in free]
+            self.noise = [n for n in names if self.absolute or n != "noise.white"]
         extra = np.median(known) if np.ndim(known) else 0.0
         self.floor = float(extra)
         self.names = (*self.shapes, *self.promoted, *self.noise)
@@ -218,7 +217,7 @@ class _Axes:
             found.append(hyper[name] * (hyper[spread] if spread else 1.0))
         for name in self.noise:
             value = hyper[name] / hyper["noise.white"] if self._relative(name) else hyper[name]
-            found.append(np.log(value))
+            found.append(value if name in LINEAR else np.log(value))
         return np.stack(np.broadcast_arrays(*found), axis=1)
 
     def _relative(self, name: str) -> bool:
@@ -234,7 +233,7 @@ class _Axes:
         for name in self.promoted:
             hyper[name] = float(next(along))
         for name in self.noise:
-            hyper[name] = math.exp(next(along))
+            hyper[name] = next(along) if name in LINEAR else math.exp(next(along))
         return hyper
 
 

@@ -62,10 +62,9 @@ class Record:
     _fixed: dict[pieces.Basis, np.ndarray] = field(default_factory=dict)
     _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
     _curves: dict[Any, np.ndarray | None] = field(default_factory=dict)
+    _positions: dict[str, np.ndarray] = field(default_factory=dict)
     _bytes: int = 0
-    plain: dict[Any, Any] = field(
-        default_factory=dict
-    )  # of assemblies: what they know of a coefficient
+    plain: dict[Any, Any] = field(default_factory=dict)  # what assemblies know of a coefficient
 
     @cached_property
     def size(self) -> int:
@@ -85,6 +84,13 @@ class Record:
     def in_time(self) -> tuple[np.ndarray, np.ndarray]:
         """The order of time within runs, and the steps in it, s; −1 at a run's first reading."""
         return np.asarray(self.frame.order), np.asarray(self.frame.step)
+
+    def position(self, column: str) -> Float[np.ndarray, "n"]:
+        """Along a column, −1 … 1 over its range at the fit; beyond it at its end."""
+        if column not in self._positions:
+            found = np.asarray(self.frame.position(column))
+            self._positions[column] = np.clip(2 * found - 1, -1.0, 1.0)
+        return self._positions[column]
 
     @cached_property
     def slots(self) -> tuple[str, ...]:

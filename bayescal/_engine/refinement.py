@@ -14,12 +14,15 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs
 from scipy.optimize import minimize
 
+from bayescal._core.gaussian_algebra import LOG_2PI, Prior
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.assembly import Assembly, Point, Prior
-from bayescal._engine.closed_form import LOG_2PI, Density
+from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import Mode, root_near
-from bayescal._engine.whitening import whitening
+from bayescal._engine.whitening import Whitening, whitening
+from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION
 
+SCALES = ("noise.white", DIFFUSION, CORRELATION_TIME)  # whose priors do not count
 STILL = 1e-6  # standard deviations: a further step smaller than this is none
 GOOD = 1e-5  # share of the residuals in the tangent plane, at which a point counts as the optimum
 RESTS = 1e-9  # change of φ's coordinates in a round, below which it rests
@@ -54,8 +57,7 @@ class _Factors(NamedTuple):
 
 
 def _factors(table: Float[np.ndarray, "m q1"]) -> _Factors:
-    upper = _triangle(table)
-    size = table.shape[1] - 1
+    upper, size = _triangle(table), table.shape[1] - 1
     last = float(upper[size, size]) if len(upper) > size else 0.0
     return _Factors(upper[:size, :size], upper[:size, size], last)
 
@@ -103,7 +105,7 @@ def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
     sd = np.sqrt(np.diag(given.covariance))
     converged = converged or bool(np.max(np.abs(given.theta - theta) / sd, initial=0.0) < STILL)
     covariance = given.covariance
-    if full_hessian and np.all(np.isfinite(covariance)):
+    if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
         covariance = np.linalg.inv(fit.hessian(theta, v, sd))
     point = Point(theta[: assembly.size], mode.point.rows)
     return Solution(mode._replace(point=point, v=v), covariance, converged)
@@ -115,8 +117,9 @@ class _Refinement:
     def __init__(self, assembly: Assembly, mode: Mode) -> None:
         self.assembly, self.mode = assembly, mode
         self.density = Density(assembly, mode.point, mode.flat)
-        kinds = assembly.kinds
-        self.scales = [i for i, k in enumerate(kinds) if k in ("noise", "spread")]
+        kinds, self.gaussian = assembly.kinds, assembly.noise.gaussian
+        # Of a law that is not Gaussian they stay where the marginal likelihood of the mode has them.
+        self.scales = [i for i, k in enumerate(kinds) if k in ("noise", "spread") and self.gaussian]
         self.places = [i for i, k in enumerate(kinds) if k in ("shape", "promoted")]
 
     def prior(self, v: Float[np.ndarray, "d"]) -> Prior:
@@ -146,25 +149,26 @@ class _Refinement:
         rest = self.assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
         return np.column_stack([*slopes, rest]), self.density.extra(line)
 
-    def whiten(self, v: np.ndarray, extra: np.ndarray | float):
+    def whiten(self, v: np.ndarray, extra: np.ndarray | float, left: np.ndarray) -> Whitening:
         assembly = self.assembly
-        return whitening(assembly.noise, assembly.hyper(v), assembly.record, extra)
+        return whitening(assembly.noise, assembly.hyper(v), assembly.record, extra, left)
 
     def fit_theta(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
         """θ by least squares of the whitened residuals and the prior's, given the scales in v."""
         if not theta.size:
             return theta, True
         prior, (first, extra) = self.prior(v), self.table(theta, v)
-        white = self.whiten(v, extra)
         own = np.diag(prior.weight)
 
         def look(at: np.ndarray, made: np.ndarray | None = None) -> tuple[float, _Factors]:
-            table = white(self.table(at, v)[0] if made is None else made)
+            plain = self.table(at, v)[0] if made is None else made
+            white = self.whiten(v, extra, plain[:, -1])
+            table = white(plain)
             z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
             whole = np.concatenate([table * np.append(prior.sd, 1.0), np.column_stack([own, -z])])
             if not np.all(np.isfinite(whole)):
                 return math.inf, _factors(np.zeros_like(whole))
-            return float(whole[:, -1] @ whole[:, -1]), _factors(whole)
+            return float(whole[:, -1] @ whole[:, -1]) + white.beyond, _factors(whole)
 
         cost, found = look(theta, first)
         damping, best = 0.0, float(np.linalg.norm(found.inside))
@@ -201,7 +205,7 @@ class _Refinement:
                     return nowhere
                 made, logdet = upper / sd, 2 * size * math.log(sd)
             else:
-                white = self.whiten(v, extra)
+                white = self.whiten(v, extra, table[:, -1])
                 made, logdet = white(upper), white.logdet
             offset = prior.weight * (prior.mean - theta)
             own = np.column_stack([made[:, :-1] * prior.sd, made[:, -1] - made[:, :-1] @ offset])
@@ -213,9 +217,8 @@ class _Refinement:
             inverse = dtrtri(found.root)[0] if z.size else found.root
             of_z = inverse @ inverse.T
             root = prior.sd[:, None] * inverse
-            flat = (1 - prior.weight) @ (
-                np.log(np.where(prior.weight > 0, 1.0, prior.sd)) + 0.5 * LOG_2PI
-            )
+            log_sd = np.log(np.where(prior.weight > 0, 1.0, prior.sd))
+            flat = (1 - prior.weight) @ (log_sd + 0.5 * LOG_2PI)
             volume = logdet + 2 * float(np.sum(np.log(np.abs(np.diag(found.root)))))
             rest = found.outside**2
             total = float(flat) - 0.5 * (size * LOG_2PI + volume + rest)
@@ -233,14 +236,13 @@ class _Refinement:
         given, assembly = self.conditional(theta, v), self.assembly
         if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
-        spreads = [i for i in self.scales if assembly.kinds[i] != "noise"]
+        told = [(i, h.prior) for i, h in enumerate(assembly.hypers) if h.name not in SCALES]
+        priors = [(i, prior.log_density) for i, prior in told if i in self.scales]
 
         def value(scales: np.ndarray) -> float:
             moved = v.copy()
             moved[self.scales] = scales
-            priors = (assembly.hypers[i].prior.log_density(moved[i]) for i in spreads)
-            prior = sum(float(np.asarray(density)) for density in priors)
-            return given(moved).log_marginal + prior
+            return given(moved).log_marginal + sum(float(d(moved[i])) for i, d in priors)
 
         def slope(scales: np.ndarray) -> np.ndarray:
             shifts = SHIFT * np.eye(len(scales))
@@ -276,12 +278,11 @@ class _Refinement:
     def hessian(self, theta: np.ndarray, v: np.ndarray, sd: np.ndarray) -> Float[np.ndarray, "q q"]:
         """Curvature of the negative log density of θ, second derivatives of the expected output included."""
         prior, extra = self.prior(v), self.table(theta, v)[1]
-        white = self.whiten(v, extra)
-
         tightness = prior.weight / prior.sd**2
 
         def slope(at: np.ndarray) -> np.ndarray:
-            table = white(self.table(at, v)[0])
+            table = self.table(at, v)[0]
+            table = self.whiten(v, extra, table[:, -1])(table)
             return tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1]
 
         steps = 1e-3 * np.diag(sd)

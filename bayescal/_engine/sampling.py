@@ -21,12 +21,11 @@ from bayescal._core.importance_weights import effective_size
 from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import NOWHERE
-from bayescal._engine.joint import Conditionals, conditionals, draw_joint
+from bayescal._engine.joint import FREEDOM, Conditionals, conditionals, draw_joint
 from bayescal._engine.mode import Mode
 from bayescal._engine.products import Products
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 
-FREEDOM = 5  # of the Student-t proposals
 KERNELS = 256  # draws of the round before, around each of which the next one proposes;
 FEW = 128  # in a few dimensions
 KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
@@ -179,7 +178,7 @@ def weighted_draws(
 def proposals_of(assembly: Assembly, products: Products) -> int:
     """How many: fewer where each costs a pass over many readings, or a large matrix."""
     cost = assembly.record.size > LONG
-    if products.direct and cost:
+    if products.direct and (cost or not assembly.noise.gaussian):
         return FEWEST
     if products.direct or assembly.size > 100:
         return FEWER

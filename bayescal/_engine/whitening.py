@@ -1,31 +1,28 @@
-"""Whitening on the host: what makes readings independent and of unit variance, for noise that is Gaussian.
-
-Also triangular factors of many small matrices at once.
-"""
+"""Noise laws on the host: what makes readings independent and of unit variance."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dpttrf, dpttrs, dtbtrs  # pyright: ignore[reportAttributeAccessIssue]
-
-from bayescal._engine.record import Record
-from bayescal._model.noise_laws import (
-    CORRELATION_TIME,
-    DIFFUSION,
-    Noise,
-    OrnsteinUhlenbeck,
-    White,
+from scipy.linalg.lapack import (  # pyright: ignore[reportAttributeAccessIssue]
+    dpttrf,
+    dtbtrs,
 )
+from scipy.special import gammaln, ndtri, stdtr
+
+from bayescal._core.gaussian_algebra import LOG_2PI
+from bayescal._engine.record import Record
+from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
+from bayescal._model.noise_laws import Heteroscedastic, Noise, StudentT, White
 from bayescal._readings.column import UNCERTAINTY
 
 Values = dict[str, float]
 Batch = Mapping[str, np.ndarray]  # φ by name, one value a draw
-LOG_2PI = math.log(2 * math.pi)
+LEAST_FREEDOM = 2.1  # below 2 Student's variance does not exist
 
 
 class Whitening(NamedTuple):
@@ -36,12 +33,14 @@ class Whitening(NamedTuple):
         order: that order; None for independent readings.
         band: the unit lower factor of what is new in each reading, for LAPACK.
         carry: what passes from one reading to the next; 0 at a run's first.
+        beyond: what a heavy-tailed law counts beside the squares of whitened residuals.
     """
 
     sd: Float[np.ndarray, "n"]
     order: np.ndarray | None = None
     band: np.ndarray | None = None
     carry: np.ndarray | None = None
+    beyond: float = 0.0
 
     @property
     def logdet(self) -> float:
@@ -65,17 +64,28 @@ def known_variance(record: Record) -> Float[np.ndarray, "n"] | float:
 
 
 def variance_of(
-    noise: Noise, values: Values, record: Record, extra: Float[np.ndarray, "n"] | float
+    noise: Noise, values: Any, record: Record, extra: Float[np.ndarray, "n"] | float
 ) -> Float[np.ndarray, "... n"]:
     """Of each reading about the expected output, with the variance `extra` beside it; φ one number, or a column."""
-    if not isinstance(noise, (White, OrnsteinUhlenbeck)):
-        own = np.asarray(noise.variance(values, record.frame))  # pyright: ignore[reportArgumentType]
-    else:
-        own = values["noise.white"] ** 2 + known_variance(record)
+    if isinstance(noise, (White, OrnsteinUhlenbeck, Heteroscedastic, StudentT)):
+        own = _squared_scale(noise, values, record)
         if isinstance(noise, OrnsteinUhlenbeck):
             own = own + _wandering(values)
+        elif isinstance(noise, StudentT):
+            freedom = np.maximum(values["noise.freedom"], LEAST_FREEDOM)
+            own = own * freedom / (freedom - 2)
+    else:
+        own = np.asarray(noise.variance(values, record.frame))
     total = np.asarray(own + extra)
     return np.broadcast_to(total, np.broadcast_shapes(total.shape, (record.size,)))
+
+
+def _squared_scale(noise: Noise, values: Any, record: Record) -> Any:
+    """Squared scale of each reading's own noise; what is known beforehand included."""
+    own = values["noise.white"] ** 2
+    if isinstance(noise, Heteroscedastic):
+        own = own * np.exp(2 * noise.log_scale(values, record.position(noise.column)))
+    return own + known_variance(record)
 
 
 def _wandering(values: Values) -> float:
@@ -83,17 +93,73 @@ def _wandering(values: Values) -> float:
     return 0.5 * values[DIFFUSION] ** 2 * values[CORRELATION_TIME]
 
 
+class Robust(NamedTuple):
+    """The log density of readings under a heavy-tailed law, at what the expected output leaves of them.
+
+    It is −½·(n·log 2π + logdet + squares), with the slope ψ by the expected output. As a Gaussian scale mixture a
+    reading has the precision `weight` w = ψ/r; `curvature` −∂ψ/∂r is less, and negative for an outlier.
+    """
+
+    squares: float
+    logdet: float
+    slope: Float[np.ndarray, "n"]
+    weight: Float[np.ndarray, "n"]
+    curvature: Float[np.ndarray, "n"]
+
+
+def robust(noise: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"]) -> Robust:
+    """Of Student's law; of others that are not Gaussian, as if they were, of the same variance."""
+    n = len(left)
+    if not isinstance(noise, StudentT):
+        variance = variance_of(noise, values, record, 0.0)
+        weight, squares = 1 / variance, float(np.sum(left**2 / variance))
+        return Robust(squares, float(np.sum(np.log(variance))), weight * left, weight, weight)
+    nu, scale = values["noise.freedom"], _squared_scale(noise, values, record)
+    wide = nu * scale + left**2
+    weight = (nu + 1) / wide
+    norm = gammaln(0.5 * (nu + 1)) - gammaln(0.5 * nu) - 0.5 * np.log(math.pi * nu * scale)
+    squares = (nu + 1) * float(np.sum(np.log1p(left**2 / (nu * scale))))
+    logdet = -2 * float(np.sum(np.broadcast_to(norm, n))) - n * LOG_2PI
+    curvature = weight * (nu * scale - left**2) / wide
+    return Robust(squares, logdet, weight * left, weight, curvature)
+
+
+def normal_scores(
+    noise: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """What independent readings show, as standard normal numbers if the law is right: Φ⁻¹ of their probabilities."""
+    if not isinstance(noise, StudentT):
+        return left / np.sqrt(variance_of(noise, values, record, 0.0))
+    scale = np.sqrt(_squared_scale(noise, values, record))
+    tail = np.maximum(stdtr(values["noise.freedom"], -np.abs(left) / scale), np.finfo(float).tiny)
+    return -np.sign(left) * ndtri(tail)
+
+
 def whitening(
-    noise: Noise, values: Values, record: Record, extra: Float[np.ndarray, "n"] | float
+    noise: Noise,
+    values: Values,
+    record: Record,
+    extra: Float[np.ndarray, "n"] | float,
+    left: Float[np.ndarray, "n"] | None = None,
 ) -> Whitening:
-    """Of a noise law at its parameters, with the variance `extra` beside it."""
-    if not isinstance(noise, (White, OrnsteinUhlenbeck)):  # as if Gaussian, of the same variance
+    """Of a noise law at its parameters, with the variance `extra` beside it.
+
+    Args:
+        noise: the law.
+        values: φ by name.
+        record: the readings.
+        extra: further variance.
+        left: what the expected output leaves of the readings: under a heavy-tailed law each has the precision that it
+            then shows (Gaussian scale mixture). None whitens by the variance.
+    """
+    if isinstance(noise, StudentT) and left is not None:
+        terms = robust(noise, values, record, left)
+        beyond = terms.squares - float(terms.slope @ left)
+        return Whitening(1 / np.sqrt(terms.weight), beyond=beyond)
+    if not isinstance(noise, OrnsteinUhlenbeck):
         return Whitening(np.sqrt(variance_of(noise, values, record, extra)))
-    white = np.broadcast_to(
-        values["noise.white"] ** 2 + known_variance(record) + extra, (record.size,)
-    )
-    if isinstance(noise, White):
-        return Whitening(np.sqrt(white))
+    white = _squared_scale(noise, values, record) + extra
+    white = np.broadcast_to(white, (record.size,))
     order, step = record.in_time
     tau, variance = values[CORRELATION_TIME], _wandering(values)
     white = white[order]
@@ -131,53 +197,28 @@ def gram_matrices(
     return found, volume
 
 
-def wander_given(
-    values: Values,
-    time: Float[np.ndarray, "n"],
-    left: Float[np.ndarray, "n"],
-    white: Float[np.ndarray, "n"],
-    at: Float[np.ndarray, "m"],
-) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """Mean and variance of a wander at some times of a run, given what a model leaves of its readings.
-
-    Args:
-        values: φ by name.
-        time: of the readings, s.
-        left: of the readings, output unit.
-        white: variance of each reading's own noise.
-        at: where it is asked for, s.
-
-    Source: H. Rue and L. Held, Gaussian Markov Random Fields (2005), ch. 2: the wander's precision over sorted times
-    has three diagonals.
-    """
-    grid = np.union1d(time, at)
-    variance, step = _wandering(values), np.diff(grid) / values[CORRELATION_TIME]
-    kept, fresh = np.exp(-step), -np.expm1(-2 * step)
-    diagonal = np.ones(grid.size)
-    diagonal[1:] = 1 / fresh
-    diagonal[:-1] += kept**2 / fresh
-    place, pull, diagonal = np.searchsorted(grid, time), np.zeros(grid.size), diagonal / variance
-    np.add.at(diagonal, place, 1 / white)
-    np.add.at(pull, place, left / white)
-    pivots, below, _ = dpttrf(diagonal, -kept / fresh / variance)
-    mean = dpttrs(pivots, below, pull[:, None])[0][:, 0]
-    spread, beyond = 1 / pivots, 0.0
-    for i in range(grid.size - 1, -1, -1):  # the diagonal of the inverse
-        spread[i] += beyond
-        beyond = below[i - 1] ** 2 * spread[i] if i else 0.0
-    asked = np.searchsorted(grid, at)
-    return mean[asked], spread[asked]
+def log_densities(
+    noise: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Batch
+) -> Float[np.ndarray, "b n"]:
+    """Log density of each reading under independent noise, given what the expected output leaves of it."""
+    columns: Any = {name: np.asarray(value)[..., None] for name, value in hyper.items()}
+    if isinstance(noise, StudentT):
+        nu, scale = columns["noise.freedom"], _squared_scale(noise, columns, record)
+        norm = gammaln(0.5 * (nu + 1)) - gammaln(0.5 * nu) - 0.5 * np.log(math.pi * nu * scale)
+        return norm - 0.5 * (nu + 1) * np.log1p(left**2 / (nu * scale))
+    variance = variance_of(noise, columns, record, 0.0)
+    return -0.5 * (left**2 / variance + np.log(variance) + LOG_2PI)
 
 
 def log_likelihood(
     noise: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Batch
 ) -> Float[np.ndarray, "b"]:
     """Log density of all readings, given what the expected output leaves of them."""
-    known = known_variance(record)
-    white = np.asarray(hyper["noise.white"])[..., None] ** 2 + known
     if not isinstance(noise, OrnsteinUhlenbeck):
-        white = np.broadcast_to(white, left.shape)
-        return -0.5 * np.sum(left**2 / white + np.log(white) + LOG_2PI, axis=1)
+        return np.sum(log_densities(noise, record, left, hyper), axis=1)
+    white = _squared_scale(
+        noise, {"noise.white": np.asarray(hyper["noise.white"])[..., None]}, record
+    )
     # By the Kalman filter, one reading after the other, all draws at once.
     (order, step), count = record.in_time, len(left)
     tau = np.broadcast_to(hyper[CORRELATION_TIME], count)
@@ -199,36 +240,3 @@ def log_likelihood(
         state = state + gain * new
         variance = gain * white[i]
     return -0.5 * (squares + volume + len(step) * LOG_2PI)
-
-
-def factors(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]:
-    """Lower factors; NaN where there is none."""
-    try:
-        return np.linalg.cholesky(matrices)
-    except np.linalg.LinAlgError:
-        pass
-    found = np.full_like(matrices, np.nan)
-    for one, into in zip(matrices, found, strict=True):
-        try:
-            into[...] = np.linalg.cholesky(one)
-        except np.linalg.LinAlgError:
-            continue
-    return found
-
-
-def solve_lower(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
-    """L⁻¹ times vectors."""
-    z = np.empty_like(right)
-    for i in range(right.shape[1]):
-        known = np.einsum("bj,bj->b", chol[:, i, :i], z[:, :i])
-        z[:, i] = (right[:, i] - known) / chol[:, i, i]
-    return z
-
-
-def solve_upper(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
-    """Lᵀ⁻¹ times vectors."""
-    z = np.empty_like(right)
-    for i in reversed(range(right.shape[1])):
-        known = np.einsum("bj,bj->b", chol[:, i + 1 :, i], z[:, i + 1 :])
-        z[:, i] = (right[:, i] - known) / chol[:, i, i]
-    return z

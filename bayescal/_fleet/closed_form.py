@@ -21,8 +21,8 @@ import numpy as np
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
+from bayescal._core.gaussian_algebra import triangle
 from bayescal._core.jit import compiled
-from bayescal._core.tall_qr import triangle
 from bayescal._inference import sampled_products
 from bayescal._inference.laplace import start_point
 from bayescal._model import forward

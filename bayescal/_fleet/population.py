@@ -38,7 +38,7 @@ from bayescal._core.errors import ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.parallel import over
 from bayescal._inference import trust
-from bayescal._model.coefficient import Coefficient
+from bayescal._model.effect import Coefficient
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
 

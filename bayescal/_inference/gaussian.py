@@ -16,7 +16,7 @@ import numpy as np
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
-from bayescal._core.tall_qr import triangle
+from bayescal._core.gaussian_algebra import triangle
 from bayescal._engine.assembly import Point
 from bayescal._inference import block_elimination
 from bayescal._model import forward as composition

@@ -72,7 +72,7 @@ class LeastSquares(Method):
             f"Covariance is the {kind} Laplace approximation; noise and spreads by restricted likelihood, "
             "held at their estimate (so intervals do not carry the uncertainty of the noise)."
         ]
-        if not layout.model.noise.gaussian:
+        if not (layout.model.noise.gaussian or by_engine(layout)):
             notes.append(
                 f"{layout.model.noise.law} noise was taken as Gaussian of the same variance: "
                 "use Marginal() for its own likelihood."

@@ -30,6 +30,7 @@ from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
 TOO_NONLINEAR = "The model bends too much for its linear form ({}): exact NUTS."
+TOO_HEAVY = "The posterior is not nearly Gaussian given φ ({}): exact NUTS."
 WEIGHTED = WeightedDraws._make(range(7))  # for its structure alone
 NEARLY_EVEN = (
     0.98  # effective sample size as a share of the draws, from which they stay as they are
@@ -63,10 +64,10 @@ class Marginal(Method):
             layout, notes = self._promoted(layout, record)
             mode = kept_mode(layout, record)
         key, noise = jax.random.key(seed), layout.model.noise
-        if not noise.gaussian:
+        if not (noise.gaussian or by_engine(layout)):
             notes = (*notes, f"{noise.law} noise is not Gaussian: sampled jointly.")
             return self._exact(layout, frame, y, key, mode, notes)
-        if self.sampler == "nuts" and layout.hypers:
+        if self.sampler == "nuts" and layout.hypers and noise.gaussian:
             return self._nuts_on_phi(layout, frame, y, key, mode, notes)
         if not mode.log_evidence > -np.inf:
             return self._exact(layout, frame, y, key, mode, notes)
@@ -78,10 +79,12 @@ class Marginal(Method):
         why_not = trust.unevenness(weights, k_hat, limit=limit)
         if not why_not:
             return self._from_weights(layout, found, mode, weights, k_hat, notes, seed)
-        if why := trust.unevenness(of_phi, k_phi):
+        why = trust.unevenness(of_phi, k_phi)
+        if why and noise.gaussian:
             notes = (*notes, f"Importance weights of φ were uneven ({why}): NUTS on φ instead.")
             return self._nuts_on_phi(layout, frame, y, key, mode, notes)
-        return self._exact(layout, frame, y, key, mode, (*notes, TOO_NONLINEAR.format(why_not)))
+        words = TOO_NONLINEAR if noise.gaussian else TOO_HEAVY
+        return self._exact(layout, frame, y, key, mode, (*notes, words.format(why_not)))
 
     def _promoted(self, layout: Layout, record: Record) -> tuple[Layout, tuple[str, ...]]:
         def choose():
@@ -170,7 +173,7 @@ class Marginal(Method):
             )
             place = jax.jit(lambda q: over(lambda one: unpack(one)[:3], q, 64))
             x, rows, v = place(ran.draws.reshape(-1, start.size))
-        known = layout.model.noise.gaussian and not layout.improper
+        known = (layout.model.noise.gaussian or by_engine(layout)) and not layout.improper
         return Outcome(
             layout=layout,
             draws=_by_chain(x, rows, v),

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from bayescal._inference import checkpoint
 from bayescal._inference.gaussian import Point
 from bayescal._inference.laplace import Mode
+from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._model.frame import Frame
-from bayescal._model.noise_laws import OrnsteinUhlenbeck, White
+from bayescal._model.noise_laws import Heteroscedastic, StudentT, White
 from bayescal._model.parameters import Layout
 
 CHAINS = 4  # that draws are dealt into, so that what reads chains can read independent draws too
@@ -65,7 +66,10 @@ class Draws:
 
 def by_engine(layout: Layout) -> bool:
     """Whether the noise is of a law that the engine whitens by; any other is traced with its structure."""
-    return type(layout.model.noise) in (White, OrnsteinUhlenbeck)
+    law = type(layout.model.noise)
+    return law in (White, OrnsteinUhlenbeck, Heteroscedastic) or (
+        law is StudentT and not layout.row_blocks
+    )
 
 
 def by_chain(values: ArrayLike) -> np.ndarray:

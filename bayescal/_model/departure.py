@@ -9,8 +9,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from bayescal._model.coefficient import Shape
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Effect, Shape
 from bayescal._model.unknown_effect import (
     process_along,
     process_sizes,

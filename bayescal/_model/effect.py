@@ -1,20 +1,102 @@
-"""One named physical term: a basis, linear in its coefficients, that adds to a slot."""
+"""One named physical term: a basis that adds to a slot, with its unknowns.
+
+It is linear in its coefficients; in a few shapes it is not.
+"""
 
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
-from bayescal._model.coefficient import Coefficient, Shape
 from bayescal._model.frame import Frame
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
 from bayescal._readings.measurements import Measurements
+
+Group = Literal["reading", "cell", "run", "axis", "device"]
+
+
+class Coefficient(eqx.Module):
+    """One unknown that a slot is linear in.
+
+    Attributes:
+        unit: the unit it is reported in and its prior is stated in, such as "deg/s/degC" or "ppm/degC".
+        prior: Gaussian or flat. For a coefficient with a learned spread only its mean counts.
+        part: its name within the effect, such as "parallel,M2,cos"; empty if the effect has just one.
+        slot: the slot it feeds, where that is not the effect's own.
+        per: None for one value; a group ("run", "cell", "device", "axis", "reading") for one value each.
+        spread: prior of the standard deviation between the group's members, which is then learned.
+            None leaves it at the prior's own sd.
+    """
+
+    unit: str = eqx.field(static=True)
+    prior: Normal | Flat = eqx.field(default_factory=Normal)
+    part: str = eqx.field(static=True, default="")
+    slot: str | None = eqx.field(static=True, default=None)
+    per: Group | None = eqx.field(static=True, default=None)
+    spread: HalfNormal | HalfCauchy | Flat | None = None
+
+    def __check_init__(self) -> None:
+        if self.spread is not None and self.per is None:
+            raise ValueError("a learned spread needs a group to be learned over: give `per`")
+        if self.per == "reading" and self.spread is not None:
+            raise ValueError("a spread over single readings is noise: give it to the noise law")
+
+    @property
+    def flat(self) -> bool:
+        return isinstance(self.prior, Flat) and self.spread is None
+
+    @property
+    def mean(self) -> float:
+        return self.prior.mean if isinstance(self.prior, Normal) else 0.0
+
+    @property
+    def size(self) -> float:
+        """The plausible size, in `unit`: the prior's sd, or the spread prior's scale."""
+        if self.spread is not None:
+            return self.spread.scale
+        return self.prior.sd if isinstance(self.prior, Normal) else self.prior.scale
+
+
+class Shape(eqx.Module):
+    """One unknown that the model is not linear in: a lag time, a period, a ratio of frequencies.
+
+    The prior puts 95 % between `low` and `high`; its coordinate is standard normal.
+
+    Attributes:
+        name: keyword under which the effect's basis receives it, such as "tau".
+        unit: the unit in which the basis takes it and in which it is reported.
+        low, high: plausible range, in `unit`.
+        scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one.
+        ragged: whether the evidence has many maxima over it, as over a period; the search begins at more points.
+        shared: whether it is one for all channels of a unit, as the time of a body that they share.
+    """
+
+    name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    low: float = eqx.field(static=True)
+    high: float = eqx.field(static=True)
+    scale: Literal["log", "linear"] = eqx.field(static=True, default="log")
+    ragged: bool = eqx.field(static=True, default=False)
+    shared: bool = eqx.field(static=True, default=False, repr=False)
+
+    def __check_init__(self) -> None:
+        if not self.low < self.high or (self.scale == "log" and self.low <= 0):
+            raise ValueError(f"shape {self.name!r} needs low < high, and positive if logarithmic")
+
+    @property
+    def prior(self) -> LogNormal | Normal:
+        if self.scale == "log":
+            sd = math.log(self.high / self.low) / (2 * 1.959963984540054)
+            return LogNormal(math.sqrt(self.low * self.high), sd)
+        return Normal((self.low + self.high) / 2, (self.high - self.low) / (2 * 1.959963984540054))
 
 
 class Effect(eqx.Module):

@@ -11,6 +11,7 @@ from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument, slot_of
 from bayescal._model.noise_laws import Noise
+from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_parsing import ANY
 
@@ -98,7 +99,9 @@ class Model(eqx.Module):
             ModelError: no unknown has that name, or the value is not finite, or not positive where it must be.
         """
         self._refuse_unknown(values)
-        scales = {*self.noise.parameters(), *(n for e in self.effects for n in _positive(e))}
+        noise = self.noise.parameters().items()
+        scales = {n for n, prior in noise if not isinstance(prior, Normal)}
+        scales |= {n for e in self.effects for n in _positive(e)}
         for name, value in values.items():
             if not math.isfinite(value):
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a finite number")
@@ -155,6 +158,12 @@ class Model(eqx.Module):
                         f"(it has: {', '.join(readings.columns)}). Record it, or take the effect out: "
                         f"model - {effect.name!r}"
                     )
+        for column in self.noise.needs:
+            if not readings.has(column):
+                raise ModelError(
+                    f"{self.noise.law} noise needs the column {column!r}, which {readings.file} lacks: record it, "
+                    "or use White() noise"
+                )
 
 
 def baseline(self: Instrument) -> Model:

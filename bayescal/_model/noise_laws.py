@@ -1,7 +1,8 @@
 """Noise laws: how readings scatter about the expected output.
 
 A law that is Gaussian given its parameters offers `gram`, through which coefficients are integrated out in
-closed form. The others (Student-t, rounding) offer a density alone, and are sampled with their coefficients.
+closed form. The others (Student-t, rounding) offer a density. Of Student-t it has one maximum in the coefficients where
+there are readings enough, about which a Gaussian stands for it (Laplace).
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 
 from bayescal._model.frame import Frame
-from bayescal._model.prior import HalfCauchy, LogNormal, LogUniform, Positive, multiplied
+from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 from bayescal._readings.column import UNCERTAINTY
 
 Parameters = dict[str, Float[Array, ""]]
-DIFFUSION, CORRELATION_TIME = "noise.diffusion", "noise.correlated.time"
-_LOG_2PI = math.log(2 * math.pi)
+SLOPE, CURVATURE = "noise.slope", "noise.curvature"
+LOG_2PI = math.log(2 * math.pi)
 
 
 class Gram(NamedTuple):
@@ -39,15 +40,29 @@ class Noise(eqx.Module):
     """A noise law.
 
     `gaussian` says whether coefficients can be integrated out in closed form; `independent` whether one reading's
-    noise says nothing of another's.
+    noise says nothing of another's; `needs` names the columns that its variance hangs on.
     """
 
     gaussian: ClassVar[bool]
     law: ClassVar[str]
     independent: ClassVar[bool] = True
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def name(self) -> str:
+        """The law, with the column that it follows."""
+        return self.law
+
+    @property
+    def in_words(self) -> str:
+        """The law as a person reads it, after "noise:"."""
+        return self.law
+
     @abc.abstractmethod
-    def parameters(self) -> dict[str, Positive]:
+    def parameters(self) -> dict[str, Any]:
         """Names and priors of its unknowns; `noise.white` is in the unit of the output, `noise.diffusion` per √s."""
 
     @abc.abstractmethod
@@ -101,7 +116,7 @@ class Noise(eqx.Module):
         return Gram(j.T @ j, j.T @ r, r @ r, logdet)
 
 
-def _known(frame: Frame) -> Float[Array, ""] | Float[Array, "n"]:
+def known_variance(frame: Frame) -> Float[Array, ""] | Float[Array, "n"]:
     if UNCERTAINTY in frame.columns:
         return frame.columns[UNCERTAINTY] ** 2
     return jnp.zeros(frame.size)
@@ -122,101 +137,71 @@ class White(Noise):
         return {"noise.white": self.scale}
 
     def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
-        return parameters["noise.white"] ** 2 + _known(frame)
+        return parameters["noise.white"] ** 2 + known_variance(frame)
 
     def log_density(self, y, mean, parameters, frame):
         variance = self.variance(parameters, frame)
-        return -0.5 * ((y - mean) ** 2 / variance + jnp.log(variance) + _LOG_2PI)
+        return -0.5 * ((y - mean) ** 2 / variance + jnp.log(variance) + LOG_2PI)
 
     def sample(self, key, mean, parameters, frame):
         sd = jnp.sqrt(self.variance(parameters, frame))
         return mean + sd * jax.random.normal(key, mean.shape)
 
 
-def correlated_size(parameters: Mapping[str, Any]) -> Float[Array, "..."]:
-    """σ = q·√(τ/2), the stationary standard deviation of correlated noise, output unit."""
-    return parameters[DIFFUSION] * jnp.sqrt(0.5 * parameters[CORRELATION_TIME])
+class Heteroscedastic(Noise):
+    """Independent Gaussian noise whose standard deviation follows a column: log-linear, with a curvature.
 
-
-class OrnsteinUhlenbeck(Noise):
-    """White noise and correlated (Ornstein–Uhlenbeck) noise of unknown diffusion and time within each run.
-
-    The correlated part has the covariance (q²·τ/2)·exp(−|Δt|/τ) within a run; runs are independent. Readings close
-    together against the time τ know only the diffusion q, the coefficient of the random walk (IEEE 952: rate random
-    walk); hence τ is bounded. Solves are linear in the readings (tinygp's quasi-separable solver).
+    σᵢ = σ·exp(a·zᵢ + b·(3zᵢ² − 1)/2), beside each reading's known uncertainty, z the column scaled to −1 … 1 over its
+    range at the fit; beyond that range σ stays as at its end. σ is `noise.white`, a `noise.slope`, b `noise.curvature`:
+    with a = 1 the scatter grows by e² from one end to the other.
+    Source: A. Harvey, Econometrica 44 (1976) 461 (multiplicative heteroscedasticity).
 
     Attributes:
-        shortest, longest: bounds of the correlation time, s, its logarithm uniform between; see `over_record`.
-        scale: prior of the white part's standard deviation, output unit.
-        correlated: prior of the correlated part's, output unit, at the geometric middle of the correlation times.
+        column: a numeric column, "elapsed", or a rate such as "temperature rate".
+        scale: prior of σ, output unit.
+        slope, curvature: priors of a and b.
     """
 
-    shortest: float = eqx.field(static=True)
-    longest: float = eqx.field(static=True)
+    column: str = eqx.field(static=True)
     scale: Positive = HalfCauchy(1.0)
-    correlated: Positive = HalfCauchy(1.0)
+    slope: Normal = Normal(0.0, 1.0)
+    curvature: Normal = Normal(0.0, 1.0)
     gaussian: ClassVar[bool] = True
-    law: ClassVar[str] = "ornstein_uhlenbeck"
-    independent: ClassVar[bool] = False
+    law: ClassVar[str] = "heteroscedastic"
 
-    def __check_init__(self) -> None:
-        if not 0 < self.shortest < self.longest:
-            raise ValueError(
-                f"correlation times must be positive and in order, not {self.shortest} and {self.longest}"
-            )
+    @property
+    def needs(self) -> tuple[str, ...]:
+        if self.column == "elapsed":
+            return ("time",)
+        column = self.column.removesuffix(" rate")
+        return (column,) if column == self.column else (column, "time")
 
-    def parameters(self) -> dict[str, Positive]:
-        middle = math.sqrt(self.shortest * self.longest)
-        return {
-            "noise.white": self.scale,
-            DIFFUSION: multiplied(self.correlated, math.sqrt(2 / middle)),
-            CORRELATION_TIME: LogUniform(self.shortest, self.longest),
-        }
+    @property
+    def name(self) -> str:
+        return f"{self.law}({self.column})"
+
+    @property
+    def in_words(self) -> str:
+        return f"scatter follows {self.column}"
+
+    def parameters(self) -> dict[str, Positive | Normal]:
+        return {"noise.white": self.scale, SLOPE: self.slope, CURVATURE: self.curvature}
+
+    @staticmethod
+    def log_scale(parameters: Mapping[str, Any], z: Any) -> Any:
+        """log(σᵢ/σ) at z; of JAX's arrays or NumPy's."""
+        return parameters[SLOPE] * z + parameters[CURVATURE] * (1.5 * z**2 - 0.5)
+
+    def constant(self, frame: Frame) -> bool:
+        return False
 
     def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
-        return parameters["noise.white"] ** 2 + correlated_size(parameters) ** 2 + _known(frame)
+        z = jnp.clip(2 * frame.position(self.column) - 1, -1.0, 1.0)
+        own = jnp.exp(2 * self.log_scale(parameters, z))
+        return parameters["noise.white"] ** 2 * own + known_variance(frame)
 
-    def _solver(self, extra: Float[Array, "n"] | float, parameters: Parameters, frame: Frame):
-        """Cholesky factor of the covariance, in the order of time within runs."""
-        from tinygp.kernels.quasisep import Exp  # a second that only correlated noise needs
-        from tinygp.noise import Diagonal
-        from tinygp.solvers import QuasisepSolver
-
-        tau = parameters[CORRELATION_TIME]
-        # Runs follow each other on one axis, so far apart that they share nothing. Readings at one time share it.
-        axis = jnp.cumsum(jnp.where(frame.step < 0, 60.0 * tau, frame.step))
-        white = parameters["noise.white"] ** 2 + _known(frame) + extra
-        kernel = Exp(scale=tau, sigma=correlated_size(parameters))
-        return QuasisepSolver(kernel, axis, Diagonal(white[frame.order]), assume_sorted=True)
-
-    def whiten(self, columns, extra, parameters, frame):
-        solver = self._solver(extra, parameters, frame)
-        white = solver.solve_triangular(columns[frame.order])
-        logdet = 2 * jnp.sum(jnp.log(solver.factor.diag.d))
-        return jnp.zeros_like(white).at[frame.order].set(white), logdet
-
-    def log_density(self, y, mean, parameters, frame):
-        """Of each reading given those before it in its run."""
-        solver = self._solver(0.0, parameters, frame)
-        z = solver.solve_triangular((y - mean)[frame.order])
-        each = -0.5 * z**2 - jnp.log(solver.factor.diag.d) - 0.5 * _LOG_2PI
-        return jnp.zeros_like(each).at[frame.order].set(each)
-
-    def sample(self, key, mean, parameters, frame):
-        solver = self._solver(0.0, parameters, frame)
-        made = solver.dot_triangular(jax.random.normal(key, mean.shape))
-        return mean + jnp.zeros_like(made).at[frame.order].set(made)
-
-
-def over_record(white: White, step: float, span: float) -> OrnsteinUhlenbeck:
-    """White noise beside correlated noise whose correlation time the record can tell: from one step to its span.
-
-    Args:
-        white: whose prior is kept, for both parts.
-        step: usual time between neighbours, s.
-        span: of the longest run, s.
-    """
-    return OrnsteinUhlenbeck(step, max(span, 10 * step), white.scale, white.scale)
+    log_density = White.log_density
+    sample = White.sample
 
 
 class StudentT(Noise):
@@ -233,11 +218,15 @@ class StudentT(Noise):
     gaussian: ClassVar[bool] = False
     law: ClassVar[str] = "student_t"
 
+    @property
+    def in_words(self) -> str:
+        return "Student-t"
+
     def parameters(self) -> dict[str, Positive]:
         return {"noise.white": self.scale, "noise.freedom": self.freedom}
 
     def _squared_scale(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
-        return parameters["noise.white"] ** 2 + _known(frame)
+        return parameters["noise.white"] ** 2 + known_variance(frame)
 
     def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
         freedom = jnp.maximum(parameters["noise.freedom"], 2.1)
@@ -277,7 +266,7 @@ class Quantised(Noise):
         return {"noise.white": self.scale}
 
     def _before(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
-        return parameters["noise.white"] ** 2 + _known(frame)
+        return parameters["noise.white"] ** 2 + known_variance(frame)
 
     def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
         return self._before(parameters, frame) + self.step**2 / 12

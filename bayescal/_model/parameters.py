@@ -16,19 +16,24 @@ from typing import Literal
 import jax
 
 from bayescal._core.errors import ModelError
-from bayescal._model.coefficient import Coefficient
-from bayescal._model.effect import Effect
+from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION
+from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import slot_of
 from bayescal._model.model import Model
-from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION
+from bayescal._model.noise_laws import CURVATURE, SLOPE
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
 from bayescal._readings import unit_conversion
 from bayescal._readings.measurements import Measurements
 
 HyperKind = Literal["noise", "spread", "shape", "promoted"]
 MOVING: tuple[HyperKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
-_NOISE_UNITS = {"noise.freedom": "1", CORRELATION_TIME: "s"}  # the others: from that of the output
+_NOISE_UNITS = {
+    "noise.freedom": "1",
+    SLOPE: "1",
+    CURVATURE: "1",
+    CORRELATION_TIME: "s",
+}  # the others: from that of the output
 
 
 Levels = Mapping[str, Sequence[str]]  # the members of each group

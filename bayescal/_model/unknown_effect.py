@@ -23,8 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._model.coefficient import Coefficient, Shape
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements
 

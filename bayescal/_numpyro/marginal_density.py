@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from bayescal._core.gaussian_algebra import triangle
 from bayescal._core.jit import compiled
 from bayescal._core.parallel import over
-from bayescal._core.tall_qr import triangle
 from bayescal._inference import gaussian, importance_sampling, laplace
 from bayescal._numpyro.gaussian_sites import Split
 

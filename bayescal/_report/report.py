@@ -113,7 +113,7 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
         "story": sentences.story(chapter),
         "ranges": tables.ranges(c),
         "effects": tables.effects(chapter),
-        "noise": c.model.noise.law.replace("_", "–"),
+        "noise": c.model.noise.in_words,
         "fixed": [(n, number(v, 6)) for n, v in c.model.fixed],
         "reference": [
             (n, tables.measured(v, "degC"))

@@ -19,8 +19,14 @@ from bayescal._diagnostics.leave_group_out import groups_of
 from bayescal._discovery.discover import Discovery
 from bayescal._discovery.next_experiment import NextExperiment
 from bayescal._discovery.search_path import Step, Trail
+from bayescal._model.correlated_noise import (
+    CORRELATION_TIME,
+    DIFFUSION,
+    OrnsteinUhlenbeck,
+    correlated_size,
+)
 from bayescal._model.frame import GROUPS
-from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, correlated_size
+from bayescal._model.noise_laws import CURVATURE, SLOPE
 from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.result/1"
@@ -97,7 +103,8 @@ def search_data(trail: Trail) -> dict[str, Any] | None:
         "structures": [
             {
                 "effects": list(s.effects),
-                "wanders": s.wanders,
+                "noise": s.noise,
+                "wanders": s.noise == OrnsteinUhlenbeck.law,
                 "log_evidence": s.log_evidence,
                 "probability": s.probability,
             }
@@ -157,11 +164,14 @@ def step_data(step: Step) -> dict[str, Any]:
         **step.errors(),
         "log_evidence": None if evidence is None else {"value": evidence[0], "se": evidence[1]},
         "noise": {
-            "law": calibration.model.noise.law,
+            "law": calibration.model.noise.name,
             "white": mean.get("noise.white"),
             "correlated": mean.get("size"),
             "diffusion": mean.get(DIFFUSION),
             "tau": mean.get(CORRELATION_TIME),
+            "slope": mean.get(SLOPE),
+            "curvature": mean.get(CURVATURE),
+            "freedom": mean.get("noise.freedom"),
         },
         "verdict": vars(calibration.verdict),
     }
@@ -204,6 +214,7 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
         "step": step,
         "nothing_missing_probability": found.nothing_missing,
         "noise_wanders": found.noise_wanders,
+        "noise_laws": [vars(n) for n in found.noise],
         "sets": [{"effects": list(s.effects), "probability": s.probability} for s in found.sets],
         "departures": [{**vars(d), "in_words": str(d)} for d in found.departures],
         "candidates": [

@@ -191,10 +191,8 @@ def _titles(calibrations: list[Calibration]) -> list[str]:
             continue
         more = [f"+ {n}" for n in own if n not in before]
         less = [f"− {n}" for n in before if n not in own]
-        law = c.model.noise.law
-        noise = (
-            [] if law == calibrations[i - 1].model.noise.law else [f"noise {law.replace('_', '-')}"]
-        )
+        law = c.model.noise.in_words
+        noise = [] if law == calibrations[i - 1].model.noise.in_words else [f"noise: {law}"]
         titles.append(" ".join([*more, *less, *noise]) or "the same effects")
     return titles
 

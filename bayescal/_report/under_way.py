@@ -48,7 +48,7 @@ def earlier(folder: Path, model: Model, readings: Measurements) -> tuple[Shown, 
             return ()
         first = data["steps"][0]
         then = (data["instrument"], first["effects"], first["noise"]["law"], data["fixed"])
-        now = (model.instrument.name, list(model.names), model.noise.law, dict(model.fixed))
+        now = (model.instrument.name, list(model.names), model.noise.name, dict(model.fixed))
         if then != now or data["readings"]["sha256"] != hashes(readings):
             return ()
         return tuple(_shown(s) for s in data["search"]["structures"])
@@ -58,7 +58,7 @@ def earlier(folder: Path, model: Model, readings: Measurements) -> tuple[Shown, 
 
 def _shown(said: dict[str, Any]) -> Shown:
     evidence, probability = said["log_evidence"], said["probability"]
-    return Shown(tuple(said["effects"]), bool(said["wanders"]), evidence, probability)
+    return Shown(tuple(said["effects"]), str(said["noise"]), evidence, probability)
 
 
 def refuse_unfinished(path: Path, data: dict[str, Any]) -> None:

@@ -13,8 +13,7 @@ from jaxtyping import Float
 from scipy.special import ndtri
 
 from bayescal._engine.terms import ColumnsOf
-from bayescal._model.coefficient import Coefficient, Shape
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import slot_of
 from bayescal._readings.unit_conversion import coefficient_factor
 from bayescal._search.plausible_sizes import SIZES

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from bayescal._core.gaussian_algebra import condition
 from bayescal._engine.assembly import Assembly
-from bayescal._engine.closed_form import NOWHERE, Density, condition
+from bayescal._engine.closed_form import NOWHERE, Density
 from bayescal._engine.mode import Mode, find_mode
 from bayescal._model.effect import Effect
 

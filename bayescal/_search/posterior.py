@@ -67,10 +67,9 @@ class Posterior:
         """Probability that nothing beyond the given is missing, under either noise law."""
         return self.of_any(lambda s: s.effects == self.given)
 
-    @property
-    def wanders(self) -> float:
-        """Probability that the noise wanders."""
-        return self.of_any(lambda s: s.wanders)
+    def noise(self, name: str) -> float:
+        """Probability of a noise law."""
+        return self.of_any(lambda s: s.noise == name)
 
     def inclusion(self, *names: str) -> float:
         """Probability that at least one of these effects is missing."""
@@ -118,15 +117,16 @@ class Posterior:
         """The structure to use: the most probable, without what is not found."""
         best = self.best
         kept = {n for n in best.effects if any(n in f.effects for f in self.findings)}
-        return Structure(frozenset(kept) | self.given, best.wanders)
+        return Structure(frozenset(kept) | self.given, best.noise)
 
 
 @dataclass(frozen=True)
 class OtherPath:
-    """Where the search ends under the other noise law, if these readings do not tell the two ends apart.
+    """Where the search ends under another noise law, if these readings do not tell the two ends apart.
 
     Attributes:
         noise: that law.
+        in_words: the same.
         added: what was added under it.
         log_bayes_factor: of that end against the trail's own, natural logarithm; negative.
     """
@@ -134,14 +134,19 @@ class OtherPath:
     noise: str
     added: tuple[str, ...]
     log_bayes_factor: float
+    in_words: str
 
     def __str__(self) -> str:
-        law = "white" if self.noise == "white" else "wandering"
         what = " and ".join(self.added) if self.added else "nothing"
+        said = (
+            f"These readings cannot tell this end from another noise law ({self.in_words}) with {what} added (log "
+            f"Bayes factor {self.log_bayes_factor:.1f})"
+        )
+        if self.in_words not in ("white", "wandering"):
+            return f"{said}. A repeat of the campaign tells."
         return (
-            f"These readings cannot tell this end from {law} noise with {what} added (log Bayes factor "
-            f"{self.log_bayes_factor:.1f}): a dependence on time can look like wandering noise, and wandering noise "
-            "like an effect. A repeat of the campaign tells: noise will wander otherwise, an effect will not."
+            f"{said}: a dependence on time can look like wandering noise, and wandering noise like an effect. A repeat "
+            "of the campaign tells: noise will wander otherwise, an effect will not."
         )
 
 
@@ -150,17 +155,18 @@ class Shown:
     """A structure as a search leaves it: what it adds, its noise law, how probable it is.
 
     Attributes:
+        noise: name of the law; "" for that of the model given.
         rms: error as fitted, output unit; of the most probable structure alone.
     """
 
     effects: tuple[str, ...]
-    wanders: bool
+    noise: str
     log_evidence: float
     probability: float
     rms: float | None = None
 
     def __str__(self) -> str:
-        parts = [*(["wandering noise"] if self.wanders else []), *self.effects]
+        parts = [*([f"{self.noise} noise"] if self.noise else []), *self.effects]
         return "+ " + " + ".join(parts) if parts else "nothing to add"
 
 
@@ -201,4 +207,4 @@ def _shown(w: Weighed, probability: float, with_error: bool) -> Shown:
     if with_error:
         rms = float(np.sqrt(np.mean(linear_model(w.assembly, w.mode).residual ** 2)))
     effects = tuple(sorted(w.structure.effects))
-    return Shown(effects, w.structure.wanders, w.log_evidence, probability, rms)
+    return Shown(effects, w.structure.noise, w.log_evidence, probability, rms)

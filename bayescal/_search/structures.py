@@ -24,6 +24,7 @@ from bayescal._model.model import Model
 from bayescal._model.noise_laws import Noise
 from bayescal._model.parameters import Layout
 from bayescal._search.departures import Form, form_of, may_depart, scored
+from bayescal._search.noise_laws import log_prior
 from bayescal._search.plausible_sizes import STILL, averaged, has_size
 
 NOTHING = 0.5  # prior probability that no candidate is missing
@@ -32,16 +33,19 @@ UNKNOWN_SHARE = 0.1  # of the prior that something is, for what no named effect 
 
 @dataclass(frozen=True)
 class Structure:
-    """A set of added effects, and whether the noise wanders."""
+    """A set of added effects, and the name of a noise law; "" for the law of the model given."""
 
     effects: frozenset[str] = frozenset()
-    wanders: bool = False
+    noise: str = ""
 
     def plus(self, *names: str) -> Structure:
-        return Structure(self.effects | set(names), self.wanders)
+        return replace(self, effects=self.effects | set(names))
 
     def minus(self, *names: str) -> Structure:
-        return Structure(self.effects - set(names), self.wanders)
+        return replace(self, effects=self.effects - set(names))
+
+    def under(self, noise: str) -> Structure:
+        return replace(self, noise=noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +91,7 @@ class Structures:
         layout: its own, for the groups' sizes.
         record: the readings.
         candidates: effects that may be added, by name.
-        wide: the wandering law; None where the readings cannot tell, or the base's own law wanders.
+        laws: further noise laws that the readings can tell, by name.
         odds: prior log odds of candidates of which more is known than their number.
     """
 
@@ -95,7 +99,7 @@ class Structures:
     layout: Layout
     record: Record
     candidates: Mapping[str, Effect]
-    wide: Noise | None
+    laws: Mapping[str, Noise]
     odds: Mapping[str, float] = field(default_factory=dict)
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
@@ -114,13 +118,16 @@ class Structures:
         return {**each, **{n: v for n, v in self.odds.items() if n in each}}
 
     def log_prior(self, structure: Structure) -> float:
-        """Of a structure, against that of the base under the same law."""
-        return sum(self.log_odds[name] for name in structure.effects)
+        """Of a structure, against that of the base."""
+        of_law = log_prior(self.laws, structure.noise)
+        return of_law + sum(self.log_odds[name] for name in structure.effects)
+
+    def noise(self, structure: Structure) -> Noise:
+        return self.laws.get(structure.noise, self.base.noise)
 
     def barred(self, structure: Structure) -> set[str]:
         """Candidates that a structure may not have: a free curve in time beside a wander is the wander again."""
-        wanders = structure.wanders or not self.base.noise.independent
-        return {"unknown(time)"} if wanders else set()
+        return set() if self.noise(structure).independent else {"unknown(time)"}
 
     def open_to(self, structure: Structure) -> list[str]:
         """Candidates that may be added to it."""
@@ -133,8 +140,8 @@ class Structures:
         while steps[-1] != to:
             here = steps[-1]
             ways = [here.plus(name) for name in sorted(to.effects - here.effects)]
-            if here.wanders != to.wanders:
-                ways.append(Structure(here.effects, to.wanders))
+            if here.noise != to.noise:
+                ways.append(here.under(to.noise))
             near = self.weigh(here)
             steps.append(max(ways, key=lambda s: self.weigh(s, near).total))
         return steps
@@ -143,8 +150,8 @@ class Structures:
         """A structure as a model, effects in the catalogue's order, then their departures."""
         added = [e for name, e in self.candidates.items() if name in structure.effects]
         added += departures
-        noise = self.wide if structure.wanders and self.wide else self.base.noise
-        return Model(self.base.instrument, (*self.base.effects, *added), noise, self.base.fixed)
+        effects = (*self.base.effects, *added)
+        return Model(self.base.instrument, effects, self.noise(structure), self.base.fixed)
 
     def weigh(
         self,

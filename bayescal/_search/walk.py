@@ -10,7 +10,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
+from bayescal._engine.linear_model import linear_model
 from bayescal._search.library import Library
+from bayescal._search.noise_laws import log_prior, on_residuals
 from bayescal._search.scores import HINTS, Scored, View, gain_of
 from bayescal._search.structures import Structure, Structures, Weighed
 
@@ -46,8 +48,8 @@ def walk(
     structures = library.structures
     try:
         root = structures.weigh(Structure())
-        if structures.wide is not None:
-            structures.weigh(Structure(wanders=True), root)
+        for law in wandering(structures):
+            structures.weigh(Structure(noise=law), root)
         for seed in seeds:
             structures.weigh(seed, root)
         looked: set[Structure] = set()
@@ -82,18 +84,42 @@ class Move(NamedTuple):
 def _look_around(library: Library, at: Weighed, max_effects: int, ends_at: float) -> None:
     """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
     structures, here = library.structures, at.structure
-    if structures.wide is not None:
-        other = Structure(here.effects, not here.wanders)
+    for law in {"", *wandering(structures)}:
+        other = here.under(law)
         structures.weigh(other.minus(*structures.barred(other)), at)
     if not math.isfinite(at.total):
         return
-    moves = sorted(_moves(View(library, at), max_effects), key=lambda m: -m.total)
-    for move in moves:
+    changes = list(_changes_of_noise(structures, at))
+    moves = [*_moves(View(library, at), max_effects)]
+    for move in (*moves, *changes):
         structures.expect(move.to, move.total)
+    # Of another law a refit tells little more than was expected, unless it is to be used.
+    moves += [move for move in changes if move.total > at.total]
+    moves.sort(key=lambda m: -m.total)
     for i, move in enumerate(moves[:MOST]):
         near = move.total > structures.best.total - NEAR
         if (i < LEAST or near) and time.monotonic() < ends_at:
             structures.weigh(move.to, at, move.hints)
+
+
+def wandering(structures: Structures) -> list[str]:
+    """Names of the further laws under which readings hang together: nothing but a refit tells of these."""
+    return [name for name, law in structures.laws.items() if not law.independent]
+
+
+def _changes_of_noise(structures: Structures, at: Weighed) -> Iterator[Move]:
+    """Other independent noise laws beside the same effects, by what they gain on the residuals under the given law."""
+    plain = structures.weigh(at.structure.under(""), at)
+    if not structures.laws or not math.isfinite(plain.total):
+        return
+    left = linear_model(plain.assembly, plain.mode).residual
+    own = on_residuals(structures.base.noise, structures.record, left)
+    for name, law in structures.laws.items():
+        if law.independent and name != at.structure.noise:
+            found = on_residuals(law, structures.record, left)
+            total = plain.total + found.log_evidence - own.log_evidence
+            to = at.structure.under(name)
+            yield Move(to, total + log_prior(structures.laws, name), (found.hint,))
 
 
 def _moves(view: View, max_effects: int) -> Iterator[Move]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from bayescal._model.coefficient import Coefficient, Group
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Coefficient, Effect, Group
 from bayescal._model.prior import Flat, HalfNormal, Normal
 
 

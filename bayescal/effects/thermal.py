@@ -8,8 +8,7 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._model.coefficient import Coefficient, Shape
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from bayescal._model.coefficient import Coefficient
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.prior import Normal
 
 

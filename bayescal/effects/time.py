@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from bayescal._model.coefficient import Coefficient, Shape
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.prior import Normal
 
 

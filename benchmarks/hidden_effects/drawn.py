@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 import bayescal as bc
 from bayescal._discovery.discover import structures_over
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.record import Record
+from bayescal._model.correlated_noise import CORRELATION_TIME, OrnsteinUhlenbeck
 from bayescal._model.frame import reference_of
-from bayescal._model.noise_laws import CORRELATION_TIME
 from bayescal._model.parameters import Hyper, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
 from bayescal._search.plausible_sizes import SIZES
 from bayescal._search.structures import Structure, Structures
+
+WANDER = OrnsteinUhlenbeck.law
 
 
 def by_law(
@@ -22,13 +26,14 @@ def by_law(
     """An empty campaign's readings with what the prior says added; what was, and whether the noise wanders.
 
     Each candidate is in by its prior odds, its shapes, spreads and coefficients by their priors in the catalogue's own
-    columns, its size times 1, 3 or 10 by their probabilities. Half of the time the noise wanders, its diffusion and
-    time by their priors; its white part stays the simulator's.
+    columns, its size times 1, 3 or 10 by their probabilities. The noise is white or wanders, by the odds of these two
+    laws, its diffusion and time by their priors; its white part stays the simulator's.
     """
     rng = np.random.default_rng([seed, 1])
     structures, _ = structures_over(model, readings, reference_of(readings))
-    wanders = structures.wide is not None and bool(rng.random() < 0.5)
-    barred = structures.barred(Structure(wanders=wanders))
+    odds = math.exp(structures.log_prior(Structure(noise=WANDER)))
+    wanders = WANDER in structures.laws and bool(rng.random() < odds / (1 + odds))
+    barred = structures.barred(Structure(noise=WANDER if wanders else ""))
     odds = {n: o for n, o in structures.log_odds.items() if n not in barred}
     names = [n for n, o in odds.items() if rng.random() < 1 / (1 + np.exp(-o))]
     added = np.zeros(len(readings))
@@ -80,8 +85,7 @@ def _coordinate(h: Hyper, rng: np.random.Generator) -> float:
 def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
     """Correlated noise with diffusion and time by the wandering law's priors."""
     record: Record = structures.record
-    assert structures.wide is not None
-    priors = structures.wide.parameters()
+    priors = structures.laws[WANDER].parameters()
     values = {
         n: float(p.value(_coordinate(Hyper(n, "", p, "noise"), rng)))  # pyright: ignore
         for n, p in priors.items()

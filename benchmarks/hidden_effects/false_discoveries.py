@@ -101,7 +101,7 @@ def _one(instrument: bc.Instrument, how: str, seed: int) -> dict[str, Any]:
         "seed": seed,
         "added": sorted(found.chosen.effects),
         "sets": [[list(s.effects), s.probability] for s in found.sets],
-        "law": "wandering" if found.chosen.wanders else "white",
+        "law": found.structures.noise(found.chosen).in_words,
         "nothing": found.posterior.nothing,
         "seconds": time.perf_counter() - begun,
     }

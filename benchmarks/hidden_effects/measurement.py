@@ -25,6 +25,7 @@ from scipy.special import logsumexp
 import bayescal as bc
 from bayescal._discovery.calibrate import _other_path
 from bayescal._engine.linear_model import linear_model
+from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._search.scores import View
 from bayescal._search.structures import Structure
 from bayescal_models import INSTRUMENTS
@@ -45,6 +46,7 @@ from benchmarks.record import DOCS, RESULTS, ROOT, read, read_lines
 ENUMERATED = 8.0  # oracle from which the exact set is computed, by the evidence of every candidate,
 EVERY = 4  # in one of so many campaigns, for it takes as long as the search
 COVERAGE = 0.95
+WANDER = OrnsteinUhlenbeck.law
 
 
 def main() -> None:
@@ -97,7 +99,7 @@ def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
         "hidden": hidden,
         "wanders": wanders,
         "nothing": found.posterior.nothing,
-        "stated_wanders": found.posterior.wanders,
+        "stated_wanders": found.posterior.noise(WANDER),
         "probabilities": found.probabilities,
         "sets": [[list(s.effects), s.probability] for s in found.sets],
         "final": sorted(found.chosen.effects),
@@ -138,7 +140,7 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
         "reported": found.reported(),
         "probabilities": probabilities,
         "final": sorted(final.effects),
-        "noise": "wandering" if final.wanders else "white",
+        "noise": "wandering" if final.noise == WANDER else final.noise or "white",
         "undecided": [] if other is None else list(other.added),
         "held_out": [found.error(s, later) for s in (Structure(), final, truth)],
         "customary": {n: select(n, found, later) for n in SELECTIONS},
@@ -151,14 +153,14 @@ def _against(found: Searched, missing: list[str], wanders: bool) -> dict[str, An
     """The true structure against the most probable one: whether it was weighed, and their totals, in nats."""
     structures = found.structures
     best = structures.visited[found.posterior.best]
-    truth = Structure(frozenset(missing), wanders)
+    truth = Structure(frozenset(missing), WANDER if wanders else "")
     if truth == best.structure or not set(missing) <= set(structures.candidates):
         return None
     weighed = truth in structures.visited
     own, fresh = structures.weigh(truth, found.base), structures._weighed(truth, None, ())
     return {
         "weighed": weighed,
-        "best": [sorted(best.structure.effects), best.structure.wanders],
+        "best": [sorted(best.structure.effects), best.structure.noise],
         "total": own.total - best.total,
         "evidence": own.log_evidence - best.log_evidence,
         "prior": own.log_prior - best.log_prior,

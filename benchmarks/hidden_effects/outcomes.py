@@ -57,6 +57,6 @@ def fate(row: dict[str, Any]) -> str:
         return FATES[0]
     if names_outside(row, "first_set") and set(row["final"]) & set(row["first_set"]):
         return FATES[1]
-    if row["noise"] != "white":
+    if row["noise"] == "wandering":
         return FATES[2] if names_outside(row, "undecided") else FATES[3]
     return FATES[4]

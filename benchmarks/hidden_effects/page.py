@@ -72,7 +72,7 @@ def write(banks: Banks, spoilt: dict[str, Any], path: Path) -> None:
         _reliability(prior),
         f"{len(law)} campaigns drawn from the search's own prior: each candidate in or out by its odds, unknown "
         "functions among them, its size times 1, 3 or 10, in the catalogue's own columns; white or wandering noise, "
-        "each half of the time. Here every statement should hold as often as it says.\n",
+        "by the odds of the two laws. Here every statement should hold as often as it says.\n",
         _reliability(law),
     ]
     path.write_text("\n".join(parts), encoding="utf-8")

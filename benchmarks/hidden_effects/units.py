@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 import bayescal as bc
 from bayescal._discovery.discover import structures_over
 from bayescal._search.structures import Structure
+from bayescal._search.walk import wandering
 from bayescal_models import still_sensor
 from benchmarks.hidden_effects.resume import go_on
 from benchmarks.intervals import proportion
@@ -149,8 +150,10 @@ def clear(model: bc.Model, readings: bc.Measurements, true: Iterable[str], tau: 
     structures.candidates = {**structures.candidates, LAG: known}
 
     def evidence(effects: Iterable[str]) -> float:
-        laws = (False, True) if structures.wide is not None else (False,)
-        return max(structures.weigh(Structure(frozenset(effects), w)).log_evidence for w in laws)
+        held = frozenset(effects)
+        return max(
+            structures.weigh(Structure(held, n)).log_evidence for n in ("", *wandering(structures))
+        )
 
     whole = evidence(true)
     return all(whole - evidence(n for n in true if n != name) > CLEAR for name in true)

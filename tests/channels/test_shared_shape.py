@@ -91,7 +91,7 @@ def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
     for value in map(float, prior.value(np.array([peak - 0.3, peak, peak + 0.3]))):
         narrow = effect.ranging({"tau": (0.999 * value, 1.001 * value)})
         fixed = Structures(
-            made.base, made.layout, made.record, {**made.candidates, LAG: narrow}, made.wide
+            made.base, made.layout, made.record, {**made.candidates, LAG: narrow}, made.laws
         )
         with_it = [fixed.weigh(s) for s in made.visited if LAG in s.effects]
         without = [fixed.weigh(s) for s in made.visited if LAG not in s.effects]

@@ -56,8 +56,8 @@ def test_ctrl_c_leaves_the_best_so_far_and_the_next_run_takes_it_up(
     assert again.data["steps"][-1]["added"] == "bias.temperature_quadratic"
     first, second = interrupted
     assert first == []
-    told = {(frozenset(s["effects"]), s["wanders"]) for s in data["search"]["structures"]}
-    assert {(s.effects, s.wanders) for s in second} == told
+    told = {(frozenset(s["effects"]), s["noise"]) for s in data["search"]["structures"]}
+    assert {(s.effects, s.noise) for s in second} == told
 
 
 def test_other_readings_begin_anew(folder: Path, tmp_path: Path, interrupted: list[Any]) -> None:

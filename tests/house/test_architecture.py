@@ -24,12 +24,12 @@ MOST_ROOMS = 18
 
 # From the ground up. A module imports only what stands before it, wherever in the file the import stands.
 ROOMS = {
-    "_core": "version errors atomic_file formatting jax_setup progress parallel jit tall_qr "
+    "_core": "version errors atomic_file formatting jax_setup progress parallel jit gaussian_algebra "
     "levenberg_marquardt null_space importance_weights",
     "_readings": "unit_parsing unit_conversion column raw_table dataset_checks averaging file_formats column_matching "
     "column_conversion measurements csv_reader read",
     "_recording": "time_in_runs rounding spikes set_aside allan_terms allan_fit allan_deviation",
-    "_model": "prior coefficient frame effect unknown_effect departure noise_laws instrument "
+    "_model": "prior frame effect unknown_effect departure noise_laws correlated_noise instrument "
     "installed model parameters forward",
     "effects": "constant temperature thermal thermometer time",
     "_engine": "pieces terms record assembly whitening closed_form mode linear_model joint products sampling "
@@ -41,7 +41,7 @@ ROOMS = {
     "predict fit evidence",
     "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_in_time "
     "covariate_evidence part worst_region check_result check leave_group_out compare",
-    "_search": "plausible_sizes departures structures library scores walk posterior",
+    "_search": "noise_laws plausible_sizes departures structures library scores walk posterior",
     "_discovery": "candidate discover next_experiment false_reports draft_effect search_path gate calibrate",
     "_channels": "shared_shape channels calibrate_channels",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "

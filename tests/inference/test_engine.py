@@ -18,8 +18,8 @@ from bayescal._engine.terms import ColumnsOf
 from bayescal._engine.whitening import whitening
 from bayescal._inference import gaussian, laplace
 from bayescal._model import forward
+from bayescal._model.correlated_noise import over_record
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.noise_laws import over_record
 from bayescal._model.parameters import Layout, bind
 from bayescal_models import (
     differential_pair,
@@ -32,6 +32,7 @@ from bayescal_models import (
 
 GYRO = mems_gyro.INSTRUMENT
 WANDER = over_record(bc.White(bc.HalfCauchy(0.1)), 10.0, 3000.0)
+SCATTER = bc.Heteroscedastic("temperature rate", bc.HalfCauchy(0.1))
 LAG = GYRO.baseline() + "bias.thermal_lag" + "bias.run"
 
 
@@ -42,6 +43,7 @@ def still(readings: bc.Measurements) -> bc.Model:
 CASES: dict[str, tuple[Any, Any]] = {
     "gyro": (LAG, lambda: mems_gyro.simulate({}, seed=1)),
     "gyro, wandering": (LAG.with_noise(WANDER), lambda: mems_gyro.simulate({}, seed=1)),
+    "gyro, scatter": (LAG.with_noise(SCATTER), lambda: mems_gyro.simulate({}, seed=1)),
     "gyro, thermometer": (
         GYRO.baseline() + mems_gyro.effects.THERMOMETER + "bias.temperature_quadratic",
         lambda: mems_gyro.simulate({}, seed=1),

@@ -11,9 +11,9 @@ import pytest
 from scipy import stats
 
 import bayescal as bc
-from bayescal._engine.whitening import wander_given
+from bayescal._calibration.predict import wander_given
+from bayescal._model.correlated_noise import correlated_size, over_record
 from bayescal._model.frame import Frame, build_frame, reference_of
-from bayescal._model.noise_laws import correlated_size, over_record
 from bayescal._model.prior import LogNormal, LogUniform, Positive, multiplied
 from bayescal_models import mems_gyro, still_sensor
 

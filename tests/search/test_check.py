@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._calibration.guards import doubts_of_the_mode
 from bayescal_models import mems_gyro
 
 MODEL = mems_gyro.INSTRUMENT.baseline()
@@ -80,3 +82,69 @@ def test_noise_known_beforehand_stands_beside_a_published_line() -> None:
         }
     )
     assert "(converter step 0.011, rounding of the voltage 0.035, thermometer 0.015)" in str(found)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_outliers_on_one_side_are_told_from_outliers_on_both(seed: int) -> None:
+    readings = mems_gyro.simulate({}, seed=seed)
+    random = np.random.default_rng(seed)
+    high = random.uniform(0.3, 1.5, len(readings)) * (random.random(len(readings)) < 0.2)
+    heavy = MODEL.with_noise(bc.StudentT(bc.HalfCauchy(0.1)))
+    found = []
+    for more in (high, high * random.choice([-1.0, 1.0], len(readings))):
+        spoilt = readings.with_column("output", readings["output"] + more)
+        found.append(bc.check(bc.fit(heavy, spoilt, FAST, strict=False)))
+    assert found[0].one_sided < 1e-5 < 1e-3 < found[1].one_sided
+    assert "stand on one side" in str(found[0])
+    assert "stand on one side" not in str(found[1])
+
+
+def test_a_law_that_is_right_leaves_normal_scores() -> None:
+    """Where the tails are those of the law, or the scatter follows what it says, no test of the noise objects."""
+    readings = mems_gyro.simulate({}, seed=9)
+    random = np.random.default_rng(9)
+    z = 2 * (readings["temperature"] - 30.0) / 50.0 - 1
+    cases = [
+        (bc.StudentT(bc.HalfCauchy(0.1)), 0.1 * random.standard_t(2.0, len(readings))),
+        (
+            bc.Heteroscedastic("temperature", bc.HalfCauchy(0.1)),
+            0.2 * np.exp(z) * random.standard_normal(len(readings)),
+        ),
+    ]
+    for law, more in cases:
+        spoilt = readings.with_column("output", readings["output"] + more)
+        found = bc.check(bc.fit(MODEL.with_noise(law), spoilt, FAST, strict=False))
+        assert found.pit_p > 1e-3
+        assert found.spread_with == {}
+        assert bc.check(fitted(spoilt)).pit_p < 1e-5 or bc.check(fitted(spoilt)).spread_with
+
+
+def test_two_periods_that_even_readings_confuse_are_two_modes() -> None:
+    """At even times a wave of frequency f is one of 1/Δ − f; at uneven times there is one mode."""
+    wave = bc.Effect(
+        "bias.wave",
+        "bias",
+        basis=lambda r, period: jnp.cos(2 * jnp.pi * r["time"] / period),
+        coefficients=(bc.Coefficient("deg/s", bc.Normal(0.0, 0.5)),),
+        shapes=(bc.Shape("period", "s", 25.0, 200.0, ragged=True),),
+        columns=("time",),
+    )
+    random = np.random.default_rng(5)
+    even, noise = 30.0 * np.arange(60), 0.05 * random.standard_normal(60)
+    doubts = []
+    for time in (even, even + random.uniform(-14.0, 14.0, 60)):
+        output = 0.3 * np.cos(2 * np.pi * time / 130.0) + noise
+        readings = bc.Measurements.from_arrays(
+            mems_gyro.INSTRUMENT,
+            run=np.full(60, "a"),
+            time=time,
+            temperature=np.linspace(30, 80, 60),
+            output=output,
+        )
+        model = mems_gyro.INSTRUMENT.baseline() + wave
+        fit = bc.fit(model, readings, bc.LeastSquares(draws=200), strict=False)
+        doubts.append(doubts_of_the_mode(fit))
+    (reason,), none = doubts
+    assert none == []
+    assert "Two modes explain the readings nearly as well" in reason
+    assert "bias.wave.period" in reason

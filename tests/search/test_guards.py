@@ -102,6 +102,7 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
         autocorrelation=(0.0, 0.0),
         spread_with={},
         pit_p=0.5,
+        one_sided=1.0,
         outliers=(),
         unit="deg/s",
         entries=(),
@@ -109,11 +110,30 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
     )
     plain = {
         **{"rmse_fitted": 1.0, "left_out": None, "holdout_rmse": None, "title": "+ bias.x"},
-        **{"holdout_sd": None, "noise_floor": 1.0, "against": ()},
+        **{"holdout_sd": None, "noise_floor": 1.0, "against": (), "doubts": (), "added": "bias.x"},
     }
     return [
         SimpleNamespace(calibration=line, check=check, **{**plain, **one}) for one in (first, last)
     ]
+
+
+def test_another_independent_noise_law_may_raise_the_plain_error(line) -> None:
+    """Readings then weigh differently; an effect may not."""
+    assert gate(steps(line, {}, {"rmse_fitted": 1.5, "added": None})).ok
+
+
+def test_outliers_on_one_side_shut_the_gate(line) -> None:
+    both = steps(line, {}, {})
+    both[-1].check.one_sided = 1e-6
+    assert "stand on one side" in gate(both).reason
+
+
+def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
+    assert guards.doubts_of_the_mode(line) == []
+    mended = replace(line, mode=line.mode._replace(indefinite=True))
+    (reason,) = guards.doubts_of_the_mode(mended)
+    assert "curvature at the mode is not positive definite" in reason
+    assert not gate(steps(line, {}, {"doubts": (reason,)})).ok
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import Density
 from bayescal._engine.record import Record
 from bayescal._engine.whitening import whitening
+from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.noise_laws import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
 from bayescal._model.parameters import bind
 from bayescal_models import still_sensor
 

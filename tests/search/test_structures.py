@@ -12,9 +12,11 @@ import pytest
 import bayescal as bc
 from bayescal._discovery.discover import structures_over
 from bayescal._engine.assembly import Assembly
+from bayescal._engine.linear_model import linear_model
 from bayescal._engine.mode import find_mode
 from bayescal._model.frame import reference_of
 from bayescal._search.library import Library
+from bayescal._search.noise_laws import on_residuals
 from bayescal._search.plausible_sizes import SIZES
 from bayescal._search.posterior import FOUND, Posterior
 from bayescal._search.scores import View, gain_of
@@ -23,6 +25,7 @@ from bayescal._search.walk import walk
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 
 INSTRUMENT = mems_gyro.INSTRUMENT
+WANDER = "ornstein_uhlenbeck"
 FEW = (
     "bias.temperature_quadratic",
     "bias.thermal_lag",
@@ -64,8 +67,8 @@ def test_the_walk_finds_what_enumeration_finds(truth: dict[str, float]) -> None:
     root = whole.weigh(Structure())
     for count in range(len(FEW) + 1):
         for names in itertools.combinations(FEW, count):
-            for wanders in (False, True):
-                whole.weigh(Structure(frozenset(names), wanders), root)
+            for law in ("", *whole.laws):
+                whole.weigh(Structure(frozenset(names), law), root)
     found, exact = Posterior.of(walked), Posterior.of(whole)
     assert found.best == exact.best
     assert len(walked.visited) < len(whole.visited)
@@ -177,7 +180,7 @@ def test_a_walk_without_time_ends_with_what_it_has_and_says_so() -> None:
     made = structures(hidden(1, thermal_lag=0.05))
     said = walk(Library(made), max_effects=5, time_limit=0.0)
     assert said.startswith("The search was ended after 0 s")
-    assert set(made.visited) == {Structure(), Structure(wanders=True)}
+    assert set(made.visited) == {Structure(), Structure(noise=WANDER)}
     assert Posterior.of(made).chosen == Posterior.of(made).best
 
 
@@ -195,17 +198,17 @@ def test_an_interruption_keeps_what_was_weighed() -> None:
 def test_a_free_curve_in_time_stands_beside_no_wander() -> None:
     made = structures(hidden())
     assert "unknown(time)" in made.open_to(Structure())
-    assert "unknown(time)" not in made.open_to(Structure(wanders=True))
-    assert "unknown(time, jump)" in made.open_to(Structure(wanders=True))
+    assert "unknown(time)" not in made.open_to(Structure(noise=WANDER))
+    assert "unknown(time, jump)" in made.open_to(Structure(noise=WANDER))
 
 
 def test_a_path_leads_from_the_base_to_the_end_one_change_at_a_time() -> None:
     made = structures(hidden(9, thermal_lag=0.05, run=0.1))
-    end = Structure(frozenset(["bias.thermal_lag", "bias.run"]), True)
+    end = Structure(frozenset(["bias.thermal_lag", "bias.run"]), WANDER)
     path = made.path(end)
     assert (path[0], path[-1], len(path)) == (Structure(), end, 4)
     for before, after in itertools.pairwise(path):
-        changed = len(after.effects - before.effects) + (after.wanders != before.wanders)
+        changed = len(after.effects - before.effects) + (after.noise != before.noise)
         assert changed == 1
 
 
@@ -216,3 +219,68 @@ def test_a_lag_three_times_as_large_as_plausible_is_found_in_the_quartz_record()
     made, _ = structures_over(instrument.baseline(), readings, reference_of(readings))
     walk(Library(made), max_effects=5)
     assert "bias.thermal_lag" in Posterior.of(made).chosen.effects
+
+
+# Noise laws.
+
+
+def with_noise(seed: int, law: str) -> bc.Measurements:
+    """An ordinary record with heavy tails, or scatter that follows the temperature."""
+    readings = hidden(seed, thermal_lag=0.1)
+    random = np.random.default_rng([seed, 1])
+    if law == "student_t":
+        more = 0.05 * random.standard_t(1.5, len(readings))
+    else:
+        warm = readings["temperature"] > np.quantile(readings["temperature"], 0.67)
+        more = np.where(warm, 0.4, 0.0) * random.standard_normal(len(readings))
+    return readings.with_column("output", readings["output"] + more)
+
+
+@pytest.mark.parametrize("law", ["student_t", "heteroscedastic(temperature)"])
+@pytest.mark.parametrize("seed", [3, 4])
+def test_the_noise_law_is_found_beside_the_effect(law: str, seed: int) -> None:
+    made = structures(with_noise(seed, law), FEW)
+    walk(Library(made), max_effects=3)
+    posterior = Posterior.of(made)
+    kind = made.laws[law].law
+    assert made.noise(posterior.best).law == kind
+    of_kind = [n for n, other in made.laws.items() if other.law == kind]
+    assert sum(posterior.noise(n) for n in of_kind) > FOUND
+    assert any("bias.thermal_lag" in found.effects for found in posterior.findings)
+
+
+def test_what_a_law_gains_on_residuals_is_what_a_refit_gains() -> None:
+    for seed in (5, 6):
+        made = structures(hidden(seed))
+        base = made.weigh(Structure())
+        left = linear_model(base.assembly, base.mode).residual
+        own = on_residuals(made.base.noise, made.record, left).log_evidence
+        for name, law in made.laws.items():
+            if law.independent:
+                found = on_residuals(law, made.record, left)
+                refit = made.weigh(Structure(noise=name), base, (found.hint,))
+                gain = refit.log_evidence - base.log_evidence
+                assert found.log_evidence - own == pytest.approx(gain, abs=0.4), name
+
+
+def test_white_noise_is_rarely_taken_for_another_and_no_law_is_refitted_in_vain() -> None:
+    taken = 0
+    for seed in range(40, 48):
+        made = structures(hidden(seed), FEW)
+        walk(Library(made), max_effects=3)
+        if Posterior.of(made).noise("") < 0.5:
+            taken += 1
+        else:
+            tried = [s for s in made.visited if s.noise not in ("", WANDER)]
+            assert len(tried) <= 0.5 * len(made.visited)
+    assert taken <= 2
+
+
+def test_the_given_law_has_half_of_the_prior_and_the_other_kinds_share_the_rest() -> None:
+    made = structures(hidden())
+    kinds = {law.law for law in made.laws.values()}
+    shares = dict.fromkeys(kinds, 0.0)
+    for name, law in made.laws.items():
+        shares[law.law] += math.exp(made.log_prior(Structure(noise=name)))
+    assert kinds == {"student_t", "ornstein_uhlenbeck", "heteroscedastic"}
+    assert all(share == pytest.approx(1 / 3) for share in shares.values())

@@ -1,0 +1,128 @@
+"""Noise laws that a record can tell, and what each is expected to gain: on residuals, coefficients held.
+
+As with effects, what is computed here says only which refit is worth its time.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._core.gaussian_algebra import LOG_2PI
+from bayescal._core.parallel import on_one_thread
+from bayescal._engine.record import Record
+from bayescal._engine.whitening import log_densities
+from bayescal._model.correlated_noise import over_record
+from bayescal._model.frame import Frame
+from bayescal._model.model import Model
+from bayescal._model.noise_laws import Heteroscedastic, Noise, StudentT, White
+
+FEWEST = 30  # readings from which the noise law can be told at all
+LEVELS = (
+    -2.0,
+    0.0,
+    1.0,
+)  # coordinates of a law's further parameters, at which a maximum is looked for first
+SHIFT = 1e-3  # of a coordinate, for slopes and curvatures
+STEPS = 20  # of Newton's at most, none longer than this many prior standard deviations
+LONGEST = 1.0
+FLAT = 0.05  # curvature of a coordinate below which its prior has taken over
+
+
+def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
+    """Further noise laws of a model on a record, by name; none where its own is not white, or readings are too few.
+
+    Wandering, where there is time; heavy tails; scatter that follows a column, for each that varies.
+    """
+    together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
+    fixed = any(name.startswith("noise.") for name, _ in model.fixed)
+    if together or fixed or frame.size < FEWEST or not isinstance(model.noise, White):
+        return {}
+    steps, scale, reference = np.asarray(frame.step), model.noise.scale, frame.reference
+    laws: list[Noise] = [StudentT(scale)]
+    if (steps > 0).any():
+        span = float(np.max(np.asarray(frame.columns["elapsed"])))
+        laws.append(over_record(model.noise, float(np.median(steps[steps > 0])), span))
+    ranged = [name.removesuffix("_low") for name in reference if name.endswith("_low")]
+    varied = [n for n in ranged if float(reference[f"{n}_high"]) > float(reference[f"{n}_low"])]
+    laws += [Heteroscedastic(column, scale) for column in varied]
+    return {law.name: law for law in laws}
+
+
+def log_prior(laws: Mapping[str, Noise], name: str) -> float:
+    """Of a law against the model's own, which is right with probability one half.
+
+    The other kinds share the other half, columns that the scatter may follow one of these shares.
+    """
+    if name not in laws:
+        return 0.0
+    kinds = [law.law for law in laws.values()]
+    return -math.log(len(set(kinds)) * kinds.count(laws[name].law))
+
+
+class OnResiduals(NamedTuple):
+    """Log evidence of a noise law alone, and the coordinates of its parameters at the maximum, by name."""
+
+    log_evidence: float
+    hint: dict[str, float]
+
+
+@on_one_thread
+def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> OnResiduals:
+    """An independent law of known expected output, by Laplace.
+
+    Args:
+        law: which.
+        record: the readings.
+        left: what the expected output leaves of them.
+    """
+    priors = law.parameters()
+
+    def values(v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
+        hyper = {name: p.value(v[:, i]) for i, (name, p) in enumerate(priors.items())}
+        density = log_densities(law, record, left[None], hyper).sum(axis=1)
+        return density + sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
+
+    white, scale = priors["noise.white"], float(np.sqrt(np.mean(left**2)))
+    narrow = 1.5 * float(np.median(np.abs(left)))
+    scales = [white.coordinate(s) for s in (scale, narrow) if s > 0]
+    if not scales:
+        return OnResiduals(-math.inf, {})
+    starts = np.array(list(itertools.product(scales, *[LEVELS] * (len(priors) - 1))))
+    v = starts[int(np.argmax(values(starts)))]
+    value, slope, curvature = _quadratic(values, v)
+    for _ in range(STEPS):
+        weights, vectors = np.linalg.eigh(curvature)
+        step = vectors @ (vectors.T @ slope / np.maximum(np.abs(weights), FLAT))
+        step *= min(1.0, LONGEST / max(float(np.max(np.abs(step))), 1e-300))
+        trials = v + step * np.array([[1.0], [0.3], [0.1]])
+        there = values(trials)
+        if not there.max() > value + 1e-4:
+            break
+        v = trials[int(np.argmax(there))]
+        value, slope, curvature = _quadratic(values, v)
+    weights = np.maximum(np.linalg.eigvalsh(curvature), FLAT)
+    volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
+    return OnResiduals(value + volume, dict(zip(priors, v.tolist(), strict=True)))
+
+
+def _quadratic(values, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
+    """Of a function of many points: its value, slope and negative curvature at one, by differences."""
+    steps = SHIFT * np.eye(len(v))
+    pairs = list(itertools.combinations(range(len(v)), 2))
+    both = [steps[i] + steps[j] for i, j in pairs]
+    points = v + np.array([0 * v, *steps, *-steps, *both, *(-b for b in both)])
+    found = values(points)
+    here, d = found[0], len(v)
+    up, down = found[1 : d + 1], found[d + 1 : 2 * d + 1]
+    second = np.diag(up + down - 2 * here)
+    for (i, j), b, c in zip(
+        pairs, found[2 * d + 1 :], found[2 * d + 1 + len(pairs) :], strict=False
+    ):
+        second[i, j] = second[j, i] = 0.5 * (b + c - 2 * here - second[i, i] - second[j, j])
+    return float(here), (up - down) / (2 * SHIFT), -second / SHIFT**2
