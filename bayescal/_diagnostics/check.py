@@ -59,6 +59,8 @@ def check(calibration: Calibration) -> Check:
     pairs.sort(key=lambda p: -p.log_bayes_factor)
     entries.sort(key=lambda e: -e.log_bayes_factor)
     loo = _leave_one_out(judged, white)
+    # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
+    off = max(factors, default=0.0) >= STRONG
     return Check(
         entries=tuple(entries),
         pairs=tuple(pairs),
@@ -66,11 +68,10 @@ def check(calibration: Calibration) -> Check:
         rms=float(np.sqrt(np.mean(residual**2))),
         noise=noise,
         autocorrelation=autocorrelation(judged, white),
-        # Where the mean is off, so is the size of the residuals: scatter is judged only where it is not.
-        spread_with=_spread_with(covariates, white) if max(factors, default=0.0) < STRONG else {},
+        spread_with={} if off else _spread_with(covariates, white),
         outliers=tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
         pit_p=_uniform(ndtr(loo)),
-        one_sided=_one_sided(loo),
+        one_sided=1.0 if off else _one_sided(loo),
         fixed=None
         if free_noise is None
         else _compare_fixed(calibration, residual, noise, free_noise),
