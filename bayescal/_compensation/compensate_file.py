@@ -147,7 +147,6 @@ def compensate_file(
     options = ReadOptions(columns or {}, units or {}, local_gravity, None, decimal=decimal)
     with replacing_for_user(out) as partial:
         table = open_table(path, path.name, _limit(suffix), decimal)
-        Problems(table.problems).refuse()
         raw, names = _names(table, expected, options)
         done = CompensationSummary(out, names)
         job = _FileCompensation(
@@ -185,7 +184,9 @@ def _names(
     """
     columns = {column.name: column for column in expected.columns}
     table = understood(table, expected, options)
-    places = match(table, columns, options)
+    problems = Problems(table.problems)
+    places = match(table, columns, options, problems)
+    problems.refuse()
     if "output" not in places:
         raise InputError(
             f"{table.file!r} has no column 'output' (it has: {', '.join(h.name for h in table.headers)}). If it is "

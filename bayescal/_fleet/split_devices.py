@@ -101,7 +101,8 @@ def _split(
 ) -> Devices:
     expects = _Wider(instrument, _further(table, instrument, options, needs))
     table = understood(table, expects, options)
-    places = match(table, expected_columns(expects), options)
+    places = match(table, expected_columns(expects), options, problems := Problems())
+    problems.refuse()
     named = DEVICE in places
     if named:
         labels = load_whole(table, {places[DEVICE]: False})[places[DEVICE]].values

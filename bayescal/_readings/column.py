@@ -149,6 +149,7 @@ class ConvertedColumns:
         missing: name → readings that are missing there, and what stands in their place.
         origin: seconds since 1970 at time zero; None where the time counts from no date.
         kept: indices of the rows that were kept; None for all.
+        unread: names of columns that are in the file, and could not be read.
     """
 
     values: dict[str, np.ndarray] = field(default_factory=dict)
@@ -158,6 +159,7 @@ class ConvertedColumns:
     missing: dict[str, tuple[np.ndarray, Problem]] = field(default_factory=dict)
     origin: float | None = None
     kept: np.ndarray | None = None
+    unread: set[str] = field(default_factory=set)
 
 
 def file_names(files: Sequence[str]) -> str:

@@ -83,6 +83,7 @@ def _converted(
     for name, column in expected.items():
         if name in readers:
             readers[name].read(cells[positions[name]])
+            converted.unread |= {name} - set(converted.values)
         if name not in converted.values and column.default is not None:
             kind = object if column.unit is None else np.float64
             converted.values[name] = np.full(table.rows, column.default, dtype=kind)

@@ -90,7 +90,7 @@ def match(
     table: Table,
     expected: Mapping[str, Column],
     options: ReadOptions,
-    problems: Problems | None = None,
+    problems: Problems,
 ) -> dict[str, int]:
     """Our name of every column → its position in the file.
 
@@ -100,12 +100,8 @@ def match(
         options: renamings.
         problems: to add to, where `columns=` names what the file lacks, two columns would be one, or a label carries
             a unit.
-
-    Raises:
-        InputError: there is such a problem, and no `problems` to add it to.
     """
-    own = Problems() if problems is None else problems
-    positions = _renamed_by_user(table, options.columns, own)
+    positions = _renamed_by_user(table, options.columns, problems)
     for position, header in enumerate(table.headers):
         if position in positions.values() or not header.name:
             continue
@@ -118,10 +114,10 @@ def match(
             )
             cure = f"rename it, or leave {header.name} out of --columns"
             came = f"a second column {header.name}"
-            own.append(Problem(table.file, came, cure=cure, column=header.raw, sentence=sentence))
+            problems.append(Problem(table.file, came, cure=cure, column=header.raw, sentence=sentence))
             continue
         positions[header.name] = position
-    _rename_synonyms(table, expected, positions, own)
+    _rename_synonyms(table, expected, positions, problems)
     for name, column in expected.items():
         if column.unit is not None or name not in positions:
             continue
@@ -132,18 +128,16 @@ def match(
                 f"{name!r} is a label (text). Remove the unit, or rename the column"
             )
             came, cure = f"the unit {header.unit}", "Remove the unit, or rename the column"
-            own.append(
+            problems.append(
                 Problem(table.file, came, "a label", cure, column=header.raw, sentence=sentence)
             )
-    if problems is None:
-        own.refuse()
     return positions
 
 
 def _renamed_by_user(
     table: Table, columns: Mapping[str, str], problems: Problems
 ) -> dict[str, int]:
-    """Our name → position, of the columns that `columns=` names; problems if the file lacks one, or it is named twice."""
+    """Our name → position, of the columns that `columns=` names; problems if a file lacks one, or it is named twice."""
     positions: dict[str, int] = {}
     for ours, theirs in columns.items():
         found = [i for i, h in enumerate(table.headers) if theirs.strip() in (h.name, h.raw)]

@@ -42,11 +42,10 @@ class ColumnReader:
         if self.column.unit is None:
             self._labels(cells.values)
             return
-        before = len(self.problems)
         if not self.column.required and not cells.bad and np.isnan(cells.values).all():
             self._flag("is empty and was left out")
             return
-        cells = self._as_numbers(cells)
+        before, cells = len(self.problems), self._as_numbers(cells)
         unit = self._unit(cells)
         if unit is None:
             return
@@ -144,7 +143,7 @@ class ColumnReader:
         unit = unit_of(self.header, self.column.name, self.options)
         if cells.dates:
             return "s"
-        if unit is None and self._is_time and (shown := _counted_in(cells.values)):
+        if unit is None and self._is_time and (shown := unit_of_counts(cells.values)):
             self._flag(f"taken as {unit_conversion.pretty(shown)} since 1970, as its size shows")
             return shown
         if unit is None:
@@ -295,11 +294,6 @@ class ColumnReader:
             return values
         self.converted.origin = float(known.min())
         return np.round(values - self.converted.origin, 6)
-
-
-def _counted_in(values: np.ndarray) -> str | None:
-    known = values[np.isfinite(values)]
-    return unit_of_counts(float(known.min()), float(known.max())) if known.size else None
 
 
 def _reading(value: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 from bayescal._core.errors import InputError
@@ -76,7 +76,9 @@ def understood(table: Table, instrument: InstrumentLike, options: ReadOptions) -
             continue
         for names in _names(column):
             found = {
-                i: r for i in sorted(free) for r in _meant(headers[i], names, kinds, options.units)
+                i: meant
+                for i in sorted(free)
+                if (meant := next(_meant(headers[i], names, kinds, options.units), None))
             }
             if found:
                 break
@@ -160,12 +162,12 @@ def _fitting(header: Header, kinds: tuple[str, ...], given: Mapping[str, str]) -
 
 
 def missing_column(
-    table: Table, column: Column, positions: Mapping[str, int], instrument: str
+    table: Table, column: Column, taken: Collection[int], instrument: str
 ) -> Problem:
     """The problem that a file has no such column, with the headers that look like it."""
     asked = f"{column.name} [{column.example}]" if column.unit else column.name
     names = ", ".join(header.raw or "(no name)" for header in table.headers)
-    free = [h for i, h in enumerate(table.headers) if h.name and i not in positions.values()]
+    free = [h for i, h in enumerate(table.headers) if h.name and i not in taken]
     alike = _alike(column, free)
     told, chosen = "", ""
     if alike:
@@ -226,6 +228,7 @@ def note_missing(
     problems: Problems,
 ) -> None:
     """Note the columns that the instrument needs and a file has not."""
+    taken = {positions[name] for name in expected if name in positions}
     for name, column in expected.items():
         if column.required and name not in positions and column.default is None:
-            problems.append(missing_column(table, column, positions, instrument))
+            problems.append(missing_column(table, column, taken, instrument))

@@ -51,7 +51,7 @@ def readings_of(header: Header) -> Iterator[Reading]:
             yield Reading(found[1].strip(), unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit)
     for gap in re.finditer(r"[_\s.]+", header.raw):
         name, unit = header.raw[: gap.start()], header.raw[gap.end() :]
-        if name and unit:
+        if name and unit and unit[0] not in "([{<":
             yield Reading(name, unit)
 
 

@@ -69,19 +69,7 @@ def read(
     options = ReadOptions(
         columns or {}, units or {}, local_gravity, nominal_scale, missing, decimal
     )
-    problems, tables, parts = Problems(), list[Table](), list[ConvertedColumns]()
-    for path, name in zip(paths, names, strict=True):
-        with problems.collecting(name):
-            tables.append(open_table(path, name, max_bytes, decimal))
-    if len(tables) == len(paths):
-        unused_units(tables, options, problems)
-    for table in tables:
-        with problems.collecting(table.file):
-            part = convert_columns(table, instrument, options, problems)
-            parts.append(part)
-            if problems:  # what is wrong with a file as a whole is said with the rest
-                problems += problems_of_whole([table], part, instrument, True)
-    problems.refuse()
+    tables, parts = _opened(paths, names, instrument, options, max_bytes)
     sources = tuple(Source(table.file, table.sha256, table.rows) for table in tables)
     tables = [kept_table(table, part) for table, part in zip(tables, parts, strict=True)]
     if len(tables) > 1:
@@ -93,6 +81,37 @@ def read(
     from bayescal._readings.measurements import assemble  # after what is refused: it needs a second
 
     return assemble(tables, joined, instrument, sources)
+
+
+def _opened(
+    paths: Sequence[Path],
+    names: Sequence[str],
+    instrument: InstrumentLike,
+    options: ReadOptions,
+    max_bytes: int,
+) -> tuple[list[Table], list[ConvertedColumns]]:
+    """The files as tables and as columns.
+
+    Raises:
+        InputError: all that is wrong with any of them.
+    """
+    problems, tables, parts = Problems(), list[Table](), list[ConvertedColumns]()
+    for path, name in zip(paths, names, strict=True):
+        with problems.collecting(name):
+            tables.append(open_table(path, name, max_bytes, options.decimal))
+    if len(tables) == len(paths):
+        unused_units(tables, options, problems)
+    for table in tables:
+        with problems.collecting(table.file):
+            part = convert_columns(table, instrument, options, problems)
+            parts.append(part)
+            records_known = part.unread.isdisjoint(("run", "device", "axis"))
+            if (
+                problems and records_known
+            ):  # what is wrong with the file as a whole is said with the rest
+                problems += problems_of_whole([table], part, instrument, True)
+    problems.refuse()
+    return tables, parts
 
 
 def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime, timedelta
 
+import numpy as np
+
 EXAMPLE = "2026-11-22 10:00:00.123"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})")  # with points the day always comes first
@@ -60,8 +62,12 @@ def is_unix(low: float, high: float) -> bool:
     return _UNIX[0] <= low and high <= _UNIX[1]
 
 
-def unit_of_counts(low: float, high: float) -> str | None:
-    """The unit in which numbers between these count from 1970: s, ms, us or ns; None if they do not, or might not."""
+def unit_of_counts(values: np.ndarray) -> str | None:
+    """The unit in which numbers count from 1970: s, ms, us or ns; None if they do not, or might not."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return None
+    low, high = float(known.min()), float(known.max())
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
         if is_unix(low * size, high * size) and (high - low) * size <= _LONGEST:
             return unit

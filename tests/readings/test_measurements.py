@@ -122,7 +122,7 @@ def test_parquet_of_others_is_read(tmp_path):
     ):
         read(path, SCALE, units={"output": "ug"})
     pq.write_table(when.drop_columns(["output"]), path)
-    with pytest.raises(InputError, match="column 'flag': reads 'True', 'False'.*, a number"):
+    with pytest.raises(InputError, match=r"column 'flag': reads 'True', 'False'.*, a number"):
         read(path, SCALE, columns={"output": "flag"}, units={"flag": "ug"})
 
 
