@@ -20,7 +20,12 @@ from bayescal._recording.time_in_runs import causal_slope, first_times, run_code
 
 configure_jax()
 
-GROUPS = ("run", "cell", "axis", "device")  # that all readings have; an instrument's label columns are groups too
+GROUPS = (
+    "run",
+    "cell",
+    "axis",
+    "device",
+)  # that all readings have; an instrument's label columns are groups too
 Reference = dict[str, float | dict[str, float]]
 
 

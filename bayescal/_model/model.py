@@ -182,8 +182,8 @@ def _require_group(instrument: Instrument, effect: Effect, group: str | None) ->
     if group is None or group in instrument.groups:
         return
     raise ModelError(
-        f"effect {effect.name!r} has one coefficient for each {group!r}, and instrument {instrument.name!r} has no such "
-        f"group; it has {', '.join(instrument.groups)}. Name one of these, or declare it as a label among the "
+        f"effect {effect.name!r} has one coefficient for each {group!r}, and instrument {instrument.name!r} has no "
+        f"such group; it has {', '.join(instrument.groups)}. Name one of these, or declare it as a label among the "
         f"instrument's columns: bayescal.Column({group!r}, None, required=False)"
     )
 

@@ -59,13 +59,15 @@ def _converted(
     expected = expected_columns(instrument)
     table = understood(table, instrument, options)
     positions = match(table, expected, options, problems)
-    note_missing(table, expected, positions, instrument.name, problems)
+    offered = note_missing(table, expected, positions, instrument.name, problems)
     expected = with_fixed_units(expected, table, positions, options, problems)
     extra, flags = extra_columns(table, expected, positions, options)
     converted = ConvertedColumns(flags=[*table.notes, *flags])
     found = {n: c for n, c in (expected | extra).items() if n in positions}
-    if table.problems:  # its headers are checked, its cells cannot be
-        problems += table.problems
+    problems += table.problems
+    found |= {n: expected[n] for n in offered}  # looked at already, whether or not they are meant
+    positions |= offered
+    if not table.readable:
         found = {}
     cells = load_whole(table, {positions[n]: c.unit is not None for n, c in found.items()})
     readers = {

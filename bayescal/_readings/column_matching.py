@@ -114,7 +114,9 @@ def match(
             )
             cure = f"rename it, or leave {header.name} out of --columns"
             came = f"a second column {header.name}"
-            problems.append(Problem(table.file, came, cure=cure, column=header.raw, sentence=sentence))
+            problems.append(
+                Problem(table.file, came, cure=cure, column=header.raw, sentence=sentence)
+            )
             continue
         positions[header.name] = position
     _rename_synonyms(table, expected, positions, problems)

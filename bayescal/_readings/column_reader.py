@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,8 +46,6 @@ class ColumnReader:
             return
         before, cells = len(self.problems), self._as_numbers(cells)
         unit = self._unit(cells)
-        if unit is None:
-            return
         raw, held = cells.values, placeholders(cells.values)
         self._note_text(cells, unit)
         if held.size:
@@ -57,12 +54,15 @@ class ColumnReader:
             raw = raw.copy()
             raw[held] = np.nan
         with np.errstate(over="ignore"):
-            values = raw if cells.dates else self._convert(raw, unit)
+            values = raw if cells.dates or unit is None else self._convert(raw, unit)
         if values is None:
             return
         self._note_not_finite(raw, values, unit, {*cells.bad, *held.tolist()})
-        self._note_implausible(raw, values, unit)
-        if len(self.problems) == before:
+        if unit is not None:
+            self._note_implausible(raw, values, unit)
+        if len(self.problems) == before or (
+            unit is None and not cells.bad
+        ):  # the order can be looked at
             self.converted.values[self.column.name] = self._from_origin(values)
             self.converted.units[self.column.name] = self.column.unit
 
@@ -155,25 +155,27 @@ class ColumnReader:
             )
             cure = "or the unit that the numbers are in"
             given = option("--unit", f"{raw}={example}")
-            expected = f"one such as {example}"
-            self._problem("the header has no unit", expected, cure, option=given, sentence=sentence)
+            if self.column.unit == unit_conversion.ANY:  # which it is cannot be told
+                cure, given = f"Say which with {option('--unit', f'{raw}=…')}", ""
+            self._problem("the header has no unit", "one", cure, option=given, sentence=sentence)
             return None
         try:
             unit_conversion.check_unit(unit)
         except InputError as error:
             sentence = f"{self.table.file!r}, column {self.header.raw!r}: {error}. Correct the header, or give units="
             given = option("--unit", f"{self.header.raw}={self.column.example}")
-            cure = f"{str(error).partition(': ')[2]}. Give the unit that is meant"
-            expected = f"one such as {self.column.example}"
-            self._problem(f"the unit [{unit}]", expected, cure, option=given, sentence=sentence)
+            near = re.findall(r"\(([^()]*meant\?)\)", str(error))
+            self._problem(
+                f"the unit [{unit}]", "a unit known here", *near, option=given, sentence=sentence
+            )
             return None
         if self.header.unit and unit != self.header.unit:
             self._flag(f"taken as [{unit}], as units= says")
         return unit
 
-    def _note_text(self, cells: Cells, unit: str) -> None:
+    def _note_text(self, cells: Cells, unit: str | None) -> None:
         """Note the cells that hold text."""
-        expected = f"a number in {unit_conversion.pretty(unit)}"
+        expected = _number_in(unit)
         if self._is_time and cells.dates:
             expected = f"a date such as {EXAMPLE}, with a zone everywhere or nowhere"
         elif self._is_time:
@@ -193,11 +195,11 @@ class ColumnReader:
         if unit_conversion.same_dimension(unit, target):
             if unit_conversion.needs_gravity(unit, target):
                 self._flag(f"turned into local g by {gravity:g} m/s²")
-            return self._guarded(
-                lambda: unit_conversion.convert(
+            with self.problems.collecting(self.table.file):  # a difference of temperatures, say
+                return unit_conversion.convert(
                     values, unit, target, local_gravity=gravity, difference=difference
                 )
-            )
+            return None
         raw_output = self.column.name == output_name(self.instrument) or difference
         if raw_output and scale is not None and unit_conversion.same_dimension(unit, scale.unit):
             shifted = scale.offset and not difference
@@ -230,23 +232,15 @@ class ColumnReader:
         )
         return None
 
-    def _guarded(self, convert: Callable[[], np.ndarray]) -> np.ndarray | None:
-        """A conversion; None, and a problem, where it is refused (a difference of temperatures, a gravity)."""
-        try:
-            return convert()
-        except InputError as error:
-            self._problem(str(error), sentence=str(error))
-            return None
-
     def _not_finite(self, values: np.ndarray) -> np.ndarray:
-        """Mask of the readings that are no number; a temperature point may be empty."""
+        """Readings that are no number; a temperature point may be empty."""
         return np.isinf(values) if self.column.name == MAY_BE_EMPTY else ~np.isfinite(values)
 
     def _note_not_finite(
-        self, raw: np.ndarray, values: np.ndarray, unit: str, noted: set[int]
+        self, raw: np.ndarray, values: np.ndarray, unit: str | None, noted: set[int]
     ) -> None:
         """Note what is empty as missing, and what is infinite as wrong."""
-        expected = f"a number in {unit_conversion.pretty(unit)}"
+        expected = _number_in(unit)
         wrong = np.setdiff1d(np.flatnonzero(self._not_finite(values)), list(noted))
         empty = wrong[np.isnan(raw[wrong])]
         if empty.size and len(noted) < 1000:
@@ -294,6 +288,10 @@ class ColumnReader:
             return values
         self.converted.origin = float(known.min())
         return np.round(values - self.converted.origin, 6)
+
+
+def _number_in(unit: str | None) -> str:
+    return "a number" if unit is None else f"a number in {unit_conversion.pretty(unit)}"
 
 
 def _reading(value: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from bayescal._core.errors import InputError
@@ -161,24 +161,16 @@ def _fitting(header: Header, kinds: tuple[str, ...], given: Mapping[str, str]) -
     return found.popitem()[1] if len(found) == 1 and header.raw not in given else None
 
 
-def missing_column(
-    table: Table, column: Column, taken: Collection[int], instrument: str
+def _missing_column(
+    table: Table, column: Column, alike: Sequence[Header], instrument: str
 ) -> Problem:
     """The problem that a file has no such column, with the headers that look like it."""
     asked = f"{column.name} [{column.example}]" if column.unit else column.name
     names = ", ".join(header.raw or "(no name)" for header in table.headers)
-    free = [h for i, h in enumerate(table.headers) if h.name and i not in taken]
-    alike = _alike(column, free)
     told, chosen = "", ""
     if alike:
-        first = alike[0]
-        several = ", ".join(h.raw for h in alike[:4])
-        told = f"{several} look{'s' * (len(alike) == 1)} like it. "
-        chosen = option("--columns", f"{column.name}={first.raw}")
-        if column.unit and not any(unit_in(r.unit or "", (ANY,)) for r in readings_of(first)):
-            example = column.example or "1"
-            chosen += f" {option('--unit', f'{first.raw}={example}')}"
-            told += "Give the unit that its numbers are in. "
+        told = f"{', '.join(h.raw for h in alike[:4])} look{'s' * (len(alike) == 1)} like it. "
+        chosen = option("--columns", f"{column.name}={alike[0].raw}")
     meaning = f" ({column.meaning})" if column.meaning else ""
     mapped = alike[0].raw if alike else "…"
     shown = chosen or f"--columns {column.name}=…"
@@ -203,13 +195,12 @@ def _alike(column: Column, headers: list[Header]) -> list[Header]:
     close = difflib.get_close_matches(plain(column.name), [plain(h.name) for h in headers], 1, 0.75)
     if close:
         return [h for h in headers if plain(h.name) in close]
-    if column.unit in (None, ANY):
+    if column.unit is None:
         return []
-    usual = [words for unit, words in _LIKELY.items() if _same(unit, column.unit)]
+    kinds = (column.unit,)
+    usual = [w for unit, w in _LIKELY.items() if column.unit == ANY or _same(unit, column.unit)]
     named = [h for h in headers for words in usual if plain(h.name).startswith(words)]
-    fitting = [
-        h for h in headers if any(unit_in(r.unit or "", (column.unit,)) for r in readings_of(h))
-    ]
+    fitting = [h for h in headers if any(unit_in(r.unit or "", kinds) for r in readings_of(h))]
     return [h for h in named if h in fitting] or named or fitting
 
 
@@ -226,9 +217,15 @@ def note_missing(
     positions: Mapping[str, int],
     instrument: str,
     problems: Problems,
-) -> None:
-    """Note the columns that the instrument needs and a file has not."""
+) -> dict[str, int]:
+    """Note the columns that the instrument needs and a file has not; those that one header looks like, and where."""
+    offered: dict[str, int] = {}
     taken = {positions[name] for name in expected if name in positions}
     for name, column in expected.items():
         if column.required and name not in positions and column.default is None:
-            problems.append(missing_column(table, column, taken, instrument))
+            free = [h for i, h in enumerate(table.headers) if h.name and i not in taken]
+            alike = _alike(column, free)
+            problems.append(_missing_column(table, column, alike, instrument))
+            if len(alike) == 1:
+                offered[name] = table.headers.index(alike[0])
+    return offered

@@ -44,6 +44,7 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
         place=scan.place,
         notes=_notes(scan),
         problems=ragged_rows(scan),
+        readable=len(scan.passed_over) == len(scan.ragged),
     )
 
 
@@ -122,6 +123,9 @@ def _cells(handle: Iterable[bytes], scan: CsvScan, wanted: Mapping[int, bool]) -
     """The wanted columns, a stretch of rows at a time, so that only one stretch is held as text."""
     parts: dict[int, list[Cells]] = {position: [] for position in wanted}
     lines = iter(handle)
+    if scan.passed_over:
+        numbered = enumerate(lines, scan.first)
+        lines = (line for row, line in numbered if row not in scan.passed_over)
     while stretch := list(islice(lines, _ROWS)):
         fields = _fields([line for line in stretch if line.strip(scan.blank)], scan)
         for position, number in wanted.items():

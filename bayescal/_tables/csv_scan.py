@@ -43,6 +43,7 @@ class CsvScan:
     lines: int = 0  # after the header
     blanks: list[int] = field(default_factory=list)
     ragged: list[tuple[int, str, int]] = field(default_factory=list)  # row, text, number of fields
+    passed_over: frozenset[int] = frozenset()  # ragged rows, where there are others to look at
     sha256: str = ""
 
     @property
@@ -64,6 +65,10 @@ def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
     scan = CsvScan(file, encoding=encoding_of(path), decimal=decimal)
     with opened(path, scan.encoding) as handle:
         _look_through(handle, scan)
+    odd = [row for row, _, _ in scan.ragged]
+    if len(odd) < min(MOST_BAD, scan.lines - len(scan.blanks)):
+        scan.passed_over = frozenset(odd)
+        scan.blanks = sorted([*scan.blanks, *odd])
     if scan.encoding == "utf-16":  # what was looked through are not the bytes of the file
         scan.sha256 = sha256_of(path)
     return scan

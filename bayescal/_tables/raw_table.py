@@ -53,7 +53,8 @@ class Table:
         load: position of a wanted column → whether it is a number, to its cells.
         place: index of a reading → where it stands, "row 12".
         notes: how it was read, where that is not as usual, a sentence each.
-        problems: what keeps its cells from being read; its headers may be.
+        problems: what keeps it from being used.
+        readable: whether its cells can be looked at all the same.
     """
 
     file: str
@@ -64,6 +65,7 @@ class Table:
     place: Callable[[int], str]
     notes: tuple[str, ...] = ()
     problems: tuple[Problem, ...] = ()
+    readable: bool = True
 
     def __post_init__(self) -> None:
         """Refuse what no format may hold.
