@@ -66,14 +66,14 @@ def _converted(
     found = {n: c for n, c in (expected | extra).items() if n in positions}
     problems += table.problems
     found |= {n: expected[n] for n in offered}  # looked at already, whether or not they are meant
-    positions |= offered
+    positions |= {name: position for name, (position, _) in offered.items()}
     if not table.readable:
         found = {}
     cells = load_whole(table, {positions[n]: c.unit is not None for n, c in found.items()})
     readers = {
         name: ColumnReader(
             table=table,
-            header=table.headers[positions[name]],
+            header=offered[name][1] if name in offered else table.headers[positions[name]],
             column=column,
             options=options,
             instrument=instrument,

@@ -146,6 +146,8 @@ class ColumnReader:
         if unit is None and self._is_time and (shown := unit_of_counts(cells.values)):
             self._flag(f"taken as {unit_conversion.pretty(shown)} since 1970, as its size shows")
             return shown
+        if unit is None and self._is_time and cells.bad and np.isnan(cells.values).all():
+            return None  # dates of another form, which are said as such
         if unit is None:
             raw, example = self.header.raw, self.column.example
             sentence = (
@@ -179,7 +181,7 @@ class ColumnReader:
         if self._is_time and cells.dates:
             expected = f"a date such as {EXAMPLE}, with a zone everywhere or nowhere"
         elif self._is_time:
-            expected = f"{expected} or a date such as {EXAMPLE}"
+            expected = f"a date such as {EXAMPLE}" if unit is None else f"{expected}, or a date"
         texts = list(dict.fromkeys(cells.bad.values()))
         hint = "Correct the cell, or remove the row"
         if any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in texts):

@@ -217,9 +217,9 @@ def note_missing(
     positions: Mapping[str, int],
     instrument: str,
     problems: Problems,
-) -> dict[str, int]:
+) -> dict[str, tuple[int, Header]]:
     """Note the columns that the instrument needs and a file has not; those that one header looks like, and where."""
-    offered: dict[str, int] = {}
+    offered: dict[str, tuple[int, Header]] = {}
     taken = {positions[name] for name in expected if name in positions}
     for name, column in expected.items():
         if column.required and name not in positions and column.default is None:
@@ -227,5 +227,8 @@ def note_missing(
             alike = _alike(column, free)
             problems.append(_missing_column(table, column, alike, instrument))
             if len(alike) == 1:
-                offered[name] = table.headers.index(alike[0])
+                like = alike[0]
+                reading = _fitting(like, (column.unit or "1",), {})
+                named = like if reading is None else Header(like.raw, like.name, reading.unit)
+                offered[name] = (table.headers.index(like), named)
     return offered

@@ -120,6 +120,11 @@ def _split_header(scan: CsvScan, row: int, line: str) -> None:
     scan.separator = max(counts, key=lambda separator: counts[separator])
     if not counts[scan.separator]:
         scan.separator = ","
+    if all(map(_is_number, line.split(scan.separator))):
+        raise InputError(
+            f"{scan.file!r} has no header: its first row, row {row}, is numbers. Write one that names the columns, such "
+            "as 'time [s],temperature [degC],output [deg/s]'"
+        )
     try:
         scan.header = next(csv.reader([line], delimiter=scan.separator, strict=True))
     except csv.Error as error:
@@ -127,6 +132,13 @@ def _split_header(scan: CsvScan, row: int, line: str) -> None:
             f"row {row} of {scan.file!r}, the header, has a quotation mark without its pair: "
             f"{line[:80]!r}. Close or remove it"
         ) from error
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return float(text) == float(text)
+    except ValueError:
+        return False
 
 
 def _decode(data: bytes, scan: CsvScan, row: int) -> str:

@@ -11,7 +11,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import table
 
 _SHOWN = 3  # rows that are named before the rest is counted
-_CLIPPED = 34  # characters of a cell of the table; the last column is folded instead
+_CLIPPED = 40  # characters of a cell of the table; the last column is folded instead
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ BAD_FILES = {
     "no readings": (HEADER.encode(), "no readings"),
     "UTF-16": (HEADER.encode("utf-16")[:-1], "UTF-16"),
     "Latin-1": ((HEADER + "1,2,3 é\n").encode("latin-1"), "not UTF-8"),
-    "no header": (b"1,20,1\n2,30,1\n", "columns called '1'"),
+    "no header": (b"1,20,1\n2,30,1\n", "has no header"),
     "no unit": (b"rate_input,temperature,output\n1,20,1\n", "the header has no unit"),
     "unknown unit": (HEADER.replace("degC", "furlong").encode() + b"1,20,1\n", "not a unit known"),
     "column missing": (b"temperature [degC]\n1\n", "lacks the column 'output'"),
