@@ -12,8 +12,9 @@ from bayescal._core.errors import InputError
 from bayescal._readings import unit_conversion
 from bayescal._readings.column import MAY_BE_EMPTY, Column, ConvertedColumns, placeholders
 from bayescal._readings.column_matching import InstrumentLike, ReadOptions, output_name, unit_of
+from bayescal._readings.header_reading import unit_in
 from bayescal._tables.cells import Cells
-from bayescal._tables.dates import EXAMPLE, date_text, is_unix, unit_of_counts
+from bayescal._tables.dates import EXAMPLE, date_text, from_first, unit_of_counts
 from bayescal._tables.problems import Problem, Problems, option
 from bayescal._tables.raw_table import Header, Table
 
@@ -63,7 +64,9 @@ class ColumnReader:
         if len(self.problems) == before or (
             unit is None and not cells.bad
         ):  # the order can be looked at
-            self.converted.values[self.column.name] = self._from_origin(values)
+            if self._is_time:
+                values, self.converted.origin = from_first(values)
+            self.converted.values[self.column.name] = values
             self.converted.units[self.column.name] = self.column.unit
 
     def read_if_sound(self, cells: Cells) -> None:
@@ -161,6 +164,8 @@ class ColumnReader:
                 cure, given = f"Say which with {option('--unit', f'{raw}=…')}", ""
             self._problem("the header has no unit", "one", cure, option=given, sentence=sentence)
             return None
+        if self.column.unit not in (None, unit_conversion.ANY):
+            unit = unit_in(unit, (self.column.unit,)) or unit
         try:
             unit_conversion.check_unit(unit)
         except InputError as error:
@@ -282,14 +287,6 @@ class ColumnReader:
             raw, unit, target, local_gravity=self.options.local_gravity
         )
         return bool(np.all(np.isnan(values) | ((values >= low) & (values <= high))))
-
-    def _from_origin(self, values: np.ndarray) -> np.ndarray:
-        """Seconds since 1970 as seconds since the first reading, to the microsecond that float64 has of them."""
-        known = values[np.isfinite(values)]
-        if not self._is_time or not known.size or not is_unix(known.min(), known.max()):
-            return values
-        self.converted.origin = float(known.min())
-        return np.round(values - self.converted.origin, 6)
 
 
 def _number_in(unit: str | None) -> str:

@@ -122,8 +122,8 @@ def _split_header(scan: CsvScan, row: int, line: str) -> None:
         scan.separator = ","
     if all(map(_is_number, line.split(scan.separator))):
         raise InputError(
-            f"{scan.file!r} has no header: its first row, row {row}, is numbers. Write one that names the columns, such "
-            "as 'time [s],temperature [degC],output [deg/s]'"
+            f"{scan.file!r} has no header: its first row, row {row}, is numbers. Write one that names the columns, "
+            "such as 'time [s],temperature [degC],output [deg/s]'"
         )
     try:
         scan.header = next(csv.reader([line], delimiter=scan.separator, strict=True))

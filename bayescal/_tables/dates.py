@@ -57,7 +57,19 @@ _UNIX = (946_684_800.0, 4_102_444_800.0)  # s; the years 2000 to 2100
 _LONGEST = 1e7  # s, nearly four months: as milliseconds, a clock's microseconds since its start would last longer
 
 
-def is_unix(low: float, high: float) -> bool:
+def from_first(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
+    """Seconds since 1970 as seconds since the first of them, and that; others as they are, and None.
+
+    To the microsecond, which is what float64 holds of seconds since 1970.
+    """
+    known = seconds[np.isfinite(seconds)]
+    if not known.size or not _is_unix(float(known.min()), float(known.max())):
+        return seconds, None
+    first = float(known.min())
+    return np.round(seconds - first, 6), first
+
+
+def _is_unix(low: float, high: float) -> bool:
     """Whether seconds between these are seconds since 1970."""
     return _UNIX[0] <= low and high <= _UNIX[1]
 
@@ -69,6 +81,6 @@ def unit_of_counts(values: np.ndarray) -> str | None:
         return None
     low, high = float(known.min()), float(known.max())
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
-        if is_unix(low * size, high * size) and (high - low) * size <= _LONGEST:
+        if _is_unix(low * size, high * size) and (high - low) * size <= _LONGEST:
             return unit
     return None
