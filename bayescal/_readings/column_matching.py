@@ -1,8 +1,7 @@
 """Which column of a file is which column of an instrument, and in which unit.
 
-A file may call its columns otherwise (`columns=`), and leave their units out or get them wrong
-(`units=`). Columns that no instrument asked for are kept if they have a unit, because a user's own
-effect may need them; they are never a reason to refuse a file.
+A file may call its columns otherwise (`columns=`), and leave their units out or get them wrong (`units=`). Columns that
+no instrument asked for are kept if they have a unit: a user's own effect may need them, and no file is refused for them.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from bayescal._readings.column import TAKEN, Column, NominalScale
 from bayescal._readings.header_reading import readings_of
 from bayescal._readings.unit_conversion import base_unit, fixed_unit
 from bayescal._readings.unit_parsing import ANY, STANDARD_GRAVITY
+from bayescal._tables.dates import LATEST
 from bayescal._tables.problems import Problem, Problems
 from bayescal._tables.raw_table import Header, Table
 
@@ -77,6 +77,9 @@ def expected_columns(instrument: InstrumentLike) -> dict[str, Column]:
     """The instrument's columns, and those that every instrument may have."""
     expected = {column.name: column for column in instrument.columns}
     output = expected.get(output_name(instrument))
+    time = expected.get("time")
+    if time is not None and time.high is None:
+        expected["time"] = replace(time, high=LATEST)
     for name in ("run", "device", "axis"):
         expected.setdefault(name, Column(name, None, required=False))
     if output is not None:

@@ -21,7 +21,7 @@ from bayescal._tables.raw_table import Header, Table
 _TEXTS = 3  # of a column, that are quoted
 _LIKELY_UNITS = (
     *("deg", "arcsec", "rad", "deg/s", "rad/s", "g", "mg", "ug", "degC", "degF", "K"),
-    *("s", "min", "h", "V", "mV", "Hz", "kHz", "1", "%", "ppm"),
+    *("s", "ms", "us", "min", "h", "V", "mV", "Hz", "kHz", "1", "%", "ppm"),
 )
 
 
@@ -88,6 +88,10 @@ class ColumnReader:
     @property
     def _is_time(self) -> bool:
         return self.column.name == "time" and self.column.unit == "s"
+
+    @property
+    def _unit_option(self) -> str:
+        return option("--unit", f"{self.header.raw}=UNIT")
 
     def _flag(self, said: str) -> None:
         self.converted.flags.append(f"{self.table.file}: column {self.header.raw!r} {said}")
@@ -158,11 +162,10 @@ class ColumnReader:
                 f"(or the unit that the numbers are in), or give units={{{raw!r}: …}} "
                 f"({option('--unit', f'{raw}=…')})"
             )
-            cure = "or the unit that the numbers are in"
-            given = option("--unit", f"{raw}={example}")
-            if self.column.unit == unit_conversion.ANY:  # which it is cannot be told
-                cure, given = f"Say which with {option('--unit', f'{raw}=…')}", ""
-            self._problem("the header has no unit", "one", cure, option=given, sentence=sentence)
+            cure = f"UNIT is what its numbers are in, such as {example}"
+            self._problem(
+                "the header has no unit", "one", cure, option=self._unit_option, sentence=sentence
+            )
             return None
         if self.column.unit not in (None, unit_conversion.ANY):
             unit = unit_in(unit, (self.column.unit,)) or unit
@@ -170,11 +173,9 @@ class ColumnReader:
             unit_conversion.check_unit(unit)
         except InputError as error:
             sentence = f"{self.table.file!r}, column {self.header.raw!r}: {error}. Correct the header, or give units="
-            given = option("--unit", f"{self.header.raw}={self.column.example}")
             near = re.findall(r"\(([^()]*meant\?)\)", str(error))
-            self._problem(
-                f"the unit [{unit}]", "a unit known here", *near, option=given, sentence=sentence
-            )
+            expected, given = "a unit known here", self._unit_option
+            self._problem(f"the unit [{unit}]", expected, *near, option=given, sentence=sentence)
             return None
         if self.header.unit and unit != self.header.unit:
             self._flag(f"taken as [{unit}], as units= says")
@@ -223,20 +224,14 @@ class ColumnReader:
             f", or {scale.unit}, which the nominal scale converts" if raw_output and scale else ""
         )
         hint = " Or give a nominal_scale." if raw_output and scale is None else ""
-        given = option("--unit", f"{self.header.raw}={self.column.example}")
         sentence = (
             f"{self.table.file!r}, column {self.header.raw!r}: its unit is [{unit}], expected is "
             f"one that converts to {target}{also}. Correct the header, or give "
             f"units={{{self.header.raw!r}: …}}.{hint}"
         )
         cure = f"Correct the header, or give the unit that is meant.{hint}"
-        self._problem(
-            f"the unit [{unit}]",
-            f"one that converts to {target}{also}",
-            cure,
-            option=given,
-            sentence=sentence,
-        )
+        expected, given = f"one that converts to {target}{also}", self._unit_option
+        self._problem(f"the unit [{unit}]", expected, cure, option=given, sentence=sentence)
         return None
 
     def _not_finite(self, values: np.ndarray) -> np.ndarray:

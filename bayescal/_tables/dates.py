@@ -53,7 +53,7 @@ def date_text(seconds: float) -> str:
     return when.replace(tzinfo=None).isoformat(sep=" ")
 
 
-_UNIX = (946_684_800.0, 4_102_444_800.0)  # s; the years 2000 to 2100
+_EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s; the years 2000 and 2100
 _LONGEST = 1e7  # s, nearly four months: as milliseconds, a clock's microseconds since its start would last longer
 
 
@@ -71,7 +71,7 @@ def from_first(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
 
 def _is_unix(low: float, high: float) -> bool:
     """Whether seconds between these are seconds since 1970."""
-    return _UNIX[0] <= low and high <= _UNIX[1]
+    return low >= _EARLIEST and high <= LATEST
 
 
 def unit_of_counts(values: np.ndarray) -> str | None:

@@ -98,7 +98,7 @@ REFUSED = {
     "no units": Bad(
         text(("time", "temperature", "output")),
         3,
-        ("--unit time=s", "--unit temperature=degC", "--unit output=deg/s"),
+        ("--unit time=UNIT", "--unit temperature=UNIT", "such as deg/s"),
     ),
     "no output": Bad(text(("t_s", "Temp_C", "gyro_z_dps")), 1, ("--columns output=gyro_z_dps",)),
     "three gyroscopes": Bad(
@@ -137,6 +137,9 @@ REFUSED = {
         text(("time [s]", "temperature [°C]", HEAD[2])).encode() + b"1,2,3 \xb0\n", 1, ("not UTF-8",)
     ),
     "no header": Bad("0,20,1\n1,20,2\n", 1, ("has no header",)),
+    "milliseconds called seconds": Bad(
+        counted(1_000, "time [s]"), 1, ("Are the numbers in ms?", "--unit 'time [s]=ms'")
+    ),
     "nothing": Bad("", 1, ("is empty",)),
     "a missing reading in every row": Bad(
         text(HEAD, (TIME, TEMPERATURE, ["NaN"] * 12)), 1, ("no row without",), {"missing": "drop"}
