@@ -1,7 +1,7 @@
 """Which column of a file is which column of an instrument, and in which unit.
 
 A file may call its columns otherwise (`columns=`), and leave their units out or get them wrong (`units=`). Columns that
-no instrument asked for are kept if they have a unit: a user's own effect may need them, and no file is refused for them.
+no instrument asked for are kept if they have a unit: an effect of the user may need them; no file is refused for them.
 """
 
 from __future__ import annotations
