@@ -78,7 +78,9 @@ class ColumnReader:
         unusable = np.flatnonzero(self._not_finite(values))
         if cells.bad or unusable.size or cells.dates:
             index = next(iter(cells.bad), int(unusable[0]) if unusable.size else 0)
-            seen = f"reads {cells.bad[index]!r}" if cells.bad else _reading(cells.values[index])
+            seen = (
+                f"reads {cells.bad[index]!r}" if cells.bad else _reading(float(cells.values[index]))
+            )
             self._flag(f"ignored: {self.table.place(index)} {seen}")
             return
         if unit_conversion.needs_gravity(unit, fixed):
@@ -96,9 +98,12 @@ class ColumnReader:
     def _flag(self, said: str) -> None:
         self.converted.flags.append(f"{self.table.file}: column {self.header.raw!r} {said}")
 
-    def _problem(self, came: str, expected: str = "", cure: str = "", **more: str) -> None:
+    def _problem(
+        self, came: str, expected: str = "", cure: str = "", *, option: str = "", sentence: str = ""
+    ) -> None:
         """Note a problem of the header."""
-        made = Problem(self.table.file, came, expected, cure, column=self.header.raw, **more)
+        raw = self.header.raw
+        made = Problem(self.table.file, came, expected, cure, option, raw, sentence=sentence)
         self.problems.append(made)
 
     def _note(self, rows: np.ndarray, came: str, expected: str = "", cure: str = "") -> None:
@@ -142,7 +147,7 @@ class ColumnReader:
         if not cells.dates or self._is_time:
             return cells
         there = np.flatnonzero(~np.isnan(cells.values))
-        dates = {int(i): date_text(cells.values[i]) for i in there[:1000]}
+        dates = {int(i): date_text(float(cells.values[i])) for i in there[:1000]}
         return Cells(np.full(len(cells.values), np.nan), {**dates, **cells.bad})
 
     def _unit(self, cells: Cells) -> str | None:
@@ -249,7 +254,7 @@ class ColumnReader:
             self._missing(empty, Problem(self.table.file, "is empty or NaN", expected))
         infinite = wrong[~np.isnan(raw[wrong])]
         if infinite.size:
-            first = raw[infinite[0]]
+            first = float(raw[infinite[0]])
             came = _reading(first) + (", too large" if np.isfinite(first) else "")
             self._note(infinite, came, expected, "Fill it in, or remove the row")
 

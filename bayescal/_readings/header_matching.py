@@ -74,14 +74,7 @@ def understood(table: Table, instrument: InstrumentLike, options: ReadOptions) -
                 take(i, reading._replace(unit=unit or reading.unit), name, name)
             free -= {i for i, _ in candidates}
             continue
-        for names in _names(column):
-            found = {
-                i: meant
-                for i in sorted(free)
-                if (meant := next(_meant(headers[i], names, kinds, options.units), None))
-            }
-            if found:
-                break
+        found = _candidates(column, {i: headers[i] for i in sorted(free)}, kinds, options.units)
         if len(found) == 1:
             position, reading = found.popitem()
             free.discard(position)
@@ -130,6 +123,19 @@ def _names(column: Column) -> Iterator[set[str]]:
     yield {plain(n) for n in (column.name, *column.also)}
     if column.name in _SYNONYMS:
         yield set(_SYNONYMS[column.name])
+
+
+def _candidates(
+    column: Column, headers: Mapping[int, Header], kinds: tuple[str, ...], given: Mapping[str, str]
+) -> dict[int, Reading]:
+    """The headers that can be read as a column: under its own name, else under other names that it has."""
+    for names in _names(column):
+        found = {
+            i: r for i, h in headers.items() if (r := next(_meant(h, names, kinds, given), None))
+        }
+        if found:
+            return found
+    return {}
 
 
 def _meant(

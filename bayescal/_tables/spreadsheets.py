@@ -139,7 +139,7 @@ def _variables_of_hdf5(path: Path) -> dict[str, Any]:
 
     def value(node: Any) -> Any:
         if isinstance(node, h5py.Group):
-            return {name: value(node[name]) for name in node if not name.startswith("#")}
+            return {str(name): value(node[name]) for name in node if not str(name).startswith("#")}
         kind = node.attrs.get("MATLAB_class", b"")
         array = node[()].T
         if kind == b"char":
@@ -147,7 +147,7 @@ def _variables_of_hdf5(path: Path) -> dict[str, Any]:
         return np.squeeze(array) if array.dtype.kind in "iufb" else None
 
     with h5py.File(path) as opened:
-        return {name: value(opened[name]) for name in opened if not name.startswith("#")}
+        return {str(name): value(opened[name]) for name in opened if not str(name).startswith("#")}
 
 
 def _vectors(name: str, value: Any) -> list[tuple[str, np.ndarray]]:

@@ -64,11 +64,12 @@ def test_and_so_is_the_calibration(put):
     noisy = RATE + 0.01 * np.sin(7 * TIME)
     head = ("t_s", "Temp_C", "gyro_z_dps")
     found = []
-    for content, options in (
+    files: tuple[tuple[str, dict[str, Any]], ...] = (
         (text(columns=(TIME, TEMPERATURE, noisy)), {}),
         (text(head, (TIME, TEMPERATURE, noisy)), {"columns": {"output": "gyro_z_dps"}}),
         (text(("Timestamp", "T/K", "output_rads"), (when(spaced), TEMPERATURE + 273.15, np.radians(noisy))), {}),
-    ):  # fmt: skip
+    )  # fmt: skip
+    for content, options in files:
         readings = read(put(content), mems_gyro.INSTRUMENT, **options)
         line = bc.fit(mems_gyro.INSTRUMENT.baseline(), readings, bc.LeastSquares())
         names = ("bias.constant", "bias.temperature", "noise.white")

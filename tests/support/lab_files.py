@@ -17,7 +17,7 @@ HEAD = ("time [s]", "temperature [degC]", "output [deg/s]")
 
 def text(
     head: Sequence[str] = HEAD,
-    columns: Sequence[Sequence[Any]] = (TIME, TEMPERATURE, RATE),
+    columns: Sequence[Any] = (TIME, TEMPERATURE, RATE),
     separator: str = ",",
     decimal: str = ".",
 ) -> str:
