@@ -165,7 +165,7 @@ class ColumnReader:
             sentence = (
                 f"{self.table.file!r}, column {raw!r}: the header has no unit. Write '{self.header.name} [{example}]' "
                 f"(or the unit that the numbers are in), or give units={{{raw!r}: …}} "
-                f"({option('--unit', f'{raw}=…')})"
+                f"({self._unit_option})"
             )
             cure = f"UNIT is what its numbers are in, such as {example}"
             self._problem(
