@@ -9,8 +9,9 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
+from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_result
-from bayescal._cli.options import ColumnOptions, ModelOptions, named_numbers, with_groups
+from bayescal._cli.options import ModelOptions, named_numbers, with_groups
 from bayescal._core.errors import InputError
 
 commands = typer.Typer()
@@ -53,6 +54,7 @@ def batch(
         raise InputError(f"--out {out}: that is a file of readings; name another")
     needs = tuple(column for effect in model.effects for column in effect.columns)
     devices = bc.split_devices(list(files), chosen, **columns.for_read(), needs=needs)
+    columns.keep()
     fitted = bc.fit_batch(
         model,
         devices,

@@ -12,8 +12,9 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
+from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result
-from bayescal._cli.options import ColumnOptions, OwnParts, named_numbers, with_groups
+from bayescal._cli.options import OwnParts, named_numbers, with_groups
 from bayescal._core.errors import InputError
 
 commands = typer.Typer()
@@ -55,14 +56,18 @@ def compensate(
     from bayescal._compensation.compensate_file import compensate_file
 
     chosen = compensator_from(calibration, own, member)
+    how = columns.for_read()
+    if how.pop("missing") == "drop":
+        raise InputError("--missing drop: a compensated file keeps every row; fill them in")
     done = compensate_file(
         chosen,
         file,
         out,
-        **columns.for_read(),
+        **how,
         method="first order" if first_order else None,
         noise=not without_noise,
     )
+    columns.keep()
     print_notes(done.flags)
     print_notes(
         f"{name} is outside its calibrated range in {count} of {done.rows} readings: an "

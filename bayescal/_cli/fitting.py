@@ -13,8 +13,9 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
+from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
-from bayescal._cli.options import ColumnOptions, ModelOptions, OwnParts, with_groups
+from bayescal._cli.options import ModelOptions, OwnParts, with_groups
 from bayescal._core.errors import InputError
 
 commands = typer.Typer()
@@ -194,6 +195,7 @@ def predict(
 
     loaded = load_saved(calibration, own)
     readings = bc.read(list(files), loaded.model.instrument, **columns.for_read())
+    columns.keep()
     readings = averaged(readings, average)
     print_notes(readings.flags)
     prediction = bc.predict(loaded, readings, same_record=same_record)

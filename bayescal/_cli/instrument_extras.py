@@ -4,20 +4,34 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from collections.abc import Callable
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 import bayescal as bc
 from bayescal._cli import options
+from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
-from bayescal._cli.offered import DEMONSTRATIONS, PAIR_SELECTIONS, offered
-from bayescal._cli.options import ColumnOptions, ModelOptions, with_groups
+from bayescal._cli.options import ModelOptions, with_groups
 from bayescal._core.errors import InputError
 from bayescal._report.whole_folder import MANIFEST, files_of, whole_folder
 
 commands = typer.Typer()
+DEMONSTRATIONS = "bayescal.demos"
+"""`run(folder, seed)` writes a demonstration to an existing folder."""
+
+PAIR_SELECTIONS = "bayescal.pair_selections"
+"""`select(calibration, criterion=…)` gives a table of pairs that prints itself and has `data()`, plain JSON."""
+
+
+def offered(group: str, instrument: str) -> Callable[..., Any] | None:
+    """What an installed package offers in a group for the instrument of this name; None where none does."""
+    for found in entry_points(group=group, name=instrument):
+        return found.load()
+    return None
 
 
 @commands.command(epilog="Example: bayescal pairs readings.csv")

@@ -1,7 +1,7 @@
 """The command line.
 
 Exit status: 0 done; 1 not converged, or the noise gate failed (results are written all the same);
-2 bad input: one sentence on stderr, nothing written.
+2 bad input: one sentence on stderr, or a table of all that is wrong with the files; nothing written.
 
 Heavy modules load inside the commands, so that `bayescal --help` answers at once.
 """
@@ -46,7 +46,7 @@ def main() -> None:
     except NotConverged as error:
         _fail(str(error), 1)
     except BayescalError as error:
-        _fail(str(error), 2)
+        _fail(str(error), 2, table=len(getattr(error, "problems", ())) > 1)
     except typer.Abort:
         _fail("stopped", 1)
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
@@ -66,9 +66,10 @@ def main() -> None:
         _fail(f"{said}. See: {command} --help", 2)
 
 
-def _fail(message: str, status: int) -> NoReturn:
+def _fail(message: str, status: int, table: bool = False) -> NoReturn:
     with contextlib.suppress(OSError):  # nowhere to say it: the status still does
-        print(f"bayescal: {' '.join(message.split())}", file=sys.stderr)
+        text = message if table else " ".join(message.split())
+        print(f"bayescal: {text}", file=sys.stderr)
     sys.exit(status)
 
 

@@ -18,7 +18,6 @@ from typing import Annotated, Any
 import typer
 
 from bayescal._core.errors import InputError
-from bayescal._readings.unit_parsing import STANDARD_GRAVITY
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
 
@@ -91,7 +90,7 @@ def _refuse_no_duration(text: str | None) -> str | None:
 Files = Annotated[
     list[Path],
     typer.Argument(
-        help="CSV, Parquet or NetCDF files of readings.",
+        help="CSV, Parquet, NetCDF, Excel or MATLAB files of readings.",
         show_default=False,
         callback=_refuse_missing,
     ),
@@ -112,15 +111,6 @@ OwnInstrument = Annotated[
         help="my.py:INSTRUMENT, if the calibration is of an instrument that is not installed.",
     ),
 ]
-Columns = Annotated[
-    list[str] | None,
-    typer.Option("--columns", help="output=gyro_x: our column = the file's; repeat for more."),
-]
-Units = Annotated[
-    list[str] | None,
-    typer.Option("--unit", help="gyro_x=rad/s: unit of a column; repeat for more."),
-]
-Gravity = Annotated[float, typer.Option(min=1.0, help="Local gravity, m/s², for files in m/s².")]
 Fix = Annotated[
     list[str] | None,
     typer.Option(
@@ -226,23 +216,6 @@ AcceptConflict = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
 Folder = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
-
-
-@dataclass(frozen=True)
-class ColumnOptions:
-    """How the columns of the files are to be understood."""
-
-    columns: Columns = None
-    unit: Units = None
-    local_gravity: Gravity = STANDARD_GRAVITY
-
-    def for_read(self) -> dict[str, Any]:
-        """As the arguments of `read` that they are."""
-        return {
-            "columns": named_values(self.columns, "--columns"),
-            "units": named_values(self.unit, "--unit"),
-            "local_gravity": self.local_gravity,
-        }
 
 
 @dataclass(frozen=True)

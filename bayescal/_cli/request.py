@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import bayescal as bc
+from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import OWN_FILES, in_one_line, own_file_line, print_notes
-from bayescal._cli.options import METHODS, ColumnOptions, ModelOptions, named_numbers
+from bayescal._cli.options import METHODS, ModelOptions, named_numbers
 from bayescal._core.errors import InputError
 from bayescal._model.installed import (
     FileColumns,
@@ -62,6 +63,7 @@ def open_request(
         readings = early
     else:
         readings = read(list(files), general, **columns.for_read())
+    columns.keep()
     if average is None:
         print_notes(long_log(readings))
     readings = averaged(readings, average, keep_spikes)

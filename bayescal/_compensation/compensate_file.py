@@ -21,16 +21,19 @@ import xarray as xr
 from bayescal._compensation.compensator import Compensated, Compensator, Method
 from bayescal._core.atomic_file import netcdf_bytes, replacing_for_user
 from bayescal._core.errors import InputError
-from bayescal._readings.column import ROW, Column, NominalScale, Source
-from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
+from bayescal._readings.column import Column, ConvertedColumns, NominalScale, Source
+from bayescal._readings.column_conversion import convert_columns
 from bayescal._readings.column_matching import ReadOptions, match
-from bayescal._readings.csv_reader import csv_parts, open_csv
-from bayescal._readings.file_formats import open_netcdf, open_parquet, parquet_parts
+from bayescal._readings.dataset_checks import problems_of_whole
+from bayescal._readings.header_matching import understood
 from bayescal._readings.measurements import Measurements, assemble
-from bayescal._readings.raw_table import Table, bytes_text
-from bayescal._readings.read import MAX_BYTES
+from bayescal._tables.csv_reader import csv_parts
+from bayescal._tables.open_table import MAX_BYTES, open_table
+from bayescal._tables.parquet_netcdf import parquet_parts
+from bayescal._tables.problems import Problems
+from bayescal._tables.raw_table import ROW, Table, bytes_text
 
-OPENERS = {".csv": open_csv, ".parquet": open_parquet, ".nc": open_netcdf}
+FORMATS = (".csv", ".parquet", ".nc")  # in which a file can be written as it was
 ROWS = 200_000  # compensated at a time
 
 
@@ -92,9 +95,8 @@ class _FileCompensation:
             )
         converted = convert_columns(table, self.expected, self.options)
         source = Source(table.file, table.sha256, table.rows)
-        readings = assemble(
-            [table], converted, self.expected, sources=(source,), allow_one_temperature=True
-        )
+        problems_of_whole([table], converted, self.expected, True).refuse()
+        readings = assemble([table], converted, self.expected, (source,))
         self.done.flags = readings.flags
         return self._take(readings)
 
@@ -115,6 +117,7 @@ def compensate_file(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     local_gravity: float = 9.80665,
+    decimal: str = "",
     method: Method | None = None,
     noise: bool = True,
 ) -> CompensationSummary:
@@ -124,7 +127,7 @@ def compensate_file(
         compensator: of the instrument.
         path: .csv, .parquet or .nc.
         out: file to write, of the same format; may be the same file.
-        columns, units, local_gravity: as in `bayescal.read`.
+        columns, units, local_gravity, decimal: as in `bayescal.read`.
         method, noise: as of the compensator.
 
     Raises:
@@ -134,16 +137,16 @@ def compensate_file(
     suffix = path.suffix.lower()
     if not path.is_file():
         raise InputError(f"there is no file {path}")
-    if suffix not in OPENERS:
-        raise InputError(f"{path.name!r} cannot be read: choose a file of {', '.join(OPENERS)}")
+    if suffix not in FORMATS:
+        raise InputError(f"{path.name!r} cannot be read: choose a file of {', '.join(FORMATS)}")
     if out.suffix.lower() != suffix:
         raise InputError(
             f"{out.name!r}: every column is kept as it is, so the file to write must be {suffix} like {path.name!r}"
         )
     expected = _expected(compensator)
-    options = ReadOptions(columns or {}, units or {}, local_gravity, None)
+    options = ReadOptions(columns or {}, units or {}, local_gravity, None, decimal=decimal)
     with replacing_for_user(out) as partial:
-        table = OPENERS[suffix](path, path.name, *(() if suffix == ".csv" else (_limit(suffix),)))
+        table = open_table(path, path.name, _limit(suffix), decimal)
         raw, names = _names(table, expected, options)
         done = CompensationSummary(out, names)
         job = _FileCompensation(
@@ -180,7 +183,10 @@ def _names(
         InputError: there is no output, or the names are taken.
     """
     columns = {column.name: column for column in expected.columns}
-    places = match(table, columns, options)
+    table = understood(table, expected, options)
+    problems = Problems(table.problems)
+    places = match(table, columns, options, problems)
+    problems.refuse()
     if "output" not in places:
         raise InputError(
             f"{table.file!r} has no column 'output' (it has: {', '.join(h.name for h in table.headers)}). If it is "
@@ -227,7 +233,7 @@ def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: s
     whole = job.whole(table) if job.compensator.history else None
     take, unit = _slices(job, whole), job.compensator.unit
     with partial.open("wb") as target:
-        for part in csv_parts(path, table.file, ROWS):
+        for part in csv_parts(path, table.file, ROWS, job.options.decimal):
             if part.table is None:  # comments and the header
                 added = [f"{name} [{unit}]" for name in job.done.columns]
                 target.writelines(part.before)

@@ -16,9 +16,9 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._compensation.operating_equation import OperatingEquation
 from bayescal._core.errors import InputError
 from bayescal._model.frame import Frame, build_frame
-from bayescal._readings.column import ROW
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.time_in_runs import RATE_WINDOW
+from bayescal._tables.raw_table import ROW
 
 MARGIN = 0.01  # of the range of the stimulus: a reading at its end scatters about it
 

@@ -23,7 +23,6 @@ from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.noise_in_time import allan_check
 from bayescal._diagnostics.worst_region import worst_regions
 from bayescal._inference.least_squares import LeastSquares
-from bayescal._model.frame import GROUPS
 
 ALIKE = 0.95  # rank correlation from which two covariates are taken for one
 DUOS = 15  # pairs of covariates, at most
@@ -152,7 +151,7 @@ def covariates_of(calibration: Calibration) -> list[covariate_evidence.Covariate
     if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
         elapsed = np.asarray(frame.columns["elapsed"])
         found.append(covariate_evidence.smooth("elapsed", elapsed, "s", in_time=True))
-    for group in GROUPS:
+    for group in calibration.levels:
         levels, codes = readings.groups(group)
         if 1 < len(levels) <= MEMBERS:
             found.append(covariate_evidence.members(group, codes, levels))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,14 +10,17 @@ import pandas as pd
 
 from bayescal._core.errors import InputError
 from bayescal._fleet.devices import DeviceBlock, Devices, without
-from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
+from bayescal._readings.column import ConvertedColumns
+from bayescal._readings.column_conversion import convert_columns
 from bayescal._readings.column_matching import InstrumentLike, ReadOptions
 from bayescal._readings.dataset_checks import (
     LEAST_TEMPERATURE_SPAN,
     refuse_backward_time,
     refuse_one_temperature,
 )
-from bayescal._readings.raw_table import Cells, Table, load_whole, numbers_of
+from bayescal._tables.cells import Cells
+from bayescal._tables.problems import Problem, Problems
+from bayescal._tables.raw_table import Table, load_whole
 
 
 class TableRows:
@@ -33,31 +36,21 @@ class TableRows:
         return self.loaded[position, number]
 
     def some(self, position: int, number: bool, rows: np.ndarray) -> Cells:
-        cells = self._cells(position, number)
-        if cells.bad is None:
-            return Cells(cells.values[rows])
-        return numbers_of(self._cells(position, False).values[rows].tolist())
+        return self._cells(position, number).take(rows)
 
 
-@dataclass
+@dataclass(frozen=True)
 class TakenRows:
-    """Some rows of a table, and which of them a refusal spoke of last."""
+    """Some rows of a table."""
 
     of: TableRows
     rows: np.ndarray
-    spoken_of: int = -1
 
     def table(self) -> Table:
-        whole = self.of.table
-
-        def place(index: int) -> str:
-            self.spoken_of = index
-            return whole.place(int(self.rows[index]))
-
         def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
             return {p: self.of.some(p, number, self.rows) for p, number in wanted.items()}
 
-        return replace(whole, rows=len(self.rows), load=load, place=place)
+        return replace(self.of.table.take(self.rows), load=load)
 
 
 def convert_most(
@@ -72,40 +65,24 @@ def convert_most(
     Raises:
         InputError: something is wrong that is not in one row.
     """
-
-    def attempt(rows: np.ndarray) -> ConvertedColumns | str:
-        part = replace(taken, rows=taken.rows[rows], spoken_of=-1)
-        table = part.table()
-        try:
-            return convert_columns(table, instrument, options)
-        except InputError as error:
-            index = part.spoken_of
-            if index < 0 or not str(error).startswith(table.place(index)):
-                raise  # of the header, not of a row
-            return str(error)
-
-    def search(rows: np.ndarray) -> Iterator[tuple[int, str]]:
-        """Devices that are refused by themselves; by halves, for they are few."""
-        found = attempt(rows)
-        if not isinstance(found, str):
-            return
-        members = np.unique(codes[rows])
-        if len(members) == 1:
-            yield int(members[0]), found
-            return
-        left = codes[rows] < members[len(members) // 2]
-        yield from search(rows[left])
-        yield from search(rows[~left])
-
-    rows = np.arange(len(taken.rows))
-    found, bad = attempt(rows), {}
-    if isinstance(found, str):
-        bad = dict(search(rows))
-        rows = rows[~np.isin(codes, list(bad))]
-        found = attempt(rows) if rows.size else ConvertedColumns()
-    if isinstance(found, str):
-        raise InputError(found)
-    return found, rows, {names[code]: why for code, why in bad.items()}
+    rows, refused = np.arange(len(taken.rows)), dict[str, str]()
+    while rows.size:
+        problems = Problems()
+        table = replace(taken, rows=taken.rows[rows]).table()
+        found = convert_columns(table, instrument, options, problems)
+        if not problems:
+            return found, rows if found.kept is None else rows[found.kept], refused
+        Problems(p for p in problems if not p.rows).refuse()
+        told: dict[int, Problem] = {}
+        for problem in problems:
+            for index in problem.rows:
+                place = (table.place(index),)
+                told.setdefault(
+                    int(codes[rows[index]]), replace(problem, rows=(index,), places=place)
+                )
+        refused |= {names[code]: str(problem) for code, problem in told.items()}
+        rows = rows[~np.isin(codes[rows], list(told))]
+    return ConvertedColumns(), rows, refused
 
 
 def without_useless(

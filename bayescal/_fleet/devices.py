@@ -13,8 +13,9 @@ import numpy as np
 import xarray as xr
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import ROW, Source
+from bayescal._readings.column import Source
 from bayescal._readings.measurements import Measurements
+from bayescal._tables.raw_table import ROW
 
 DEVICE = "device"
 

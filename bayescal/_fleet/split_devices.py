@@ -19,16 +19,16 @@ from bayescal._readings.column_matching import (
     expected_columns,
     match,
     output_name,
-    refuse_unused_units,
     unit_of,
+    unused_units,
 )
-from bayescal._readings.csv_reader import open_csv
-from bayescal._readings.file_formats import open_netcdf, open_parquet
-from bayescal._readings.raw_table import FORMATS, Cells, Table, load_whole
+from bayescal._readings.header_matching import understood
 from bayescal._readings.unit_conversion import base_unit
 from bayescal._readings.unit_parsing import STANDARD_GRAVITY
-
-MAX_BYTES = 2_000_000_000
+from bayescal._tables.cells import Cells
+from bayescal._tables.open_table import MAX_BYTES, open_table
+from bayescal._tables.problems import Problems
+from bayescal._tables.raw_table import Table, load_whole
 
 
 def split_devices(
@@ -39,6 +39,8 @@ def split_devices(
     units: Mapping[str, str] | None = None,
     local_gravity: float = STANDARD_GRAVITY,
     nominal_scale: NominalScale | None = None,
+    missing: str = "refuse",
+    decimal: str = "",
     needs: Sequence[str] = (),
     max_bytes: int = MAX_BYTES,
 ) -> Devices:
@@ -47,7 +49,8 @@ def split_devices(
     Args:
         paths: CSV, Parquet or NetCDF files. Devices in a file need not stand in order; their readings do.
         instrument: whose readings they are.
-        columns, units, local_gravity, nominal_scale: as of `read`; {"device": "serial"} splits by `serial`.
+        columns, units, local_gravity, nominal_scale, missing, decimal: as of `read`; {"device": "serial"} splits by
+            `serial`.
         needs: further columns that a model's effects use: a device that has no number there is refused.
         max_bytes: most that a file may take in memory.
 
@@ -62,13 +65,17 @@ def split_devices(
     given = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     if not given:
         raise InputError("no file was given to split into devices: give at least one")
-    options = ReadOptions(columns or {}, units or {}, local_gravity, nominal_scale)
+    options = ReadOptions(
+        columns or {}, units or {}, local_gravity, nominal_scale, missing, decimal
+    )
     names: list[str] = []
     blocks: list[DeviceBlock] = []
     refused: dict[str, str] = {}
     for path in given:
-        table = _open(path, max_bytes)
-        refuse_unused_units([table], options)
+        table = _open(path, max_bytes, decimal)
+        problems = Problems(table.problems)
+        unused_units([table], options, problems)
+        problems.refuse()
         found = _split(table, path, instrument, options, needs)
         if twice := set(found.names) & set(names):
             raise InputError(
@@ -81,29 +88,21 @@ def split_devices(
     return Devices(tuple(names), tuple(blocks), refused)
 
 
-def _open(path: Path, max_bytes: int) -> Table:
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise InputError(f"{path.name!r} cannot be read: give one of {', '.join(FORMATS)}")
-    try:
-        if path.stat().st_size > max_bytes:
-            raise InputError(
-                f"{path.name!r} is larger than {max_bytes} bytes: split it, or raise max_bytes"
-            )
-        if suffix == ".csv":
-            return open_csv(path, path.name)
-        return (open_parquet if suffix == ".parquet" else open_netcdf)(path, path.name, max_bytes)
-    except OSError as error:
+def _open(path: Path, max_bytes: int, decimal: str) -> Table:
+    if path.is_file() and path.stat().st_size > max_bytes:
         raise InputError(
-            f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the folder"
-        ) from error
+            f"{path.name!r} is larger than {max_bytes} bytes: split it, or raise max_bytes"
+        )
+    return open_table(path, path.name, max_bytes, decimal)
 
 
 def _split(
     table: Table, path: Path, instrument: InstrumentLike, options: ReadOptions, needs: Sequence[str]
 ) -> Devices:
     expects = _Wider(instrument, _further(table, instrument, options, needs))
-    places = match(table, expected_columns(expects), options)
+    table = understood(table, expects, options)
+    places = match(table, expected_columns(expects), options, problems := Problems())
+    problems.refuse()
     named = DEVICE in places
     if named:
         labels = load_whole(table, {places[DEVICE]: False})[places[DEVICE]].values

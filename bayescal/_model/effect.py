@@ -20,7 +20,7 @@ from bayescal._model.frame import Frame
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
 from bayescal._readings.measurements import Measurements
 
-Group = Literal["reading", "cell", "run", "axis", "device"]
+Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
 
 
 class Coefficient(eqx.Module):
@@ -31,7 +31,8 @@ class Coefficient(eqx.Module):
         prior: Gaussian or flat. For a coefficient with a learned spread only its mean counts.
         part: its name within the effect, such as "parallel,M2,cos"; empty if the effect has just one.
         slot: the slot it feeds, where that is not the effect's own.
-        per: None for one value; a group ("run", "cell", "device", "axis", "reading") for one value each.
+        per: None for one value; a group for one value each: "run", "cell", "device", "axis", "reading", or any
+            column of labels that the instrument declares, such as "station".
         spread: prior of the standard deviation between the group's members, which is then learned.
             None leaves it at the prior's own sd.
     """

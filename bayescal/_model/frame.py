@@ -20,7 +20,12 @@ from bayescal._recording.time_in_runs import causal_slope, first_times, run_code
 
 configure_jax()
 
-GROUPS = ("run", "cell", "axis", "device")  # whose members coefficients may be given one of each
+GROUPS = (
+    "run",
+    "cell",
+    "axis",
+    "device",
+)  # that all readings have; an instrument's label columns are groups too
 Reference = dict[str, float | dict[str, float]]
 
 
@@ -198,8 +203,7 @@ def build_frame(
     columns = {name: np.asarray(readings[name]) for name in unit if unit[name] is not None}
     labels = {
         f"{name}={label}": np.asarray(readings[name] == label, dtype=float)
-        for name in readings.columns
-        if readings.unit(name) is None and name not in GROUPS
+        for name in label_groups(readings)
         for label in readings.groups(name)[0]
     }
     rates: dict[str, Array] = {}
@@ -218,7 +222,10 @@ def build_frame(
         columns=columns,
         labels=labels,
         rates=rates,
-        codes={group: _member_codes(readings, group, levels) for group in GROUPS},
+        codes={
+            group: _member_codes(readings, group, levels)
+            for group in dict.fromkeys((*GROUPS, *label_groups(readings), *(levels or ())))
+        },
         reference={k: np.asarray(v) for k, v in reference.items() if not isinstance(v, dict)},
         order=np.asarray(order, dtype=np.int32),
         step=np.asarray(step),
@@ -226,10 +233,17 @@ def build_frame(
     )
 
 
+def label_groups(readings: Measurements) -> list[str]:
+    """Columns of labels that are groups of an instrument's own, such as "station"."""
+    return [n for n in readings.columns if readings.unit(n) is None and n not in GROUPS]
+
+
 def _member_codes(
     readings: Measurements, group: str, levels: Mapping[str, tuple[str, ...]] | None
 ) -> Int[Array, "n"]:
     """Each reading's member of a group, as it was numbered at the fit."""
+    if group not in GROUPS and not readings.has(group):  # of no member that was fitted
+        return np.full(len(readings), -1, dtype=np.int8)
     members, codes = readings.groups(group)
     if levels is not None:
         fitted = levels.get(group, ())

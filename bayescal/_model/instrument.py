@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Frame
+from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_laws import Noise, White
 from bayescal._model.unknown_effect import covariate_in, placeholder
 from bayescal._readings.column import Column, NominalScale
@@ -138,6 +138,12 @@ class Instrument(eqx.Module):
 
         def baseline(self) -> Any:
             """The instrument's `Model` with its baseline effects and noise law; `model.py` attaches it."""
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """What coefficients may be given one each of: run, cell, axis, device, reading, and its columns of labels."""
+        labels = (column.name for column in self.columns if column.unit is None)
+        return tuple(dict.fromkeys((*GROUPS, "reading", *labels)))
 
     @property
     def unit(self) -> str:

@@ -9,6 +9,7 @@ import equinox as eqx
 
 from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
+from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument, slot_of
 from bayescal._model.noise_laws import Noise
 from bayescal._model.prior import Normal
@@ -37,6 +38,13 @@ class Model(eqx.Module):
         for effect in self.effects:
             for coefficient in effect.coefficients:
                 slot_of(self.instrument, coefficient.slot or effect.slot)
+                _require_group(self.instrument, effect, coefficient.per)
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Groups whose members have a coefficient each; "reading" is none."""
+        named = (c.per for effect in self.effects for c in effect.coefficients if c.per)
+        return tuple(dict.fromkeys(per for per in named if per != "reading"))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -174,6 +182,21 @@ def baseline(self: Instrument) -> Model:
 Instrument.baseline = baseline  # a model has an instrument, which therefore cannot import models
 
 
+def _require_group(instrument: Instrument, effect: Effect, group: str | None) -> None:
+    """Refuse a coefficient for each member of a group that the instrument does not have.
+
+    Raises:
+        ModelError: it has none of that name.
+    """
+    if group is None or group in instrument.groups:
+        return
+    raise ModelError(
+        f"effect {effect.name!r} has one coefficient for each {group!r}, and instrument {instrument.name!r} has no "
+        f"such group; it has {', '.join(instrument.groups)}. Name one of these, or declare it as a label among the "
+        f"instrument's columns: bayescal.Column({group!r}, None, required=False)"
+    )
+
+
 def _unknowns(effect: Effect) -> list[str]:
     names = [effect.coefficient_name(i) for i in range(len(effect.coefficients))]
     return [*names, *_spreads(effect), *(effect.shape_name(shape) for shape in effect.shapes)]
@@ -202,6 +225,8 @@ def testable(effect: Effect, readings: Measurements) -> str | None:
             return f"needs {column} to vary; it is {values[0]:g} throughout"
     for coefficient in effect.coefficients:
         if coefficient.spread is not None and coefficient.per is not None:
+            if coefficient.per not in GROUPS and not readings.has(coefficient.per):
+                return f"needs the column {coefficient.per}"
             _, codes = readings.groups(coefficient.per)
             if len(set(codes[codes >= 0].tolist())) < 2:
                 return f"needs more than one {coefficient.per}"

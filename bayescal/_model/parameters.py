@@ -216,7 +216,9 @@ def bind(model: Model, readings: Measurements) -> tuple[Layout, dict[str, tuple[
     Raises:
         ModelError: fewer readings than flat coefficients, or a group effect without its group.
     """
-    levels = {group: readings.groups(group)[0] for group in GROUPS}
+    groups = dict.fromkeys((*GROUPS, *model.groups))
+    there = {group for group in groups if group in GROUPS or readings.has(group)}
+    levels = {group: readings.groups(group)[0] if group in there else () for group in groups}
     counts = {**{g: len(names) for g, names in levels.items()}, "reading": len(readings)}
     layout = Layout(model, tuple(counts.items()))
     flat = sum(b.size for b in layout.x_blocks if b.coefficient.flat)

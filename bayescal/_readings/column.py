@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
 from bayescal._readings.unit_parsing import ANY
+from bayescal._tables.problems import Problem
+from bayescal._tables.raw_table import ROW
 
-ROW = "reading"  # the one dimension of readings
 UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
 ARRAYS = "the given arrays"  # in place of files
@@ -136,6 +137,31 @@ class Source:
     rows: int
 
 
+@dataclass
+class ConvertedColumns:
+    """One file's columns as ours.
+
+    Attributes:
+        values: name → one entry per reading.
+        units: name → unit; None for labels.
+        flags: what was odd.
+        filled: names of columns that hold a default.
+        missing: name → readings that are missing there, and what stands in their place.
+        origin: seconds since 1970 at time zero; None where the time counts from no date.
+        kept: indices of the rows that were kept; None for all.
+        unread: names of columns that are in the file, and could not be read.
+    """
+
+    values: dict[str, np.ndarray] = field(default_factory=dict)
+    units: dict[str, str | None] = field(default_factory=dict)
+    flags: list[str] = field(default_factory=list)
+    filled: set[str] = field(default_factory=set)
+    missing: dict[str, tuple[np.ndarray, Problem]] = field(default_factory=dict)
+    origin: float | None = None
+    kept: np.ndarray | None = None
+    unread: set[str] = field(default_factory=set)
+
+
 def file_names(files: Sequence[str]) -> str:
     """Files, short, for messages."""
     if not files:
@@ -147,14 +173,15 @@ _SIZES = (999.0, 9999.0, 99999.0, 999.25, 9999.25, 999.9, 9999.9)  # that logger
 PLACEHOLDERS = (*(-size for size in _SIZES), *_SIZES)
 
 
-def placeholder(values: np.ndarray) -> int | None:
+def placeholders(values: np.ndarray) -> np.ndarray:
     """Where a column has a number that stands for a missing reading, such as −999: far from all the others."""
+    found = np.zeros(len(values), dtype=bool)
     for value in np.intersect1d(values[np.isin(values, PLACEHOLDERS)], PLACEHOLDERS):
         there = values == value
-        others = values[~there]
+        others = values[~there & np.isfinite(values)]
         if len(others) < max(3, len(values) / 2):  # of two numbers, each is far from all others
             continue
         low, high = float(others.min()), float(others.max())
         if max(low - value, value - high) > 3 * (high - low):
-            return int(np.argmax(there))
-    return None
+            found |= there
+    return np.flatnonzero(found)

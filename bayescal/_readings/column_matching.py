@@ -1,8 +1,7 @@
 """Which column of a file is which column of an instrument, and in which unit.
 
-A file may call its columns otherwise (`columns=`), and leave their units out or get them wrong
-(`units=`). Columns that no instrument asked for are kept if they have a unit, because a user's own
-effect may need them; they are never a reason to refuse a file.
+A file may call its columns otherwise (`columns=`), and leave their units out or get them wrong (`units=`). Columns that
+no instrument asked for are kept if they have a unit: an effect of the user may need them; no file is refused for them.
 """
 
 from __future__ import annotations
@@ -15,9 +14,14 @@ from typing import Protocol
 
 from bayescal._core.errors import InputError
 from bayescal._readings.column import TAKEN, Column, NominalScale
-from bayescal._readings.raw_table import Header, Table
+from bayescal._readings.header_reading import readings_of
 from bayescal._readings.unit_conversion import base_unit, fixed_unit
 from bayescal._readings.unit_parsing import ANY, STANDARD_GRAVITY
+from bayescal._tables.dates import LATEST
+from bayescal._tables.problems import Problem, Problems
+from bayescal._tables.raw_table import Header, Table
+
+MISSING_READINGS = ("refuse", "drop")
 
 
 class InstrumentLike(Protocol):
@@ -40,12 +44,27 @@ class ReadOptions:
         units: the file's name, or ours → unit.
         local_gravity: m/s².
         nominal_scale: in place of the instrument's.
+        missing: "refuse" rows with a missing reading, or "drop" them.
+        decimal: between the whole and its parts in text files; empty where the file shows it.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     local_gravity: float = STANDARD_GRAVITY
     nominal_scale: NominalScale | None = None
+    missing: str = "refuse"
+    decimal: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no option.
+
+        Raises:
+            InputError: `missing` or `decimal` is another word.
+        """
+        if self.missing not in MISSING_READINGS:
+            raise InputError(f"missing={self.missing!r} (--missing) is not one of refuse, drop")
+        if self.decimal not in ("", ".", ","):
+            raise InputError(f"decimal={self.decimal!r} (--decimal) is neither a point nor a comma")
 
 
 def output_name(instrument: InstrumentLike) -> str:
@@ -58,6 +77,9 @@ def expected_columns(instrument: InstrumentLike) -> dict[str, Column]:
     """The instrument's columns, and those that every instrument may have."""
     expected = {column.name: column for column in instrument.columns}
     output = expected.get(output_name(instrument))
+    time = expected.get("time")
+    if time is not None and time.high is None:
+        expected["time"] = replace(time, high=LATEST)
     for name in ("run", "device", "axis"):
         expected.setdefault(name, Column(name, None, required=False))
     if output is not None:
@@ -67,98 +89,100 @@ def expected_columns(instrument: InstrumentLike) -> dict[str, Column]:
     return expected
 
 
-def match(table: Table, expected: Mapping[str, Column], options: ReadOptions) -> dict[str, int]:
+def match(
+    table: Table,
+    expected: Mapping[str, Column],
+    options: ReadOptions,
+    problems: Problems,
+) -> dict[str, int]:
     """Our name of every column → its position in the file.
 
-    Raises:
-        InputError: `columns=` names what the file lacks, two columns would be one, or a label
-            carries a unit.
+    Args:
+        table: the file, its headers understood.
+        expected: the columns that it should have.
+        options: renamings.
+        problems: to add to, where `columns=` names what the file lacks, two columns would be one, or a label carries
+            a unit.
     """
-    positions = _renamed_by_user(table, options.columns)
+    positions = _renamed_by_user(table, options.columns, problems)
     for position, header in enumerate(table.headers):
         if position in positions.values() or not header.name:
             continue
         if header.name in positions:
             chosen = table.headers[positions[header.name]]
-            raise InputError(
+            sentence = (
                 f"{table.file!r} has two columns for {header.name!r}: {header.raw!r}, and "
                 f"{chosen.raw!r} by columns=. Rename {header.raw!r} in the file, or leave "
                 f"{header.name!r} out of columns="
             )
+            cure = f"rename it, or leave {header.name} out of --columns"
+            came = f"a second column {header.name}"
+            problems.append(
+                Problem(table.file, came, cure=cure, column=header.raw, sentence=sentence)
+            )
+            continue
         positions[header.name] = position
-    _rename_synonyms(table, expected, positions)
+    _rename_synonyms(table, expected, positions, problems)
     for name, column in expected.items():
-        if (
-            column.unit is None
-            and name in positions
-            and table.headers[positions[name]].unit not in (None, "", "1", "-")
-        ):
-            raise InputError(
-                f"{table.file!r}: column {table.headers[positions[name]].raw!r} carries a unit, but "
+        if column.unit is not None or name not in positions:
+            continue
+        header = table.headers[positions[name]]
+        if header.unit not in (None, "", "1", "-"):
+            sentence = (
+                f"{table.file!r}: column {header.raw!r} carries a unit, but "
                 f"{name!r} is a label (text). Remove the unit, or rename the column"
+            )
+            came, cure = f"the unit {header.unit}", "Remove the unit, or rename the column"
+            problems.append(
+                Problem(table.file, came, "a label", cure, column=header.raw, sentence=sentence)
             )
     return positions
 
 
-def _renamed_by_user(table: Table, columns: Mapping[str, str]) -> dict[str, int]:
-    """Our name → position, of the columns that `columns=` names.
-
-    Raises:
-        InputError: the file lacks one, or one is named twice.
-    """
+def _renamed_by_user(
+    table: Table, columns: Mapping[str, str], problems: Problems
+) -> dict[str, int]:
+    """Our name → position, of the columns that `columns=` names; problems if a file lacks one, or it is named twice."""
     positions: dict[str, int] = {}
     for ours, theirs in columns.items():
         found = [i for i, h in enumerate(table.headers) if theirs.strip() in (h.name, h.raw)]
         if not found:
-            raise InputError(
+            sentence = (
                 f"columns={{{ours!r}: {theirs!r}}}: {table.file!r} has no column "
-                f"{theirs!r}{_near(theirs, table)}. It has: {_names(table)}"
+                f"{theirs!r}{near(theirs, table)}. It has: {names_in(table)}"
             )
-        if found[0] in positions.values():
+            cure = f"It has: {names_in(table)}"
+            problems.append(
+                Problem(table.file, "no such column", ours, cure, column=theirs, sentence=sentence)
+            )
+        elif found[0] in positions.values():
             other = next(name for name, position in positions.items() if position == found[0])
-            raise InputError(
+            sentence = (
                 f"columns= gives {table.file!r}'s column {theirs!r} to both {other!r} and "
                 f"{ours!r}: name one for each"
             )
-        positions[ours] = found[0]
+            came = f"{other} and {ours} by --columns"
+            problems.append(Problem(table.file, came, column=theirs, sentence=sentence))
+        else:
+            positions[ours] = found[0]
     return positions
 
 
 def _rename_synonyms(
-    table: Table, expected: Mapping[str, Column], positions: dict[str, int]
+    table: Table, expected: Mapping[str, Column], positions: dict[str, int], problems: Problems
 ) -> None:
-    """Give columns that a file holds under another of their names our own.
-
-    Raises:
-        InputError: a file holds a column under two names.
-    """
+    """Give columns that a file holds under another of their names our own; a problem if it holds one under two."""
     for name, column in expected.items():
         for other in (n for n in column.also if n in positions and n not in expected):
             if name in positions:
                 first, second = (table.headers[positions[n]].raw for n in (name, other))
-                raise InputError(
-                    f"{table.file!r} has two columns for {name!r}: {first!r} and {second!r}. Remove one"
+                sentence = f"{table.file!r} has two columns for {name!r}: {first!r} and {second!r}. Remove one"
+                came = f"another column {name}"
+                problems.append(
+                    Problem(table.file, came, cure="Remove one", column=second, sentence=sentence)
                 )
+                continue
             positions[name] = positions.pop(other)
-
-
-def refuse_missing(
-    table: Table, expected: Mapping[str, Column], positions: Mapping[str, int], instrument: str
-) -> None:
-    """Refuse a file without a column that the instrument needs.
-
-    Raises:
-        InputError: it lacks one.
-    """
-    for name, column in expected.items():
-        if column.required and name not in positions and column.default is None:
-            asked = f"{name} [{column.example}]" if column.unit else name
-            meaning = f" ({column.meaning})" if column.meaning else ""
-            raise InputError(
-                f"{table.file!r} lacks the column {name!r}{meaning} that {instrument!r} needs; it "
-                f"has: {_names(table)}{_near(name, table)}. Add a column {asked!r}, or say which "
-                f"one it is with columns={{{name!r}: …}} (--columns {name}=…)"
-            )
 
 
 def unit_of(header: Header, ours: str, options: ReadOptions) -> str | None:
@@ -174,24 +198,23 @@ def with_fixed_units(
     table: Table,
     positions: Mapping[str, int],
     options: ReadOptions,
+    problems: Problems,
 ) -> dict[str, Column]:
     """The columns with a unit in place of "any": the fixed unit of what the file has.
 
     A known uncertainty follows its output. What has no unit, or one that is none, is refused where
-    the column is converted.
-
-    Raises:
-        InputError: a nominal scale is given for an output that may be anything.
+    the column is converted; a nominal scale for an output that may be anything is a problem here.
     """
     fixed = dict(expected)
     for name, column in expected.items():
         if column.unit != ANY or name not in positions:
             continue
         if options.nominal_scale is not None:
-            raise InputError(
+            sentence = (
                 f"{table.file!r}: a nominal scale was given for {name!r}, which is taken in the unit that "
                 "it is in: leave the scale out, or choose an instrument whose output has a unit"
             )
+            problems.append(Problem(table.file, "a nominal scale", column=name, sentence=sentence))
         if name == "output_uncertainty":
             fixed[name] = replace(column, unit=fixed["output"].unit)
             continue
@@ -238,27 +261,40 @@ def extra_columns(
     return kept, flags
 
 
-def refuse_unused_units(tables: Sequence[Table], options: ReadOptions) -> None:
-    """Refuse a unit for a column that no file has: it was meant for one.
-
-    Raises:
-        InputError: there is such a unit.
-    """
-    known = {name for table in tables for h in table.headers for name in (h.raw, h.name)}
+def unused_units(tables: Sequence[Table], options: ReadOptions, problems: Problems) -> None:
+    """Note each unit for a column that no file has: it was meant for one."""
+    known = {
+        name
+        for t in tables
+        for h in t.headers
+        for name in (h.raw, *(r.name for r in readings_of(h)))
+    }
     known |= set(options.columns)
     for name, unit in options.units.items():
         if name not in known:
-            raise InputError(
-                f"units={{{name!r}: {unit!r}}}: {' and '.join(repr(t.file) for t in tables)} has "
-                f"no column {name!r}{_near(name, tables[0])}. It has: {_names(tables[0])}"
+            names = " and ".join(repr(t.file) for t in tables)
+            sentence = (
+                f"units={{{name!r}: {unit!r}}}: {names} has "
+                f"no column {name!r}{near(name, tables[0])}. It has: {names_in(tables[0])}"
+            )
+            cure = f"It has: {names_in(tables[0])}"
+            problems.append(
+                Problem(
+                    tables[0].file,
+                    "no such column",
+                    f"one in {unit}",
+                    cure,
+                    column=name,
+                    sentence=sentence,
+                )
             )
 
 
-def _names(table: Table) -> str:
+def names_in(table: Table) -> str:
     return ", ".join(header.raw or "(no name)" for header in table.headers)
 
 
-def _near(name: str, table: Table) -> str:
+def near(name: str, table: Table) -> str:
     names = {header.name.lower(): header.raw for header in table.headers if header.name}
     near = difflib.get_close_matches(name.lower(), names, 1)
     return f" (is {names[near[0]]!r} meant?)" if near else ""

@@ -6,12 +6,15 @@ saturated output, a constant column.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from bayescal._core.errors import InputError
+from bayescal._readings.column import ARRAYS, ConvertedColumns, file_names
+from bayescal._tables.problems import Problem, Problems
+from bayescal._tables.raw_table import Table
 
 LEAST_TEMPERATURE_SPAN = (
     0.1  # °C: what a good chamber holds, so no temperature model can be seen in less
@@ -28,6 +31,42 @@ Columns = Mapping[str, np.ndarray]
 Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
 
 
+def problems_of_whole(
+    tables: Sequence[Table], converted: ConvertedColumns, instrument: Any, one_temperature: bool
+) -> Problems:
+    """What is wrong with readings as a whole: one temperature only, time that runs backwards.
+
+    Args:
+        tables: that they came from.
+        converted: their columns, one table after the other.
+        instrument: whose readings they are. Where it says which effects its baseline has, and none of them needs the
+            temperature to change, it need not.
+        one_temperature: accept one temperature all the same.
+    """
+    problems, files = Problems(), [table.file for table in tables]
+    effects = getattr(instrument, "effects", None)
+    needed = effects is None or any("temperature" in effect.varies for effect in effects)
+    required = any(c.name == "temperature" and c.required for c in instrument.columns)
+    if needed and required and not one_temperature and "temperature" in converted.values:
+        with problems.collecting(files[0]):
+            refuse_one_temperature(converted.values, file_names([f for f in files if f != ARRAYS]))
+    with problems.collecting(files[0]):
+        refuse_backward_time(converted.values, row_namer(tables))
+    return problems
+
+
+def row_namer(tables: Sequence[Table]) -> Where:
+    """What names the file and row of a reading, of several tables one after the other."""
+    ends = np.cumsum([table.rows for table in tables])
+
+    def where(index: int) -> str:
+        which = int(np.searchsorted(ends, index, side="right"))
+        table = tables[which]
+        return f"{table.place(index - int(ends[which]) + table.rows)} of {table.file!r}"
+
+    return where
+
+
 def refuse_one_temperature(columns: Columns, names: str) -> None:
     """Refuse readings that hold one temperature only.
 
@@ -42,11 +81,16 @@ def refuse_one_temperature(columns: Columns, names: str) -> None:
     low, high = float(temperature.min()), float(temperature.max())
     if high - low < LEAST_TEMPERATURE_SPAN:
         seen = f"{low:g}" if low == high else f"{low:g} … {high:g}"
-        raise InputError(
+        cure = "Add readings at another temperature (files given together are read together)"
+        sentence = (
             f"{names}, column 'temperature': reads {seen} °C, one temperature only; at least two "
-            "were expected, or nothing that depends on temperature can be calibrated. Add readings "
-            "at another temperature (files given together are read together)"
+            f"were expected, or nothing that depends on temperature can be calibrated. {cure}"
         )
+        came = f"reads {seen} °C, one temperature only"
+        problem = Problem(
+            names, came, "at least two", cure, column="temperature", sentence=sentence
+        )
+        raise InputError(sentence, (problem,))
 
 
 def refuse_backward_time(columns: Columns, where: Where) -> None:
@@ -62,7 +106,10 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
     if "time" not in columns:
         return
     time = columns["time"]
-    record = label_codes(columns, [n for n in ("run", "device", "axis") if n in columns])
+    named = [columns[n].tolist() for n in ("run", "device", "axis") if n in columns]
+    codes: dict[tuple[str, ...], int] = {}  # pandas would do it, and takes half a second to load
+    every = (codes.setdefault(label, len(codes)) for label in zip(*named, strict=True))
+    record = np.fromiter(every, np.int64, len(time)) if named else np.zeros(len(time), np.int64)
     order = np.argsort(record, kind="stable")
     back = (np.diff(time[order]) < 0) & (np.diff(record[order]) == 0)
     if back.any():
@@ -71,15 +118,28 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
         before = int(order[np.flatnonzero(order == index)[0] - 1])
         labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
         inside = f" within {', '.join(labels)}" if labels else ""
-        raise InputError(
+        cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
+        sentence = (
             f"{where(index)}, column 'time': reads {time[index]:.12g} s after {time[before]:.12g} "
-            f"s in {where(before)}: time runs backwards{inside}. Put the rows in the order in "
-            "which they were taken, or give each record its own label in a column 'run'"
+            f"s in {where(before)}: time runs backwards{inside}. {cure}"
         )
+        places = tuple(where(int(i)).partition(" of ")[0] for i in np.sort(order[1:][back]))
+        problem = Problem(
+            where(index).partition(" of ")[2].strip("'"),
+            f"{time[index]:.12g} s after {time[before]:.12g} s",
+            f"no time before the last{inside}",
+            cure,
+            column="time",
+            places=places,
+            sentence=sentence,
+        )
+        raise InputError(sentence, (problem,))
 
 
 def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
     """A number for each combination of labels, in the order in which they first appear."""
+    import pandas as pd
+
     codes = np.zeros(len(columns["time"]), dtype=np.int64)
     for name in names:
         own, levels = pd.factorize(columns[name], use_na_sentinel=False)
@@ -151,6 +211,8 @@ def once(columns: Columns, repeated: np.ndarray) -> slice | np.ndarray:
 
 def repeated_rows(columns: Columns) -> np.ndarray:
     """Rows that repeat an earlier one in every column: looked for among those whose hashes agree, to save memory."""
+    import pandas as pd
+
     table = pd.DataFrame(dict(columns), copy=False)
     hashed = pd.util.hash_pandas_object(table, index=False)  # pyright: ignore[reportAttributeAccessIssue]
     hashes = hashed.to_numpy()

@@ -13,25 +13,35 @@ from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
 from bayescal._readings.averaging import average
-from bayescal._readings.column import ARRAYS, MAY_BE_EMPTY, ROW, NominalScale, Source, file_names
-from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
+from bayescal._readings.column import (
+    ARRAYS,
+    MAY_BE_EMPTY,
+    ConvertedColumns,
+    NominalScale,
+    Source,
+    file_names,
+)
+from bayescal._readings.column_conversion import convert_columns, kept_table
 from bayescal._readings.column_matching import (
     InstrumentLike,
     ReadOptions,
     output_name,
-    refuse_unused_units,
+    unused_units,
 )
 from bayescal._readings.dataset_checks import (
     flags_of,
     once,
-    refuse_backward_time,
-    refuse_one_temperature,
+    problems_of_whole,
     repeated_rows,
+    row_namer,
 )
-from bayescal._readings.file_formats import write
-from bayescal._readings.raw_table import Header, Table, cells_of, equally_long
 from bayescal._readings.unit_conversion import check_unit
 from bayescal._readings.unit_parsing import ANY, STANDARD_GRAVITY
+from bayescal._tables.cells import cells_of, equally_long
+from bayescal._tables.dates import date_text
+from bayescal._tables.problems import Problems
+from bayescal._tables.raw_table import ROW, Header, Table
+from bayescal._tables.write import write
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +87,7 @@ class Measurements:
         local_gravity: float = STANDARD_GRAVITY,
         nominal_scale: NominalScale | None = None,
         allow_one_temperature: bool = False,
+        missing: str = "refuse",
         **columns: ArrayLike,
     ) -> Measurements:
         """Readings from arrays, checked as `read` checks a file.
@@ -88,6 +99,7 @@ class Measurements:
             local_gravity: m/s², for columns in m/s².
             nominal_scale: in place of the instrument's.
             allow_one_temperature: accept one temperature, as for a prediction.
+            missing: "refuse" readings that are NaN, or "drop" them.
             **columns: one entry per reading, or one for all; in the instrument's units unless
                 `units` says otherwise, or a name like a file's header, `humidity [%]`.
 
@@ -110,10 +122,14 @@ class Measurements:
             load=lambda wanted: {i: cells_of(arrays[i], number) for i, number in wanted.items()},
             place=lambda index: f"row {index + 1}",
         )
-        options = ReadOptions({}, units or {}, local_gravity, nominal_scale)
-        refuse_unused_units([table], options)
-        converted = convert_columns(table, instrument, options)
-        return assemble([table], converted, instrument, allow_one_temperature=allow_one_temperature)
+        options = ReadOptions({}, units or {}, local_gravity, nominal_scale, missing)
+        problems = Problems()
+        unused_units([table], options, problems)
+        converted = convert_columns(table, instrument, options, problems)
+        tables = [kept_table(table, converted)]
+        problems += problems_of_whole(tables, converted, instrument, allow_one_temperature)
+        problems.refuse()
+        return assemble(tables, converted, instrument)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column, in its fixed unit; labels as text.
@@ -260,27 +276,14 @@ def assemble(
     tables: Sequence[Table],
     converted: ConvertedColumns,
     instrument: InstrumentLike,
-    *,
     sources: tuple[Source, ...] = (),
-    allow_one_temperature: bool,
 ) -> Measurements:
-    """Check the columns of one or several joined files together and make measurements of them.
-
-    Raises:
-        InputError: one temperature only, or time running backwards.
-    """
+    """Measurements of checked columns, of one file or of several one after the other."""
     names, output = file_names([source.file for source in sources]), output_name(instrument)
-    ends = np.cumsum([table.rows for table in tables])
-
-    def where(index: int) -> str:
-        which = int(np.searchsorted(ends, index, side="right"))
-        table = tables[which]
-        return f"{table.place(index - int(ends[which]) + table.rows)} of {table.file!r}"
-
-    needs_temperature = any(c.name == "temperature" and c.required for c in instrument.columns)
-    if needs_temperature and not allow_one_temperature:
-        refuse_one_temperature(converted.values, names)
-    refuse_backward_time(converted.values, where)
+    where = row_namer(tables)
+    if converted.origin is not None:
+        began = date_text(converted.origin)
+        converted.flags.append(f"{names}: time is in s since {began}, the first reading")
     values, units, repeated = converted.values, converted.units, repeated_rows(converted.values)
     odd = flags_of(values, output, where, names, repeated, unchecked=converted.filled)
     kept, flags = once(values, repeated), [*converted.flags, *odd]

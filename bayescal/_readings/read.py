@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import MAY_BE_EMPTY, NominalScale, Source
-from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
-from bayescal._readings.column_matching import InstrumentLike, ReadOptions, refuse_unused_units
-from bayescal._readings.csv_reader import open_csv
-from bayescal._readings.raw_table import FORMATS, Table, bytes_text
+from bayescal._readings.column import MAY_BE_EMPTY, ConvertedColumns, NominalScale, Source
+from bayescal._readings.column_conversion import convert_columns, kept_table
+from bayescal._readings.column_matching import InstrumentLike, ReadOptions, unused_units
+from bayescal._readings.dataset_checks import problems_of_whole
 from bayescal._readings.unit_parsing import STANDARD_GRAVITY
+from bayescal._tables.open_table import MAX_BYTES, open_table
+from bayescal._tables.problems import Problems
+from bayescal._tables.raw_table import Table, bytes_text
 
 if TYPE_CHECKING:
     from bayescal._readings.measurements import Measurements
-
-MAX_BYTES = 2_000_000_000
-_PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".joblib")
 
 
 def read(
@@ -34,14 +33,18 @@ def read(
     local_gravity: float = STANDARD_GRAVITY,
     nominal_scale: NominalScale | None = None,
     allow_one_temperature: bool = False,
+    missing: str = "refuse",
+    decimal: str = "",
     max_bytes: int = MAX_BYTES,
 ) -> Measurements:
-    """Read readings of an instrument from one file or several: CSV, Parquet or NetCDF.
+    """Read readings of an instrument from one file or several: CSV, Parquet, NetCDF, Excel or MATLAB.
 
-    Headers read `name [unit]`; lines that begin with # may stand above a CSV's header. Columns are
-    converted to the instrument's units, and rows keep their order. Where several files have no
-    column `run`, each is a run named after its file. A column that the instrument does not know is
-    kept in base units if it has a unit, and otherwise left out with a flag.
+    Headers read `name [unit]`, or as people write them ("Temp (°C)", "gyro_z_dps"), where that can be read in one
+    way only, which a flag says; lines that begin with # may stand above a CSV's header. Columns are
+    converted to the instrument's units, and rows keep their order. Dates, and counts since 1970, become seconds since
+    the first reading of all files. Where several files have no column `run`, each is a run named after its file. A
+    column that the instrument does not know is kept in base units if it has a unit, and otherwise left out with a
+    flag.
 
     Args:
         path_or_paths: the files.
@@ -51,34 +54,64 @@ def read(
         local_gravity: m/s², for columns in m/s²; internal accelerations are in local g.
         nominal_scale: how a raw output (V, Hz) becomes the instrument's, in place of its own.
         allow_one_temperature: accept one temperature, as for a prediction.
+        missing: "refuse" files with missing readings, or "drop" the rows in which one is missing; they are gaps.
+        decimal: "." or "," in the numbers of text files; empty where the file shows it.
         max_bytes: most that all files together may hold.
 
     Raises:
-        InputError: a file, a column, a unit or a cell cannot be used; the message names file, row
-            and column, what was read, what was expected, and what to do.
+        InputError: a file, a column, a unit or a cell cannot be used. One problem is a sentence that names file, row
+            and column, what was read, what was expected, and what to do; several are a table of these, and the
+            error's `problems`.
     """
     paths = [path_or_paths] if isinstance(path_or_paths, str | Path) else list(path_or_paths)
     paths = [Path(path) for path in paths]
     names = check_files(paths, max_bytes)
-    tables = [_open(path, name, max_bytes) for path, name in zip(paths, names, strict=True)]
-    options = ReadOptions(columns or {}, units or {}, local_gravity, nominal_scale)
-    refuse_unused_units(tables, options)
-    parts = [convert_columns(table, instrument, options) for table in tables]
+    options = ReadOptions(
+        columns or {}, units or {}, local_gravity, nominal_scale, missing, decimal
+    )
+    tables, parts = _opened(paths, names, instrument, options, max_bytes)
+    sources = tuple(Source(table.file, table.sha256, table.rows) for table in tables)
+    tables = [kept_table(table, part) for table, part in zip(tables, parts, strict=True)]
     if len(tables) > 1:
         _label_runs(tables, parts, _runs(paths))
     joined = parts[0] if len(parts) == 1 else _join(tables, parts)
     joined = replace(joined, flags=[*joined.flags, *_equal_contents(tables)])
+    problems_of_whole(tables, joined, instrument, allow_one_temperature).refuse()
 
     from bayescal._readings.measurements import assemble  # after what is refused: it needs a second
 
-    sources = tuple(Source(table.file, table.sha256, table.rows) for table in tables)
-    return assemble(
-        tables,
-        joined,
-        instrument,
-        sources=sources,
-        allow_one_temperature=allow_one_temperature,
-    )
+    return assemble(tables, joined, instrument, sources)
+
+
+def _opened(
+    paths: Sequence[Path],
+    names: Sequence[str],
+    instrument: InstrumentLike,
+    options: ReadOptions,
+    max_bytes: int,
+) -> tuple[list[Table], list[ConvertedColumns]]:
+    """The files as tables and as columns.
+
+    Raises:
+        InputError: all that is wrong with any of them.
+    """
+    problems, tables, parts = Problems(), list[Table](), list[ConvertedColumns]()
+    for path, name in zip(paths, names, strict=True):
+        with problems.collecting(name):
+            tables.append(open_table(path, name, max_bytes, options.decimal))
+    if len(tables) == len(paths):
+        unused_units(tables, options, problems)
+    for table in tables:
+        with problems.collecting(table.file):
+            part = convert_columns(table, instrument, options, problems)
+            parts.append(part)
+            records_known = part.unread.isdisjoint(("run", "device", "axis"))
+            if (
+                problems and records_known
+            ):  # what is wrong with the file as a whole is said with the rest
+                problems += problems_of_whole([table], part, instrument, True)
+    problems.refuse()
+    return tables, parts
 
 
 def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
@@ -139,39 +172,6 @@ def _refuse_large(paths: Sequence[Path], names: Sequence[str], max_bytes: int) -
             )
 
 
-def _open(path: Path, name: str, max_bytes: int) -> Table:
-    """Open a file in the format that its suffix names.
-
-    Raises:
-        InputError: another suffix, or a file that is not what its suffix says.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        never = (
-            "Pickled objects are never read, because they can run code. "
-            if suffix in _PICKLES
-            else ""
-        )
-        raise InputError(
-            f"{name!r}: {suffix or 'a file without a suffix'!r} cannot be read. {never}"
-            f"Give one of {', '.join(FORMATS)}"
-        )
-    try:
-        if not path.stat().st_size:
-            raise InputError(
-                f"{name!r} is empty (0 bytes): a header and rows of readings were expected"
-            )
-        if suffix == ".csv":
-            return open_csv(path, name)
-        from bayescal._readings.file_formats import open_netcdf, open_parquet
-
-        return (open_parquet if suffix == ".parquet" else open_netcdf)(path, name, max_bytes)
-    except OSError as error:
-        raise InputError(
-            f"{str(path)!r} cannot be read: {error.strerror or error}. Check that it may be read"
-        ) from error
-
-
 def _runs(paths: Sequence[Path]) -> list[str]:
     """A run's label for each file: its stem, with folder or number where that is not enough."""
     stems = [path.stem for path in paths]
@@ -217,6 +217,7 @@ def _join(tables: Sequence[Table], parts: Sequence[ConvertedColumns]) -> Convert
     """
     joined = ConvertedColumns(flags=[flag for part in parts for flag in part.flags])
     joined.filled = set.intersection(*(part.filled for part in parts))
+    joined.origin = _on_one_clock(tables, parts)
     units = {name: unit for part in parts for name, unit in part.units.items()}
     for name, unit in units.items():
         have = [name in part.values for part in parts]
@@ -246,6 +247,28 @@ def _join(tables: Sequence[Table], parts: Sequence[ConvertedColumns]) -> Convert
         )
         joined.units[name] = unit
     return joined
+
+
+def _on_one_clock(tables: Sequence[Table], parts: Sequence[ConvertedColumns]) -> float | None:
+    """Shift the times of files that count from dates to the earliest of these, which is returned; None without dates.
+
+    Raises:
+        InputError: some files have dates and others have not.
+    """
+    dated = [part.origin is not None for part in parts if "time" in part.values]
+    origins = [part.origin for part in parts if part.origin is not None]
+    if not origins:
+        return None
+    if not all(dated):
+        with_it, without = tables[dated.index(True)].file, tables[dated.index(False)].file
+        raise InputError(
+            f"{with_it!r} has dates in its column 'time', {without!r} has none: give all files the same clock, or "
+            "read them one by one"
+        )
+    for part in parts:
+        if part.origin is not None:
+            part.values["time"] = np.round(part.values["time"] + (part.origin - min(origins)), 6)
+    return min(origins)
 
 
 def _equal_contents(tables: Sequence[Table]) -> list[str]:

@@ -34,7 +34,7 @@ BASE = {
     "count": "count",
 }
 _DEGREE = math.pi / 180
-_DERIVED = {
+DERIVED = {
     "ns": (1e-9, "s"), "us": (1e-6, "s"), "ms": (1e-3, "s"),
     "min": (60.0, "s"), "h": (3600.0, "s"), "day": (86400.0, "s"),
     "degC": (1.0, "K"), "delta_degC": (1.0, "K"), "mK": (1e-3, "K"),
@@ -45,10 +45,12 @@ _DERIVED = {
     "ng": (1e-3, "ug"), "mg": (1e3, "ug"), "g": (1e6, "ug"),
     "nV": (1e-9, "V"), "uV": (1e-6, "V"), "mV": (1e-3, "V"), "kV": (1e3, "V"),
     "mHz": (1e-3, "Hz"), "kHz": (1e3, "Hz"), "MHz": (1e6, "Hz"),
+    "Gal": (1e-2, "m/s**2"), "mGal": (1e-5, "m/s**2"), "uGal": (1e-8, "m/s**2"),
     "nm": (1e-9, "m"), "um": (1e-6, "m"), "mm": (1e-3, "m"), "cm": (1e-2, "m"), "km": (1e3, "m"),
     "uA": (1e-6, "A"), "mA": (1e-3, "A"),
     "hPa": (1e2, "Pa"), "kPa": (1e3, "Pa"), "mbar": (1e2, "Pa"), "bar": (1e5, "Pa"),
     "nT": (1e-3, "uT"), "mT": (1e3, "uT"), "gauss": (1e2, "uT"),
+    "mdps": (_DEGREE / 1000, "rad/s"),
     "dps": (_DEGREE, "rad/s"), "dph": (_DEGREE / 3600, "rad/s"), "rpm": (math.pi / 30, "rad/s"),
     "percent": (1e-2, ""), "ppm": (1e-6, ""), "ppb": (1e-9, ""),
 }  # fmt: skip
@@ -56,12 +58,15 @@ _SPELLINGS = {
     "sec": "s", "second": "s", "seconds": "s", "minute": "min", "minutes": "min",
     "hr": "h", "hour": "h", "hours": "h", "days": "day", "kelvin": "K", "celsius": "degC",
     "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg",
+    "arcseconds": "arcsec", "arcsecond": "arcsec", "arcminutes": "arcmin", "gal": "Gal", "mgal": "mGal",
+    "msec": "ms", "usec": "us",
     "volt": "V", "volts": "V", "hertz": "Hz", "counts": "count", "LSB": "count", "lsb": "count",
 }  # fmt: skip
 _OFFSETS = {"degC": 273.15, "K": 0.0, "degF": 459.67 * 5 / 9}  # K at the unit's zero
 _REWRITTEN = {
     "μ": "u", "µ": "u", "º": "°", "℃": "degC", "℉": "degF", "°C": "degC", "°F": "degF", "°": "deg",
-    "″": "arcsec", "′": "arcmin", "%": "percent", "**": "^", "·": "*", "⋅": "*", "∙": "*", "×": "*",
+    "″": "arcsec", "′": "arcmin", "”": "arcsec", "’": "arcmin",
+    "''": "arcsec", '"': "arcsec", "'": "arcmin", "%": "percent", "**": "^", "·": "*", "⋅": "*", "∙": "*", "×": "*",
     "−": "-",
 }  # fmt: skip
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
@@ -109,7 +114,7 @@ def _powers(part: ast.expr) -> dict[str, float]:
         ValueError: anything else.
     """
     match part:
-        case ast.Name(id=name) if name in BASE or name in _DERIVED:
+        case ast.Name(id=name) if name in BASE or name in DERIVED:
             return {name: 1.0}
         case ast.Constant(value=1):
             return {}
@@ -128,7 +133,7 @@ def _in_base(product: Mapping[str, float]) -> tuple[float, dict[str, float]]:
     """A product of known names in base units: a factor, and their powers."""
     factor, powers = 1.0, dict[str, float]()
     for name, power in product.items():
-        own, base = _DERIVED.get(name, (1.0, name))
+        own, base = DERIVED.get(name, (1.0, name))
         factor *= own**power
         inner = _powers(ast.parse(base, mode="eval").body) if base else {}
         for unit, base_power in inner.items():
@@ -153,7 +158,7 @@ def normalised(text: str) -> str:
     plain = NAME.sub(lambda m: _SPELLINGS.get(m[0], m[0]), plain)
     names = NAME.findall(plain)
     for name in names:
-        if name not in BASE and name not in _DERIVED:
+        if name not in BASE and name not in DERIVED:
             raise InputError(f"[{text}] is not a unit known here: {name!r} is none{_near(name)}")
     # Without its powers, each name as "u", a unit may hold operators and a lone 1, as in 1/degC.
     rest = NAME.sub("u", EXPONENT.sub("", plain))
@@ -165,8 +170,14 @@ def normalised(text: str) -> str:
     return plain
 
 
+_OTHERS = {"C": "the coulomb", "F": "the farad", "S": "the siemens"}  # no units here
+_MEANT = {"C": "degC", "F": "degF", "S": "s"}
+
+
 def _near(name: str) -> str:
-    known = [*BASE, *_DERIVED]
+    if name in _OTHERS:
+        return f" ({name!r} is {_OTHERS[name]}; is {_MEANT[name]} meant?)"
+    known = [*BASE, *DERIVED]
     near = [k for k in known if k.lower() == name.lower()]
     near = near or difflib.get_close_matches(name, known, 3)
     return f" (is {' or '.join(near)} meant?)" if near else f" (known are {', '.join(known)})"

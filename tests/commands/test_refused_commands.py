@@ -87,7 +87,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "broken.py": "1/0\n",
         "empty.py": "answer = 42\n",
         "text.csv": "temperature [degC],output [deg/s]\n20,1\n21,hot\n",
-        "no_unit.csv": "temperature,output\n20,1\n21,2\n",
+        "no_unit.csv": "temperature,output [deg/s]\n20,1\n21,2\n",
         "level.csv": "temperature [degC],output [arcsec]\n20,1\n21,2\n22,3\n23,5\n24,5\n",
     }
     for name, text in texts.items():

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
+from bayescal._readings.header_reading import unit_in
 from bayescal._readings.unit_conversion import (
     base_unit,
     check_unit,
@@ -71,6 +72,10 @@ def test_a_coefficient_in_its_reported_unit_becomes_internal(unit, slot, factor)
         (1.0, "mg", "ug", 1000.0),
         (180.0, "deg", "rad", math.pi),
         (3600.0, "arcsec", "deg", 1.0),
+        (980.665, "Gal", "g", 1.0),
+        (1.0, "mGal", "uGal", 1000.0),
+        (7.0, "ppm/K", "1/degC", 7e-6),
+        (1.0, "µrad", "nrad", 1000.0),
         (1.0, "dps", "deg/h", 3600.0),
         (50.0, "%", "1", 0.5),
         (1.0, "h", "s", 3600.0),
@@ -136,7 +141,12 @@ def test_conversion_and_coefficient_agree(unit):
         ("m/s^2", "m/s²", "m/s**2", "m/s2", "m·s^-2", "m*s^(-2)"),
         ("ug/Hz^0.5", "µg/√Hz", "ug/sqrt(Hz)"),
         ("1", "-", "V/V"),
-        ("arcsec", "″"),
+        ("arcsec", "″", '"', "''", "arcseconds"),
+        ("arcmin", "′", "'"),
+        ("mGal", "mgal"),
+        ("µGal", "uGal"),
+        ("deg/h", "°/h", "dph"),
+        ("deg/h^0.5", "°/√h", "deg/sqrt(h)"),
         ("ppm/degC", "ppm/°C", "ppm*degC^-1"),
     ],
 )
@@ -194,6 +204,7 @@ def test_what_no_instrument_prescribes_is_kept_in_base_units(unit, base):
     [
         ("", r"\[\] is not a unit: write one such as"),
         ("degc", r"\[degc\] is not a unit known here: 'degc' is none \(is degC meant\?\)"),
+        ("C", r"'C' is none \('C' is the coulomb; is degC meant\?\)"),
         ("foo", r"'foo' is none \(known are s, K, rad, ug"),
         ("kg", "'kg' is none"),
         ("Vs", "'Vs' is none"),
@@ -239,3 +250,23 @@ def test_the_numbers_given_are_not_changed():
     for unit in ("degC", "K"):
         assert convert(given, "degC", unit) is not given
     np.testing.assert_array_equal(given, [1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "meant"),
+    [
+        ("C", "degC", "degC"),
+        ("degc", "degC", "degC"),
+        ("F", "degC", "degF"),
+        ("DPS", "deg/s", "dps"),
+        ("deg_s", "deg/s", "deg/s"),
+        ("m_s2", "ug", "m/s^2"),
+        ("MG", "ug", "mg"),
+        ("deg", "degC", None),  # °C or °F
+        ("C", "V", None),
+        ("MHZ", "Hz", None),  # mega or milli
+        ("furlong", "m", None),
+    ],
+)
+def test_a_unit_that_is_one_thing_only_where_it_stands_is_understood(text, kind, meant):
+    assert unit_in(text, (kind,)) == meant

@@ -8,7 +8,8 @@ units):
 
     output = bias
 
-One slot, `bias`, in the output's unit. Baseline: `bias.constant` and `bias.temperature`, a line.
+One slot, `bias`, in the output's unit. Baseline: `bias.constant` and `bias.temperature`, a line; the constant alone
+where the temperature was not recorded, or did not change by a tenth of a degree.
 Candidates: `bias.temperature_quadratic`, `bias.temperature_cubic`, `bias.temperature_quartic`,
 `bias.rate`, `bias.thermal_lag`, `bias.thermal_lag_slow` (a second body, 20 min to 3 h),
 `bias.temperature_x_lag`, `bias.hysteresis`, `bias.warm_up`, `bias.drift`, `bias.run`.
@@ -40,6 +41,9 @@ from bayescal_models.still_sensor import COLUMNS, effects
 from bayescal_models.still_sensor.simulator import simulated_columns
 
 MINUTE = 60.0
+LEAST_TEMPERATURE_RANGE = (
+    0.1  # °C: what a good chamber holds, so no temperature model can be seen in less
+)
 
 
 def instrument(
@@ -56,7 +60,7 @@ def instrument(
         unit: of the output, such as "ug", "deg/s" or "V".
         size: how much the output plausibly changes over the record, in `unit`.
         constant: prior standard deviation of its constant, in `unit`; 10·size if not given.
-        span: half the range of the temperature, °C.
+        span: half the range of the temperature, °C; 0 where it does not change, or was not recorded.
         pace: plausible rate of the temperature, °C/min.
 
     Raises:
@@ -65,17 +69,18 @@ def instrument(
     constant = 10 * size if constant is None else constant
     settings = {"size": size, "constant": constant, "span": span, "pace": pace}
     for name, value in settings.items():
-        if not (np.isfinite(value) and value > 0):
+        if not (np.isfinite(value) and (value > 0 or (name == "span" and value == 0))):
             raise bc.InputError(f"still_sensor: {name} {value} must be a positive number")
-    line, *candidates = effects.thermal(unit, size, span, pace)
+    line, *candidates = effects.thermal(unit, size, span or 1.0, pace)
+    thermal = (line,) if span else ()
     made = bc.Instrument(
         name="still_sensor",
         title="any sensor at rest: its output over temperature and time",
         columns=tuple(replace(c, unit=unit) if c.name == "output" else c for c in COLUMNS),
         slots=(bc.Slot("bias", unit, "output at rest"),),
         response=lambda slots, r: slots["bias"],
-        effects=(effects.constant(unit, constant), line),
-        candidates=(*candidates, *effects.temporal(unit, size)),
+        effects=(effects.constant(unit, constant), *thermal),
+        candidates=(*([] if span else [line]), *candidates, *effects.temporal(unit, size)),
         noise=bc.White(bc.HalfCauchy(0.1 * size)),
         structures=(
             ("line", lambda: made.baseline()),
@@ -112,12 +117,13 @@ def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
             f"{readings.file}, column 'output': reads {middle:g} throughout, so no size can be "
             "taken from it: choose another channel"
         )
+    span = 0.5 * float(np.ptp(readings["temperature"])) if readings.has("temperature") else 0.0
     found = {
         "unit": readings.unit("output"),
         "size": size,
         "constant": float(np.hypot(middle, 10 * size)),
-        "span": 0.5 * float(np.ptp(readings["temperature"])) or 1.0,
-        "pace": _pace(readings),
+        "span": span if span >= 0.5 * LEAST_TEMPERATURE_RANGE else 0.0,
+        "pace": _pace(readings) if span else 1.0,
     }
     return instrument(**{**found, **settings})
 

@@ -1,0 +1,4 @@
+"""Files as tables: their headers and cells as they stand, and what is wrong with them; nothing understood yet.
+
+Imports `_core`.
+"""

@@ -1,0 +1,142 @@
+"""Parquet and NetCDF as tables: numbers and text only, nothing that a file could have evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import xarray as xr
+
+from bayescal._core.atomic_file import sha256_of
+from bayescal._core.errors import InputError
+from bayescal._tables.binary_format import as_format, refuse_large, row_place
+from bayescal._tables.cells import Cells, cells_of
+from bayescal._tables.raw_table import ROW, Header, Table
+
+
+def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
+    """Look at a Parquet file: units stand in the column names or in the fields' metadata.
+
+    Args:
+        path: where it is.
+        file: its name in messages.
+        max_bytes: most that its numbers may take in memory.
+
+    Raises:
+        InputError: it is not Parquet, or too large once unpacked.
+    """
+    with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
+        schema, rows = opened.schema_arrow, opened.metadata.num_rows
+    refuse_large(file, rows, len(schema), max_bytes)
+    fields = [schema.field(position) for position in range(len(schema))]
+    headers = tuple(Header.parse(f.name, _field_unit(f)) for f in fields)
+
+    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        found = {}
+        with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
+            for position, number in wanted.items():
+                name = fields[position].name
+                found[position] = _arrow_cells(opened.read(columns=[name]).column(name), number)
+        pa.default_memory_pool().release_unused()  # what it unpacked, as much again as the numbers
+        return found
+
+    return Table(
+        file=file,
+        headers=headers,
+        rows=rows,
+        sha256=sha256_of(path),
+        load=load,
+        place=row_place,
+    )
+
+
+def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordBatch, Table]]:
+    """A Parquet file a stretch of rows at a time: as it stands, and as a table."""
+    with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
+        done = 0
+        for batch in opened.iter_batches(batch_size=rows):
+            fields = [batch.schema.field(position) for position in range(len(batch.schema))]
+            headers = tuple(Header.parse(f.name, _field_unit(f)) for f in fields)
+
+            def load(wanted: Mapping[int, bool], batch=batch) -> dict[int, Cells]:
+                columns = {p: pa.chunked_array([batch.column(p)]) for p in wanted}
+                return {p: _arrow_cells(columns[p], number) for p, number in wanted.items()}
+
+            if batch.num_rows:
+                table = Table(
+                    file=file,
+                    headers=headers,
+                    rows=batch.num_rows,
+                    sha256="",
+                    load=load,
+                    place=lambda index, start=done: row_place(start + index),
+                )
+                yield batch, table
+            done += batch.num_rows
+
+
+def _field_unit(field: pa.Field) -> str | None:
+    unit = (field.metadata or {}).get(b"units")
+    return None if unit is None else unit.decode("utf-8", "replace")
+
+
+def _arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
+    kind = column.type
+    if number and (
+        pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)
+    ):
+        return cells_of(column.cast(pa.float64()).to_numpy(), number)
+    return cells_of(column.to_pandas().to_numpy(object), number)
+
+
+def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
+    """Look at a NetCDF-4 file: variables along one dimension, units in the attribute `units`.
+
+    Args:
+        path: where it is.
+        file: its name in messages.
+        max_bytes: most that its numbers may take in memory.
+
+    Raises:
+        InputError: it is not NetCDF-4, has several dimensions to choose from, or is too large once
+            unpacked.
+    """
+    import h5py  # a tenth of a second that only NetCDF needs
+
+    with as_format(file, "NetCDF-4"), h5py.File(path) as hdf5:
+        hdf5.attrs.get(
+            "_nc3_strict"
+        )  # h5netcdf, failing at this, would print its own complaint later
+    with as_format(file, "NetCDF-4"), _dataset(path) as dataset:
+        lines = {str(n): v for n, v in dataset.variables.items() if v.ndim == 1 and n != ROW}
+        dimensions = {str(v.dims[0]) for v in lines.values()}
+        if ROW not in dimensions and len(dimensions) > 1:
+            raise InputError(
+                f"{file!r} has variables along {', '.join(sorted(dimensions))}: which are the "
+                f"readings cannot be told. Give its variables one dimension, best called {ROW!r}"
+            )
+        chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
+        names = [name for name, variable in lines.items() if variable.dims[0] == chosen]
+        rows = dataset.sizes.get(chosen, 0)
+        units = {name: lines[name].attrs.get("units") for name in names}
+    refuse_large(file, rows, len(names), max_bytes)
+    headers = tuple(Header.parse(n, None if units[n] is None else str(units[n])) for n in names)
+
+    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        with as_format(file, "NetCDF-4"), _dataset(path) as dataset:
+            return {p: cells_of(dataset[names[p]].values, number) for p, number in wanted.items()}
+
+    return Table(
+        file=file,
+        headers=headers,
+        rows=rows,
+        sha256=sha256_of(path),
+        load=load,
+        place=row_place,
+    )
+
+
+def _dataset(path: Path) -> xr.Dataset:
+    return xr.open_dataset(path, engine="h5netcdf", decode_times=False)

@@ -1,0 +1,114 @@
+"""A file as it stands: columns by the names and units of its header, nothing understood yet.
+
+Every format ends here, so that what follows (which column is which, what is refused) is one code.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayescal._core.errors import InputError
+from bayescal._tables.cells import Cells
+from bayescal._tables.problems import Problem
+
+ROW = "reading"  # the one dimension of readings
+FORMATS = (".csv", ".parquet", ".nc")  # that are written
+_WITH_UNIT = re.compile(r"(.*?)\s*\[([^\[\]]*)\]", re.DOTALL)
+
+
+def bytes_text(size: float) -> str:
+    """A number of bytes for people: 180 bytes, 2.1 GB."""
+    return f"{size / 1e9:.3g} GB" if size >= 1e8 else f"{size:,.0f} bytes"
+
+
+@dataclass(frozen=True)
+class Header:
+    """A column as the file names it: `raw` is all of it, name and unit its parts."""
+
+    raw: str
+    name: str
+    unit: str | None
+
+    @classmethod
+    def parse(cls, raw: str, unit: str | None = None) -> Header:
+        """Split `name [unit]`; a unit given beside the name counts where the name carries none."""
+        raw = raw.strip()
+        match = _WITH_UNIT.fullmatch(raw)
+        return cls(raw, match[1], match[2].strip()) if match else cls(raw, raw, unit)
+
+
+@dataclass(frozen=True)
+class Table:
+    """An opened file.
+
+    Attributes:
+        file: name for messages.
+        headers: its columns, in order.
+        rows: number of readings.
+        sha256: of the bytes; "" for arrays.
+        load: position of a wanted column → whether it is a number, to its cells.
+        place: index of a reading → where it stands, "row 12".
+        notes: how it was read, where that is not as usual, a sentence each.
+        problems: what keeps it from being used.
+        readable: whether its cells can be looked at all the same.
+    """
+
+    file: str
+    headers: tuple[Header, ...]
+    rows: int
+    sha256: str
+    load: Callable[[Mapping[int, bool]], dict[int, Cells]]
+    place: Callable[[int], str]
+    notes: tuple[str, ...] = ()
+    problems: tuple[Problem, ...] = ()
+    readable: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse what no format may hold.
+
+        Raises:
+            InputError: no readings, or one name for two columns.
+        """
+        if self.rows < 1:
+            raise InputError(
+                f"{self.file!r} holds no readings: give a file with at least one row of numbers"
+            )
+        names = [header.name for header in self.headers if header.name]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(
+                    f"{self.file!r} has {names.count(name)} columns called {name!r}: which one is "
+                    "meant cannot be told. Rename or remove all but one"
+                )
+
+    def take(self, rows: np.ndarray) -> Table:
+        """The table of some of its rows, by index."""
+
+        def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+            return {position: cells.take(rows) for position, cells in self.load(wanted).items()}
+
+        def place(index: int) -> str:
+            return self.place(int(rows[index]))
+
+        return replace(self, rows=len(rows), load=load, place=place)
+
+
+def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:
+    """The wanted columns, each as long as the file says it is.
+
+    Raises:
+        InputError: the file contradicts itself, or changed since it was opened.
+    """
+    found = table.load(wanted)
+    for position, cells in found.items():
+        if len(cells.values) != table.rows:
+            raise InputError(
+                f"{table.file!r} says that it holds {table.rows} rows, column "
+                f"{table.headers[position].raw!r} has {len(cells.values)}: it is damaged, or "
+                "changed while it was read. Export it again"
+            )
+    return found

@@ -1,0 +1,93 @@
+"""The door on the command line: all problems in one table, options that cure them, a mapping kept for the next file."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bayescal._cli.column_options import ColumnOptions, load_mapping, save_mapping
+from bayescal._core.errors import InputError
+from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.lab_files import HEAD, RATE, TEMPERATURE, TIME, text, with_cell
+
+pytestmark = needs_installation
+NOISY = RATE + 0.01 * np.sin(7 * TIME)
+UNNAMED = text(("time", "Temp (C)", "gyro z"), (TIME, TEMPERATURE, NOISY))
+
+
+def test_all_problems_stand_in_one_table_and_its_options_cure_them(tmp_path: Path) -> None:
+    path, out = tmp_path / "lab.csv", tmp_path / "out"
+    path.write_text(with_cell(5, 1, "", UNNAMED))
+    refused = run("fit", path, *GYRO, *QUICK, "--out", out, "--save-mapping", tmp_path / "lab.toml")
+    assert refused.status == 2 and refused.out == ""
+    assert refused.said[0] == "bayescal: 4 problems with 'lab.csv'"
+    assert list(tmp_path.iterdir()) == [path]
+    cures = refused.said[-1].partition(": ")[2]
+    assert cures == (
+        "--columns 'output=gyro z' --unit time=UNIT --missing drop --unit 'gyro z=UNIT'"
+    )
+    cures = cures.replace("time=UNIT", "time=s").replace("z=UNIT", "z=dps")
+    again = run("fit", path, *GYRO, *QUICK, *shlex.split(cures))
+    assert again.status == 0, again.err
+    assert "read 'Temp (C)' as temperature in °C" in again.err
+    assert "1 of 12 rows dropped" in again.err
+
+
+def test_what_was_said_once_is_kept_for_the_next_file(tmp_path: Path) -> None:
+    path, mapping = tmp_path / "lab.csv", tmp_path / "lab.toml"
+    path.write_text(UNNAMED)
+    said = ("--columns", "output=gyro z", "--unit", "gyro z=dps", "--unit", "time=s")
+    first = run("fit", path, *GYRO, *QUICK, *said, "--save-mapping", mapping)
+    assert first.status == 0, first.err
+    assert 'output = "gyro z"' in mapping.read_text().replace('"output"', "output")
+    second = run("fit", path, *GYRO, *QUICK, "--mapping", mapping)
+    assert second.out == first.out
+    other = run("fit", path, *GYRO, *QUICK, "--mapping", mapping, "--unit", "gyro z=rad/s")
+    assert other.status in (0, 1) and other.out != first.out
+
+
+@given(
+    st.dictionaries(st.text(min_size=1), st.text()),
+    st.dictionaries(st.text(min_size=1), st.text()),
+    st.floats(9.7, 9.9),
+)
+def test_a_mapping_is_read_as_it_was_written(tmp_path_factory, columns, units, gravity) -> None:
+    path = tmp_path_factory.mktemp("m") / "lab.toml"
+    made = {"columns": columns, "units": units, "local_gravity": gravity, "missing": "drop"}
+    save_mapping(path, made)
+    assert load_mapping(path) == {name: value for name, value in made.items() if value}
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("columns = 1\n", "columns = 1 is none of its entries"),
+        ("[columns]\noutput = 1\n", "is none of its entries"),
+        ("colour = 'red'\n", "colour = 'red' is none of its entries"),
+        ("columns\n", "is no TOML"),
+        (None, "cannot be read"),
+    ],
+)
+def test_a_mapping_that_is_none_is_refused(tmp_path: Path, content, message) -> None:
+    path = tmp_path / "lab.toml"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(InputError, match=message):
+        ColumnOptions(mapping=path).for_read()
+
+
+def test_a_still_sensor_needs_no_temperature(tmp_path: Path) -> None:
+    path = tmp_path / "still.csv"
+    path.write_text(text((HEAD[0], HEAD[2]), (TIME, NOISY)))
+    done = run("fit", path, "--instrument", "still_sensor", *QUICK)
+    assert done.status == 0, done.err
+    assert "bias.constant" in done.out and "bias.temperature" not in done.out
+    path.write_text(text(columns=(TIME, 0 * TEMPERATURE + 25, NOISY)))
+    constant = run("fit", path, "--instrument", "still_sensor", *QUICK)
+    assert constant.out.splitlines()[2] == done.out.splitlines()[2]
+    assert "column 'temperature' is constant (25)" in constant.err
