@@ -91,7 +91,7 @@ def _refuse_no_duration(text: str | None) -> str | None:
 Files = Annotated[
     list[Path],
     typer.Argument(
-        help="CSV, Parquet or NetCDF files of readings.",
+        help="CSV, Parquet or NetCDF files of readings, or logs: .ulg, .bin, .bag, .mcap, .db3.",
         show_default=False,
         callback=_refuse_missing,
     ),

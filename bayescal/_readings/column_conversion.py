@@ -72,7 +72,7 @@ def convert_columns(
     refuse_missing(table, expected, positions, instrument.name)
     expected = with_fixed_units(expected, table, positions, options)
     extra, flags = extra_columns(table, expected, positions, options)
-    converted = ConvertedColumns(flags=flags)
+    converted = ConvertedColumns(flags=[*table.notes, *flags])
     found = {n: c for n, c in (expected | extra).items() if n in positions}
     cells = load_whole(table, {positions[n]: c.unit is not None for n, c in found.items()})
     readers = {

@@ -6,7 +6,7 @@ renamed, so a file is there whole or not at all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,6 +18,7 @@ import xarray as xr
 
 from bayescal._core.atomic_file import netcdf_bytes, replacing_for_user, sha256_of
 from bayescal._core.errors import InputError
+from bayescal._logs.open_log import log_columns
 from bayescal._readings.column import ROW
 from bayescal._readings.raw_table import FORMATS, Cells, Header, Table, bytes_text, cells_of
 
@@ -146,6 +147,30 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
 
 def _dataset(path: Path) -> xr.Dataset:
     return xr.open_dataset(path, engine="h5netcdf", decode_times=False)
+
+
+def open_log(path: Path, file: str, asked: Collection[str]) -> Table:
+    """Channels of a log as a table.
+
+    Args:
+        path: where it is.
+        file: its name in messages.
+        asked: names of the channels to read.
+
+    Raises:
+        InputError: it cannot be read, or has none of these channels.
+    """
+    found = log_columns(path, file, asked)
+    arrays = list(found.columns.values())
+    return Table(
+        file=file,
+        headers=tuple(map(Header.parse, found.columns)),
+        rows=len(arrays[0]),
+        sha256=sha256_of(path),
+        load=lambda wanted: {p: cells_of(arrays[p], number) for p, number in wanted.items()},
+        place=lambda index: f"sample {index + 1}",
+        notes=found.notes,
+    )
 
 
 def _row(index: int) -> str:

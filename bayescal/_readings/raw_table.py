@@ -63,6 +63,7 @@ class Table:
         sha256: of the bytes; "" for arrays.
         load: position of a wanted column → whether it is a number, to its cells.
         place: index of a reading → where it stands, "row 12".
+        notes: what was done to make a table of it, each a sentence.
     """
 
     file: str
@@ -71,6 +72,7 @@ class Table:
     sha256: str
     load: Callable[[Mapping[int, bool]], dict[int, Cells]]
     place: Callable[[int], str]
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what no format may hold.

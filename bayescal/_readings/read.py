@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayescal._core.errors import InputError
+from bayescal._logs.open_log import LOG_FORMATS
 from bayescal._readings.column import MAY_BE_EMPTY, NominalScale, Source
 from bayescal._readings.column_conversion import ConvertedColumns, convert_columns
 from bayescal._readings.column_matching import InstrumentLike, ReadOptions, refuse_unused_units
@@ -36,12 +37,13 @@ def read(
     allow_one_temperature: bool = False,
     max_bytes: int = MAX_BYTES,
 ) -> Measurements:
-    """Read readings of an instrument from one file or several: CSV, Parquet or NetCDF.
+    """Read readings of an instrument from one file or several: CSV, Parquet or NetCDF, or logs.
 
     Headers read `name [unit]`; lines that begin with # may stand above a CSV's header. Columns are
     converted to the instrument's units, and rows keep their order. Where several files have no
     column `run`, each is a run named after its file. A column that the instrument does not know is
-    kept in base units if it has a unit, and otherwise left out with a flag.
+    kept in base units if it has a unit, and otherwise left out with a flag. Of a log (PX4 .ulg,
+    ArduPilot .bin, ROS .bag, .mcap, .db3) only the channels that `columns` names are read.
 
     Args:
         path_or_paths: the files.
@@ -60,7 +62,8 @@ def read(
     paths = [path_or_paths] if isinstance(path_or_paths, str | Path) else list(path_or_paths)
     paths = [Path(path) for path in paths]
     names = check_files(paths, max_bytes)
-    tables = [_open(path, name, max_bytes) for path, name in zip(paths, names, strict=True)]
+    asked = tuple((columns or {}).values())
+    tables = [_open(path, name, max_bytes, asked) for path, name in zip(paths, names, strict=True)]
     options = ReadOptions(columns or {}, units or {}, local_gravity, nominal_scale)
     refuse_unused_units(tables, options)
     parts = [convert_columns(table, instrument, options) for table in tables]
@@ -139,14 +142,14 @@ def _refuse_large(paths: Sequence[Path], names: Sequence[str], max_bytes: int) -
             )
 
 
-def _open(path: Path, name: str, max_bytes: int) -> Table:
+def _open(path: Path, name: str, max_bytes: int, asked: Sequence[str]) -> Table:
     """Open a file in the format that its suffix names.
 
     Raises:
         InputError: another suffix, or a file that is not what its suffix says.
     """
     suffix = path.suffix.lower()
-    if suffix not in FORMATS:
+    if suffix not in FORMATS and suffix not in LOG_FORMATS:
         never = (
             "Pickled objects are never read, because they can run code. "
             if suffix in _PICKLES
@@ -154,7 +157,7 @@ def _open(path: Path, name: str, max_bytes: int) -> Table:
         )
         raise InputError(
             f"{name!r}: {suffix or 'a file without a suffix'!r} cannot be read. {never}"
-            f"Give one of {', '.join(FORMATS)}"
+            f"Give one of {', '.join((*FORMATS, *LOG_FORMATS))}"
         )
     try:
         if not path.stat().st_size:
@@ -163,8 +166,10 @@ def _open(path: Path, name: str, max_bytes: int) -> Table:
             )
         if suffix == ".csv":
             return open_csv(path, name)
-        from bayescal._readings.file_formats import open_netcdf, open_parquet
+        from bayescal._readings.file_formats import open_log, open_netcdf, open_parquet
 
+        if suffix in LOG_FORMATS:
+            return open_log(path, name, asked)
         return (open_parquet if suffix == ".parquet" else open_netcdf)(path, name, max_bytes)
     except OSError as error:
         raise InputError(
