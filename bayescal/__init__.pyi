@@ -24,6 +24,7 @@ from ._recording.allan_deviation import AllanDeviation as AllanDeviation
 from ._compensation.compensator import compensator as compensator
 from ._compensation.compensator import load_compensator as load_compensator
 from ._compensation.budget import budget as budget
+from ._firmware.parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot
 
@@ -67,6 +68,7 @@ from ._discovery.next_experiment import NextExperiment as NextExperiment
 from ._discovery.false_reports import FalseReports as FalseReports
 from ._compensation.compensator import Compensator as Compensator
 from ._compensation.budget import Budget as Budget
+from ._firmware.parameters import FirmwareParameters as FirmwareParameters
 from ._numpyro.program_fit import ProgramFit as ProgramFit
 
 # many devices at once

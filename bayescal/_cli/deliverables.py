@@ -14,7 +14,7 @@ import bayescal as bc
 from bayescal._cli import options
 from bayescal._cli.console import exit_unless, print_notes, print_result
 from bayescal._cli.options import ColumnOptions, OwnParts, named_numbers, with_groups
-from bayescal._core.errors import InputError
+from bayescal._readings.unit_parsing import STANDARD_GRAVITY
 
 commands = typer.Typer()
 
@@ -83,27 +83,51 @@ def compensate(
 @with_groups
 def export(
     *,
-    calibration: options.Saved,
+    calibrations: Annotated[
+        list[Path] | None,
+        typer.Argument(help="A saved calibration (.nc); for parameters, one for each axis."),
+    ] = None,
     format_: Annotated[
-        str | None, typer.Option("--format", help="json, c or python; else by the suffix of --out.")
+        str | None,
+        typer.Option(
+            "--format",
+            help="json, c or python, else by the suffix of --out; px4-params or ardupilot-params.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="File to write; standard output if not given."),
     ] = None,
+    axis: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--axis", help="gyro_x=a.nc: calibration of an axis, where its readings do not name it."
+        ),
+    ] = None,
+    device_id: Annotated[
+        list[str] | None,
+        typer.Option("--device-id", help="gyro=3670026: PX4's number of a sensor; repeat."),
+    ] = None,
+    local_gravity: options.Gravity = STANDARD_GRAVITY,
     member: options.Members = None,
     own: OwnParts,
 ) -> None:
-    """Write the compensation for firmware: a C99 header, a Python function, or JSON."""
-    from bayescal._cli.saved import compensator_from
-    from bayescal._compensation import code_writer
+    """Write the compensation for firmware: a C99 header, a Python function, JSON, or an autopilot's parameters."""
+    from bayescal._cli import saved
 
-    if format_ is None and out is None:
-        raise InputError("say which format: --format json, c or python")
-    if format_ not in (None, "json", "c", "python"):
-        raise InputError(f"--format {format_!r} is not one of json, c, python")
-    chosen = compensator_from(calibration, own, member)
+    saved.refuse_format(format_, out)
+    if format_ in saved.PARAMETERS:
+        given = saved.by_axis(calibrations or [], axis, own, member)
+        found = saved.parameters(given, str(format_), device_id, local_gravity)
+        if out is None:
+            print(found.text(), end="")
+        else:
+            print(f"{found}\n\nwritten: {found.write(out)}")
+        return
+    chosen = saved.single(calibrations or [], axis, device_id, own, member)
     if out is None:
+        from bayescal._compensation import code_writer
+
         print(code_writer.as_text(chosen.program, str(format_)), end="")
         return
     print(f"written: {chosen.export(out, format_)}")

@@ -33,7 +33,9 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
         if file.read(2) != HEAD:
             raise InputError("it does not begin with the bytes A3 95 of a DataFlash log")
     with DFReader_binary(str(path)) as log:
-        sensors = [sensor for place, name in enumerate(MESSAGES) for sensor in _of(log, name, place)]
+        sensors = [
+            sensor for place, name in enumerate(MESSAGES) for sensor in _of(log, name, place)
+        ]
         while log.recv_match(type=["PARM"], strict=True) is not None:
             pass  # the reader keeps the parameters
         corrected = [n for n in range(1, 4) if log.params.get(f"INS_TCAL{n}_ENABLE") == 1]

@@ -6,7 +6,7 @@ linear_acceleration in m/s²) and Temperature.msg (temperature in °C); the time
 
 from __future__ import annotations
 
-import os.path
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +37,18 @@ def read_bag(path: Path) -> tuple[list[Sensor], list[str]]:
     for number, topic in enumerate(t for t in units if rows[t]):
         near = max(
             (t for t in thermometers if rows[t]),
-            key=lambda t: len(os.path.commonprefix([t, topic])),  # noqa: B023
+            key=partial(_shared, topic),
             default=None,
         )
         sensors.append(_sensor(np.array(rows[topic]), number, rows.get(near or "")))
         name = f"gyro_x{f'_{number}' if number else ''} and its like"
         notes.append(f"{name} are of the topic {topic}" + (f", temperature of {near}" * bool(near)))
     return sensors, notes
+
+
+def _shared(topic: str, other: str) -> int:
+    """How many parts of their names two topics share."""
+    return sum(a == b for a, b in zip(topic.split("/"), other.split("/"), strict=False))
 
 
 def _row(message: Any, kind: str, at: int) -> tuple[float, ...]:

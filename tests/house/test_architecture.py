@@ -46,6 +46,7 @@ ROOMS = {
     "_discovery": "candidate discover next_experiment false_reports draft_effect search_path gate calibrate",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
     "compensation_program code_writer compensator compensate_file budget",
+    "_firmware": "thermal_polynomial autopilots parameters",
     "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack population "
     "device_result batch_result partial_pooling fit_batch",
     "_plots": "style residuals allan search posterior",

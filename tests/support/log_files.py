@@ -91,7 +91,18 @@ def write_dataflash(
     values = [[*_of(u, "gyro", len(time)), *_of(u, "acc", len(time))] for u in units]
     for i, t in enumerate(time):
         for number, own in enumerate(values):
-            row = (round(1e6 * t), number, *(v[i] for v in own), 0, 0, temperature[i], 1, 1, 400, 400)
+            row = (
+                round(1e6 * t),
+                number,
+                *(v[i] for v in own),
+                0,
+                0,
+                temperature[i],
+                1,
+                1,
+                400,
+                400,
+            )
             parts.append(b"\xa3\x95\x81" + struct.pack("<QBffffffIIfBBHH", *row))
     path.write_bytes(b"".join(parts))
     return path
