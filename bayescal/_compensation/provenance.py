@@ -91,7 +91,7 @@ def _notes(
         if lag.shape:
             notes.append(
                 f"{lag.name} is the lag for {lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
-                "not counted through the lag."
+                f"counted through {lag.slope}."
             )
     if stimulus_range is None:
         notes.append(f"The range of {equation.use.stimulus} in the calibration is not stated.")

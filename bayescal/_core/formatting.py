@@ -133,30 +133,19 @@ _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)")
 def ascii_text(text: str) -> str:
     """Text in ASCII, with a spelling for every character: T̃ as T~, τ as tau, ² as ^2, € as <U+20AC>.
 
-    Accents over letters of a language go (é as e); a mark that makes a symbol another one stays.
+    Marks that make another symbol of one stay (ẋ as x_dot), accents of a language go (é as e).
     """
-    spelled = "".join(map(_spelled, re.findall(r".[\u0300-\u036f]*", text, re.DOTALL)))
+    spelled = "".join(map(_spelled, unicodedata.normalize("NFC", text)))
     return re.sub(r"(?<=[\^_][-+0-9])[\^_](?=[0-9])", "", spelled)  # ^-^6 is ^-6
 
 
 def _spelled(character: str) -> str:
-    """One character, with the marks over it, in ASCII."""
-    if character.isascii():
-        return character
-    composed = unicodedata.normalize("NFC", character)
-    if len(composed) == 1 and composed in _SPELLED:
-        return _SPELLED[composed]
-    kind = unicodedata.decomposition(composed) if len(composed) == 1 else ""
-    if (found := _GREEK.fullmatch(unicodedata.name(composed[0], ""))) and len(composed) == 1:
+    if character.isascii() or character in _SPELLED:
+        return _SPELLED.get(character, character)
+    if found := _GREEK.fullmatch(unicodedata.name(character, "")):
         return found[2].lower() if found[1] == "SMALL" else found[2].capitalize()
-    if kind.startswith(("<super>", "<sub>")):
-        return ("^" if kind.startswith("<super>") else "_") + _spelled(
-            chr(int(kind.split()[1], 16))
-        )
-    parts = unicodedata.normalize("NFKD", character)
-    if len(parts) == 1:
-        return _SPELLED.get(parts, f"<U+{ord(parts):04X}>")
-    letter, marks = _spelled(parts[0]), parts[1:]
-    if len(composed) == 1 and all(unicodedata.combining(m) for m in marks):
-        return letter  # an accented letter of a language
-    return letter + "".join(map(_spelled, marks))
+    kind, _, parts = unicodedata.decomposition(character).rpartition("> ")
+    if parts:
+        before = {"<super": "^", "<sub": "_"}.get(kind, "")
+        return before + "".join(_spelled(chr(int(part, 16))) for part in parts.split())
+    return "" if unicodedata.combining(character) else f"<U+{ord(character):04X}>"
