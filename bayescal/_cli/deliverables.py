@@ -91,7 +91,7 @@ def export(
         str | None,
         typer.Option(
             "--format",
-            help="json, c or python, else by the suffix of --out; px4-params or ardupilot-params.",
+            help="json, c or python, else by the suffix of --out; px4-params or ardupilot-params; dcc.",
         ),
     ] = None,
     out: Annotated[
@@ -109,11 +109,13 @@ def export(
         typer.Option("--device-id", help="gyro=3670026: PX4's number of a sensor; repeat."),
     ] = None,
     local_gravity: options.Gravity = STANDARD_GRAVITY,
+    certificate: options.Certificate = None,
     member: options.Members = None,
     own: OwnParts,
 ) -> None:
-    """Write the compensation for firmware: a C99 header, a Python function, JSON, or an autopilot's parameters."""
+    """Write what leaves: a C99 header, a Python function, JSON, an autopilot's parameters, a digital certificate."""
     from bayescal._cli import saved
+    from bayescal._core.atomic_file import write_text
 
     saved.refuse_format(format_, out)
     if format_ in saved.PARAMETERS:
@@ -125,6 +127,13 @@ def export(
             print(f"{found}\n\nwritten: {found.write(out)}")
         return
     chosen = saved.single(calibrations or [], axis, device_id, own, member)
+    if format_ == saved.DCC:
+        text = saved.certified(chosen, certificate, local_gravity)
+        print(
+            text if out is None else f"written: {write_text(text, out)}",
+            end="" if out is None else "\n",
+        )
+        return
     if out is None:
         from bayescal._compensation import code_writer
 
@@ -187,14 +196,17 @@ def report(
         "report.html"
     ),
     title: Annotated[str, typer.Option("--title", help="Of the report.")] = "",
+    certificate: options.Certificate = None,
     own: OwnParts,
     json_: options.Json = False,
 ) -> None:
     """Write the report to sign: one HTML file that needs nothing else."""
     from bayescal._cli.saved import chapters_from
+    from bayescal._report.certificate import read_certificate
 
+    stated = read_certificate(certificate) if certificate else None
     given = chapters_from(calibrations, own)
-    written = bc.report(given, out, title=title)
+    written = bc.report(given, out, title=title, certificate=stated)
     reasons = [reason for c in given for reason in c.data["verdict"]["reasons"]]
     print_result({"file": str(written), "chapters": len(given)} if json_ else f"written: {written}")
     exit_unless(all(c.data["verdict"]["ok"] for c in given), " ".join(reasons))

@@ -223,6 +223,14 @@ AcceptConflict = Annotated[
         help="bias.constant: may stand far from its plausible size; repeat for others.",
     ),
 ]
+Certificate = Annotated[
+    Path | None,
+    typer.Option(
+        "--certificate",
+        help="TOML file of what a certificate states: device, serial number, place, operator, conditions, "
+        "standards, dates.",
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
 Folder = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]

@@ -13,10 +13,11 @@ from bayescal._core.errors import InputError
 from bayescal._firmware.autopilots import AUTOPILOTS
 from bayescal._firmware.parameters import FirmwareParameters, axis_of, firmware_parameters
 from bayescal._model.instrument import Instrument
+from bayescal._report.dcc import dcc_text
 from bayescal._report.section import Chapter, chapters, of_folder
 from bayescal._report.whole_folder import refuse_mixed
 
-PROGRAMS, PARAMETERS = ("json", "c", "python"), tuple(AUTOPILOTS)
+PROGRAMS, PARAMETERS, DCC = ("json", "c", "python"), tuple(AUTOPILOTS), "dcc"
 
 
 def load_saved(path: Path, own: OwnParts) -> Calibration:
@@ -50,10 +51,10 @@ def refuse_format(format: str | None, out: Path | None) -> None:
     Raises:
         InputError: it is so.
     """
-    known = ", ".join((*PROGRAMS, *PARAMETERS))
+    known = ", ".join((*PROGRAMS, *PARAMETERS, DCC))
     if format is None and out is None:
         raise InputError(f"say which format: --format {known}")
-    if format not in (None, *PROGRAMS, *PARAMETERS):
+    if format not in (None, *PROGRAMS, *PARAMETERS, DCC):
         raise InputError(f"--format {format!r} is not one of {known}")
 
 
@@ -121,6 +122,21 @@ def parameters(
             raise InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
     numbers = {name: int(value) for name, value in said.items()}
     return firmware_parameters(given, format, devices=numbers, local_gravity=local_gravity)
+
+
+def certified(chosen: Compensator, certificate: Path | None, local_gravity: float) -> str:
+    """The digital calibration certificate of a saved calibration, as XML.
+
+    Raises:
+        InputError: no certificate is given, an export, or what `dcc_text` refuses.
+    """
+    if certificate is None:
+        raise InputError(
+            "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
+        )
+    if chosen.calibration is None:
+        raise InputError("an export is no calibration: give the saved calibration (.nc)")
+    return dcc_text(chosen.calibration, certificate, local_gravity)
 
 
 def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:
