@@ -100,7 +100,7 @@ def probability(p: float | None) -> str:
     return f"{p:.2f}" if p >= 0.005 else "< 0.01"
 
 
-_SPELLED = dict(
+_SPELLED: dict[str, str] = dict(
     [
         *(("·", "*"), ("×", "x"), ("−", "-"), ("–", "-"), ("—", "-"), ("√", "sqrt"), ("±", "+-")),
         *(

@@ -51,7 +51,9 @@ class FirmwareParameters:
         rows = [
             [
                 *(name, unit_label(p.unit), f"{p.low:.1f}", f"{p.high:.1f}"),
-                *map(number, (p.of.uncertainty, p.of.noise, p.rms, p.largest, p.expected_error)),
+                *map(number, (p.of.uncertainty, p.of.noise)),
+                *(number(v if v > 1e-3 * p.of.noise else 0.0) for v in (p.rms, p.largest)),
+                number(p.expected_error),
             ]
             for name, p in self.axes.items()
         ]
@@ -199,12 +201,10 @@ def _notes(
     chosen: Mapping[Axis, Compensator],
     autopilot: Autopilot,
 ) -> list[str]:
-    notes = []
-    for kind, sensor in dict.fromkeys((a.kind, a.sensor) for a in found):
-        missing = [x for x in AXES if Axis(kind, x, sensor) not in found]
-        if missing:
-            names = ", ".join(str(Axis(kind, x, sensor)) for x in missing)
-            notes.append(f"Not calibrated, and written without a correction: {names}.")
+    sensors = dict.fromkeys((a.kind, a.sensor) for a in found)
+    every = [Axis(kind, x, sensor) for kind, sensor in sensors for x in AXES]
+    missing = ", ".join(str(a) for a in every if a not in found)
+    notes = [f"Not calibrated, and written without a correction: {missing}."] * bool(missing)
     for a, p in found.items():
         narrower = p.low - p.of.low > 1e-3 or p.of.high - p.high > 1e-3
         if narrower:

@@ -2,8 +2,7 @@
 
 Schema and meaning: Physikalisch-Technische Bundesanstalt, https://www.ptb.de/dcc (dcc.xsd 3.2.1) and
 https://www.ptb.de/si (SI_Format.xsd 2.1.0); S. Hackel et al., The Digital Calibration Certificate,
-PTB-Mitteilungen 127 (2017) 4, doi 10.7795/310.20170403. Units: D. Hutzschenreuter et al., SmartCom Digital
-System of Units (D-SI) Guide, doi 10.5281/zenodo.3522631: coherent SI units, an acceleration in local g as m/s².
+PTB-Mitteilungen 127 (2017) 4, doi 10.7795/310.20170403.
 The file is not signed: a seal is the laboratory's.
 """
 
@@ -20,8 +19,9 @@ from bayescal._calibration.summary import summary
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._core.version import __version__
-from bayescal._readings.unit_parsing import STANDARD_GRAVITY, parse
+from bayescal._readings.unit_parsing import STANDARD_GRAVITY
 from bayescal._report.certificate import Certificate, read_certificate
+from bayescal._report.d_si import d_si
 
 SCHEMA = "3.2.1"
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
@@ -31,49 +31,6 @@ NEEDED = (
     *("customer.name", "customer.country"),
 )
 K, PROBABILITY = 2.0, 0.9545  # coverage of k = 2 for a normal distribution (JCGM 100, table G.1)
-_D_SI = {
-    "s": "second",
-    "K": "kelvin",
-    "rad": "radian",
-    "V": "volt",
-    "Hz": "hertz",
-    "m": "metre",
-    "A": "ampere",
-    "Pa": "pascal",
-    "uT": "tesla",
-    "count": "one",
-}
-
-
-def d_si(unit: str | None, local_gravity: float = STANDARD_GRAVITY) -> tuple[float, str]:
-    """A unit in D-SI: the factor from the one to the other, and its text, such as \\radian\\second\\tothe{-1}.
-
-    Args:
-        unit: ours; a temperature in degC stays one.
-        local_gravity: m/s², that one g is.
-
-    Raises:
-        InputError: it is no unit.
-    """
-    if unit in (None, "", "1"):
-        return 1.0, "\\one"
-    if unit == "degC":
-        return 1.0, "\\degreecelsius"
-    found = parse(unit)
-    factor, powers = found.factor, dict[str, float]()
-    for base, power in found.powers.items():
-        if base == "ug":
-            factor *= (1e-6 * local_gravity) ** power
-            parts = {"metre": power, "second": -2 * power}
-        else:
-            factor *= 1e-6**power if base == "uT" else 1.0
-            parts = {_D_SI[base]: power}
-        for name, p in parts.items():
-            powers[name] = powers.get(name, 0.0) + p
-    text = "".join(
-        f"\\{name}" + ("" if p == 1 else f"\\tothe{{{p:g}}}") for name, p in powers.items() if p
-    )
-    return factor, text or "\\one"
 
 
 def write_dcc(

@@ -6,6 +6,7 @@ The two functions `px4` and `ardupilot` are written from the firmwares' sources,
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ QUICK = bc.LeastSquares(draws=400)
 F = np.float32
 
 
-def px4(values, sensor: str, axis: int, temperature) -> np.ndarray:
+def px4(values, sensor: str, axis: int, temperature: Any) -> np.ndarray:
     """PX4-Autopilot, TemperatureCompensation.cpp, calc_thermal_offsets_3D: what is taken from a reading."""
     own = {
         k: F(values[f"TC_{sensor}_{k}"])
@@ -28,7 +29,7 @@ def px4(values, sensor: str, axis: int, temperature) -> np.ndarray:
     }
     delta = np.clip(F(temperature), own["TMIN"], own["TMAX"]) - own["TREF"]
     square = delta * delta
-    return (
+    return np.asarray(
         own[f"X0_{axis}"]
         + own[f"X1_{axis}"] * delta
         + own[f"X2_{axis}"] * square
@@ -36,7 +37,9 @@ def px4(values, sensor: str, axis: int, temperature) -> np.ndarray:
     )
 
 
-def ardupilot(values, imu: int, word: str, axis: str, temperature, calibrated_at) -> np.ndarray:
+def ardupilot(
+    values, imu: int, word: str, axis: str, temperature: Any, calibrated_at
+) -> np.ndarray:
     """ardupilot, AP_InertialSensor_tempcal.cpp, correct_sensor: what is taken from a reading."""
     low, high = F(values[f"INS_TCAL{imu}_TMIN"]), F(values[f"INS_TCAL{imu}_TMAX"])
     c = [F(values[f"INS_TCAL{imu}_{word}{n}_{axis}"]) for n in (1, 2, 3)]
@@ -45,7 +48,7 @@ def ardupilot(values, imu: int, word: str, axis: str, temperature, calibrated_at
         d = np.clip(F(t), low, high) - F(35.0)
         return (c[0] + (c[1] + c[2] * d) * d) * d * F(1e-6)
 
-    return polynomial(temperature) - polynomial(calibrated_at)
+    return np.asarray(polynomial(temperature) - polynomial(calibrated_at))
 
 
 def loaded(text: str) -> dict[str, float]:
@@ -231,7 +234,7 @@ def test_a_corrected_log_has_the_error_that_was_promised(kind, tmp_path) -> None
     assert ran.status == 0, ran.err
     values = loaded(parameters.read_text())
     promised = bc.firmware_parameters(
-        {n: bc.load(p) for n, p in zip(noise, calibrations, strict=True)}, kind
+        {n: bc.compensator(bc.load(p)) for n, p in zip(noise, calibrations, strict=True)}, kind
     ).axes
 
     cooling = 55.0 - 30.0 * (1 - np.exp(-time / 2500))

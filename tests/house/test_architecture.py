@@ -50,7 +50,8 @@ ROOMS = {
     "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack population "
     "device_result batch_result partial_pooling fit_batch",
     "_plots": "style residuals allan search posterior",
-    "_report": "result_json whole_folder under_way save_search section certificate dcc figures tables sentences report",
+    "_report": "result_json whole_folder under_way save_search section certificate d_si dcc figures tables sentences "
+    "report",
     "_cli": "options console offered request saved output catalogue fitting instrument_extras deliverables batch main",
 }
 # What a user imports by name: each hands on what stands in this room, and so stands above it.
