@@ -115,7 +115,7 @@ def test_px4_takes_away_what_the_calibration_found(axes) -> None:
         np.testing.assert_allclose(px4(values, "A0", place, temperature), acc, atol=2e-7)
         assert px4(values, "A0", place, reference) == 0
     assert not px4(values, "G0", 1, temperature).any()
-    assert "Not calibrated, and written without a correction: gyro_y, gyro_z." in made.notes
+    assert "Not calibrated, and written without a correction: acc_y, gyro_y, gyro_z." in made.notes
 
 
 def test_ardupilot_takes_away_what_the_calibration_found(axes) -> None:
