@@ -29,10 +29,14 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
     """
     from pymavlink.DFReader import DFReader_binary
 
+    class WithoutClock(DFReader_binary):
+        def init_clock(self) -> None:
+            """Leave the time of day, for which a log without GPS is read to its end; TimeUS is enough here."""
+
     with path.open("rb") as file:
         if file.read(2) != HEAD:
             raise InputError("it does not begin with the bytes A3 95 of a DataFlash log")
-    with DFReader_binary(str(path)) as log:
+    with WithoutClock(str(path)) as log:
         sensors = [
             sensor for place, name in enumerate(MESSAGES) for sensor in _of(log, name, place)
         ]
