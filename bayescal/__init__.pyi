@@ -9,7 +9,7 @@ from ._diagnostics.check import check as check
 from ._diagnostics.compare import compare as compare
 from ._discovery.discover import discover as discover
 from ._report.save_search import calibrate as calibrate
-from ._report.save_channels import calibrate_channels as calibrate_channels
+from ._report.save_search import calibrate_channels as calibrate_channels
 
 # beside the loop: which test to run next, how often a search reports what is not there, an effect's draft
 from ._discovery.next_experiment import next_experiment as next_experiment
@@ -25,6 +25,7 @@ from ._recording.allan_deviation import AllanDeviation as AllanDeviation
 from ._compensation.compensator import compensator as compensator
 from ._compensation.compensator import load_compensator as load_compensator
 from ._compensation.budget import budget as budget
+from ._firmware.parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot
 
@@ -65,13 +66,14 @@ from ._diagnostics.check_result import Check as Check
 from ._diagnostics.compare import Comparison as Comparison
 from ._discovery.discover import Discovery as Discovery
 from ._report.save_search import Trail as Trail  # with `save`, which save_search.py attaches
-from ._report.save_channels import (
+from ._report.save_search import (
     Channels as Channels,
-)  # with `save`, which save_channels.py attaches
+)  # with `save`, which save_search.py attaches
 from ._discovery.next_experiment import NextExperiment as NextExperiment
 from ._discovery.false_reports import FalseReports as FalseReports
 from ._compensation.compensator import Compensator as Compensator
 from ._compensation.budget import Budget as Budget
+from ._firmware.parameters import FirmwareParameters as FirmwareParameters
 from ._numpyro.program_fit import ProgramFit as ProgramFit
 
 # many devices at once

@@ -21,6 +21,7 @@ from bayescal._model.model import Model
 from bayescal._model.noise_laws import Heteroscedastic, Noise, Quantised, StudentT, White
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._model.unknown_effect import covariate_in
+from bayescal._readings.column import Source
 from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.calibration/1"
@@ -34,18 +35,32 @@ def identity(c: Fitted) -> str:
     A calibration has the same one before it is saved and after it is loaded; another fit has another.
     """
     digest = hashlib.sha256(json.dumps(description(c), sort_keys=True).encode())
-    for name in sorted(c.readings.columns):
-        column = c.readings[name]
-        digest.update(f"{name} [{c.readings.unit(name)}] {len(column)}\n".encode())
+    _add_columns(digest, c.readings)
+    for draws in (c.joint.x, c.joint.rows, c.joint.v):
+        digest.update(f"{draws.shape}\n".encode())
+        digest.update(np.ascontiguousarray(draws, dtype="<f8").tobytes())
+    return digest.hexdigest()
+
+
+def sources_of(readings: Measurements) -> tuple[Source, ...]:
+    """Where readings came from, as every artefact states it: files and their hashes; of arrays, that of the values."""
+    if readings.sources:
+        return readings.sources
+    digest = hashlib.sha256()
+    _add_columns(digest, readings)
+    return (Source("arrays (hash of their values)", digest.hexdigest(), len(readings)),)
+
+
+def _add_columns(digest: Any, readings: Measurements) -> None:
+    """Add names, units and values of all columns to a digest."""
+    for name in sorted(readings.columns):
+        column = readings[name]
+        digest.update(f"{name} [{readings.unit(name)}] {len(column)}\n".encode())
         digest.update(
             np.ascontiguousarray(column).tobytes()
             if column.dtype.kind == "f"
             else json.dumps(column.tolist()).encode()
         )
-    for draws in (c.joint.x, c.joint.rows, c.joint.v):
-        digest.update(f"{draws.shape}\n".encode())
-        digest.update(np.ascontiguousarray(draws, dtype="<f8").tobytes())
-    return digest.hexdigest()
 
 
 def description(c: Fitted) -> dict[str, Any]:

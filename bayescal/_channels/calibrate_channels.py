@@ -16,6 +16,7 @@ from bayescal._discovery.discover import structures_over
 from bayescal._discovery.search_path import Step, Trail
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect, Shape
+from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.set_aside import set_aside
@@ -37,6 +38,7 @@ def calibrate_channels(
     widen_noise: bool = True,
     keep_spikes: bool = False,
     seed: int = 0,
+    reference: Reference | None = None,
     time_limit: float | None = None,
     accept_conflicts: Collection[str] = (),
     follow: Callable[[str, Trail], None] = lambda _, __: None,
@@ -52,8 +54,8 @@ def calibrate_channels(
         readings: of each channel, as `read(…, outputs=[…])` gives them.
         holdout: readings kept apart, of each channel.
         follow: called with a channel's name and its trail so far, whenever that grows.
-        effects, method, max_effects, widen_noise, keep_spikes, seed, time_limit, accept_conflicts: as `calibrate`
-            has them; the time limit is for one search of one channel.
+        effects, method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit, accept_conflicts: as
+            `calibrate` has them; the time limit is for one search of one channel.
 
     Raises:
         InputError: fewer than two channels, or models, readings and holdout of different ones.
@@ -70,7 +72,7 @@ def calibrate_channels(
             kept,
             method,
             seed,
-            None,
+            reference,
             max_effects,
             frozenset(accept_conflicts),
             time_limit,

@@ -34,7 +34,7 @@ class Channels:
     if TYPE_CHECKING:
 
         def save(self, folder: Path) -> None:
-            """Write all results to a folder; `save_channels.py` attaches it."""
+            """Write all results to a folder; `save_search.py` attaches it."""
 
     @property
     def reason(self) -> str:

@@ -1,18 +1,31 @@
-"""Commands for what instruments offer: instruments, effects, simulate."""
+"""Commands for what instruments offer: instruments, effects, simulate; of some, pairs of devices, a demonstration."""
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import sys
+from collections.abc import Callable
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+import bayescal as bc
 from bayescal._cli import options
-from bayescal._cli.console import print_result
+from bayescal._cli.column_options import ColumnOptions
+from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
+from bayescal._cli.options import ModelOptions, with_groups
 from bayescal._core.errors import InputError
+from bayescal._report.whole_folder import MANIFEST, files_of, whole_folder
 
 commands = typer.Typer()
+DEMONSTRATIONS = "bayescal.demos"
+"""`run(folder, seed)` writes a demonstration to an existing folder."""
+
+PAIR_SELECTIONS = "bayescal.pair_selections"
+"""`select(calibration, criterion=…)` gives a table of pairs that prints itself and has `data()`, plain JSON."""
 
 
 @commands.command(epilog="Example: bayescal instruments")
@@ -80,3 +93,71 @@ def simulate(
     said = {"file": str(out), "rows": len(readings), "seed": seed, "noise_law": noise_law}
     text = f"{out}: {len(readings)} readings, hidden: {hiding}; seed {seed}"
     print_result({**said, "effects": hidden} if json_ else text)
+
+
+@commands.command(epilog="Example: bayescal pairs readings.csv")
+@with_groups
+def pairs(
+    *,
+    files: options.Files,
+    instrument: Annotated[
+        str, typer.Option("--instrument", help="Whose devices are chosen in pairs.")
+    ] = "differential_pair",
+    criterion: Annotated[
+        str, typer.Option(help="residual, ratio-variance or ratio-variance-raw.")
+    ] = "residual",
+    columns: ColumnOptions,
+    add: options.Add = None,
+    average: options.Average = None,
+    seed: options.Seed = 0,
+    json_: options.Json = False,
+) -> None:
+    """Which two devices make the best pair, each pair with its probability."""
+    from bayescal._cli.request import Asked, open_request
+
+    choice = ModelOptions(add=add)
+    chosen, model, readings = open_request(Asked(instrument, files, columns, choice, average))
+    select = offered(PAIR_SELECTIONS, chosen.name)
+    if select is None:
+        raise InputError(f"instrument {chosen.name!r} does not choose its devices in pairs")
+    print_notes(readings.flags)
+    fitted = bc.fit(model, readings, seed=seed, strict=False)
+    found = select(fitted, criterion=criterion)
+    print_result(found.data() if json_ else found)
+    exit_unless(fitted.verdict.ok, " ".join(fitted.verdict.reasons))
+
+
+@commands.command(epilog="Example: bayescal demo --out demo_output")
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("demo_output"),
+    instrument: Annotated[
+        str, typer.Option("--instrument", help="Whose demonstration.")
+    ] = "mems_gyro",
+    seed: options.Seed = 0,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print result.json on stdout, and the story on stderr.")
+    ] = False,
+) -> None:
+    """A gyroscope's table against its published line, then a hidden effect found and added."""
+    from bayescal._cli.request import instrument_named
+
+    chosen = instrument_named(instrument)
+    demonstrate = offered(DEMONSTRATIONS, chosen.name)
+    if demonstrate is None:
+        raise InputError(f"instrument {chosen.name!r} has no demonstration")
+    with (
+        result_folder(out),
+        contextlib.redirect_stdout(sys.stderr if json_ else sys.stdout),
+    ):
+        with whole_folder(out) as hidden:
+            demonstrate(hidden, seed)
+        print(f"\nwritten to {out}: {', '.join([*files_of(out), MANIFEST])}")
+    if json_:
+        print((out / "result.json").read_text(encoding="utf-8"), end="")
+
+
+def offered(group: str, instrument: str) -> Callable[..., Any] | None:
+    """What an installed package offers in a group for the instrument of this name; None where none does."""
+    for found in entry_points(group=group, name=instrument):
+        return found.load()
+    return None

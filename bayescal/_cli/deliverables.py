@@ -12,10 +12,10 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
-from bayescal._cli.column_options import ColumnOptions
+from bayescal._cli.column_options import ColumnOptions, Gravity
 from bayescal._cli.console import exit_unless, print_notes, print_result
 from bayescal._cli.options import OwnParts, named_numbers, with_groups
-from bayescal._core.errors import InputError
+from bayescal._readings.unit_parsing import STANDARD_GRAVITY
 
 commands = typer.Typer()
 
@@ -88,27 +88,60 @@ def compensate(
 @with_groups
 def export(
     *,
-    calibration: options.Saved,
+    calibrations: Annotated[
+        list[Path] | None,
+        typer.Argument(help="A saved calibration (.nc); for parameters, one for each axis."),
+    ] = None,
     format_: Annotated[
-        str | None, typer.Option("--format", help="json, c or python; else by the suffix of --out.")
+        str | None,
+        typer.Option(
+            "--format",
+            help="json, c or python, else by the suffix of --out; px4-params or ardupilot-params; dcc.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="File to write; standard output if not given."),
     ] = None,
+    axis: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--axis", help="gyro_x=a.nc: calibration of an axis, where its readings do not name it."
+        ),
+    ] = None,
+    device_id: Annotated[
+        list[str] | None,
+        typer.Option("--device-id", help="gyro=3670026: PX4's number of a sensor; repeat."),
+    ] = None,
+    local_gravity: Gravity = None,
+    certificate: options.Certificate = None,
     member: options.Members = None,
     own: OwnParts,
 ) -> None:
-    """Write the compensation for firmware: a C99 header, a Python function, or JSON."""
-    from bayescal._cli.saved import compensator_from
-    from bayescal._compensation import code_writer
+    """Write what leaves: a C99 header, a Python function, JSON, an autopilot's parameters, a digital certificate."""
+    from bayescal._cli import saved
+    from bayescal._core.atomic_file import write_text
 
-    if format_ is None and out is None:
-        raise InputError("say which format: --format json, c or python")
-    if format_ not in (None, "json", "c", "python"):
-        raise InputError(f"--format {format_!r} is not one of json, c, python")
-    chosen = compensator_from(calibration, own, member)
+    saved.refuse_format(format_, out)
+    if format_ in saved.PARAMETERS:
+        given = saved.by_axis(calibrations or [], axis, own, member)
+        found = saved.parameters(given, str(format_), device_id, local_gravity or STANDARD_GRAVITY)
+        if out is None:
+            print(found.text(), end="")
+        else:
+            print(f"{found}\n\nwritten: {found.write(out)}")
+        return
+    chosen = saved.single(calibrations or [], axis, device_id, own, member)
+    if format_ == saved.DCC:
+        text = saved.certified(chosen, certificate, local_gravity or STANDARD_GRAVITY)
+        print(
+            text if out is None else f"written: {write_text(text, out)}",
+            end="" if out is None else "\n",
+        )
+        return
     if out is None:
+        from bayescal._compensation import code_writer
+
         print(code_writer.as_text(chosen.program, str(format_)), end="")
         return
     print(f"written: {chosen.export(out, format_)}")
@@ -168,14 +201,17 @@ def report(
         "report.html"
     ),
     title: Annotated[str, typer.Option("--title", help="Of the report.")] = "",
+    certificate: options.Certificate = None,
     own: OwnParts,
     json_: options.Json = False,
 ) -> None:
     """Write the report to sign: one HTML file that needs nothing else."""
     from bayescal._cli.saved import chapters_from
+    from bayescal._report.certificate import read_certificate
 
+    stated = read_certificate(certificate) if certificate else None
     given = chapters_from(calibrations, own)
-    written = bc.report(given, out, title=title)
+    written = bc.report(given, out, title=title, certificate=stated)
     reasons = [reason for c in given for reason in c.data["verdict"]["reasons"]]
     print_result({"file": str(written), "chapters": len(given)} if json_ else f"written: {written}")
     exit_unless(all(c.data["verdict"]["ok"] for c in given), " ".join(reasons))

@@ -1,4 +1,4 @@
-"""Commands from readings to a calibration: fit, check, discover, compare, predict, calibrate.
+"""Commands from readings to a calibration: fit, check, discover, compare, predict.
 
 Imports stand where they are first needed: a bad file is refused before a sampler loads.
 """
@@ -35,9 +35,9 @@ def fit(
     json_: options.Json = False,
 ) -> None:
     """Fit one model: coefficients with uncertainty."""
-    from bayescal._cli.request import method_named, open_request, reference_of
+    from bayescal._cli.request import Asked, method_named, open_request, reference_of
 
-    _, model, readings = open_request(instrument, files, columns, choice, average)
+    _, model, readings = open_request(Asked(instrument, files, columns, choice, average))
     print_notes(readings.flags)
     with result_folder(out) as folder:
         calibration = bc.fit(
@@ -132,6 +132,7 @@ def compare(
 ) -> None:
     """Set model structures side by side: left-out groups, leave-one-out, evidence, weights."""
     from bayescal._cli.request import (
+        Asked,
         method_named,
         open_request,
         reference_of,
@@ -140,7 +141,7 @@ def compare(
     )
 
     baseline = ModelOptions(effects_file=effects_file)
-    chosen, _, readings = open_request(instrument, files, columns, baseline, average)
+    chosen, _, readings = open_request(Asked(instrument, files, columns, baseline, average))
     names = structure or [name for name, _ in chosen.structures]
     if len(set(names)) < 2:
         raise InputError("compare needs two structures or more: give --structure twice, or never")
@@ -211,69 +212,3 @@ def predict(
     print_result(
         {**data, "unit": loaded.unit, "file": str(out) if out else None} if json_ else text
     )
-
-
-@commands.command(
-    epilog="Example: bayescal calibrate readings.csv --instrument mems_gyro --out result"
-)
-@with_groups
-def calibrate(
-    *,
-    files: options.Files,
-    instrument: options.Name,
-    holdout: options.Holdout = None,
-    columns: ColumnOptions,
-    choice: ModelOptions,
-    average: options.Average = None,
-    method: options.MethodName = "marginal",
-    max_effects: options.MostEffects = 5,
-    time_limit: options.TimeLimit = None,
-    keep_spikes: options.KeepSpikes = False,
-    accept_conflict: options.AcceptConflict = None,
-    seed: options.Seed = 0,
-    out: options.Folder = None,
-    json_: options.Json = False,
-) -> None:
-    """The whole loop: fit, see where it fails, find what is missing, add it, see the error fall.
-
-    The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far.
-    """
-    from bayescal._cli import request
-
-    chosen, model, readings = request.open_request(
-        instrument, files, columns, choice, average, keep_spikes
-    )
-    kept = request.open_kept(holdout, chosen, columns, average, keep_spikes)
-    print_notes(readings.flags)
-    own = request.user_effects(choice.effects_file)
-    with result_folder(out) as folder:
-        from bayescal._cli.output import Told, loop_text
-        from bayescal._report.under_way import earlier
-
-        told, seeds = Told(folder, json_), earlier(folder, model, readings) if folder else ()
-        if seeds:
-            print_notes([f"goes on with the search in {folder}, which was ended early"])
-        trail = bc.calibrate(
-            model,
-            readings,
-            holdout=kept,
-            effects=own,
-            method=request.method_named(method),
-            max_effects=max_effects,
-            keep_spikes=keep_spikes,
-            seed=seed,
-            reference=request.reference_of(choice.reference, readings),
-            time_limit=time_limit,
-            seeds=seeds,
-            accept_conflicts=accept_conflict or (),
-            follow=told,
-        )
-        if folder is not None:
-            trail.save(folder)
-    from bayescal._report.result_json import result
-
-    print_notes(f for f in trail.final.calibration.readings.flags if f not in readings.flags)
-    print_result(result(trail) if json_ else loop_text(trail, own, told.begun))
-    if folder is not None and not json_:
-        print(f"\nwritten: {folder}/result.json, calibration.nc, loop.png, manifest.json")
-    exit_unless(trail.ok, trail.gate.reason)

@@ -16,7 +16,7 @@ from typing import NoReturn
 
 import typer
 
-from bayescal._cli import batch, catalogue, deliverables, fitting, instrument_extras
+from bayescal._cli import batch, calibrate, catalogue, deliverables, fitting
 from bayescal._cli.console import in_one_line, own_file_line
 from bayescal._core.errors import BayescalError, NotConverged
 
@@ -30,7 +30,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-for group in (catalogue, fitting, instrument_extras, deliverables, batch):
+for group in (calibrate, fitting, catalogue, deliverables, batch):
     app.add_typer(group.commands)
 
 

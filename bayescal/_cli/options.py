@@ -54,6 +54,20 @@ def named_numbers(given: list[str] | None, option: str) -> dict[str, float]:
     return numbers
 
 
+def channel_names(given: str) -> list[str]:
+    """The names between commas.
+
+    Raises:
+        InputError: fewer than two, or one twice.
+    """
+    names = [name for part in given.split(",") if (name := part.strip())]
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise InputError(
+            f"--channels {given!r}: give two names or more, each once, as gyro_x,gyro_y"
+        )
+    return names
+
+
 def _refuse_missing(files: list[Path] | None) -> list[Path] | None:
     """Refuse files that are not there before an instrument loads, which takes seconds.
 
@@ -90,7 +104,7 @@ def _refuse_no_duration(text: str | None) -> str | None:
 Files = Annotated[
     list[Path],
     typer.Argument(
-        help="CSV, Parquet, NetCDF, Excel or MATLAB files of readings.",
+        help="CSV, Parquet, NetCDF, Excel or MATLAB files of readings, or logs: .ulg, .bin, .bag, .mcap, .db3.",
         show_default=False,
         callback=_refuse_missing,
     ),
@@ -178,6 +192,13 @@ Hidden = Annotated[
     typer.Option("--effect", help="name=size: an effect to hide; repeat for more."),
 ]
 NoiseLaw = Annotated[str, typer.Option(help="white, student_t or ornstein_uhlenbeck.")]
+Channels = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME,NAME,…",
+        help="Columns of the file that are outputs of one unit, searched together: gyro_x,gyro_y,gyro_z.",
+    ),
+]
 Holdout = Annotated[
     list[Path] | None,
     typer.Option(
@@ -211,6 +232,14 @@ AcceptConflict = Annotated[
     typer.Option(
         "--accept-conflict",
         help="bias.constant: may stand far from its plausible size; repeat for others.",
+    ),
+]
+Certificate = Annotated[
+    Path | None,
+    typer.Option(
+        "--certificate",
+        help="TOML file of what a certificate states: device, serial number, place, operator, conditions, "
+        "standards, dates.",
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]

@@ -9,9 +9,10 @@ import importlib.util
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,48 +41,94 @@ LONG_LOG = 20_000  # readings, beyond which means over short times say as much a
 LONG = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
 
 
-def open_request(
-    instrument: str,
-    files: Sequence[Path],
-    columns: ColumnOptions,
-    choice: ModelOptions,
-    average: str | None = None,
-    keep_spikes: bool = False,
-) -> tuple[Instrument, Model, Measurements]:
+@dataclass(frozen=True)
+class Asked:
+    """What a command is asked to fit.
+
+    Attributes:
+        instrument: its name, or my.py:INSTRUMENT.
+        files: of readings.
+        columns: how these are to be understood.
+        choice: which model.
+        average: time over which means are taken; None for single readings.
+        keep_spikes: whether single readings far from both neighbours stay.
+    """
+
+    instrument: str
+    files: Sequence[Path]
+    columns: ColumnOptions
+    choice: ModelOptions
+    average: str | None = None
+    keep_spikes: bool = False
+
+
+def open_request(asked: Asked) -> tuple[Instrument, Model, Measurements]:
     """Instrument, model and readings that are asked for; the instrument tailored to the readings.
 
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
-    holds = None if _is_file(instrument) else file_columns(_known(instrument))
-    short = sum(path.stat().st_size for path in files if path.is_file()) <= LONG
-    early = read(list(files), holds, **columns.for_read()) if holds and short else None
-    general = instrument_named(instrument)
-    own = {effect.name: effect for effect in user_effects(choice.effects_file)}
-    model = compose(general, choice, own)
-    if early is not None and holds == FileColumns.of(general):
-        readings = early
-    else:
-        readings = read(list(files), general, **columns.for_read())
-    columns.keep()
-    if average is None:
+    general, readings = _opened(asked)
+    own = {effect.name: effect for effect in user_effects(asked.choice.effects_file)}
+    model = compose(general, asked.choice, own)
+    asked.columns.keep()
+    if asked.average is None:
         print_notes(long_log(readings))
-    readings = averaged(readings, average, keep_spikes)
+    readings = averaged(readings, asked.average, asked.keep_spikes)
     tailored = general.for_readings(readings)
-    return tailored, model if tailored is general else compose(tailored, choice, own), readings
+    model = model if tailored is general else compose(tailored, asked.choice, own)
+    return tailored, model, readings
+
+
+def open_channels(
+    names: Sequence[str], asked: Asked
+) -> tuple[dict[str, Model], dict[str, Measurements]]:
+    """Models and readings of the channels of one unit; the instrument tailored to each.
+
+    Raises:
+        InputError, ModelError: something in it cannot be used; says what.
+    """
+    general, read_ = _opened(asked, outputs=list(names))
+    own = {effect.name: effect for effect in user_effects(asked.choice.effects_file)}
+    asked.columns.keep()
+    readings = {n: averaged(one, asked.average, asked.keep_spikes) for n, one in read_.items()}
+    models = {
+        n: compose(general.for_readings(one), asked.choice, own) for n, one in readings.items()
+    }
+    return models, readings
+
+
+def _opened(asked: Asked, **more: Any) -> tuple[Instrument, Any]:
+    """The instrument, and what `read` gives; a file that cannot be used is refused before the instrument loads."""
+    files, how = list(asked.files), {**asked.columns.for_read(), **more}
+    holds = None if _is_file(asked.instrument) else file_columns(_known(asked.instrument))
+    short = sum(path.stat().st_size for path in files if path.is_file()) <= LONG
+    early = read(files, holds, **how) if holds and short else None
+    general = instrument_named(asked.instrument)
+    if early is not None and holds == FileColumns.of(general):
+        return general, early
+    return general, read(files, general, **how)
 
 
 def open_kept(
-    files: Sequence[Path] | None,
-    instrument: Instrument,
-    columns: ColumnOptions,
-    average: str | None,
-    keep_spikes: bool,
+    files: Sequence[Path] | None, instrument: Instrument, asked: Asked
 ) -> Measurements | None:
     """Readings kept apart, averaged as the others are; None where there are none."""
     if not files:
         return None
-    return averaged(read(list(files), instrument, **columns.for_read()), average, keep_spikes)
+    readings = read(list(files), instrument, **asked.columns.for_read())
+    return averaged(readings, asked.average, asked.keep_spikes)
+
+
+def open_kept_channels(
+    files: Sequence[Path] | None, names: Sequence[str], asked: Asked
+) -> dict[str, Measurements] | None:
+    """The same of the channels of one unit."""
+    if not files:
+        return None
+    general, how = instrument_named(asked.instrument), asked.columns.for_read()
+    readings = read(list(files), general, **how, outputs=list(names))
+    return {n: averaged(one, asked.average, asked.keep_spikes) for n, one in readings.items()}
 
 
 def averaged(

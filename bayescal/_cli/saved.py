@@ -1,4 +1,4 @@
-"""Saved calibrations, and what is made of them: compensators, chapters of a report."""
+"""Saved calibrations, and what is made of them: compensators, an autopilot's parameters, chapters of a report."""
 
 from __future__ import annotations
 
@@ -10,9 +10,14 @@ from bayescal._cli.options import OwnParts, named_values
 from bayescal._cli.request import instrument_named, user_effects
 from bayescal._compensation.compensator import Compensator, compensator, load_compensator
 from bayescal._core.errors import InputError
+from bayescal._firmware.autopilots import AUTOPILOTS
+from bayescal._firmware.parameters import FirmwareParameters, axis_of, firmware_parameters
 from bayescal._model.instrument import Instrument
+from bayescal._report.dcc import dcc_text
 from bayescal._report.section import Chapter, chapters, of_folder
 from bayescal._report.whole_folder import refuse_mixed
+
+PROGRAMS, PARAMETERS, DCC = ("json", "c", "python"), tuple(AUTOPILOTS), "dcc"
 
 
 def load_saved(path: Path, own: OwnParts) -> Calibration:
@@ -38,6 +43,100 @@ def compensator_from(path: Path, own: OwnParts, members: list[str] | None) -> Co
             )
         return load_compensator(path)
     return compensator(load_saved(path, own), members=named_values(members, "--member"))
+
+
+def refuse_format(format: str | None, out: Path | None) -> None:
+    """Refuse a format that is none, or is not said.
+
+    Raises:
+        InputError: it is so.
+    """
+    known = ", ".join((*PROGRAMS, *PARAMETERS, DCC))
+    if format is None and out is None:
+        raise InputError(f"say which format: --format {known}")
+    if format not in (None, *PROGRAMS, *PARAMETERS, DCC):
+        raise InputError(f"--format {format!r} is not one of {known}")
+
+
+def single(
+    paths: list[Path],
+    axes: list[str] | None,
+    devices: list[str] | None,
+    own: OwnParts,
+    members: list[str] | None,
+) -> Compensator:
+    """The one calibration of a program.
+
+    Raises:
+        InputError: none or several are given, or an option of parameters.
+    """
+    if len(paths) != 1 or axes or devices:
+        raise InputError(
+            f"a program is of one calibration, {len(paths)} were given"
+            + (", and --axis or --device-id" if axes or devices else "")
+            + f": several, by axis, make parameters (--format {' or '.join(PARAMETERS)})"
+        )
+    return compensator_from(paths[0], own, members)
+
+
+def by_axis(
+    paths: list[Path], named: list[str] | None, own: OwnParts, members: list[str] | None
+) -> dict[str, Compensator]:
+    """Calibrations by their axis: as their readings name it, or as the user does.
+
+    Raises:
+        InputError: an axis is not known, or is given twice.
+    """
+    found: dict[str, Compensator] = {}
+    files: dict[str, str] = {}
+    said = [(None, path) for path in paths]
+    said += [(n, Path(p)) for one in named or [] for n, p in named_values([one], "--axis").items()]
+    for name, path in said:
+        chosen = compensator_from(path, own, members)
+        own_name = axis_of(chosen.calibration) if chosen.calibration else None
+        name = name or own_name
+        if name is None:
+            raise InputError(
+                f"{path}: its readings do not say of which axis it is: --axis gyro_x={path} in its place"
+            )
+        if name in found:
+            raise InputError(
+                f"{path} and {files[name]} are both of {name}: give one, or say of which axis each is "
+                f"(--axis gyro_y={path})"
+            )
+        found[name], files[name] = chosen, str(path)
+    return found
+
+
+def parameters(
+    given: dict[str, Compensator], format: str, devices: list[str] | None, local_gravity: float
+) -> FirmwareParameters:
+    """The parameters that these calibrations come to.
+
+    Raises:
+        InputError: what `firmware_parameters` refuses, or a device that is no number.
+    """
+    said = named_values(devices, "--device-id")
+    for name, value in said.items():
+        if not value.isdecimal():
+            raise InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
+    numbers = {name: int(value) for name, value in said.items()}
+    return firmware_parameters(given, format, devices=numbers, local_gravity=local_gravity)
+
+
+def certified(chosen: Compensator, certificate: Path | None, local_gravity: float) -> str:
+    """The digital calibration certificate of a saved calibration, as XML.
+
+    Raises:
+        InputError: no certificate is given, an export, or what `dcc_text` refuses.
+    """
+    if certificate is None:
+        raise InputError(
+            "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
+        )
+    if chosen.calibration is None:
+        raise InputError("an export is no calibration: give the saved calibration (.nc)")
+    return dcc_text(chosen.calibration, certificate, local_gravity)
 
 
 def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:

@@ -236,7 +236,7 @@ def budget(
 
 
 def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, float]:
-    inputs = {i.name: i for i in chosen.inputs}
+    inputs = {i.name: i for i in chosen.inputs if i.kind != "lag slope"}
     for name, value in at.items():
         if name != chosen.stimulus and name not in inputs:
             raise InputError(

@@ -18,6 +18,7 @@ from bayescal._compensation.compensation_program import (
 from bayescal._compensation.expression_graph import OPERATIONS, Graph
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
+from bayescal._core.formatting import ascii_text
 
 FORMATS = {".h": "c", ".py": "python", ".json": "json"}
 LARGEST = 50_000_000  # bytes of an export that is read back
@@ -136,29 +137,15 @@ def _uses_inputs(program: CompensationProgram, outputs: Sequence[int]) -> bool:
 
 
 def _comment(text: Any) -> str:
-    """Text that cannot end a comment or a docstring, in one line of ASCII where there is a spelling."""
-    plain = " ".join(str(text).split())
-    for seen, meant in (
-        ("·", "*"),
-        ("−", "-"),
-        ("²", "^2"),
-        ("³", "^3"),
-        ("°", "deg "),
-        ("µ", "u"),
-        ("τ", "tau"),
-        ("κ", "kappa"),
-        ("–", "-"),
-        ("√", "sqrt"),
-    ):
-        plain = plain.replace(seen, meant)
-    plain = (
+    """Text that cannot end a comment or a docstring, in one line of ASCII."""
+    plain = ascii_text(" ".join(str(text).split()))
+    return (
         plain.replace("*/", "* /")
         .replace("/*", "/ *")
         .replace("\\", "/")
         .replace('"""', "'''")
         .replace("??", "? ?")
     )
-    return plain.encode("ascii", "replace").decode("ascii")
 
 
 def _python_number(value: float | bool) -> str:

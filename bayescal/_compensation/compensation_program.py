@@ -28,7 +28,8 @@ from bayescal._compensation.posterior_moments import PosteriorMoments
 from bayescal._compensation.provenance import Provenance
 from bayescal._core.errors import InputError, ModelError
 
-SCHEMA, VERSION = "bayescal.compensator", 1
+SCHEMA, VERSION = "bayescal.compensator", 2
+READ = (1, 2)  # 1 knew no lag slopes, and left the uncertainty of a time constant out of its lag
 STIMULUS = "(stimulus)"  # its name as an input of the graph
 STEPS = 20  # of Newton
 
@@ -152,9 +153,10 @@ def from_data(data: Any, file: str) -> CompensationProgram:
         raise InputError(
             f"{file} is no compensator: export one by `bayescal export CALIBRATION --format json`"
         )
-    if data.get("version") != VERSION:
+    if data.get("version") not in READ:
         raise InputError(
-            f"{file} is a compensator of version {data.get('version')!r}, this bayescal reads {VERSION}: "
+            f"{file} is a compensator of version {data.get('version')!r}, this bayescal reads "
+            f"{' and '.join(map(str, READ))}: "
             "export it again"
         )
     try:

@@ -18,6 +18,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._compensation import code_writer, inversion
 from bayescal._compensation.compensation_program import CompensationProgram, program_of
 from bayescal._compensation.inputs import (
+    PAST,
     Input,
     gathered,
     input_of,
@@ -166,7 +167,7 @@ class Compensator:
     @property
     def history(self) -> bool:
         """Whether the past of a record is needed, so that it cannot be taken apart."""
-        return any(i.kind in ("rate", "lag", "elapsed") for i in self.inputs)
+        return any(i.kind != "column" for i in self.inputs)
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -177,7 +178,7 @@ class Compensator:
         found = [Column("output", self.output_unit, "reading"), Column("run", None, required=False)]
         if self.loaded:
             units = {i.column: i.unit for i in self.inputs if i.kind == "column"}
-            past = {i.column: "degC" for i in self.inputs if i.kind in ("rate", "lag")}
+            past = {i.column: "degC" for i in self.inputs if i.kind in PAST}
             return (*found, *(Column(n, {"time": "s", **past, **units}[n]) for n in needed))
         own = {c.name: c for c in self._calibration.model.instrument.columns}
         for name in needed:

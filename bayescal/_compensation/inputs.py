@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -20,6 +21,7 @@ from bayescal._readings.measurements import Measurements
 from bayescal._recording.time_in_runs import RATE_WINDOW
 from bayescal._tables.raw_table import ROW
 
+PAST = ("rate", "lag", "lag slope")  # kinds of input that follow from a temperature's past
 MARGIN = 0.01  # of the range of the stimulus: a reading at its end scatters about it
 
 
@@ -33,7 +35,8 @@ class Input:
 
     Attributes:
         name, unit, meaning: for people and firmware.
-        kind: "column"; or what is made of a record: "rate", "lag", "elapsed".
+        kind: "column"; or what is made of a record: "rate", "lag", "lag slope" (its change by its time constant,
+            which carries the uncertainty of that; 0 leaves it out), "elapsed".
         column: the column that it is, or is made of.
         tau: time constant of a lag, s.
         low, high: range in the calibration, in `unit`.
@@ -63,6 +66,19 @@ def input_of(
             return described(
                 unit="delta_degC", meaning=meaning, kind="lag", column=lag.column, tau=lag.tau
             )
+        if name == lag.slope:
+            meaning = (
+                f"change of {lag.name} by its time {lag.tau!r} s, which carries the uncertainty of that (0 leaves it "
+                f"out): M, 0 at the start; with L before the reading and x as for {lag.name}, "
+                f"M = exp(-x)*(M + x*L/{lag.tau!r}) + (exp(-x) + expm1(-x)/x)*(change of {lag.column})/{lag.tau!r}"
+            )
+            return described(
+                unit="delta_degC/s",
+                meaning=meaning,
+                kind="lag slope",
+                column=lag.column,
+                tau=lag.tau,
+            )
     if name not in equation.known:
         column = name.removesuffix("_rate")
         meaning = (
@@ -85,8 +101,17 @@ def inputs_at_fit(calibration: Calibration, equation: OperatingEquation) -> dict
     found = {n: np.asarray(frame.columns[n]) for n in equation.known}
     found |= {f"{n}_rate": np.asarray(v) for n, v in frame.rates.items()}
     for lag in equation.lags:
-        found[lag.name] = np.asarray(frame.lag(jnp.asarray(lag.tau), lag.column))
+        found[lag.name], slope = _lag_and_slope(frame, lag.tau, lag.column)
+        if lag.slope:
+            found[lag.slope] = slope
     return found
+
+
+def _lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np.ndarray]:
+    """T̃ − T of a record, °C, and its derivative by the time constant, °C/s, (n,) each."""
+    at = jnp.asarray(tau), jnp.ones(())
+    found, slope = jax.jvp(lambda tau: frame.lag(tau, column), at[:1], at[1:])
+    return np.asarray(found), np.asarray(slope)
 
 
 def gathered(
@@ -102,6 +127,9 @@ def gathered(
     if "output" not in columns:
         raise InputError("the column 'output' is missing: give the readings to compensate")
     given = _of_one_length(columns)
+    for i in inputs:  # a lag that is given, and not its slope, is taken as it is
+        if i.kind == "lag slope" and i.name.removesuffix("_by_tau") in given:
+            given.setdefault(i.name, np.zeros_like(given["output"]))
     record, needed = None, [i for i in inputs if i.kind != "column" and i.name not in given]
     if needed:
         record = _record(needed, readings, given)
@@ -136,7 +164,7 @@ def _record(
                 f"Record it, or give {needed[0].name!r} itself"
             )
     if readings is None:
-        units = {i.column: "degC" for i in needed if i.kind in ("rate", "lag")} | {"time": "s"}
+        units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
         data = {n: (ROW, np.array(given[n]), {"units": u}) for n, u in units.items()}
         readings = Measurements(xr.Dataset(data))
     return build_frame(readings, {"run_starts": {}})
@@ -147,7 +175,9 @@ def _from_record(record: Frame, wanted: Input) -> np.ndarray:
         return np.asarray(record.rates[wanted.column])
     if wanted.kind == "elapsed":
         return np.asarray(record.elapsed)
-    return np.asarray(record.lag(jnp.asarray(wanted.tau), wanted.column))
+    assert wanted.tau is not None
+    lag, slope = _lag_and_slope(record, wanted.tau, wanted.column)
+    return slope if wanted.kind == "lag slope" else lag
 
 
 def limits(span: tuple[float, float]) -> tuple[float, float]:

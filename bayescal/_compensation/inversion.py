@@ -124,6 +124,8 @@ def _with_lags(
         if lag.name not in found:
             tau = named[lag.shape] if lag.shape else jnp.asarray(lag.tau)
             found[lag.name] = record.lag(tau, lag.column)
+            if lag.slope:
+                found[lag.slope] = jnp.zeros_like(found[lag.name])  # it is at this τ already
     return found
 
 

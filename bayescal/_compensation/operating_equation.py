@@ -46,6 +46,11 @@ class Lag(NamedTuple):
     shape: str | None
     name: str
 
+    @property
+    def slope(self) -> str | None:
+        """Name of the input that carries ∂(T̃ − T)/∂τ, °C/s; None where τ is no unknown."""
+        return None if self.shape is None else f"{self.name}_by_tau"
+
 
 class OneReading(Frame):
     """One reading as a frame; lags come from outside, in the order in which bases ask for them."""
@@ -135,13 +140,23 @@ class OperatingEquation(eqx.Module):
             inputs: by name, in fixed units.
             reference: constants of the bases.
         """
-        frame = self.one_reading(stimulus, inputs, reference)
+        frame = self.one_reading(stimulus, self._with_moved_lags(theta, inputs), reference)
         slots, corrected = self._composed(theta, frame)
         if self.use.equation is None:
             found = self.layout.model.instrument.response(slots, corrected)
         else:
             found = self.use.equation(jnp.reshape(stimulus, (1,)), slots, corrected)
         return jnp.reshape(found, ())
+
+    def _with_moved_lags(self, theta: Scalars, inputs: Scalars) -> Scalars:
+        """The inputs with each lag, given at the mean of its τ, at the τ of θ, to first order."""
+        moved = dict(inputs)
+        for lag in self.lags:
+            if lag.shape is not None and lag.slope in inputs:
+                moved[lag.name] = inputs[lag.name] + inputs[lag.slope] * (
+                    theta[lag.shape] - lag.tau
+                )
+        return moved
 
     def one_reading(
         self, stimulus: Float[Array, ""], inputs: Scalars, reference: Scalars
@@ -246,6 +261,7 @@ def input_names(equation: OperatingEquation, frame: Frame) -> list[str]:
         *equation.known,
         *(f"{n}_rate" for n in frame.rates),
         *(lag.name for lag in equation.lags),
+        *(lag.slope for lag in equation.lags if lag.slope),
     ]
 
 

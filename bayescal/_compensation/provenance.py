@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity
+from bayescal._calibration.description import identity, sources_of
 from bayescal._compensation.operating_equation import OperatingEquation
 from bayescal._core.version import __version__
-from bayescal._readings.measurements import Measurements
 
 
 @dataclass(frozen=True)
@@ -54,7 +49,6 @@ def provenance_of(
     instrument, use = calibration.model.instrument, equation.use
     acting = dict.fromkeys(b.effect for b in equation.blocks)
     scale = instrument.nominal_scale
-    sources = tuple((s.file, s.sha256) for s in calibration.readings.sources)
     reference = {
         k: float(v)
         for k, v in calibration.reference.items()
@@ -68,7 +62,7 @@ def provenance_of(
         output_unit=calibration.unit,
         effects=tuple((e.name, e.equation) for e in acting),
         reference=reference,
-        sources=sources or (("arrays", _digest(calibration.readings)),),
+        sources=tuple((s.file, s.sha256) for s in sources_of(calibration.readings)),
         raw=(scale.unit, scale.gain, scale.offset) if scale else None,
         notes=tuple(_notes(calibration, equation, stimulus_range)),
         made_by=f"bayescal {__version__}",
@@ -91,18 +85,10 @@ def _notes(
         if lag.shape:
             notes.append(
                 f"{lag.name} is the lag for {lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
-                "not counted through the lag."
+                f"counted through {lag.slope}."
             )
     if stimulus_range is None:
         notes.append(f"The range of {equation.use.stimulus} in the calibration is not stated.")
     if not calibration.verdict.ok:
         notes.append(f"THE FIT DID NOT CONVERGE: {' '.join(calibration.verdict.reasons)}")
     return notes
-
-
-def _digest(readings: Measurements) -> str:
-    digest: Any = hashlib.sha256()
-    for name in readings.columns:
-        digest.update(name.encode())
-        digest.update(np.ascontiguousarray(readings[name]).tobytes())
-    return digest.hexdigest()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 import unicodedata
 from math import floor, log10
@@ -97,3 +98,54 @@ def probability(p: float | None) -> str:
     if p > 0.995:
         return "> 0.99"
     return f"{p:.2f}" if p >= 0.005 else "< 0.01"
+
+
+_SPELLED: dict[str, str] = dict(
+    [
+        *(("·", "*"), ("×", "x"), ("−", "-"), ("–", "-"), ("—", "-"), ("√", "sqrt"), ("±", "+-")),
+        *(
+            ("°", "deg "),
+            ("µ", "u"),
+            ("≤", "<="),
+            ("≥", ">="),
+            ("≈", "~"),
+            ("∞", "inf"),
+            ("∂", "d"),
+        ),
+        *(
+            ("→", "->"),
+            ("∫", "int "),
+            ("′", "'"),
+            ("’", "'"),
+            ("‘", "'"),
+            ("“", '"'),
+            ("”", '"'),
+            ("‰", "per mille"),
+            ("\u2044", "/"),
+            ("ß", "ss"),
+        ),
+        *(("\u0303", "~"), ("\u0302", "^"), ("\u0304", "_mean"), ("\u0307", "_dot")),
+    ]
+)
+_GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)")
+
+
+def ascii_text(text: str) -> str:
+    """Text in ASCII, with a spelling for every character: T̃ as T~, τ as tau, ² as ^2, € as <U+20AC>.
+
+    Marks that make another symbol of one stay (ẋ as x_dot), accents of a language go (é as e).
+    """
+    spelled = "".join(map(_spelled, unicodedata.normalize("NFC", text)))
+    return re.sub(r"(?<=[\^_][-+0-9])[\^_](?=[0-9])", "", spelled)  # ^-^6 is ^-6
+
+
+def _spelled(character: str) -> str:
+    if character.isascii() or character in _SPELLED:
+        return _SPELLED.get(character, character)
+    if found := _GREEK.fullmatch(unicodedata.name(character, "")):
+        return found[2].lower() if found[1] == "SMALL" else found[2].capitalize()
+    kind, _, parts = unicodedata.decomposition(character).rpartition("> ")
+    if parts:
+        before = {"<super": "^", "<sub": "_"}.get(kind, "")
+        return before + "".join(_spelled(chr(int(part, 16))) for part in parts.split())
+    return "" if unicodedata.combining(character) else f"<U+{ord(character):04X}>"

@@ -46,6 +46,7 @@ class ReadOptions:
         nominal_scale: in place of the instrument's.
         missing: "refuse" rows with a missing reading, or "drop" them.
         decimal: between the whole and its parts in text files; empty where the file shows it.
+        others: columns of the file that are outputs of other channels, and left out.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -54,6 +55,7 @@ class ReadOptions:
     nominal_scale: NominalScale | None = None
     missing: str = "refuse"
     decimal: str = ""
+    others: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Refuse what is no option.
@@ -236,6 +238,8 @@ def extra_columns(
     without_unit: list[str] = []
     for name in (n for n in positions if n not in expected):
         header = table.headers[positions[name]]
+        if not options.others.isdisjoint((header.name, header.raw)):
+            continue
         unit = unit_of(header, name, options)
         if unit is None:
             without_unit.append(header.raw)

@@ -6,14 +6,19 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._readings.column import MAY_BE_EMPTY, ConvertedColumns, NominalScale, Source
 from bayescal._readings.column_conversion import convert_columns, kept_table
-from bayescal._readings.column_matching import InstrumentLike, ReadOptions, unused_units
+from bayescal._readings.column_matching import (
+    InstrumentLike,
+    ReadOptions,
+    output_name,
+    unused_units,
+)
 from bayescal._readings.dataset_checks import problems_of_whole
 from bayescal._readings.unit_parsing import STANDARD_GRAVITY
 from bayescal._tables.open_table import MAX_BYTES, open_table
@@ -24,10 +29,27 @@ if TYPE_CHECKING:
     from bayescal._readings.measurements import Measurements
 
 
+@overload
 def read(
     path_or_paths: str | Path | Sequence[str | Path],
     instrument: InstrumentLike,
     *,
+    outputs: None = None,
+    **options: Any,
+) -> Measurements: ...
+@overload
+def read(
+    path_or_paths: str | Path | Sequence[str | Path],
+    instrument: InstrumentLike,
+    *,
+    outputs: Sequence[str],
+    **options: Any,
+) -> dict[str, Measurements]: ...
+def read(
+    path_or_paths: str | Path | Sequence[str | Path],
+    instrument: InstrumentLike,
+    *,
+    outputs: Sequence[str] | None = None,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     local_gravity: float = STANDARD_GRAVITY,
@@ -36,19 +58,20 @@ def read(
     missing: str = "refuse",
     decimal: str = "",
     max_bytes: int = MAX_BYTES,
-) -> Measurements:
-    """Read readings of an instrument from one file or several: CSV, Parquet, NetCDF, Excel or MATLAB.
+) -> Measurements | dict[str, Measurements]:
+    """Read readings of an instrument from one file or several: CSV, Parquet, NetCDF, Excel, MATLAB, or logs.
 
     Headers read `name [unit]`, or as people write them ("Temp (°C)", "gyro_z_dps"), where that can be read in one
     way only, which a flag says; lines that begin with # may stand above a CSV's header. Columns are
     converted to the instrument's units, and rows keep their order. Dates, and counts since 1970, become seconds since
     the first reading of all files. Where several files have no column `run`, each is a run named after its file. A
     column that the instrument does not know is kept in base units if it has a unit, and otherwise left out with a
-    flag.
+    flag. Of a log (PX4 .ulg, ArduPilot .bin, ROS .bag, .mcap, .db3) only the channels that `columns` names are read.
 
     Args:
         path_or_paths: the files.
         instrument: whose readings they are.
+        outputs: the file's names of several channels of one unit: each is read as the output, the others left out.
         columns: our name → the file's, where they differ: {"output": "gyro_x"}.
         units: the file's name (or ours) → unit, where the header has none or a wrong one.
         local_gravity: m/s², for columns in m/s²; internal accelerations are in local g.
@@ -58,6 +81,9 @@ def read(
         decimal: "." or "," in the numbers of text files; empty where the file shows it.
         max_bytes: most that all files together may hold.
 
+    Returns:
+        The readings; of several outputs, by their names.
+
     Raises:
         InputError: a file, a column, a unit or a cell cannot be used. One problem is a sentence that names file, row
             and column, what was read, what was expected, and what to do; several are a table of these, and the
@@ -66,9 +92,37 @@ def read(
     paths = [path_or_paths] if isinstance(path_or_paths, str | Path) else list(path_or_paths)
     paths = [Path(path) for path in paths]
     names = check_files(paths, max_bytes)
-    options = ReadOptions(
-        columns or {}, units or {}, local_gravity, nominal_scale, missing, decimal
-    )
+    renamed, more = columns or {}, (units or {}, local_gravity, nominal_scale, missing, decimal)
+    if outputs is None:
+        options = ReadOptions(renamed, *more)
+        return _measurements(paths, names, instrument, options, allow_one_temperature, max_bytes)
+    if not outputs or len(set(outputs)) < len(outputs):
+        raise InputError(f"outputs={list(outputs)}: name each channel once, and one at least")
+    found, problems = dict[str, "Measurements"](), Problems()
+    for name in outputs:
+        others = frozenset(outputs) - {name}
+        options = ReadOptions({**renamed, output_name(instrument): name}, *more, others)
+        with problems.collecting():
+            found[name] = _measurements(
+                paths, names, instrument, options, allow_one_temperature, max_bytes
+            )
+    Problems(dict.fromkeys(problems)).refuse()
+    return found
+
+
+def _measurements(
+    paths: Sequence[Path],
+    names: Sequence[str],
+    instrument: InstrumentLike,
+    options: ReadOptions,
+    allow_one_temperature: bool,
+    max_bytes: int,
+) -> Measurements:
+    """Readings of one output.
+
+    Raises:
+        InputError: something cannot be used.
+    """
     tables, parts = _opened(paths, names, instrument, options, max_bytes)
     sources = tuple(Source(table.file, table.sha256, table.rows) for table in tables)
     tables = [kept_table(table, part) for table, part in zip(tables, parts, strict=True)]
@@ -98,7 +152,8 @@ def _opened(
     problems, tables, parts = Problems(), list[Table](), list[ConvertedColumns]()
     for path, name in zip(paths, names, strict=True):
         with problems.collecting(name):
-            tables.append(open_table(path, name, max_bytes, options.decimal))
+            asked = tuple(options.columns.values())
+            tables.append(open_table(path, name, max_bytes, options.decimal, asked))
     if len(tables) == len(paths):
         unused_units(tables, options, problems)
     for table in tables:

@@ -22,6 +22,7 @@ from bayescal._model.frame import GROUPS
 from bayescal._plots.search import is_quiet
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._report import figures, sentences, tables
+from bayescal._report.certificate import Certificate, read_certificate
 from bayescal._report.section import Chapter, chapters, taken
 
 MANY = 60  # rows of a table of candidates or coefficients that are shown
@@ -33,6 +34,7 @@ def report(
     *,
     title: str = "",
     effects: Iterable[Effect] = (),
+    certificate: str | Path | Certificate | None = None,
 ) -> Path:
     """Write the report to sign.
 
@@ -44,12 +46,15 @@ def report(
         title: of the report.
         effects: of your own, candidates where what a calibration lacks is looked for; those that one of the
             calibrations has are so anyway.
+        certificate: TOML file of what a certificate states beside the numbers: device, serial number, place,
+            operator, ambient conditions, standards, dates.
 
     Returns:
         The path.
 
     Raises:
-        InputError: nothing to report of, another suffix, or a place that cannot be written to.
+        InputError: nothing to report of, another suffix, a place that cannot be written to, or a certificate that
+            states something unknown.
     """
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
@@ -58,10 +63,13 @@ def report(
         raise InputError(
             f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}"
         )
-    return write_text(page(chapters(taken(given), effects), title), path)
+    stated = certificate
+    if stated is not None and not isinstance(stated, Certificate):
+        stated = read_certificate(stated)
+    return write_text(page(chapters(taken(given), effects), title, stated), path)
 
 
-def page(found: list[Chapter], title: str = "") -> str:
+def page(found: list[Chapter], title: str = "", certificate: Certificate | None = None) -> str:
     """The report as HTML."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # only a report needs it
 
@@ -85,6 +93,7 @@ def page(found: list[Chapter], title: str = "") -> str:
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         chapters=[_chapter(c, pictures) for c in found],
         k=tables.K,
+        certificate=certificate.rows() if certificate else [],
     )
 
 

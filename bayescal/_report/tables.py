@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from math import floor, log10
 from typing import Any
@@ -10,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.description import sources_of
 from bayescal._core.formatting import number, with_error
 from bayescal._diagnostics.check_result import Check
 from bayescal._model.effect import Effect
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
-from bayescal._readings.column import Source
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._report.section import Chapter
@@ -32,19 +31,7 @@ def measured(value: float, unit: str, digits: int = 4) -> str:
 
 def identity(readings: Measurements) -> list[dict[str, Any]]:
     """Each file with its hash; of arrays the hash of their values."""
-    sources = readings.sources
-    if not sources:
-        digest = hashlib.sha256()
-        for name in readings.columns:
-            values = readings[name]
-            digest.update(name.encode())
-            digest.update(
-                values.astype("<f8" if readings.unit(name) else "S").tobytes()
-                if readings.unit(name)
-                else "\n".join(map(str, values)).encode()
-            )
-        sources = (Source("arrays (hash of their values)", digest.hexdigest(), len(readings)),)
-    return [{"file": s.file, "sha256": s.sha256, "rows": s.rows} for s in sources]
+    return [{"file": s.file, "sha256": s.sha256, "rows": s.rows} for s in sources_of(readings)]
 
 
 def devices(readings: Measurements) -> list[str]:

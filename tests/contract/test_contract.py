@@ -21,8 +21,8 @@ import pytest
 import bayescal as bc
 from bayescal._model import forward
 from bayescal._readings import unit_conversion
+from tests.contract.data_sheet import listed
 from tests.support.contract_cases import Case
-from tests.support.contract_data_sheet import listed
 
 ROOT = Path(__file__).resolve().parents[2]
 CANONICAL = re.compile(r"[a-z][a-z0-9_]*\.[a-z][a-z0-9_]*")

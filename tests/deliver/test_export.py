@@ -16,6 +16,7 @@ from bayescal._compensation.compensation_program import program_of
 from bayescal._compensation.expression_graph import Graph
 from bayescal._compensation.inversion import Inverse
 from bayescal._compensation.posterior_moments import posterior_moments
+from bayescal._core.formatting import ascii_text
 from bayescal_models import inclinometer
 from tests.support.export_check import needs_compiler, run_header
 from tests.support.made_up import bent_sensor
@@ -120,6 +121,7 @@ def test_the_header_says_units_ranges_and_what_to_know(compensator) -> None:
     for u in compensator.program.unknowns:
         assert f"{u.name} = {u.mean:.9g}" in text
     head = text[: text.index("#ifndef")]
+    assert "?" not in head
     assert head.count("*/") == 1  # no title ends the comment early
     assert "malloc" not in text and text.count("#include") == 1
 
@@ -137,7 +139,7 @@ def test_the_python_function_agrees_and_needs_nothing(compensator, rows) -> None
 def test_json_comes_back_and_compensates_the_same(compensator, rows, tmp_path) -> None:
     path = compensator.export(tmp_path / "compensator.json")
     data = json.loads(path.read_text("utf-8"))
-    assert (data["schema"], data["version"]) == ("bayescal.compensator", 1)
+    assert (data["schema"], data["version"]) == ("bayescal.compensator", 2)
     loaded = bc.load_compensator(path)
     found = loaded(output=rows[:, 0], **inputs(loaded, rows))
     want = expected(compensator, rows)
@@ -158,7 +160,7 @@ def test_json_comes_back_and_compensates_the_same(compensator, rows, tmp_path) -
     ("change", "said"),
     [
         (lambda d: d.update(schema="other"), "is no compensator"),
-        (lambda d: d.update(version=2), "of version 2, this bayescal reads 1"),
+        (lambda d: d.update(version=3), "of version 3, this bayescal reads 1 and 2"),
         (lambda d: d.pop("noise"), "is damaged"),
         (
             lambda d: d["equation"]["operations"].append(["system", 0]),
@@ -175,6 +177,49 @@ def test_a_damaged_or_foreign_json_is_refused(change, said, tmp_path) -> None:
     path.write_text(json.dumps(data), "utf-8")
     with pytest.raises(bc.InputError, match=said):
         bc.load_compensator(path)
+
+
+@needs_compiler
+def test_lags_of_a_record_carry_the_uncertainty_of_their_time_into_firmware(tmp_path) -> None:
+    """The state of a lag and of its slope by the recursions in the header; then C against Python on that record."""
+    compensator = bc.compensator(bent_sensor.calibration())
+    record = bent_sensor.readings(2)
+    time, temperature = record["time"], record["temperature"]
+    (lag,) = (i for i in compensator.inputs if i.kind == "lag")
+    state, slope = np.zeros(len(time)), np.zeros(len(time))
+    for n in range(1, len(time)):
+        x, change = (time[n] - time[n - 1]) / lag.tau, temperature[n] - temperature[n - 1]
+        shape = np.expm1(-x) / x
+        state[n] = np.exp(-x) * state[n - 1] + shape * change
+        slope[n] = np.exp(-x) * (slope[n - 1] + x * state[n - 1] / lag.tau)
+        slope[n] += (np.exp(-x) + shape) * change / lag.tau
+    own = {
+        **{n: record[n] for n in ("humidity", "temperature")},
+        "elapsed": time - time[0],
+        lag.name: state,
+        f"{lag.name}_by_tau": slope,
+    }
+    rows = np.column_stack([record["output"], *(own[i.name] for i in compensator.inputs)])
+    found = run_header(compensator, rows, tmp_path)
+    want = compensator(record, method="first order", noise=False)
+    np.testing.assert_allclose(found[:, 0], want.value, rtol=0, atol=1e-9 * np.ptp(want.value))
+    np.testing.assert_allclose(found[:, 1], want.uncertainty, rtol=1e-9)
+    as_given = {n: v for n, v in own.items() if n != f"{lag.name}_by_tau"}
+    without = compensator(output=record["output"], method="first order", noise=False, **as_given)
+    assert np.max(np.abs(without.uncertainty / want.uncertainty - 1)) > 1e-3  # it does matter
+
+
+@pytest.mark.parametrize(
+    ("text", "spelled"),
+    [
+        ("c·(T̃ − T)", "c*(T~ - T)"),
+        ("τ, Δ, κ; T₀ = 47 °C, 10⁻⁶ m/s²", "tau, Delta, kappa; T_0 = 47 deg C, 10^-6 m/s^2"),
+        ("x̄ ẋ q̂", "x_mean x_dot q^"),
+        ("Prüfstück é, ½, € and 漢", "Prufstuck e, 1/2, <U+20AC> and <U+6F22>"),
+    ],
+)
+def test_comments_lose_no_letter(text, spelled) -> None:
+    assert ascii_text(text) == spelled
 
 
 def test_an_effect_that_firmware_cannot_compute_is_named() -> None:

@@ -26,6 +26,7 @@ MOST_ROOMS = 21
 ROOMS = {
     "_core": "version errors atomic_file formatting jax_setup progress parallel jit gaussian_algebra "
     "levenberg_marquardt null_space importance_weights",
+    "_logs": "recorded px4_ulog ardupilot_bin ros_bag open_log",
     "_tables": "problems dates cells raw_table encoding csv_scan csv_reader binary_format parquet_netcdf spreadsheets "
     "write open_table",
     "_readings": "unit_parsing unit_conversion header_reading column dataset_checks averaging column_matching "
@@ -48,11 +49,13 @@ ROOMS = {
     "_channels": "shared_shape channels calibrate_channels",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
     "compensation_program code_writer compensator compensate_file budget",
+    "_firmware": "thermal_polynomial autopilots parameters",
     "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack population "
     "device_result batch_result partial_pooling fit_batch",
     "_plots": "style residuals allan search posterior",
-    "_report": "result_json whole_folder under_way save_search save_channels section figures tables sentences report",
-    "_cli": "options column_options console request saved output catalogue fitting instrument_extras deliverables "
+    "_report": "result_json whole_folder under_way save_search section certificate d_si dcc figures tables sentences "
+    "report",
+    "_cli": "options column_options console request saved output catalogue fitting calibrate deliverables "
     "batch main",
 }
 # What a user imports by name: each hands on what stands in this room, and so stands above it.

@@ -1,0 +1,146 @@
+"""The whole loop as a command: `calibrate`, of one output or of several channels of one unit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+import bayescal as bc
+from bayescal._cli import options
+from bayescal._cli.column_options import ColumnOptions
+from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
+from bayescal._cli.options import ModelOptions, with_groups
+
+if TYPE_CHECKING:
+    from bayescal._cli.request import Asked
+    from bayescal._model.effect import Effect
+
+commands = typer.Typer()
+
+
+@commands.command(
+    epilog="Example: bayescal calibrate readings.csv --instrument mems_gyro --out result"
+)
+@with_groups
+def calibrate(
+    *,
+    files: options.Files,
+    instrument: options.Name,
+    channels: options.Channels = None,
+    holdout: options.Holdout = None,
+    columns: ColumnOptions,
+    choice: ModelOptions,
+    average: options.Average = None,
+    method: options.MethodName = "marginal",
+    max_effects: options.MostEffects = 5,
+    time_limit: options.TimeLimit = None,
+    keep_spikes: options.KeepSpikes = False,
+    accept_conflict: options.AcceptConflict = None,
+    seed: options.Seed = 0,
+    out: options.Folder = None,
+    json_: options.Json = False,
+) -> None:
+    """The whole loop: fit, see where it fails, find what is missing, add it, see the error fall.
+
+    The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far. Channels of
+    one unit are searched together: structures and noise of their own, one body for all.
+    """
+    from bayescal._cli import request
+
+    asked = request.Asked(instrument, files, columns, choice, average, keep_spikes)
+    settings = {
+        "max_effects": max_effects,
+        "time_limit": time_limit,
+        "keep_spikes": keep_spikes,
+        "accept_conflicts": accept_conflict or (),
+        "seed": seed,
+    }
+    if channels is None:
+        _one(asked, holdout, method, out, json_, settings)
+    else:
+        _several(options.channel_names(channels), asked, holdout, method, out, json_, settings)
+
+
+def _one(
+    asked: Asked,
+    holdout: Sequence[Path] | None,
+    method: str,
+    out: Path | None,
+    json_: bool,
+    settings: dict[str, Any],
+) -> None:
+    """One output."""
+    from bayescal._cli import request
+
+    chosen, model, readings = request.open_request(asked)
+    kept = request.open_kept(holdout, chosen, asked)
+    print_notes(readings.flags)
+    own = request.user_effects(asked.choice.effects_file)
+    with result_folder(out) as folder:
+        from bayescal._cli.output import Told, loop_text
+        from bayescal._report.under_way import earlier
+
+        told, seeds = Told(folder, json_), earlier(folder, model, readings) if folder else ()
+        if seeds:
+            print_notes([f"goes on with the search in {folder}, which was ended early"])
+        trail = bc.calibrate(
+            model,
+            readings,
+            holdout=kept,
+            effects=own,
+            method=request.method_named(method),
+            reference=request.reference_of(asked.choice.reference, readings),
+            seeds=seeds,
+            follow=told,
+            **settings,
+        )
+        if folder is not None:
+            trail.save(folder)
+    from bayescal._report.result_json import result
+
+    print_notes(f for f in trail.final.calibration.readings.flags if f not in readings.flags)
+    print_result(result(trail) if json_ else loop_text(trail, own, told.begun))
+    if folder is not None and not json_:
+        print(f"\nwritten: {folder}/result.json, calibration.nc, loop.png, manifest.json")
+    exit_unless(trail.ok, trail.gate.reason)
+
+
+def _several(
+    names: Sequence[str],
+    asked: Asked,
+    holdout: Sequence[Path] | None,
+    method: str,
+    out: Path | None,
+    json_: bool,
+    settings: dict[str, Any],
+) -> None:
+    """Channels of one unit."""
+    from bayescal._cli import request
+
+    models, readings = request.open_channels(names, asked)
+    kept = request.open_kept_channels(holdout, names, asked)
+    flags = list(dict.fromkeys(flag for one in readings.values() for flag in one.flags))
+    print_notes(flags)
+    own: Sequence[Effect] = request.user_effects(asked.choice.effects_file)
+    first = next(iter(readings.values()))
+    with result_folder(out) as folder:
+        found = bc.calibrate_channels(
+            models,
+            readings,
+            holdout=kept,
+            effects=own,
+            method=request.method_named(method),
+            reference=request.reference_of(asked.choice.reference, first),
+            **settings,
+        )
+        if folder is not None:
+            found.save(folder)
+    from bayescal._report.save_search import channels_data
+
+    print_result(channels_data(found) if json_ else found)
+    if folder is not None and not json_:
+        print(f"\nwritten: {folder}/channels.json, and a folder for each channel")
+    exit_unless(found.ok, found.reason)

@@ -1,0 +1,192 @@
+"""What a certificate states beside the numbers: device, place, people, conditions, standards, dates; from a TOML file.
+
+ISO/IEC 17025:2017, 7.8.2 and 7.8.4, say what belongs on a calibration certificate. Nothing of it is asked for by
+anyone who wants none: a report without such a file is as it was.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from bayescal._core.errors import InputError
+
+# Section → key → (what a person reads, whether it is a date). A section in lists may stand several times.
+SECTIONS: dict[str, dict[str, tuple[str, bool]]] = {
+    "certificate": {
+        "number": ("certificate", False),
+        "issued": ("issued", True),
+        "remarks": ("remarks", False),
+    },
+    "device": {
+        "name": ("device", False),
+        "manufacturer": ("manufacturer", False),
+        "model": ("type", False),
+        "serial": ("serial number", False),
+        "owner_number": ("owner's number", False),
+    },
+    "calibration": {
+        "begin": ("calibrated from", True),
+        "end": ("calibrated to", True),
+        "place": ("place", False),
+        "operator": ("operator", False),
+        "procedure": ("procedure", False),
+    },
+    "laboratory": {
+        "name": ("laboratory", False),
+        "street": ("street", False),
+        "city": ("city", False),
+        "postcode": ("postcode", False),
+        "country": ("country", False),
+        "email": ("e-mail", False),
+        "accreditation": ("accreditation", False),
+        "responsible": ("responsible person", False),
+    },
+    "customer": {
+        "name": ("customer", False),
+        "street": ("street", False),
+        "city": ("city", False),
+        "postcode": ("postcode", False),
+        "country": ("country", False),
+        "email": ("e-mail", False),
+    },
+    "standards": {
+        "name": ("standard", False),
+        "manufacturer": ("manufacturer", False),
+        "model": ("type", False),
+        "serial": ("serial number", False),
+        "certificate": ("its certificate", False),
+        "traceable_to": ("traceable to", False),
+        "valid_until": ("valid until", True),
+    },
+}
+LISTS = ("standards",)
+CONDITIONS = "conditions"  # free: name → text
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What a certificate states.
+
+    Attributes:
+        stated: section → key → value; `standards` is a list of such.
+        conditions: ambient condition → its value, as text with unit and uncertainty.
+        file: where it was read, for messages.
+    """
+
+    stated: dict[str, Any]
+    conditions: dict[str, str] = field(default_factory=dict)
+    file: str = "the certificate"
+
+    def get(self, section: str, key: str) -> str:
+        """What is stated, as text; "" if nothing is."""
+        value = self.stated.get(section, {}).get(key, "")
+        return value.isoformat() if isinstance(value, date) else value
+
+    def require(self, *needed: str) -> None:
+        """Refuse a certificate that does not state all that is needed, such as "device.serial".
+
+        Raises:
+            InputError: something is missing; all of it is named.
+        """
+        missing = [n for n in needed if not self.get(*n.split("."))]
+        if missing:
+            raise InputError(
+                f"{self.file} does not state {', '.join(missing)}, which a digital calibration certificate needs: "
+                "add " + "; ".join(f"[{s}] {k} = …" for s, k in (n.split(".") for n in missing))
+            )
+
+    def rows(self) -> list[tuple[str, list[tuple[str, str]]]]:
+        """Section → (label, text) of what is stated, for people."""
+        found = []
+        for section, keys in SECTIONS.items():
+            given = self.stated.get(section, {})
+            for one in given if section in LISTS else [given]:
+                said = [
+                    (label, one[key].isoformat() if isinstance(one[key], date) else one[key])
+                    for key, (label, _) in keys.items()
+                    if key in one
+                ]
+                found += [(section, said)] * bool(said)
+            if section == "calibration" and self.conditions:
+                found.append(("ambient conditions", list(self.conditions.items())))
+        return found
+
+
+def read_certificate(path: str | Path) -> Certificate:
+    """What a certificate states, from a TOML file.
+
+    Raises:
+        InputError: there is no such file, it is not TOML, it states nothing, or something in it is not known, no
+            text, or no date; names section and key.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(
+            f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the folder"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path.name!r} is not TOML: {error}") from None
+    known = [*SECTIONS, CONDITIONS]
+    stated: dict[str, Any] = {}
+    for section, given in data.items():
+        where = f"{path.name!r}, [{section}]"
+        if section not in known:
+            raise InputError(f"{where}: no such section; there are: {', '.join(known)}")
+        if section in LISTS:
+            if not isinstance(given, list) or not all(isinstance(one, dict) for one in given):
+                raise InputError(f"{where}: write [[{section}]], once for each")
+            stated[section] = [_checked(one, section, where) for one in given]
+        elif not isinstance(given, dict):
+            raise InputError(f"{where}: a section was expected, with keys below it")
+        elif section != CONDITIONS:
+            stated[section] = _checked(given, section, where)
+    if not data:
+        raise InputError(f"{path.name!r} states nothing: write [device], name = and serial =")
+    conditions = {
+        k: _text(v, f"{path.name!r}, [{CONDITIONS}] {k}")
+        for k, v in data.get(CONDITIONS, {}).items()
+    }
+    begin, end = (stated.get("calibration", {}).get(k) for k in ("begin", "end"))
+    if begin and end and end < begin:
+        raise InputError(
+            f"{path.name!r}, [calibration]: it ends ({end}) before it begins ({begin})"
+        )
+    return Certificate(stated, conditions, path.name)
+
+
+def _checked(given: dict[str, Any], section: str, where: str) -> dict[str, Any]:
+    keys = SECTIONS[section]
+    found: dict[str, Any] = {}
+    for key, value in given.items():
+        if key not in keys:
+            raise InputError(f"{where}: no such key {key!r}; there are: {', '.join(keys)}")
+        if keys[key][1]:
+            if type(value) is not date:
+                raise InputError(
+                    f"{where} {key} = {value!r}: a date was expected, {key} = 2026-11-22"
+                )
+            found[key] = value
+        else:
+            found[key] = _text(value, f"{where} {key}")
+    return found
+
+
+def _text(value: Any, where: str) -> str:
+    """A value as text: what is written as a number (a serial number) is taken as it stands.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, str | int | float)
+        or not str(value).strip()
+    ):
+        raise InputError(f"{where} = {value!r}: text was expected, in quotes")
+    return str(value).strip()

@@ -1,0 +1,238 @@
+"""The report takes what a certificate needs, from a file that nobody has to write; one identity in every artefact."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._report.certificate import read_certificate
+from bayescal._report.d_si import d_si
+from bayescal_models import still_sensor
+from tests.support.command_line import run
+
+STATED = """
+[certificate]
+number = "2026-0117"
+issued = 2026-11-24
+[device]
+name = "six-axis unit <IMU>"
+manufacturer = "A & B"
+model = "X1"
+serial = 4711
+[calibration]
+begin = 2026-11-20
+end = 2026-11-21
+place = "chamber 3"
+operator = "R. Weiss"
+[laboratory]
+name = "Laboratory for inertial sensors"
+city = "Braunschweig"
+country = "DE"
+responsible = "M. Kern"
+[customer]
+name = "C. Ltd"
+city = "Leeds"
+country = "GB"
+[conditions]
+temperature = "(23.0 ± 0.5) °C"
+[[standards]]
+name = "platinum thermometer"
+serial = "Pt-9"
+certificate = "PTB-2025-33"
+[[standards]]
+name = "levelled table"
+"""
+
+
+@pytest.fixture(scope="module")
+def calibration() -> bc.Calibration:
+    """Of arrays, with a label, so that there is no file whose hash could stand for the readings."""
+    made = still_sensor.simulate(seed=3, runs=2, interval=60)
+    instrument = still_sensor.INSTRUMENT.for_readings(made)
+    return bc.fit(instrument.baseline() + "bias.run", made, bc.LeastSquares(draws=200))
+
+
+@pytest.fixture
+def saved(calibration, tmp_path):
+    path = tmp_path / "calibration.nc"
+    calibration.save(path)
+    return path
+
+
+def test_the_report_states_device_place_people_conditions_standards_and_dates(
+    saved, tmp_path
+) -> None:
+    stated = tmp_path / "stated.toml"
+    stated.write_text(STATED, "utf-8")
+    page = tmp_path / "report.html"
+    ran = run("report", saved, "--out", page, "--certificate", stated)
+    assert ran.status in (0, 1) and page.is_file(), ran.err
+    text = page.read_text("utf-8")
+    for said in (
+        *("2026-0117", "2026-11-24", "2026-11-20", "six-axis unit &lt;IMU&gt;", "A &amp; B"),
+        *("4711", "chamber 3", "R. Weiss", "M. Kern", "C. Ltd", "(23.0 ± 0.5) °C"),
+        *("platinum thermometer", "PTB-2025-33", "levelled table"),
+    ):
+        assert said in text, said
+    plain = tmp_path / "plain.html"
+    run("report", saved, "--out", plain)
+    assert "certificate of" not in plain.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[device\n", r"'stated.toml' is not TOML: .*line 1"),
+        ("", r"'stated.toml' states nothing: write \[device\]"),
+        ("[devices]\n", r"\[devices\]: no such section; there are: certificate, device,"),
+        ('[device]\nserial_number = "1"\n', r"\[device\]: no such key 'serial_number'; .*serial"),
+        ("[device]\nserial = []\n", r"\[device\] serial = \[\]: text was expected, in quotes"),
+        (
+            '[calibration]\nbegin = "May"\n',
+            r"\[calibration\] begin = 'May': a date was expected, begin = 2026-",
+        ),
+        (
+            "[calibration]\nbegin = 2026-02-02\nend = 2026-02-01\n",
+            r"it ends \(2026-02-01\) before it begins \(2026-02-02\)",
+        ),
+        ("[standards]\n", r"\[standards\]: write \[\[standards\]\], once for each"),
+        ("device = 1\n", r"\[device\]: a section was expected"),
+    ],
+)
+def test_what_a_certificate_cannot_state_is_refused_before_anything_is_loaded(
+    text, said, tmp_path
+) -> None:
+    stated = tmp_path / "stated.toml"
+    stated.write_text(text, "utf-8")
+    ran = run("report", tmp_path / "none.nc", "--certificate", stated)
+    assert ran.status == 2 and len(ran.said) == 1
+    assert re.search(said, ran.said[0]), ran.said[0]
+    with pytest.raises(bc.InputError, match=said):
+        read_certificate(stated)
+
+
+def test_one_identity_and_one_hash_of_the_readings_in_every_artefact(
+    calibration, saved, tmp_path
+) -> None:
+    header = bc.compensator(calibration).export(tmp_path / "c.h").read_text()
+    exported = json.loads(bc.compensator(calibration).export(tmp_path / "c.json").read_text())
+    page = bc.report(calibration, tmp_path / "r.html").read_text("utf-8")
+    (identity,) = re.findall(r"Of the calibration (\w{64})", header)
+    (readings,) = re.findall(r"Calibrated on .*SHA-256 (\w{64})", header)
+    assert identity != readings
+    assert exported["about"]["calibration"] == identity
+    assert exported["about"]["sources"] == [["arrays (hash of their values)", readings]]
+    assert identity in page and readings in page
+    assert set(re.findall(r"\b[0-9a-f]{64}\b", page)) == {identity, readings}
+    loaded = bc.load(saved)
+    again = bc.compensator(loaded).export(tmp_path / "again.h").read_text()
+    assert identity in again and readings in again
+    np.testing.assert_array_equal(loaded.readings["output"], calibration.readings["output"])
+
+
+SCHEMA = os.environ.get(
+    "BAYESCAL_DCC_SCHEMA", ""
+)  # a folder with the PTB's dcc.xsd and SI_Format.xsd
+SIGNATURE = (
+    '<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" targetNamespace="http://www.w3.org/2000/09/xmldsig#">'
+    '<xs:element name="Signature"/></xs:schema>'
+)
+
+
+@pytest.fixture
+def written(saved, tmp_path):
+    """A digital certificate, as text."""
+    stated, out = tmp_path / "stated.toml", tmp_path / "dcc.xml"
+    stated.write_text(STATED, "utf-8")
+    ran = run("export", saved, "--format", "dcc", "--certificate", stated, "--out", out)
+    assert ran.status == 0, ran.err
+    return out.read_text("utf-8")
+
+
+@pytest.mark.skipif(
+    not SCHEMA, reason="the PTB's schema is not part of this project: BAYESCAL_DCC_SCHEMA=FOLDER"
+)
+def test_a_digital_certificate_is_valid_by_the_schema_of_the_ptb(written, tmp_path) -> None:
+    etree = pytest.importorskip("lxml.etree")
+    for name in ("dcc.xsd", "SI_Format.xsd"):
+        text = (Path(SCHEMA) / name).read_text("utf-8")
+        text = re.sub(
+            r'schemaLocation="[^"]*/SI_Format.xsd"', 'schemaLocation="SI_Format.xsd"', text
+        )
+        text = re.sub(r'schemaLocation="[^"]*xmldsig[^"]*"', 'schemaLocation="dsig.xsd"', text)
+        (tmp_path / name).write_text(text, "utf-8")
+    (tmp_path / "dsig.xsd").write_text(SIGNATURE, "utf-8")  # nothing here is signed
+    schema = etree.XMLSchema(etree.parse(str(tmp_path / "dcc.xsd")))
+    schema.assertValid(etree.fromstring(written.encode()))
+    broken = written.replace("<dcc:coreData>", "<dcc:coreData><dcc:colour/>")
+    assert not schema.validate(etree.fromstring(broken.encode()))
+
+
+def test_a_digital_certificate_states_coefficients_in_si(calibration, written) -> None:
+    root = ElementTree.fromstring(written)
+    space = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+    found = {}
+    for quantity in root.iterfind(".//dcc:result//dcc:quantity", space):
+        name = quantity.findtext("dcc:name/dcc:content", namespaces=space)
+        real = quantity.find("si:real", space)
+        assert real is not None
+        found[name] = (
+            float(real.findtext("si:value", "", space)),
+            real.findtext("si:unit", "", space),
+            float(real.findtext("si:expandedUnc/si:uncertainty", "nan", space)),
+        )
+    slope = calibration.samples("bias.temperature")  # µg/°C
+    micro_g = 9.80665e-6
+    value, unit, expanded = found["bias.temperature"]
+    assert unit == "\\metre\\second\\tothe{-2}\\kelvin\\tothe{-1}"
+    assert value == pytest.approx(micro_g * slope.mean(), rel=1e-6)
+    assert expanded == pytest.approx(2 * micro_g * slope.std(), rel=0.01)
+    for said in ("2026-0117", "4711", "R. Weiss", "Pt-9", "(23.0 ± 0.5) °C", "M. Kern"):
+        assert said in written
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("serial = 4711\n", ""), r"does not state device.serial.*add \[device\] serial"),
+        (
+            ('country = "GB"', 'country = "Britain"'),
+            r"\[customer\] country = 'Britain': two capital",
+        ),
+    ],
+)
+def test_a_digital_certificate_without_what_it_needs_is_refused(
+    change, said, saved, tmp_path
+) -> None:
+    stated = tmp_path / "stated.toml"
+    stated.write_text(STATED.replace(*change), "utf-8")
+    out = tmp_path / "dcc.xml"
+    ran = run("export", saved, "--format", "dcc", "--certificate", stated, "--out", out)
+    assert ran.status == 2 and not out.exists()
+    assert re.search(said, ran.err), ran.err
+    ran = run("export", saved, "--format", "dcc")
+    assert ran.status == 2 and "--certificate FILE.toml" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "text"),
+    [
+        ("deg/s", np.pi / 180, "\\radian\\second\\tothe{-1}"),
+        ("ug/degC^2", 9.80665e-6, "\\metre\\second\\tothe{-2}\\kelvin\\tothe{-2}"),
+        ("1/g", 1 / 9.80665, "\\metre\\tothe{-1}\\second\\tothe{2}"),
+        ("degC", 1.0, "\\degreecelsius"),
+        ("ppm", 1e-6, "\\one"),
+        ("min", 60.0, "\\second"),
+        (None, 1.0, "\\one"),
+    ],
+)
+def test_units_in_d_si(unit, factor, text) -> None:
+    found = d_si(unit)
+    assert found == (pytest.approx(factor), text)

@@ -1,0 +1,146 @@
+"""Logs of PX4, ArduPilot and ROS are read: channels, units, times, temperature, and what is said of them."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._logs.recorded import Sensor, columns_of
+from bayescal_models import still_sensor
+from tests.support.log_files import write_bag, write_dataflash, write_ulog
+
+for package in ("pyulog", "pymavlink", "rosbags"):
+    pytest.importorskip(package, reason="pip install 'bayescal[logs]'")
+
+ROWS = 60
+TIME = 5.0 + 0.1 * np.arange(ROWS)
+TEMPERATURE = 20.0 + np.linspace(0.0, 30.0, ROWS) ** 1.3
+UNITS = [
+    {"gyro_x": 0.01 + 1e-4 * TEMPERATURE, "gyro_z": np.sin(TIME), "acc_z": -9.8 + 1e-3 * TIME},
+    {"gyro_x": 0.02 - 2e-4 * TEMPERATURE, "acc_y": 0.1 * np.cos(TIME)},
+]
+INSTRUMENT = still_sensor.INSTRUMENT
+DEGREES = np.degrees(1.0)
+WRITERS = {
+    "t.ulg": write_ulog,
+    "t.bin": write_dataflash,
+    "t.bag": write_bag,
+    "t.mcap": write_bag,
+    "t.db3": write_bag,
+}
+
+
+@pytest.fixture(params=list(WRITERS))
+def log(request, tmp_path):
+    return WRITERS[request.param](tmp_path / request.param, TIME, TEMPERATURE, UNITS)
+
+
+def test_a_gyroscope_comes_in_degrees_per_second_at_its_own_times(log) -> None:
+    readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x"})
+    assert readings.unit("output") == "deg/s" and len(readings) == ROWS
+    np.testing.assert_allclose(readings["output"], DEGREES * UNITS[0]["gyro_x"], rtol=3e-7)
+    np.testing.assert_allclose(readings["time"], TIME, rtol=0, atol=1e-6)
+    assert set(readings["axis"]) == {"gyro_x"}
+    assert "gyro_z" not in readings.columns  # what is not asked for is no covariate
+
+
+def test_an_accelerometer_comes_in_local_g(log) -> None:
+    columns = {"output": "acc_z"}
+    readings = bc.read(log, INSTRUMENT, columns=columns, local_gravity=9.81)
+    assert readings.unit("output") == "ug"
+    np.testing.assert_allclose(readings["output"], UNITS[0]["acc_z"] / 9.81e-6, rtol=3e-7)
+
+
+def test_a_second_sensor_has_a_number(log) -> None:
+    readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x_1"})
+    np.testing.assert_allclose(readings["output"], DEGREES * UNITS[1]["gyro_x"], rtol=3e-7)
+
+
+def test_the_temperature_is_the_sensor_s_or_interpolated_and_said_so(log) -> None:
+    readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x"})
+    ros = log.suffix not in (".ulg", ".bin")
+    said = [flag for flag in readings.flags if "is interpolated to the times of gyro_x" in flag]
+    assert len(said) == ros
+    if not ros:
+        np.testing.assert_allclose(readings["temperature"], TEMPERATURE, rtol=1e-6)
+        return
+    assert "the temperature was sampled every 0.5 s" in said[0]
+    known = [*range(0, ROWS, 5), ROWS - 1]
+    wanted = np.interp(TIME, TIME[known], TEMPERATURE[known])
+    np.testing.assert_allclose(readings["temperature"], wanted, rtol=1e-6)
+
+
+def test_no_channel_is_guessed(log) -> None:
+    with pytest.raises(bc.InputError, match=r"is a log.*It has: gyro_x, .*acc_z.*output=gyro_x"):
+        bc.read(log, INSTRUMENT)
+    with pytest.raises(bc.InputError, match=r"Choose one: --columns output=gyro_x"):
+        bc.read(log, INSTRUMENT, columns={"output": "gyro_w"})
+
+
+def test_a_log_cut_short_or_another_file_is_refused(log, put) -> None:
+    junk = put(b"time,temperature\n1,2\n" * 40, f"junk{log.suffix}")
+    with pytest.raises(bc.InputError, match=rf"'junk{log.suffix}' cannot be read as .*and whole"):
+        bc.read(junk, INSTRUMENT, columns={"output": "gyro_x"})
+    half = put(log.read_bytes()[: log.stat().st_size // 2], f"half{log.suffix}")
+    try:
+        readings = bc.read(half, INSTRUMENT, columns={"output": "gyro_x"})
+    except bc.InputError:
+        return
+    assert 0 < len(readings) < ROWS  # or what is left of it is read, as its library does
+
+
+@pytest.mark.parametrize("package", ["pyulog", "pymavlink", "rosbags"])
+def test_without_its_package_a_log_is_refused_with_the_command(package, put, monkeypatch) -> None:
+    suffix = {"pyulog": ".ulg", "pymavlink": ".bin", "rosbags": ".bag"}[package]
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(bc.InputError, match=rf"{package} reads.*pip install 'bayescal\[logs\]'"):
+        bc.read(put(b"x", f"t{suffix}"), INSTRUMENT, columns={"output": "gyro_x"})
+
+
+def test_px4_names_the_device_and_borrows_its_temperature(tmp_path) -> None:
+    log = write_ulog(tmp_path / "t.ulg", TIME, TEMPERATURE, UNITS, gyro_temperature=False)
+    readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x_1"})
+    assert set(readings["device"]) == {"3670034"}
+    assert any(
+        "sensor_gyro 1 logs no temperature; that of sensor_accel 1" in f for f in readings.flags
+    )
+    # The accelerometer's first sample is 2 ms late, so the gyroscope's first has no temperature.
+    assert len(readings) == ROWS - 1
+    wanted = np.interp(TIME[1:], TIME + 0.002, TEMPERATURE)
+    np.testing.assert_allclose(readings["temperature"], wanted, rtol=1e-6)
+
+
+def test_ardupilot_s_own_correction_is_told(tmp_path) -> None:
+    parameters = {"INS_TCAL1_ENABLE": 0.0, "INS_TCAL2_ENABLE": 1.0}
+    log = write_dataflash(tmp_path / "t.bin", TIME, TEMPERATURE, UNITS, parameters=parameters)
+    readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x"})
+    said = [flag for flag in readings.flags if "INS_TCAL" in flag]
+    assert len(said) == 1 and "INS_TCAL2_ENABLE was 1: IMU 2 was logged with its" in said[0]
+
+
+def test_ros_topics_are_told_apart(tmp_path) -> None:
+    log = write_bag(tmp_path / "t.bag", TIME, TEMPERATURE, UNITS)
+    flags = bc.read(log, INSTRUMENT, columns={"output": "gyro_x"}).flags
+    assert any(
+        "gyro_x_1 and its like are of the topic /imu/1, temperature of /imu/temperature" in f
+        for f in flags
+    )
+
+
+def test_channels_of_several_sensors_stand_at_the_times_of_the_slowest() -> None:
+    fast, slow = np.arange(0.0, 10.0, 0.01), np.arange(0.055, 9.0, 0.1)
+    random = np.random.default_rng(4)
+    noise = random.standard_normal(len(fast))
+    sensors = [
+        Sensor(fast, {"gyro_x": noise}, {"gyro_x": "rad/s"}),
+        Sensor(slow, {"acc_x": slow**2}, {"acc_x": "m/s^2"}, temperature=slow),
+    ]
+    found = columns_of(sensors, ["gyro_x", "acc_x"], "t.ulg")
+    np.testing.assert_array_equal(found.columns["time [s]"], slow)
+    np.testing.assert_array_equal(found.columns["acc_x [m/s^2]"], slow**2)
+    taken = found.columns["gyro_x [rad/s]"]
+    assert set(taken) <= set(noise) and len(set(taken)) == len(slow)  # single samples, none twice
+    assert found.notes == ("t.ulg: rows at the times of acc_x",)

@@ -1,0 +1,169 @@
+"""Small logs of a sensor unit at rest, written as their formats are documented: what the tests of logs share.
+
+A unit is a mapping from a channel, "gyro_x", to its values, (n,); channels that are not given read zero.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+AXES = ("x", "y", "z")
+Unit = Mapping[str, np.ndarray]
+
+
+def _of(unit: Unit, kind: str, rows: int) -> list[np.ndarray]:
+    return [np.asarray(unit.get(f"{kind}_{axis}", np.zeros(rows))) for axis in AXES]
+
+
+def write_ulog(
+    path: Path,
+    time: np.ndarray,
+    temperature: np.ndarray,
+    units: list[Unit],
+    *,
+    gyro_temperature: bool = True,
+    devices: tuple[int, ...] = (3670026, 3670034),
+) -> Path:
+    """A PX4 ULog: sensor_gyro at `time`, s, and sensor_accel 2 ms later, one instance for each unit.
+
+    PX4 user guide, "ULog file format": header, flag bits (B), formats (F), subscriptions (A), data (D).
+    """
+
+    def message(kind: str, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    fields = "uint64_t timestamp;uint32_t device_id;float temperature;float x;float y;float z;"
+    parts = [
+        b"ULog\x01\x12\x35\x01" + struct.pack("<Q", int(1e6 * time[0])),
+        message("B", bytes(40)),
+        *(message("F", f"{t}:{fields}".encode()) for t in ("sensor_gyro", "sensor_accel")),
+    ]
+    data: list[tuple[int, bytes]] = []
+    for number, unit in enumerate(units):
+        for topic, (name, kind, delay) in enumerate(
+            (("sensor_gyro", "gyro", 0), ("sensor_accel", "acc", 2000))
+        ):
+            key = 2 * number + topic
+            parts.append(message("A", struct.pack("<BH", number, key) + name.encode()))
+            known = temperature if gyro_temperature or kind == "acc" else np.full(len(time), np.nan)
+            values = _of(unit, kind, len(time))
+            for i, t in enumerate(time):
+                at = round(1e6 * t) + delay
+                row = (known[i], *(v[i] for v in values))
+                data.append(
+                    (at, message("D", struct.pack("<HQI4f", key, at, devices[number], *row)))
+                )
+    path.write_bytes(b"".join(parts + [body for _, body in sorted(data, key=lambda d: d[0])]))
+    return path
+
+
+def write_dataflash(
+    path: Path,
+    time: np.ndarray,
+    temperature: np.ndarray,
+    units: list[Unit],
+    *,
+    parameters: Mapping[str, float] | None = None,
+) -> Path:
+    """An ArduPilot .bin: IMU messages of each unit at `time`, s.
+
+    ardupilot, libraries/AP_Logger/LogStructure.h (FMT, PARM), libraries/AP_InertialSensor/LogStructure.h (IMU).
+    """
+
+    def described(kind: int, name: str, layout: str, columns: str) -> bytes:
+        sizes = {"Q": 8, "B": 1, "f": 4, "I": 4, "H": 2, "N": 16, "n": 4, "Z": 64}
+        length = 3 + sum(sizes[c] for c in layout)
+        body = (kind, length, name.encode(), layout.encode(), columns.encode())
+        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", *body)
+
+    columns = "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"
+    parts = [
+        described(0x80, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns"),
+        described(0x40, "PARM", "QNff", "TimeUS,Name,Value,Default"),
+        described(0x81, "IMU", "QBffffffIIfBBHH", columns),
+    ]
+    for name, value in (parameters or {}).items():
+        parts.append(b"\xa3\x95\x40" + struct.pack("<Q16sff", 1, name.encode(), value, 0.0))
+    values = [[*_of(u, "gyro", len(time)), *_of(u, "acc", len(time))] for u in units]
+    for i, t in enumerate(time):
+        for number, own in enumerate(values):
+            row = (
+                round(1e6 * t),
+                number,
+                *(v[i] for v in own),
+                0,
+                0,
+                temperature[i],
+                1,
+                1,
+                400,
+                400,
+            )
+            parts.append(b"\xa3\x95\x81" + struct.pack("<QBffffffIIfBBHH", *row))
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def write_bag(
+    path: Path, time: np.ndarray, temperature: np.ndarray, units: list[Unit], *, every: int = 5
+) -> Path:
+    """A ROS 1 bag (.bag), or a ROS 2 bag (a folder with one .mcap or .db3): Imu at `time`, Temperature now and then.
+
+    Args:
+        path: its suffix names the format.
+        time: of the Imu messages, s.
+        temperature: at these times, °C.
+        units: one topic /imu/<number> for each.
+        every: how many Imu messages there are to one of Temperature.
+
+    Returns:
+        The file to read.
+    """
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    first = path.suffix == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_JAZZY)
+    T = store.types
+    header, vector = T["std_msgs/msg/Header"], T["geometry_msgs/msg/Vector3"]
+    stamp, quaternion = T["builtin_interfaces/msg/Time"], T["geometry_msgs/msg/Quaternion"]
+
+    def head(ns: int):
+        one = stamp(sec=ns // 10**9, nanosec=ns % 10**9)
+        return header(**({"seq": 0} if first else {}), stamp=one, frame_id="imu")
+
+    plugin = StoragePlugin.MCAP if path.suffix == ".mcap" else StoragePlugin.SQLITE3
+    folder = path if first else path.with_suffix("")
+    writer = Writer1(path) if first else Writer2(folder, version=9, storage_plugin=plugin)
+    imu, thermometer = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
+    pack = store.serialize_ros1 if first else store.serialize_cdr
+    with writer as bag:
+        topics = [bag.add_connection(f"/imu/{n}", imu, typestore=store) for n in range(len(units))]
+        warm = bag.add_connection("/imu/temperature", thermometer, typestore=store)
+        zero = np.zeros(9)
+        for i, t in enumerate(time):
+            ns = round(1e9 * t)
+            if i % every == 0 or i == len(time) - 1:
+                said = T[thermometer](header=head(ns), temperature=temperature[i], variance=0.0)
+                bag.write(warm, ns, pack(said, thermometer))
+            for topic, unit in zip(topics, units, strict=True):
+                gyro, acc = (
+                    vector(*(float(v[i]) for v in _of(unit, k, len(time)))) for k in ("gyro", "acc")
+                )
+                message = T[imu](
+                    header=head(ns),
+                    orientation=quaternion(0.0, 0.0, 0.0, 1.0),
+                    orientation_covariance=zero,
+                    angular_velocity=gyro,
+                    angular_velocity_covariance=zero,
+                    linear_acceleration=acc,
+                    linear_acceleration_covariance=zero,
+                )
+                bag.write(topic, ns, pack(message, imu))
+    return path if first else next(folder.glob(f"*{path.suffix}"))
