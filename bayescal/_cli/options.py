@@ -75,7 +75,7 @@ def _refuse_missing(files: list[Path] | None) -> list[Path] | None:
         InputError: a file is not there; the words are those of `read`.
     """
     if files and not all(map(os.path.isfile, files)):
-        from bayescal._readings.read import check_files
+        from bayescal._tables.open_table import check_files
 
         check_files(files)
     return files

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from bayescal._readings.column import ConvertedColumns
+from bayescal._core.errors import InputError
+from bayescal._readings.column import TAKEN, Column, ConvertedColumns
 from bayescal._readings.column_matching import (
     InstrumentLike,
     ReadOptions,
     expected_columns,
-    extra_columns,
     match,
+    unit_of,
     with_fixed_units,
 )
 from bayescal._readings.column_reader import ColumnReader
 from bayescal._readings.header_matching import note_missing, understood
+from bayescal._readings.unit_conversion import base_unit
 from bayescal._tables.problems import Problem, Problems
 from bayescal._tables.raw_table import Table, load_whole
 
@@ -127,3 +131,42 @@ def _rows(table: Table, rows: np.ndarray) -> str:
 def kept_table(table: Table, converted: ConvertedColumns) -> Table:
     """The table of the rows that were kept."""
     return table if converted.kept is None else table.take(converted.kept)
+
+
+def extra_columns(
+    table: Table,
+    expected: Mapping[str, Column],
+    positions: Mapping[str, int],
+    options: ReadOptions,
+) -> tuple[dict[str, Column], list[str]]:
+    """The columns beyond the instrument's that are kept, in base units, and why others are not."""
+    kept: dict[str, Column] = {}
+    flags: list[str] = []
+    without_unit: list[str] = []
+    for name in (n for n in positions if n not in expected):
+        header = table.headers[positions[name]]
+        if not options.others.isdisjoint((header.name, header.raw)):
+            continue
+        unit = unit_of(header, name, options)
+        if unit is None:
+            without_unit.append(header.raw)
+        elif name in TAKEN:
+            flags.append(f"{table.file}: column {header.raw!r} ignored: the name {name!r} is taken")
+        else:
+            try:
+                base = base_unit(unit)
+            except InputError:
+                flags.append(
+                    f"{table.file}: column {header.raw!r} ignored: [{unit}] is no unit known here"
+                )
+            else:
+                kept[name] = Column(name, base, required=False)
+    without_unit += [
+        f"column {i + 1}, without a name" for i, h in enumerate(table.headers) if not h.name
+    ]
+    if without_unit:
+        flags.append(
+            f"{table.file}: ignored, because they have no unit: {', '.join(without_unit)} (to keep "
+            "one, write 'name [unit]' or give units=)"
+        )
+    return kept, flags

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import TAKEN, Column, NominalScale
+from bayescal._readings.column import Column, NominalScale
 from bayescal._readings.header_reading import readings_of
-from bayescal._readings.unit_conversion import base_unit, fixed_unit
+from bayescal._readings.unit_conversion import fixed_unit
 from bayescal._readings.unit_parsing import ANY, STANDARD_GRAVITY
 from bayescal._tables.dates import LATEST
 from bayescal._tables.problems import Problem, Problems
@@ -224,45 +224,6 @@ def with_fixed_units(
         with contextlib.suppress(InputError):
             fixed[name] = column if unit is None else replace(column, unit=fixed_unit(unit))
     return fixed
-
-
-def extra_columns(
-    table: Table,
-    expected: Mapping[str, Column],
-    positions: Mapping[str, int],
-    options: ReadOptions,
-) -> tuple[dict[str, Column], list[str]]:
-    """The columns beyond the instrument's that are kept, in base units, and why others are not."""
-    kept: dict[str, Column] = {}
-    flags: list[str] = []
-    without_unit: list[str] = []
-    for name in (n for n in positions if n not in expected):
-        header = table.headers[positions[name]]
-        if not options.others.isdisjoint((header.name, header.raw)):
-            continue
-        unit = unit_of(header, name, options)
-        if unit is None:
-            without_unit.append(header.raw)
-        elif name in TAKEN:
-            flags.append(f"{table.file}: column {header.raw!r} ignored: the name {name!r} is taken")
-        else:
-            try:
-                base = base_unit(unit)
-            except InputError:
-                flags.append(
-                    f"{table.file}: column {header.raw!r} ignored: [{unit}] is no unit known here"
-                )
-            else:
-                kept[name] = Column(name, base, required=False)
-    without_unit += [
-        f"column {i + 1}, without a name" for i, h in enumerate(table.headers) if not h.name
-    ]
-    if without_unit:
-        flags.append(
-            f"{table.file}: ignored, because they have no unit: {', '.join(without_unit)} (to keep "
-            "one, write 'name [unit]' or give units=)"
-        )
-    return kept, flags
 
 
 def unused_units(tables: Sequence[Table], options: ReadOptions, problems: Problems) -> None:

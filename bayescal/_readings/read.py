@@ -21,9 +21,9 @@ from bayescal._readings.column_matching import (
 )
 from bayescal._readings.dataset_checks import problems_of_whole
 from bayescal._readings.unit_parsing import STANDARD_GRAVITY
-from bayescal._tables.open_table import MAX_BYTES, open_table
+from bayescal._tables.open_table import MAX_BYTES, check_files, open_table
 from bayescal._tables.problems import Problems
-from bayescal._tables.raw_table import Table, bytes_text
+from bayescal._tables.raw_table import Table
 
 if TYPE_CHECKING:
     from bayescal._readings.measurements import Measurements
@@ -92,29 +92,36 @@ def read(
     paths = [path_or_paths] if isinstance(path_or_paths, str | Path) else list(path_or_paths)
     paths = [Path(path) for path in paths]
     names = check_files(paths, max_bytes)
-    renamed, more = columns or {}, (units or {}, local_gravity, nominal_scale, missing, decimal)
-    if outputs is None:
-        options = ReadOptions(renamed, *more)
-        return _measurements(paths, names, instrument, options, allow_one_temperature, max_bytes)
+    options = ReadOptions(
+        columns or {}, units or {}, local_gravity, nominal_scale, missing, decimal
+    )
+    rest = (paths, names, instrument, allow_one_temperature, max_bytes)
+    return _measurements(options, *rest) if outputs is None else _each(outputs, options, *rest)
+
+
+def _each(outputs: Sequence[str], options: ReadOptions, *rest: Any) -> dict[str, Measurements]:
+    """Readings of several outputs; what is wrong with any is said at once.
+
+    Raises:
+        InputError: one is named twice, or something cannot be used.
+    """
     if not outputs or len(set(outputs)) < len(outputs):
         raise InputError(f"outputs={list(outputs)}: name each channel once, and one at least")
-    found, problems = dict[str, "Measurements"](), Problems()
+    problems, instrument, found = Problems(), rest[2], dict[str, "Measurements"]()
     for name in outputs:
+        columns = {**options.columns, output_name(instrument): name}
         others = frozenset(outputs) - {name}
-        options = ReadOptions({**renamed, output_name(instrument): name}, *more, others)
         with problems.collecting():
-            found[name] = _measurements(
-                paths, names, instrument, options, allow_one_temperature, max_bytes
-            )
+            found[name] = _measurements(replace(options, columns=columns, others=others), *rest)
     Problems(dict.fromkeys(problems)).refuse()
     return found
 
 
 def _measurements(
+    options: ReadOptions,
     paths: Sequence[Path],
     names: Sequence[str],
     instrument: InstrumentLike,
-    options: ReadOptions,
     allow_one_temperature: bool,
     max_bytes: int,
 ) -> Measurements:
@@ -167,64 +174,6 @@ def _opened(
                 problems += problems_of_whole([table], part, instrument, True)
     problems.refuse()
     return tables, parts
-
-
-def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
-    """Look at the files before anything is opened; what messages call them.
-
-    Raises:
-        InputError: no file, one twice, one that is not there or is no file, or all are too large.
-    """
-    names = _names(paths)
-    _refuse_large(paths, names, max_bytes)
-    return names
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    """What messages call the files: the name, or the whole path where two have the same name.
-
-    Raises:
-        InputError: no file, or one twice.
-    """
-    if not paths:
-        raise InputError("no file was given to read: give at least one")
-    for path, count in Counter(path.resolve() for path in paths).items():
-        if count > 1:
-            raise InputError(f"{path.name!r} was given {count} times: give each file once")
-    shared = Counter(path.name for path in paths)
-    return [path.name if shared[path.name] == 1 else str(path) for path in paths]
-
-
-def _refuse_large(paths: Sequence[Path], names: Sequence[str], max_bytes: int) -> None:
-    """Look at the sizes before anything is opened.
-
-    Raises:
-        InputError: a file is not there or is no file, or all are too large.
-    """
-    total = 0
-    for path, name in zip(paths, names, strict=True):
-        try:
-            size = path.stat().st_size
-        except OSError as error:
-            raise InputError(
-                f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the "
-                "folder"
-            ) from error
-        if not path.is_file():
-            raise InputError(
-                f"{str(path)!r} is not a file: name a file, or all files of the folder"
-            )
-        total += size
-        if total > max_bytes:
-            held = (
-                f"holds {bytes_text(size)}"
-                if size > max_bytes
-                else f"brings the files to {bytes_text(total)}"
-            )
-            raise InputError(
-                f"{name!r} {held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded. "
-                "Average the readings, read fewer files, or raise max_bytes"
-            )
 
 
 def _runs(paths: Sequence[Path]) -> list[str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from bayescal._core.atomic_file import sha256_of
@@ -10,12 +11,70 @@ from bayescal._core.errors import InputError
 from bayescal._logs.open_log import LOG_FORMATS, log_columns
 from bayescal._tables.cells import cells_of
 from bayescal._tables.csv_reader import open_csv
-from bayescal._tables.raw_table import Header, Table
+from bayescal._tables.raw_table import Header, Table, bytes_text
 
 MAX_BYTES = 2_000_000_000
 TEXT = (".csv", ".tsv", ".txt")
 READ = (*TEXT, ".parquet", ".nc", ".xlsx", ".mat", *LOG_FORMATS)
 _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".joblib")
+
+
+def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
+    """Look at the files before anything is opened; what messages call them.
+
+    Raises:
+        InputError: no file, one twice, one that is not there or is no file, or all are too large.
+    """
+    names = _names(paths)
+    _refuse_large(paths, names, max_bytes)
+    return names
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """What messages call the files: the name, or the whole path where two have the same name.
+
+    Raises:
+        InputError: no file, or one twice.
+    """
+    if not paths:
+        raise InputError("no file was given to read: give at least one")
+    for path, count in Counter(path.resolve() for path in paths).items():
+        if count > 1:
+            raise InputError(f"{path.name!r} was given {count} times: give each file once")
+    shared = Counter(path.name for path in paths)
+    return [path.name if shared[path.name] == 1 else str(path) for path in paths]
+
+
+def _refuse_large(paths: Sequence[Path], names: Sequence[str], max_bytes: int) -> None:
+    """Look at the sizes before anything is opened.
+
+    Raises:
+        InputError: a file is not there or is no file, or all are too large.
+    """
+    total = 0
+    for path, name in zip(paths, names, strict=True):
+        try:
+            size = path.stat().st_size
+        except OSError as error:
+            raise InputError(
+                f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the "
+                "folder"
+            ) from error
+        if not path.is_file():
+            raise InputError(
+                f"{str(path)!r} is not a file: name a file, or all files of the folder"
+            )
+        total += size
+        if total > max_bytes:
+            held = (
+                f"holds {bytes_text(size)}"
+                if size > max_bytes
+                else f"brings the files to {bytes_text(total)}"
+            )
+            raise InputError(
+                f"{name!r} {held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded. "
+                "Average the readings, read fewer files, or raise max_bytes"
+            )
 
 
 def open_table(
