@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from bayescal._calibration.calibration import Calibration
@@ -14,8 +15,8 @@ from bayescal._firmware.autopilots import AUTOPILOTS
 from bayescal._firmware.parameters import FirmwareParameters, axis_of, firmware_parameters
 from bayescal._model.instrument import Instrument
 from bayescal._report.dcc import dcc_text
-from bayescal._report.section import Chapter, chapters, of_folder
-from bayescal._report.whole_folder import refuse_mixed
+from bayescal._report.section import CALIBRATION, Chapter, chapters, of_folder
+from bayescal._report.whole_folder import CHANNELS, refuse_mixed
 
 PROGRAMS, PARAMETERS, DCC = ("json", "c", "python"), tuple(AUTOPILOTS), "dcc"
 
@@ -79,6 +80,26 @@ def single(
     return compensator_from(paths[0], own, members)
 
 
+def of_units(paths: list[Path], file: str = "") -> list[Path]:
+    """A unit's folder stands for those of its channels, or for a file in each.
+
+    Raises:
+        InputError: its channels.json cannot be read.
+    """
+    found: list[Path] = []
+    for path in paths:
+        listed = path / CHANNELS
+        if not listed.is_file():
+            found.append(path)
+            continue
+        try:
+            channels = json.loads(listed.read_text("utf-8"))["channels"].values()
+            found += [path / Path(c["folder"]).name / file for c in channels]
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(f"{listed} cannot be read ({error}): calibrate again") from None
+    return found
+
+
 def by_axis(
     paths: list[Path], named: list[str] | None, own: OwnParts, members: list[str] | None
 ) -> dict[str, Compensator]:
@@ -89,7 +110,7 @@ def by_axis(
     """
     found: dict[str, Compensator] = {}
     files: dict[str, str] = {}
-    said = [(None, path) for path in paths]
+    said = [(None, path) for path in of_units(paths, CALIBRATION)]
     said += [(n, Path(p)) for one in named or [] for n, p in named_values([one], "--axis").items()]
     for name, path in said:
         chosen = compensator_from(path, own, members)
@@ -147,7 +168,8 @@ def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:
     """
     effects, instruments = user_effects(own.effects_file), _own_instruments(own)
     given = (
-        of_folder(p, effects, instruments) if p.is_dir() else load_saved(p, own) for p in paths
+        of_folder(p, effects, instruments) if p.is_dir() else load_saved(p, own)
+        for p in of_units(paths)
     )
     return chapters(given, effects)
 

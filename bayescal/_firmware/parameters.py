@@ -132,9 +132,12 @@ def firmware_parameters(
 
 
 def axis_of(calibration: Calibration) -> str | None:
-    """The axis that a calibration is of, by the label `axis` of its readings; None where it says none."""
-    named = calibration.readings.groups("axis")[0] if calibration.readings.has("axis") else ()
-    return named[0] if len(named) == 1 and _NAME.fullmatch(named[0]) else None
+    """The axis that a calibration is of, by the label `axis` of its readings or the column read; None if by neither."""
+    readings = calibration.readings
+    labels = readings.groups("axis")[0] if readings.has("axis") else ()
+    named = set(labels) or {source.output for source in readings.sources}
+    name = next(iter(named), "")
+    return name if len(named) == 1 and _NAME.fullmatch(name) else None
 
 
 def _axis(name: str, autopilot: Autopilot) -> Axis:

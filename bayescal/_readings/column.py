@@ -130,11 +130,13 @@ class Source:
         file: its name.
         sha256: of its bytes, hexadecimal.
         rows: readings in it.
+        output: its column that was read as the output, where the user chose one; else empty.
     """
 
     file: str
     sha256: str
     rows: int
+    output: str = ""
 
 
 @dataclass

@@ -131,7 +131,8 @@ def _measurements(
         InputError: something cannot be used.
     """
     tables, parts = _opened(paths, names, instrument, options, max_bytes)
-    sources = tuple(Source(table.file, table.sha256, table.rows) for table in tables)
+    output = options.columns.get(output_name(instrument), "")
+    sources = tuple(Source(table.file, table.sha256, table.rows, output) for table in tables)
     tables = [kept_table(table, part) for table, part in zip(tables, parts, strict=True)]
     if len(tables) > 1:
         _label_runs(tables, parts, _runs(paths))

@@ -108,6 +108,7 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
     return {
         "instrument": c.model.instrument,
         "devices": tables.devices(c.readings),
+        "channels": tables.channels(c.readings),
         "ok": sentences.ok(chapter),
         "data": data,
         "final": data["steps"][-1],

@@ -18,10 +18,9 @@ from bayescal._discovery.calibrate import calibrate as calibrate
 from bayescal._discovery.search_path import Trail
 from bayescal._report.result_json import clean, result, write_json
 from bayescal._report.under_way import RESULT, UNDER_WAY
-from bayescal._report.whole_folder import whole_folder
+from bayescal._report.whole_folder import CHANNELS, whole_folder
 
 CHANNELS_SCHEMA = "bayescal.channels/1"
-CHANNELS = "channels.json"
 
 
 def save_search(self: Trail, folder: Path) -> None:

@@ -34,6 +34,11 @@ def identity(readings: Measurements) -> list[dict[str, Any]]:
     return [{"file": s.file, "sha256": s.sha256, "rows": s.rows} for s in sources_of(readings)]
 
 
+def channels(readings: Measurements) -> list[str]:
+    """Columns of the files that were read as the output, where the user chose one."""
+    return [name for name in dict.fromkeys(s.output for s in readings.sources) if name]
+
+
 def devices(readings: Measurements) -> list[str]:
     return list(readings.groups("device")[0]) if readings.has("device") else []
 

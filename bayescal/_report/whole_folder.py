@@ -24,6 +24,7 @@ from bayescal._core.atomic_file import left_behind, sha256_of, to_disk, why, wri
 from bayescal._core.errors import InputError
 
 MANIFEST = "manifest.json"
+CHANNELS = "channels.json"  # of a unit, whose channels have each a folder of its own
 SCHEMA = "bayescal.manifest/1"
 AGAIN = "Take a copy of the whole folder, or calibrate again"
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
