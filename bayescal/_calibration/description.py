@@ -67,6 +67,12 @@ def description(c: Fitted) -> dict[str, Any]:
             for e in c.model.effects
             if isinstance(e, Departure)
         },
+        "amplitudes": {
+            e.name: (s.low, s.high)
+            for e in c.model.effects
+            for s in e.shapes
+            if covariate_in(e.name) and s.name == e.measure
+        },
         "unknowns": {e.name: stated(e) for e in c.model.effects},
         "fixed": dict(c.model.fixed),
         "noise": _noise_words(c.model.noise),
@@ -146,7 +152,7 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
     }
     for n in described["effects"]:
         if n not in catalogue and (covariate := covariate_in(n)):
-            catalogue[n] = instrument.unknown(covariate)
+            catalogue[n] = instrument.unknown(covariate).sized(*described["amplitudes"][n])
     for n, d in described["departures"].items():
         if (of := catalogue.get(d["of"])) is not None:
             shares, unit = tuple(map(tuple, d["shares"])), instrument.slot(of.slot).unit

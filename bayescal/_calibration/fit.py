@@ -13,6 +13,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.storage import load_calibration
 from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
+from bayescal._engine.linear_model import sized
 from bayescal._inference.checkpoint import fingerprint, keeping
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, kept_outcome
@@ -96,8 +97,9 @@ def fit(
     model.require(readings)
     _refuse_stuck(readings)
     reference = _reference(readings, reference)
-    layout, levels = bind(model, readings)
     frame = build_frame(readings, reference)
+    model = sized(model, frame, bind(model, readings)[0].counts)
+    layout, levels = bind(model, readings)
     with keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)):
         outcome = kept_outcome(layout, lambda: method.run(layout, frame, frame["output"], seed))
     calibration = Calibration(

@@ -7,9 +7,12 @@ from typing import Literal
 
 import equinox as eqx
 
+from bayescal._core.errors import ModelError
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
 
 Group = Literal["reading", "cell", "run", "axis", "device"]
+
+OPEN = (0.0, math.inf)  # low and high of a shape whose plausible range the readings say
 
 
 class Coefficient(eqx.Module):
@@ -62,7 +65,7 @@ class Shape(eqx.Module):
     Attributes:
         name: keyword under which the effect's basis receives it, such as "tau".
         unit: the unit in which the basis takes it and in which it is reported.
-        low, high: plausible range, in `unit`.
+        low, high: plausible range, in `unit`; `OPEN` for one to be taken from the readings.
         scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one.
         ragged: whether the evidence has many maxima over it, as over a period; the search begins at more points.
     """
@@ -75,11 +78,27 @@ class Shape(eqx.Module):
     ragged: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
-        if not self.low < self.high or (self.scale == "log" and self.low <= 0):
+        positive = self.low > 0 or self.open
+        if not self.low < self.high or (self.scale == "log" and not positive):
             raise ValueError(f"shape {self.name!r} needs low < high, and positive if logarithmic")
 
     @property
+    def open(self) -> bool:
+        """Whether its plausible range is to be taken from the readings."""
+        return (self.low, self.high) == OPEN
+
+    @property
     def prior(self) -> LogNormal | Normal:
+        """Prior of the value.
+
+        Raises:
+            ModelError: its range is open still.
+        """
+        if self.open:
+            raise ModelError(
+                f"the plausible range of {self.name!r} is taken from readings, and there are none yet: fit the model, "
+                "or give low and high"
+            )
         if self.scale == "log":
             sd = math.log(self.high / self.low) / (2 * 1.959963984540054)
             return LogNormal(math.sqrt(self.low * self.high), sd)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -85,6 +86,16 @@ class Effect(eqx.Module):
     def is_placeholder(self) -> bool:
         """Whether it stands for what no named effect describes: sized by an amplitude, not by a coefficient."""
         return self.measure is not None
+
+    @property
+    def open(self) -> bool:
+        """Whether its plausible amplitude is to be taken from the readings."""
+        return any(s.open for s in self.shapes)
+
+    def sized(self, low: float, high: float) -> Effect:
+        """The effect with this range of its amplitude, in the shape's unit, where it is open."""
+        shapes = (replace(s, low=low, high=high) if s.open else s for s in self.shapes)
+        return replace(self, shapes=tuple(shapes))
 
     @property
     def departs_along(self) -> str:
