@@ -20,7 +20,7 @@ def laplace_evidence(model: Model, calibration: Calibration) -> float:
     """Log evidence of a model on a calibration's readings, by Laplace."""
     model.require(calibration.readings)
     frame = build_frame(calibration.readings, calibration.reference)
-    model = sized(model, frame, calibration.layout.counts)
+    model = sized(model, calibration.readings, frame)
     layout, _ = bind(model, calibration.readings)
     extra = [n for n in calibration.layout.promoted if n in model.unknowns]
     layout = layout.promote(*extra)

@@ -18,7 +18,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame, derived
 from bayescal._model.model import Model, testable
 from bayescal._model.noise_laws import Noise, White, over_record
-from bayescal._model.parameters import Layout, bind
+from bayescal._model.parameters import bind
 from bayescal._model.unknown_effect import FORMS
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
@@ -109,15 +109,15 @@ def structures_over(
         for n, reason in reasons.items()
         if reason is not None and not known[n].is_placeholder
     ]
-    frame, layout = build_frame(readings, reference), bind(model, readings)[0]
-    model = sized(model, frame, layout.counts)
+    frame = build_frame(readings, reference)
+    model = sized(model, readings, frame)
     if any(e.open for e in open_.values()):
-        plausible = amplitudes(model, frame, layout.counts)
+        plausible = amplitudes(model, readings, frame)
         open_ = {n: e.sized(*plausible) for n, e in open_.items()}
     library = instrument.shown_by(frame, (*open_.values(), *model.effects))
     record = Record(instrument, frame, np.asarray(readings["output"]), library)
     wide = wandering(model, frame) if widen_noise else None
-    return Structures(model, Layout(model, layout.counts), record, open_, wide), shut
+    return Structures(model, bind(model, readings)[0], record, open_, wide), shut
 
 
 def placeholders(model: Model, readings: Measurements) -> list[Effect]:

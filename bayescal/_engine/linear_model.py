@@ -19,7 +19,8 @@ from bayescal._engine.record import Record
 from bayescal._engine.whitening import Whitening, variance_of, whitening
 from bayescal._model.frame import Frame
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import bind
+from bayescal._readings.measurements import Measurements
 
 STEP = 1e-4  # of a shape's coordinate, for the slope of the output by it
 RANK = 1e-12  # of the largest eigenvalue, below which a direction was not fitted
@@ -203,7 +204,7 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
     )
 
 
-def sized(model: Model, frame: Frame, counts: tuple[tuple[str, int], ...]) -> Model:
+def sized(model: Model, readings: Measurements, frame: Frame) -> Model:
     """The model with the amplitudes of what no named effect describes, where these are open.
 
     They plausibly lie between what the readings could just show, their noise over √n, and an order of magnitude more
@@ -223,17 +224,15 @@ def sized(model: Model, frame: Frame, counts: tuple[tuple[str, int], ...]) -> Mo
     named = Model(
         model.instrument, tuple(e for e in model.effects if not e.open), model.noise, model.fixed
     )
-    low, high = amplitudes(named, frame, counts)
+    low, high = amplitudes(named, readings, frame)
     effects = tuple(e.sized(low, high) if e.open else e for e in model.effects)
     return Model(model.instrument, effects, model.noise, model.fixed)
 
 
-def amplitudes(
-    model: Model, frame: Frame, counts: tuple[tuple[str, int], ...]
-) -> tuple[float, float]:
+def amplitudes(model: Model, readings: Measurements, frame: Frame) -> tuple[float, float]:
     """Plausible amplitudes of what a model lacks, output unit: see `sized`."""
-    y = np.asarray(frame["output"])
-    left = _left(Assembly(Layout(model, counts), Record(model.instrument, frame, y, model.effects)))
+    layout, y = bind(model, readings)[0], np.asarray(readings["output"])
+    left = _left(Assembly(layout, Record(model.instrument, frame, y, model.effects)))
     change, step = np.diff(left[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
     change = change[step > 0] if np.any(step > 0) else change
     noise = 1.4826 * float(np.median(np.abs(change))) / math.sqrt(2) if len(change) else 0.0

@@ -25,7 +25,7 @@ from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference, build_frame, reference_name, reference_of
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout, bind
+from bayescal._model.parameters import Layout
 from bayescal._readings.measurements import Measurements
 
 CHUNK = 4096  # devices in one compiled program at most
@@ -199,7 +199,7 @@ class _BatchRun:
         """Plausible amplitudes of what no named effect describes, where they are open: the first device's, for all."""
         if any(e.open for e in self.model.effects):
             frame = build_frame(readings, {**reference_of(readings), **self.reference})
-            self.model = sized(self.model, frame, bind(self.model, readings)[0].counts)
+            self.model = sized(self.model, readings, frame)
 
     def _add(self, block: DeviceBlock) -> None:
         masked = self._masked(block)
