@@ -23,7 +23,7 @@ from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import NOWHERE
 from bayescal._engine.joint import Conditionals, conditionals, draw_joint
 from bayescal._engine.mode import Mode
-from bayescal._engine.products import Products
+from bayescal._engine.products import LONG, Products
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 
 FREEDOM = 5  # of the Student-t proposals
@@ -41,7 +41,10 @@ TOGETHER = 512  # draws whose distances to all kernels are taken at once
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
 FAR = 10.0  # below the largest log density, from which products need not be exact where polynomials end
 PROPOSALS, FEWER, FEWEST = 8192, 4096, 2048  # by what each costs
-LONG = 1000  # readings, from which on a pass over them costs
+# Scatter of what corrects the weights of long records, below which it is left out: a relative scatter δ of the weights
+# moves a posterior mean by δ standard deviations at most (Cauchy and Schwarz), and a standard deviation by δ/√2.
+SURE = 0.01
+TRIED = 50  # draws' worth from which this is known
 
 
 class WeightedDraws(NamedTuple):
@@ -194,6 +197,7 @@ def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> 
     rows = np.broadcast_to(mode.point.rows, (count, size, width))
     rows = np.array(rows) if width else rows
     log_weight_phi, log_weight = np.empty(count), np.full(count, NOWHERE)
+    judged = _Judged() if size > LONG else None
     highest, together = NOWHERE, max(32, min(density.together, IN_CACHE // size))
     for stretch in np.array_split(np.arange(count), -(-count // together)):
         log_phi, found = density.at(v[stretch])
@@ -204,8 +208,14 @@ def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> 
             continue
         pick, found = stretch[counting], found.of(counting)
         hyper, exact = assembly.hyper(v[pick].T), density.products.exact
+        if judged is not None and judged.sure and not width:
+            x[pick] = found.place(random.standard_normal(found.u.shape))
+            log_weight[pick] = log_weight_phi[pick] + judged.mean
+            continue
         drawn, own, correction = draw_joint(assembly, mode, found, hyper, exact, random)
         some = np.isfinite(correction)
+        if judged is not None:
+            judged.add(log_weight_phi[pick], correction)
         x[pick[some]] = drawn[some]
         if width:
             rows[pick[some]] = own[some]
@@ -215,6 +225,28 @@ def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> 
     return WeightedDraws(
         x, rows, v, log_weight, log_weight_phi, np.float64(evidence), np.float64(error)
     )
+
+
+class _Judged:
+    """What the corrections of joint draws come to, as far as they were computed.
+
+    Attributes:
+        mean: of them, weighted as the draws are.
+        sure: whether they scatter so little that the others need none of their own.
+    """
+
+    def __init__(self) -> None:
+        self.of_phi, self.corrections = np.zeros(0), np.zeros(0)
+        self.mean, self.sure = 0.0, False
+
+    def add(self, of_phi: Float[np.ndarray, "b"], correction: Float[np.ndarray, "b"]) -> None:
+        self.of_phi = np.append(self.of_phi, of_phi)
+        self.corrections = np.append(self.corrections, correction)
+        weight = softmax(self.of_phi)
+        if effective_size(weight) > TRIED and np.all(np.isfinite(self.corrections)):
+            self.mean = float(weight @ self.corrections)
+            scatter = math.sqrt(float(weight @ (self.corrections - self.mean) ** 2))
+            self.sure = scatter < SURE
 
 
 def _propose(

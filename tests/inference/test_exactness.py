@@ -8,9 +8,11 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
+from bayescal._engine import sampling
 from bayescal._inference.sampled_products import is_nonlinear
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
+from bayescal_models import still_sensor
 
 COLUMNS = (
     bc.Column("run", None, "label", required=False),
@@ -207,3 +209,45 @@ def test_what_bends_is_known_before_the_fit(lever, valve) -> None:
     ):
         layout, _ = bind(model, data)
         assert is_nonlinear(layout, build_frame(data, reference_of(data))) is expected
+
+
+@pytest.fixture(scope="module")
+def ramps() -> bc.Measurements:
+    return still_sensor.simulate({"bias.thermal_lag": 5.0}, seed=3, runs=3, interval=4)
+
+
+def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
+    ramps: bc.Measurements, monkeypatch
+) -> None:
+    assert len(ramps) > sampling.LONG
+    model = still_sensor.INSTRUMENT.for_readings(ramps).baseline() + "bias.thermal_lag"
+    corrected = []
+    draw_joint = sampling.draw_joint
+    monkeypatch.setattr(
+        sampling, "draw_joint", lambda *a: corrected.append(len(a[2].u)) or draw_joint(*a)
+    )
+    quick = bc.fit(model, ramps)
+    few = sum(corrected)
+    monkeypatch.setattr(sampling, "LONG", len(ramps))
+    whole = bc.fit(model, ramps)
+    assert few < 0.2 * (sum(corrected) - few)
+    for name in model.unknowns:
+        one, other = quick.samples(name), whole.samples(name)
+        assert abs(one.mean() - other.mean()) < 0.02 * other.std(), name
+        assert one.std() == pytest.approx(other.std(), rel=0.02), name
+
+
+@pytest.mark.parametrize(
+    ("scatter", "sure"), [(0.5 * sampling.SURE, True), (3 * sampling.SURE, False)]
+)
+def test_weights_are_left_as_they_are_only_where_their_corrections_agree(scatter, sure) -> None:
+    random, judged = np.random.default_rng(1), sampling._Judged()
+    judged.add(np.zeros(200), 0.3 + scatter * random.standard_normal(200))
+    assert judged.sure is sure
+    assert judged.mean == pytest.approx(0.3, abs=3 * scatter)
+    judged = sampling._Judged()
+    judged.add(np.zeros(200), np.where(np.arange(200) == 7, -np.inf, 0.0))
+    assert not judged.sure
+    few = sampling._Judged()
+    few.add(np.r_[np.zeros(10), np.full(190, -30.0)], np.zeros(200))
+    assert not few.sure  # ten draws hold all of the weight
