@@ -35,7 +35,7 @@ MANY = {7: (2, 3), 8: (2, 3)}
 NUMBERS = 2_000_000  # in the tables that are computed at once
 TRIED = 12  # draws of the Laplace fit at which polynomials are tried
 CLOSE = 0.03  # log density, within which they are good there,
-CLOSER = 0.005  # and of a long record, where a draw's own correction costs more than many products;
+CLOSER = 0.001  # and of a long record, where a draw's own correction costs more than many products;
 LONG = 1000  # readings, from which on a pass over them costs
 ENOUGH = 0.3  # and within which they will do
 

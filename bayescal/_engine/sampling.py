@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaln, logsumexp, softmax
 
-from bayescal._core.importance_weights import effective_size
+from bayescal._core.importance_weights import Corrections, effective_size
 from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import NOWHERE
@@ -41,10 +41,6 @@ TOGETHER = 512  # draws whose distances to all kernels are taken at once
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
 FAR = 10.0  # below the largest log density, from which products need not be exact where polynomials end
 PROPOSALS, FEWER, FEWEST = 8192, 4096, 2048  # by what each costs
-# Scatter of what corrects the weights of long records, below which it is left out: a relative scatter δ of the weights
-# moves a posterior mean by δ standard deviations at most (Cauchy and Schwarz), and a standard deviation by δ/√2.
-SURE = 0.01
-TRIED = 50  # draws' worth from which this is known
 
 
 class WeightedDraws(NamedTuple):
@@ -191,14 +187,14 @@ def proposals_of(assembly: Assembly, products: Products) -> int:
 
 def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> WeightedDraws:
     """Coefficients drawn for each φ that counts, and the weights of both."""
-    assembly, mode = density.assembly, density.products.mode
+    mode = density.products.mode
     count, (size, width) = len(v), mode.point.rows.shape
     x = np.tile(mode.point.x, (count, 1))
     rows = np.broadcast_to(mode.point.rows, (count, size, width))
     rows = np.array(rows) if width else rows
     log_weight_phi, log_weight = np.empty(count), np.full(count, NOWHERE)
-    judged = _Judged() if size > LONG else None
-    highest, together = NOWHERE, max(32, min(density.together, IN_CACHE // size))
+    judged, highest = Corrections(), NOWHERE
+    together = max(32, min(density.together, IN_CACHE // size))
     for stretch in np.array_split(np.arange(count), -(-count // together)):
         log_phi, found = density.at(v[stretch])
         log_weight_phi[stretch] = of_phi = log_phi - log_proposal[stretch]
@@ -207,19 +203,13 @@ def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> 
         if not counting.any():
             continue
         pick, found = stretch[counting], found.of(counting)
-        hyper, exact = assembly.hyper(v[pick].T), density.products.exact
-        if judged is not None and judged.sure and not width:
-            x[pick] = found.place(random.standard_normal(found.u.shape))
-            log_weight[pick] = log_weight_phi[pick] + judged.mean
-            continue
-        drawn, own, correction = draw_joint(assembly, mode, found, hyper, exact, random)
+        of_phi = log_weight_phi[pick]
+        drawn, own, correction = _drawn(density, v[pick], found, of_phi, judged, random)
         some = np.isfinite(correction)
-        if judged is not None:
-            judged.add(log_weight_phi[pick], correction)
         x[pick[some]] = drawn[some]
         if width:
             rows[pick[some]] = own[some]
-        log_weight[pick[some]] = (log_weight_phi[pick] + correction)[some]
+        log_weight[pick[some]] = (of_phi + correction)[some]
     evidence = logsumexp(log_weight) - math.log(count)
     error = np.std(np.exp(log_weight - evidence)) / math.sqrt(count)
     return WeightedDraws(
@@ -227,26 +217,26 @@ def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> 
     )
 
 
-class _Judged:
-    """What the corrections of joint draws come to, as far as they were computed.
+def _drawn(density: _Density, v, found: Conditionals, of_phi, judged: Corrections, random):
+    """x, per-reading coefficients and corrections of draws, as `draw_joint`; the same correction where it is known.
 
-    Attributes:
-        mean: of them, weighted as the draws are.
-        sure: whether they scatter so little that the others need none of their own.
+    Where polynomials end it is not: there each draw has its own.
     """
-
-    def __init__(self) -> None:
-        self.of_phi, self.corrections = np.zeros(0), np.zeros(0)
-        self.mean, self.sure = 0.0, False
-
-    def add(self, of_phi: Float[np.ndarray, "b"], correction: Float[np.ndarray, "b"]) -> None:
-        self.of_phi = np.append(self.of_phi, of_phi)
-        self.corrections = np.append(self.corrections, correction)
-        weight = softmax(self.of_phi)
-        if effective_size(weight) > TRIED and np.all(np.isfinite(self.corrections)):
-            self.mean = float(weight @ self.corrections)
-            scatter = math.sqrt(float(weight @ (self.corrections - self.mean) ** 2))
-            self.sure = scatter < SURE
+    assembly, products = density.assembly, density.products
+    hyper, exact = assembly.hyper(v.T), products.exact
+    inside = ~products.outside(hyper, v) if assembly.record.size > LONG else np.zeros(len(v), bool)
+    if exact or len(assembly.row_sd) or not judged.alike:
+        made = draw_joint(assembly, products.mode, found, hyper, exact, random)
+        judged.add(of_phi[inside], made[2][inside])
+        return made
+    x = found.place(random.standard_normal(found.u.shape))
+    rows, correction = np.empty((len(v), assembly.record.size, 0)), np.full(len(v), judged.mean)
+    if not inside.all():
+        out = ~inside
+        hyper = assembly.hyper(v[out].T)
+        made = draw_joint(assembly, products.mode, found.of(out), hyper, exact, random)
+        x[out], rows[out], correction[out] = made
+    return x, rows, correction
 
 
 def _propose(

@@ -8,6 +8,7 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
+from bayescal._core.importance_weights import ALIKE, Corrections
 from bayescal._engine import sampling
 from bayescal._inference.sampled_products import is_nonlinear
 from bayescal._model.frame import build_frame, reference_of
@@ -230,24 +231,22 @@ def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
     few = sum(corrected)
     monkeypatch.setattr(sampling, "LONG", len(ramps))
     whole = bc.fit(model, ramps)
-    assert few < 0.2 * (sum(corrected) - few)
+    assert few < 0.4 * (sum(corrected) - few)  # those far out, where polynomials end
     for name in model.unknowns:
         one, other = quick.samples(name), whole.samples(name)
         assert abs(one.mean() - other.mean()) < 0.02 * other.std(), name
         assert one.std() == pytest.approx(other.std(), rel=0.02), name
 
 
-@pytest.mark.parametrize(
-    ("scatter", "sure"), [(0.5 * sampling.SURE, True), (3 * sampling.SURE, False)]
-)
-def test_weights_are_left_as_they_are_only_where_their_corrections_agree(scatter, sure) -> None:
-    random, judged = np.random.default_rng(1), sampling._Judged()
+@pytest.mark.parametrize(("scatter", "alike"), [(0.5 * ALIKE, True), (3 * ALIKE, False)])
+def test_weights_are_left_as_they_are_only_where_their_corrections_agree(scatter, alike) -> None:
+    random, judged = np.random.default_rng(1), Corrections()
     judged.add(np.zeros(200), 0.3 + scatter * random.standard_normal(200))
-    assert judged.sure is sure
+    assert judged.alike is alike
     assert judged.mean == pytest.approx(0.3, abs=3 * scatter)
-    judged = sampling._Judged()
+    judged = Corrections()
     judged.add(np.zeros(200), np.where(np.arange(200) == 7, -np.inf, 0.0))
-    assert not judged.sure
-    few = sampling._Judged()
+    assert not judged.alike
+    few = Corrections()
     few.add(np.r_[np.zeros(10), np.full(190, -30.0)], np.zeros(200))
-    assert not few.sure  # ten draws hold all of the weight
+    assert not few.alike  # ten draws hold all of the weight
