@@ -24,7 +24,7 @@ RECIPES = {
     "cubic": "a cubic",
     "cubic + rate": "a cubic and the rate of the last minute",
     "cubic + lag": "a cubic, one lag and how it began; its time shared by the six channels, by least squares",
-    "STLSQ": "sequentially thresholded least squares (SINDy) on temperature, rate, lag and time up to the third order",
+    "STLSQ": "sequentially thresholded least squares (SINDy) on products of temperature, rate and lag, to third order",
     "boosted trees": "scikit-learn's HistGradientBoostingRegressor on temperature, rate and lag, as it comes",
 }
 
@@ -44,13 +44,10 @@ def errors(
     """
     kept = {name: ~held & np.isfinite(y) for name, y in outputs.items()}
     tau = shared_lag(time, temperature, outputs, kept)
+    fits = _recipes(time, temperature, tau)
     return {
-        recipe: {
-            name: _rms((y - predicted(kept[name], y))[held])
-            for name, y in outputs.items()
-            if (predicted := _recipes(time, temperature, tau)[recipe])
-        }
-        for recipe in RECIPES
+        recipe: {name: _rms((y - fit(kept[name], y))[held]) for name, y in outputs.items()}
+        for recipe, fit in fits.items()
     }
 
 
@@ -88,7 +85,7 @@ def _recipes(time: np.ndarray, temperature: np.ndarray, tau: float) -> dict[str,
         "cubic": _linear(cubic),
         "cubic + rate": _linear(np.column_stack([cubic, rate])),
         "cubic + lag": _linear(np.column_stack([cubic, behind, began])),
-        "STLSQ": _sparse(_products([temperature, rate, behind, time], 3)),
+        "STLSQ": _sparse(_products([temperature, rate, behind], 3)),
         "boosted trees": _trees(np.column_stack([temperature, rate, behind])),
     }
 
