@@ -74,7 +74,11 @@ def write(results: dict[str, Any]) -> Path:
     channels = results["channels"]
     parts = [TITLE, *_incomplete(channels), HEAD]
     if "recipes" in results:
-        parts += [BESIDE, *results.get("remarks", ()), *(_beside(results, split) for split in SPLITS)]
+        parts += [
+            BESIDE,
+            *results.get("remarks", ()),
+            *(_beside(results, split) for split in SPLITS),
+        ]
     for split in SPLITS:
         parts += [f"## {split.capitalize()} held out\n", _table(channels, split)]
     parts += [_channel(name, splits) for name, splits in channels.items()]
