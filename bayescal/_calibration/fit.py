@@ -13,6 +13,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.storage import load_calibration
 from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
+from bayescal._engine.linear_model import sized
 from bayescal._inference.checkpoint import fingerprint, keeping
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, kept_outcome
@@ -78,9 +79,8 @@ def fit(
         seed: of every random number; the same seed gives the same draws on the same machine.
         strict: raise if the fit did not converge; False returns it with its verdict.
         reference: constants of the bases, such as {"T0": 0.0}, in place of the data's own. Own models only.
-        checkpoint: a file, …nc, that finished pieces of the fit are kept in. A fit that was stopped, killed even,
-            takes up from there and ends with the same draws, bit for bit; one that had ended does not sample again.
-            Own models only.
+        checkpoint: a file, …nc, for finished pieces of the fit. A fit that was stopped, killed even, goes on from
+            there to the same draws, bit for bit; one that had ended does not sample again. Own models only.
 
     Raises:
         InputError: `reference` names what is no constant of these readings; the checkpoint is none, or one of another
@@ -96,8 +96,9 @@ def fit(
     model.require(readings)
     _refuse_stuck(readings)
     reference = _reference(readings, reference)
-    layout, levels = bind(model, readings)
     frame = build_frame(readings, reference)
+    model = sized(model, readings, frame)
+    layout, levels = bind(model, readings)
     with keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)):
         outcome = kept_outcome(layout, lambda: method.run(layout, frame, frame["output"], seed))
     calibration = Calibration(

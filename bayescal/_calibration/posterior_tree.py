@@ -11,7 +11,7 @@ from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat
 from bayescal._calibration.named_draws import named
 from bayescal._calibration.on_readings import Vectors, replicate
 from bayescal._inference.method import Draws
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
 from bayescal._readings.measurements import Measurements
 
@@ -69,10 +69,30 @@ def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Datase
         spread = fixed.get(b.spread_name, b.coefficient.size)
         if b.spread_name in posterior.data_vars:  # `get` would take ".spread" for an attribute
             spread = posterior[b.spread_name]
+        if b.effect.weights is not None:
+            spread = _weighted(b, posterior, fixed)
         z = (posterior[b.name] - b.coefficient.mean) / spread
         density = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
         found[b.name] = (posterior[b.name].dims, density.transpose(*posterior[b.name].dims).values)
     return xr.Dataset(found)
+
+
+def _weighted(
+    block: CoefficientBlock, posterior: xr.Dataset, fixed: dict[str, float]
+) -> xr.DataArray:
+    """Prior standard deviations of a coefficient whose size is an amplitude's."""
+    effect = block.effect
+    names = {n: f"{effect.name}.{n}" for n in effect.weight_shapes}
+    at = [posterior[n] if n in posterior else xr.DataArray(fixed[n]) for n in names.values()]
+
+    def sd(*values: np.ndarray) -> np.ndarray:
+        named = dict(zip(names, (v[..., None] for v in values), strict=True))
+        made = effect.weights(**named)  # pyright: ignore[reportOptionalCall]
+        return np.broadcast_to(made, (*np.shape(made)[:-1], len(effect.coefficients)))[
+            ..., block.index
+        ]
+
+    return xr.apply_ufunc(sd, *at)
 
 
 def _slope(prior: Any, v: np.ndarray) -> np.ndarray:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
+ALIKE = 0.01  # scatter of corrections, from which the posterior is the same without
+TRIED = 50  # draws' worth from which this is known
+
 
 def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"], float]:
     """Pareto-smoothed weights, summing to one, and k̂, by ArviZ.
@@ -32,3 +35,30 @@ def resample(weights: Float[np.ndarray, "s"], count: int, seed: int) -> Int[np.n
     ladder = (np.arange(count) + random.random()) / count
     pick = np.searchsorted(np.cumsum(weights) / np.sum(weights), ladder)
     return random.permutation(np.minimum(pick, weights.size - 1))
+
+
+class Corrections:
+    """What corrects the log weights of joint draws, as far as it was computed.
+
+    Attributes:
+        mean: of the corrections, weighted as the draws are.
+        alike: whether they scatter so little that the others may have this mean: a relative scatter δ of the weights
+            moves a posterior mean by δ standard deviations at most (Cauchy and Schwarz), a standard deviation by δ/√2.
+    """
+
+    def __init__(self) -> None:
+        self.log_weight, self.corrections = np.zeros(0), np.zeros(0)
+        self.mean, self.alike = 0.0, False
+
+    def add(self, log_weight: Float[np.ndarray, "b"], correction: Float[np.ndarray, "b"]) -> None:
+        """Corrections of further draws with these log weights before them."""
+        if self.alike or not len(correction):
+            return
+        self.log_weight = np.append(self.log_weight, log_weight)
+        self.corrections = np.append(self.corrections, correction)
+        weight = np.exp(self.log_weight - np.max(self.log_weight))
+        weight /= np.sum(weight)
+        if effective_size(weight) > TRIED and np.all(np.isfinite(self.corrections)):
+            self.mean = float(weight @ self.corrections)
+            scatter = np.sqrt(float(weight @ (self.corrections - self.mean) ** 2))
+            self.alike = bool(scatter < ALIKE)

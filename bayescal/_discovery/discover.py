@@ -12,7 +12,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._core.formatting import WIDTH, number, probability, table, with_error
 from bayescal._core.progress import stage
 from bayescal._discovery.candidate import Candidate, alike, judge, kind_of
-from bayescal._engine.linear_model import linear_model
+from bayescal._engine.linear_model import amplitudes, linear_model, sized
 from bayescal._engine.record import Record
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._model.effect import Effect
@@ -128,6 +128,10 @@ def structures_over(
         if reason is not None and not known[n].is_placeholder
     ]
     frame = build_frame(readings, reference)
+    model = sized(model, readings, frame)
+    if any(e.open for e in open_.values()):
+        plausible = amplitudes(model, readings, frame)
+        open_ = {n: e.sized(*plausible) for n, e in open_.items()}
     library = instrument.shown_by(frame, (*open_.values(), *model.effects))
     record = Record(instrument, frame, np.asarray(readings["output"]), library)
     laws = laws_over(model, frame) if widen_noise else {}

@@ -11,13 +11,21 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
+from bayescal._core.errors import ModelError
 from bayescal._engine.assembly import Assembly, Line, Point
 from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import Mode, in_numpy
+from bayescal._engine.record import Record
 from bayescal._engine.whitening import Whitening, variance_of, whitening
+from bayescal._model.frame import Frame
+from bayescal._model.model import Model
+from bayescal._model.parameters import bind
+from bayescal._readings.measurements import Measurements
 
 STEP = 1e-4  # of a shape's coordinate, for the slope of the output by it
 RANK = 1e-12  # of the largest eigenvalue, below which a direction was not fitted
+
+GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order of magnitude
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,3 +202,65 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
         whiten=whitening(assembly.noise, hyper, assembly.record, extra, residual),
         extra=extra,
     )
+
+
+def sized(model: Model, readings: Measurements, frame: Frame) -> Model:
+    """The model with the amplitudes of what no named effect describes, where these are open.
+
+    They plausibly lie between what the readings could just show, their noise over √n, and an order of magnitude more
+    than the other effects leave of the output: these may have taken up a part.
+
+    Raises:
+        ModelError: one adds to a slot that is not in the output's unit.
+    """
+    if not any(e.open for e in model.effects):
+        return model
+    for e in model.effects:
+        if e.open and model.instrument.slot(e.slot).unit != model.instrument.unit:
+            raise ModelError(
+                f"Effect {e.name!r} adds to {e.slot!r}, which is not in the output's unit [{model.instrument.unit}]: "
+                "give its plausible amplitudes, low and high"
+            )
+    named = Model(
+        model.instrument, tuple(e for e in model.effects if not e.open), model.noise, model.fixed
+    )
+    low, high = amplitudes(named, readings, frame)
+    effects = tuple(e.sized(low, high) if e.open else e for e in model.effects)
+    return Model(model.instrument, effects, model.noise, model.fixed)
+
+
+def amplitudes(model: Model, readings: Measurements, frame: Frame) -> tuple[float, float]:
+    """Plausible amplitudes of what a model lacks, output unit: see `sized`."""
+    layout, y = bind(model, readings)[0], np.asarray(readings["output"])
+    left = _left(Assembly(layout, Record(model.instrument, frame, y, model.effects)))
+    change, step = np.diff(left[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
+    change = change[step > 0] if np.any(step > 0) else change
+    noise = 1.4826 * float(np.median(np.abs(change))) / math.sqrt(2) if len(change) else 0.0
+    rest = _half_range(left) or _half_range(y) or 1.0
+    low = (noise or rest) / math.sqrt(len(left))
+    return tuple(float(f"{v:.2g}") for v in (min(low, rest), 10 * rest))  # pyright: ignore
+
+
+def _half_range(values: Float[np.ndarray, "n"]) -> float:
+    """Half of the range, without a hundredth of the values that lie farthest out."""
+    low, high = np.quantile(values, [0.005, 0.995])
+    return 0.5 * float(high - low)
+
+
+def _left(assembly: Assembly) -> Float[np.ndarray, "n"]:
+    """What the effects leave of the output at least, shapes and deviations of groups at their priors' middle."""
+    hyper, point, y = (
+        assembly.hyper(np.zeros(len(assembly.hypers))),
+        assembly.start,
+        assembly.record.y,
+    )
+    plain = [t.at.start for t in assembly.in_x if t.known.per is None and t.spread_name is None]
+    sd = assembly.prior(hyper, np.ones(assembly.size)).sd[plain]
+    left = y - np.mean(y)
+    for _ in range(GAUSS_NEWTON):
+        line = assembly.linearise(point, hyper)
+        if not np.all(np.isfinite(line.mean)):
+            break
+        left = y - line.mean
+        point.x[plain] += sd * np.linalg.lstsq(line.jacobian[:, plain] * sd, left, rcond=RANK)[0]
+    return left

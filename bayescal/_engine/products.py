@@ -31,6 +31,8 @@ DEGREES = FEW | {4: (2, 4, 6), 5: (2, 4), 6: (2, 3, 4)}
 NUMBERS = 2_000_000  # in the tables that are computed at once
 TRIED = 12  # draws of the Laplace fit at which polynomials are tried
 CLOSE = 0.03  # log density, within which they are good there,
+CLOSER = 0.001  # and of a long record, where a draw's own correction costs more than many products;
+LONG = 1000  # readings, from which on a pass over them costs
 ENOUGH = 0.3  # and within which they will do
 
 
@@ -134,7 +136,7 @@ class Products:
             apart = float(np.max(np.abs(np.subtract(here, there))))
             if apart < best:
                 best, found = apart, polynomials
-            if best < CLOSE:
+            if best < (CLOSE if self.size <= LONG else CLOSER):
                 break
         return found
 

@@ -17,13 +17,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaln, logsumexp, softmax
 
-from bayescal._core.importance_weights import effective_size
+from bayescal._core.importance_weights import Corrections, effective_size
 from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import NOWHERE
 from bayescal._engine.joint import FREEDOM, Conditionals, conditionals, draw_joint
 from bayescal._engine.mode import Mode
-from bayescal._engine.products import Products
+from bayescal._engine.products import LONG, Products
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 
 KERNELS = 256  # draws of the round before, around each of which the next one proposes;
@@ -40,7 +40,6 @@ TOGETHER = 512  # draws whose distances to all kernels are taken at once
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
 FAR = 10.0  # below the largest log density, from which products need not be exact where polynomials end
 PROPOSALS, FEWER, FEWEST = 8192, 4096, 2048  # by what each costs
-LONG = 1000  # readings, from which on a pass over them costs
 
 
 class WeightedDraws(NamedTuple):
@@ -187,13 +186,14 @@ def proposals_of(assembly: Assembly, products: Products) -> int:
 
 def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> WeightedDraws:
     """Coefficients drawn for each φ that counts, and the weights of both."""
-    assembly, mode = density.assembly, density.products.mode
+    mode = density.products.mode
     count, (size, width) = len(v), mode.point.rows.shape
     x = np.tile(mode.point.x, (count, 1))
     rows = np.broadcast_to(mode.point.rows, (count, size, width))
     rows = np.array(rows) if width else rows
     log_weight_phi, log_weight = np.empty(count), np.full(count, NOWHERE)
-    highest, together = NOWHERE, max(32, min(density.together, IN_CACHE // size))
+    judged, highest = Corrections(), NOWHERE
+    together = max(32, min(density.together, IN_CACHE // size))
     for stretch in np.array_split(np.arange(count), -(-count // together)):
         log_phi, found = density.at(v[stretch])
         log_weight_phi[stretch] = of_phi = log_phi - log_proposal[stretch]
@@ -202,18 +202,40 @@ def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> 
         if not counting.any():
             continue
         pick, found = stretch[counting], found.of(counting)
-        hyper, exact = assembly.hyper(v[pick].T), density.products.exact
-        drawn, own, correction = draw_joint(assembly, mode, found, hyper, exact, random)
+        of_phi = log_weight_phi[pick]
+        drawn, own, correction = _drawn(density, v[pick], found, of_phi, judged, random)
         some = np.isfinite(correction)
         x[pick[some]] = drawn[some]
         if width:
             rows[pick[some]] = own[some]
-        log_weight[pick[some]] = (log_weight_phi[pick] + correction)[some]
+        log_weight[pick[some]] = (of_phi + correction)[some]
     evidence = logsumexp(log_weight) - math.log(count)
     error = np.std(np.exp(log_weight - evidence)) / math.sqrt(count)
     return WeightedDraws(
         x, rows, v, log_weight, log_weight_phi, np.float64(evidence), np.float64(error)
     )
+
+
+def _drawn(density: _Density, v, found: Conditionals, of_phi, judged: Corrections, random):
+    """x, per-reading coefficients and corrections of draws, as `draw_joint`; the same correction where it is known.
+
+    Where polynomials end it is not: there each draw has its own.
+    """
+    assembly, products = density.assembly, density.products
+    hyper, exact = assembly.hyper(v.T), products.exact
+    inside = ~products.outside(hyper, v) if assembly.record.size > LONG else np.zeros(len(v), bool)
+    if exact or len(assembly.row_sd) or not judged.alike:
+        made = draw_joint(assembly, products.mode, found, hyper, exact, random)
+        judged.add(of_phi[inside], made[2][inside])
+        return made
+    x = found.place(random.standard_normal(found.u.shape))
+    rows, correction = np.empty((len(v), assembly.record.size, 0)), np.full(len(v), judged.mean)
+    if not inside.all():
+        out = ~inside
+        hyper = assembly.hyper(v[out].T)
+        made = draw_joint(assembly, products.mode, found.of(out), hyper, exact, random)
+        x[out], rows[out], correction[out] = made
+    return x, rows, correction
 
 
 def _propose(

@@ -10,6 +10,7 @@ import numpy as np
 
 from bayescal._core.errors import BayescalError, InputError, ModelError
 from bayescal._core.jax_setup import spare_memory_maps
+from bayescal._engine.linear_model import sized
 from bayescal._fleet import fit_stack
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.device_result import BatchPart
@@ -22,7 +23,7 @@ from bayescal._fleet.stacks import DeviceStack, Refusal, stacks
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
-from bayescal._model.frame import Reference, reference_name
+from bayescal._model.frame import Reference, build_frame, reference_name, reference_of
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 from bayescal._readings.measurements import Measurements
@@ -186,12 +187,19 @@ class _BatchRun:
         for block in devices.blocks:
             try:
                 self.model.require(block.measurements(0))
+                self._size(block.measurements(0))
                 self._add(block)
             except BayescalError as error:  # a column is missing, of all its devices
                 wrong.append(error)
                 self.refused = dict.fromkeys(block.names, str(error)) | self.refused
         if wrong and len(wrong) == len(devices.blocks):
             raise wrong[0]
+
+    def _size(self, readings: Measurements) -> None:
+        """Plausible amplitudes of what no named effect describes, where they are open: the first device's, for all."""
+        if any(e.open for e in self.model.effects):
+            frame = build_frame(readings, {**reference_of(readings), **self.reference})
+            self.model = sized(self.model, readings, frame)
 
     def _add(self, block: DeviceBlock) -> None:
         masked = self._masked(block)

@@ -23,6 +23,9 @@ from bayescal._readings.measurements import Measurements
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
 
 
+OPEN = (0.0, math.inf)  # low and high of a shape whose plausible range the readings say
+
+
 class Coefficient(eqx.Module):
     """One unknown that a slot is linear in.
 
@@ -74,7 +77,7 @@ class Shape(eqx.Module):
     Attributes:
         name: keyword under which the effect's basis receives it, such as "tau".
         unit: the unit in which the basis takes it and in which it is reported.
-        low, high: plausible range, in `unit`.
+        low, high: plausible range, in `unit`; `OPEN` for one to be taken from the readings.
         scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one.
         ragged: whether the evidence has many maxima over it, as over a period; the search begins at more points.
         shared: whether it is one for all channels of a unit, as the time of a body that they share.
@@ -89,11 +92,27 @@ class Shape(eqx.Module):
     shared: bool = eqx.field(static=True, default=False, repr=False)
 
     def __check_init__(self) -> None:
-        if not self.low < self.high or (self.scale == "log" and self.low <= 0):
+        positive = self.low > 0 or self.open
+        if not self.low < self.high or (self.scale == "log" and not positive):
             raise ValueError(f"shape {self.name!r} needs low < high, and positive if logarithmic")
 
     @property
+    def open(self) -> bool:
+        """Whether its plausible range is to be taken from the readings."""
+        return (self.low, self.high) == OPEN
+
+    @property
     def prior(self) -> LogNormal | Normal:
+        """Prior of the value.
+
+        Raises:
+            ModelError: its range is open still.
+        """
+        if self.open:
+            raise ModelError(
+                f"the plausible range of {self.name!r} is taken from readings, and there are none yet: fit the model, "
+                "or give low and high"
+            )
         if self.scale == "log":
             sd = math.log(self.high / self.low) / (2 * 1.959963984540054)
             return LogNormal(math.sqrt(self.low * self.high), sd)
@@ -169,6 +188,16 @@ class Effect(eqx.Module):
     def is_placeholder(self) -> bool:
         """Whether it stands for what no named effect describes: sized by an amplitude, not by a coefficient."""
         return self.measure is not None
+
+    @property
+    def open(self) -> bool:
+        """Whether its plausible amplitude is to be taken from the readings."""
+        return any(s.open for s in self.shapes)
+
+    def sized(self, low: float, high: float) -> Effect:
+        """The effect with this range of its amplitude, in the shape's unit, where it is open."""
+        shapes = (replace(s, low=low, high=high) if s.open else s for s in self.shapes)
+        return replace(self, shapes=tuple(shapes))
 
     @property
     def departs_along(self) -> str:

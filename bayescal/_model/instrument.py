@@ -18,7 +18,6 @@ from bayescal._model.noise_laws import Noise, White
 from bayescal._model.unknown_effect import covariate_in, placeholder
 from bayescal._readings.column import Column, NominalScale
 from bayescal._readings.measurements import Measurements
-from bayescal._readings.unit_conversion import coefficient_factor, same_dimension
 from bayescal._readings.unit_parsing import ANY
 
 Slots = Mapping[str, Float[Array, "n"]]
@@ -196,7 +195,7 @@ class Instrument(eqx.Module):
     def unknown(self, covariate: str) -> Effect:
         """An unknown dependence of the output on a covariate: a smooth one, or a jump or a cycle in time.
 
-        Its plausible amplitudes are those of the instrument's own effects that are stated in the output's unit.
+        Its plausible amplitudes are taken from the readings that the model is fitted to.
 
         Args:
             covariate: a numeric column, "elapsed" (time within the run), or a temperature's rate such as
@@ -211,17 +210,7 @@ class Instrument(eqx.Module):
                 f"instrument {self.name!r} has no slot in the unit of its output, [{self.unit}]: an unknown "
                 "dependence has nothing to add to"
             )
-        sizes = [
-            c.size * coefficient_factor(c.unit, slot.unit)
-            for e in (*self.effects, *self.candidates)
-            for c in e.coefficients
-            if not e.name.endswith(".constant")
-            and (c.slot or e.slot) == slot.name
-            and same_dimension(c.unit, slot.unit)
-        ]
-        noise = getattr(getattr(self.noise, "scale", None), "scale", 1.0)
-        low, high = min(sizes, default=noise) / 3, max(sizes, default=noise) * 3
-        return placeholder(covariate, slot.name, low, high, slot.unit)
+        return placeholder(covariate, slot.name, slot.unit)
 
 
 def slot_of(instrument: Instrument, name: str) -> Slot:

@@ -1,8 +1,9 @@
 """What no named effect describes: an unknown smooth dependence on one covariate; a step or a cycle in time.
 
 They stand beside the instrument and not in the catalogue, because the language of models has a word for them:
-`model + "unknown(humidity)"`. Each is linear in coefficients whose sizes the
-amplitude gives. `bayescal.effects` offers the same functions.
+`model + "unknown(humidity)"`. Each is linear in coefficients whose sizes the amplitude gives. What amplitudes are
+plausible the readings say, when the model meets them, where low and high are not given. `bayescal.effects` offers the
+same functions.
 
 The smooth one is a Gaussian process. Its columns are the eigenfunctions of the Laplacian on an interval somewhat wider
 than the covariate's range, weighted with the root of the process's spectral density (Solin & Särkkä, Stat. Comput. 30
@@ -23,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._model.effect import Coefficient, Effect, Shape
+from bayescal._model.effect import OPEN, Coefficient, Effect, Shape
 from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements
 
@@ -55,18 +56,18 @@ def free_curve(name: str) -> bool:
     return covariate is not None and covariate not in FORMS
 
 
-def placeholder(covariate: str, slot: str, low: float, high: float, unit: str) -> Effect:
+def placeholder(covariate: str, slot: str, unit: str) -> Effect:
     """The placeholder for a covariate; "time, jump" and "time, cycle" are the forms in time.
 
     Args:
         covariate: a numeric column, "elapsed" (time within the run), or "temperature rate"; or one of `FORMS`.
         slot: what it adds to.
-        low, high: plausible amplitudes, in `unit`.
+        unit: of the slot.
     """
     covariate = ", ".join(part.strip() for part in covariate.split(","))
     if covariate in FORMS:
-        return FORMS[covariate](slot, low, high, unit)
-    return unknown(covariate, slot, low, high, unit)
+        return FORMS[covariate](slot, *OPEN, unit)
+    return unknown(covariate, slot, *OPEN, unit)
 
 
 def process_columns(position: Any, terms: int) -> Any:
@@ -108,7 +109,8 @@ def unknown(
 
     Args:
         covariate: a numeric column, "elapsed" (time within the run), or "temperature rate".
-        low, high: plausible amplitudes (standard deviation over the range), in `unit`.
+        low, high: plausible amplitudes (standard deviation over the range), in `unit`; `*OPEN` takes them from
+            the readings.
         name: canonical; `unknown(covariate)` if not given.
     """
     terms, lengths = resolution(covariate in ("time", "elapsed"))
@@ -148,7 +150,7 @@ def jump(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Ef
     """A slot's value steps at one moment of the record, and stays.
 
     Args:
-        low, high: plausible changes, in `unit`.
+        low, high: plausible changes, in `unit`; `*OPEN` takes them from the readings.
         name: canonical; `unknown(time, jump)` if not given.
     """
 
@@ -171,7 +173,7 @@ def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> E
     """A slot's value goes up and down evenly in time.
 
     Args:
-        low, high: plausible amplitudes, in `unit`.
+        low, high: plausible amplitudes, in `unit`; `*OPEN` takes them from the readings.
         name: canonical; `unknown(time, cycle)` if not given.
     """
 

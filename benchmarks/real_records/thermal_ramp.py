@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
+from bayescal._recording.set_aside import set_aside
 from bayescal_models import still_sensor
-from benchmarks.real_records import thermal_ramp_page
+from benchmarks.real_records import ramp_recipes, thermal_ramp_page
 from benchmarks.record import DOCS, REFERENCE_DATA, read, write
 
 RECORD = Path("thermal_ramp") / "imu_thermal_ramp.csv"
@@ -52,24 +53,55 @@ def main() -> None:
         raise SystemExit(
             f"thermal_ramp: no channel {', '.join(unknown)}; there are {', '.join(AXES)}"
         )
-    found = read("thermal_ramp").get("channels", {})
+    results = {"channels": {}, "alone": {}, **read("thermal_ramp")}
+    results["recipes"] = recipes(path)
+    if asked == list(AXES):  # remarks are of rows that were measured otherwise
+        results.pop("remarks", None)
+    _keep(results)
     for axis in asked:
-        found[axis] = measure(path, axis)
-        channels = {name: found[name] for name in AXES if name in found}
-        write("thermal_ramp", {"channels": channels})
-        thermal_ramp_page.write(channels)
+        measured = measure(path, axis)
+        results["channels"][axis] = measured
+        for split, found in measured.items():
+            error = found["steps"][-1]["held_out_in_record"]
+            results["alone"].setdefault(split, {})[axis] = error
+        _keep(results)
+
+
+def _keep(results: dict[str, Any]) -> None:
+    channels = results["channels"]
+    results["channels"] = {name: channels[name] for name in AXES if name in channels}
+    write("thermal_ramp", results)
+    thermal_ramp_page.write(results)
+
+
+def splits(seconds: np.ndarray) -> dict[str, np.ndarray]:
+    """Which readings are held out, of each split."""
+    return {
+        "last fifth": np.arange(seconds.size) >= LAST * seconds.size,
+        "alternate blocks": (seconds // BLOCK).astype(int) % 2 == 1,
+    }
+
+
+def recipes(path: Path) -> dict[str, Any]:
+    """Held-out errors of what is customary: split → recipe → channel, in the unit that bayescal keeps."""
+    outputs = {}
+    for axis in AXES:
+        readings = _read(path, axis)
+        spikes = ~np.isin(readings["time"], set_aside(readings)["time"])
+        outputs[axis] = np.where(spikes, np.nan, readings["output"])
+    time_, temperature = readings["time"], readings["temperature"]
+    return {
+        name: ramp_recipes.errors(time_, temperature, outputs, held)
+        for name, held in splits(time_).items()
+    }
 
 
 def measure(path: Path, axis: str) -> dict[str, Any]:
     """Both calibrations of one channel, as plain data; draws its picture."""
     lines = path.read_text("utf-8").splitlines(keepends=True)
     seconds = np.array([float(line.split(",")[-1]) for line in lines[1:]])
-    held_out = {
-        "last fifth": np.arange(seconds.size) >= LAST * seconds.size,
-        "alternate blocks": (seconds // BLOCK).astype(int) % 2 == 1,
-    }
     results = {}
-    for name, held in held_out.items():
+    for name, held in splits(seconds).items():
         print(f"thermal_ramp: {axis}, {name} held out", flush=True)
         with tempfile.TemporaryDirectory() as folder:
             fitted, held_out_file = Path(folder) / "fitted.csv", Path(folder) / "held_out.csv"

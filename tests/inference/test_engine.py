@@ -12,6 +12,7 @@ import bayescal as bc
 from bayescal._engine import pieces
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import Density
+from bayescal._engine.linear_model import sized
 from bayescal._engine.mode import column_scale, find_mode
 from bayescal._engine.record import INTERPOLATED, Record
 from bayescal._engine.terms import ColumnsOf
@@ -77,9 +78,9 @@ def assembled(case: str, *promoted: str) -> Assembly:
     model, simulate = CASES[case]
     readings = simulate()
     model = model(readings) if callable(model) else model
-    layout, _ = bind(model, readings)
-    layout = layout.promote(*promoted)
     frame = build_frame(readings, reference_of(readings))
+    model = sized(model, readings, frame)
+    layout = bind(model, readings)[0].promote(*promoted)
     library = model.instrument.shown_by(frame, model.effects)
     return Assembly(layout, Record(model.instrument, frame, readings["output"], library))
 

@@ -8,9 +8,15 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
+from bayescal._core.importance_weights import ALIKE, Corrections
+from bayescal._engine import sampling
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.mode import find_mode
+from bayescal._engine.record import Record
 from bayescal._inference.sampled_products import is_nonlinear
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
+from bayescal_models import still_sensor
 
 COLUMNS = (
     bc.Column("run", None, "label", required=False),
@@ -207,3 +213,52 @@ def test_what_bends_is_known_before_the_fit(lever, valve) -> None:
     ):
         layout, _ = bind(model, data)
         assert is_nonlinear(layout, build_frame(data, reference_of(data))) is expected
+
+
+@pytest.fixture(scope="module")
+def ramps() -> bc.Measurements:
+    return still_sensor.simulate({"bias.thermal_lag": 5.0}, seed=3, runs=3, interval=4)
+
+
+def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
+    ramps: bc.Measurements, monkeypatch
+) -> None:
+    assert len(ramps) > sampling.LONG
+    model = still_sensor.INSTRUMENT.for_readings(ramps).baseline() + "bias.thermal_lag"
+    frame = build_frame(ramps, reference_of(ramps))
+    record = Record(model.instrument, frame, ramps["output"])
+    assembly = Assembly(bind(model, ramps)[0], record)
+    mode, corrected, draw_joint = find_mode(assembly), [], sampling.draw_joint
+    monkeypatch.setattr(
+        sampling, "draw_joint", lambda *a: corrected.append(len(a[2].u)) or draw_joint(*a)
+    )
+
+    def moments() -> tuple[np.ndarray, np.ndarray, int]:
+        corrected.clear()
+        found = sampling.weighted_draws(assembly, mode, 1, 60_000, 2)
+        weight = np.exp(found.log_weight - found.log_weight.max())
+        values = np.concatenate([found.x, found.v], axis=1)
+        mean = np.average(values, axis=0, weights=weight)
+        sd = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weight))
+        return mean, sd, sum(corrected)
+
+    mean, sd, few = moments()
+    monkeypatch.setattr(sampling, "LONG", len(ramps))
+    exact_mean, exact_sd, all_of_them = moments()
+    assert few < 0.4 * all_of_them  # those far out, where polynomials end
+    assert np.all(np.abs(mean - exact_mean) < 0.02 * exact_sd)
+    np.testing.assert_allclose(sd, exact_sd, rtol=0.02)
+
+
+@pytest.mark.parametrize(("scatter", "alike"), [(0.5 * ALIKE, True), (3 * ALIKE, False)])
+def test_weights_are_left_as_they_are_only_where_their_corrections_agree(scatter, alike) -> None:
+    random, judged = np.random.default_rng(1), Corrections()
+    judged.add(np.zeros(200), 0.3 + scatter * random.standard_normal(200))
+    assert judged.alike is alike
+    assert judged.mean == pytest.approx(0.3, abs=3 * scatter)
+    judged = Corrections()
+    judged.add(np.zeros(200), np.where(np.arange(200) == 7, -np.inf, 0.0))
+    assert not judged.alike
+    few = Corrections()
+    few.add(np.r_[np.zeros(10), np.full(190, -30.0)], np.zeros(200))
+    assert not few.alike  # ten draws hold all of the weight

@@ -6,15 +6,13 @@ import bayescal as bc
 from bayescal import effects
 
 MINUTE = 60.0  # s
-SOURCE = (
-    "ours: {share:g} of the record's own robust spread{at}; empirical, for want of a data sheet"
-)
-LAG_TIME, SLOW_TIME = 5.0, 40.0  # min, of bodies whose lag would show such a spread
+SOURCE = "ours: {share:g} of half the record's own range{at}; empirical, for want of a data sheet"
+LAG_TIME, SLOW_TIME = 5.0, 40.0  # min, of bodies whose lag would show such a size
 
 
 def constant(unit: str, sd: float) -> bc.Effect:
     """The output at rest at T0."""
-    source = "ours: √(median² + (10 × robust spread)²) of the record itself, an empirical choice"
+    source = "ours: √(median² + (5 × range)²) of the record itself, an empirical choice"
     return effects.constant("bias", sd, unit, source=source)
 
 

@@ -19,9 +19,9 @@ size.
 
 Such a channel has no data sheet, so the plausible sizes are parts of what the record itself shows:
 an empirical choice, which uses the readings twice, though only for their orders of magnitude. Five
-settings hold them: the output's *unit*; its robust spread (1.4826 × the median deviation from the
-median), *size*; the prior standard deviation of the constant, √(median² + (10·size)²); half the
-range of the temperature, *span*; and the mean of |dT/dt| from minute to minute, *pace*.
+settings hold them: the output's *unit*; half of its range, a hundredth of the readings left out,
+*size*; the prior standard deviation of the constant, √(median² + (10·size)²); half the range of the
+temperature, *span*; and the mean of |dT/dt| from minute to minute, *pace*.
 
 `INSTRUMENT` itself states sizes in parts of them (size 1, span 1 °C, pace 1 °C/min), and
 `INSTRUMENT.for_readings(readings)` is the instrument in a record's own unit. Where the sizes are
@@ -107,11 +107,8 @@ def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
     """
     output = readings["output"]
     middle = float(np.median(output))
-    size = (
-        settings.get("size")
-        or 1.4826 * float(np.median(np.abs(output - middle)))
-        or float(np.std(output))
-    )
+    low, high = np.quantile(output, [0.005, 0.995])
+    size = settings.get("size") or 0.5 * float(high - low) or 0.5 * float(np.ptp(output))
     if not size > 0:
         raise bc.InputError(
             f"{readings.file}, column 'output': reads {middle:g} throughout, so no size can be "
