@@ -21,9 +21,7 @@ from bayescal._model.instrument import Instrument
 
 KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
-TOGETHER = (
-    48  # draws in one call of a program: as many as a shape has nodes, and those between them
-)
+TOGETHER = 48  # draws in one call of a program: as many as a shape has nodes, and those between
 REACH = 4.0  # prior standard deviations of a shape, up to which columns are interpolated along it,
 NODES = REACH * np.cos((np.arange(40) + 0.5) * np.pi / 40)  # between Chebyshev's points,
 INTERPOLATED = 1e-9  # as good as this part of the largest number in a column, tried half way between some of them
