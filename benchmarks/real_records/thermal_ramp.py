@@ -6,7 +6,7 @@ last fifth held out, and with every second block of five minutes held out. Resul
 
 The record is not part of this repository. It is looked for in `../shared/data`, or in `data` of the
 folder that BAYESCAL_SHARED names; where it is absent, nothing is done. BAYESCAL_AXES="acc_x gyro_z"
-measures some channels only, and leaves the others' results as they are.
+measures some channels only, and leaves the others' results as they are; BAYESCAL_AXES=unit the six together.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ AXES = {
     **dict.fromkeys(("acc_x", "acc_y", "acc_z"), "m/s^2"),
 }
 BLOCK = 300.0  # s
+UNIT = "unit"  # all six channels together
+SPLITS = ("last fifth", "alternate blocks")
 LAST = 0.8  # share of the record that is fitted where the end is held out
 
 
@@ -48,17 +50,22 @@ def main() -> None:
     if path is None:
         print(f"thermal_ramp: skipped, no {RECORD}; BAYESCAL_SHARED may name its folder")
         return
-    asked = os.environ.get("BAYESCAL_AXES", "").split() or list(AXES)
-    if unknown := set(asked) - set(AXES):
+    asked = os.environ.get("BAYESCAL_AXES", "").split() or [*AXES, UNIT]
+    if unknown := set(asked) - {*AXES, UNIT}:
         raise SystemExit(
             f"thermal_ramp: no channel {', '.join(unknown)}; there are {', '.join(AXES)}"
         )
     results = {"channels": {}, "alone": {}, **read("thermal_ramp")}
     results["recipes"] = recipes(path)
-    if asked == list(AXES):  # remarks are of rows that were measured otherwise
+    if asked == [*AXES, UNIT]:  # remarks are of rows that were measured otherwise
         results.pop("remarks", None)
     _keep(results)
     for axis in asked:
+        if axis == UNIT:
+            for split in SPLITS:
+                results[UNIT] = {**results.get(UNIT, {}), split: as_unit(path, split)}
+                _keep(results)
+            continue
         measured = measure(path, axis)
         results["channels"][axis] = measured
         for split, found in measured.items():
@@ -112,6 +119,41 @@ def measure(path: Path, axis: str) -> dict[str, Any]:
         results[name] = {**summary(trail, _read(path, axis, trail)), **times}
         if name == "alternate blocks":
             bc.plot.save(bc.plot.loop(trail), DOCS / f"thermal_ramp_{axis}.png")
+    return results
+
+
+def as_unit(path: Path, split: str) -> dict[str, Any]:
+    """The six channels calibrated together: held-out errors, what was found, and what it took."""
+    print(f"thermal_ramp: as one unit, {split} held out", flush=True)
+    whole = {axis: _read(path, axis) for axis in AXES}
+    held = splits(whole["gyro_x"]["time"])[split]
+    fitted = {axis: readings.select(~held) for axis, readings in whole.items()}
+    kept = {axis: readings.select(held) for axis, readings in whole.items()}
+    models = {
+        axis: still_sensor.INSTRUMENT.for_readings(readings).baseline()
+        for axis, readings in fitted.items()
+    }
+    wall, cpu = time.perf_counter(), time.process_time()
+    found = bc.calibrate_channels(models, fitted, holdout=kept)
+    taken = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
+    results: dict[str, Any] = {"errors": {}, "inside": {}, "steps": {}, "added": {}, **taken}
+    for axis, trail in found.trails.items():
+        assert trail.holdout is not None
+        outside = np.isin(whole[axis]["time"], trail.holdout["time"])
+        predicted = [bc.predict(s.calibration, whole[axis], same_record=True) for s in trail.steps]
+        errors = [float(np.sqrt(np.mean(p.residual[outside] ** 2))) for p in predicted]
+        last = predicted[-1]
+        wander = 0.0 if last.wander is None else np.nan_to_num(last.wander)
+        results["errors"][axis] = errors[-1]
+        inside = (last.residual - wander)[outside]
+        results["inside"][axis] = float(np.sqrt(np.mean(inside**2)))
+        results["steps"][axis] = dict(zip((s.title for s in trail.steps), errors, strict=True))
+        results["added"][axis] = list(trail.final.calibration.model.names[2:])
+        results.setdefault("gate", {})[axis] = [trail.ok, trail.gate.reason]
+    results["shared"] = [
+        [s.effect, s.probability, *s.posterior, {n: s.evidence(n) for n in s.says}]
+        for s in found.shared
+    ]
     return results
 
 

@@ -78,6 +78,7 @@ def write(results: dict[str, Any]) -> Path:
             BESIDE,
             *results.get("remarks", ()),
             *(_beside(results, split) for split in SPLITS),
+            *(part for split in SPLITS for part in _of_unit(results, split)),
         ]
     for split in SPLITS:
         parts += [f"## {split.capitalize()} held out\n", _table(channels, split)]
@@ -90,7 +91,9 @@ def write(results: dict[str, Any]) -> Path:
 def _beside(results: dict[str, Any], split: str) -> str:
     """Held-out errors of bayescal and of each recipe, and their geometric mean over the best recipe's."""
     rows = {"bayescal, each channel alone": results["alone"].get(split, {})}
-    rows |= {"bayescal, as one unit": results.get("unit", {}).get(split, {})}
+    unit = results.get("unit", {}).get(split, {})
+    rows |= {"bayescal, as one unit": unit.get("errors", {})}
+    rows |= {"the same, with the wander inside the record": unit.get("inside", {})}
     rows |= results["recipes"][split]
     against = results["recipes"][split][REFERENCE]
     lines = []
@@ -102,6 +105,25 @@ def _beside(results: dict[str, Any], split: str) -> str:
         lines.append([name, *cells, mean])
     head = ["held-out error", *CHANNELS, f"over {REFERENCE}"]
     return f"**{split.capitalize()} held out**\n\n" + table(head, lines)
+
+
+def _of_unit(results: dict[str, Any], split: str) -> list[str]:
+    """What the six channels together show of their body, and which effects each has."""
+    unit = results.get("unit", {}).get(split)
+    if unit is None:
+        return []
+    effects = list(dict.fromkeys(name for own in unit["added"].values() for name in own))
+    rows = [
+        [f"`{e}`", *("yes" if e in unit["added"][c] else "–" for c in CHANNELS)] for e in effects
+    ]
+    rows.append(["trusted", *("yes" if unit["gate"][c][0] else "no" for c in CHANNELS)])
+    shared = [
+        f"`{name}`: probability {probability:.2f}, {middle:.3g} ({low:.3g} to {high:.3g})"
+        for name, probability, middle, low, high, _ in unit["shared"]
+        if probability > 0.5
+    ]
+    head = [f"{split} held out, {unit['cpu_seconds']:.0f} s of processor", *CHANNELS]
+    return [table(head, rows), f"Shared by the unit: {'; '.join(shared) or 'nothing found'}.\n"]
 
 
 def _incomplete(channels: dict[str, Any]) -> list[str]:
