@@ -30,7 +30,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-for group in (calibrate, fitting, catalogue, deliverables, batch):
+for group in (catalogue, calibrate, fitting, deliverables, batch):
     app.add_typer(group.commands)
 
 

@@ -21,8 +21,8 @@ from tests.support.command_line import (
 pytestmark = needs_installation
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
-    *("instruments", "effects", "simulate", "fit", "check", "discover"),
-    *("compare", "predict", "calibrate", "pairs", "demo"),
+    *("instruments", "effects", "simulate", "pairs", "demo", "calibrate"),
+    *("fit", "check", "discover", "compare", "predict"),
     *("compensate", "export", "budget", "report", "batch"),
 )
 
