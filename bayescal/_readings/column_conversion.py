@@ -63,7 +63,7 @@ def _converted(
     expected = expected_columns(instrument)
     table = understood(table, instrument, options)
     positions = match(table, expected, options, problems)
-    offered = note_missing(table, expected, positions, instrument.name, problems)
+    offered = note_missing(table, expected, positions, instrument.name, problems, options.columns)
     expected = with_fixed_units(expected, table, positions, options, problems)
     extra, flags = extra_columns(table, expected, positions, options)
     converted = ConvertedColumns(flags=[*table.notes, *flags])

@@ -153,7 +153,7 @@ def _renamed_by_user(
                 f"columns={{{ours!r}: {theirs!r}}}: {table.file!r} has no column "
                 f"{theirs!r}{near(theirs, table)}. It has: {names_in(table)}"
             )
-            cure = f"It has: {names_in(table)}"
+            cure = f"It has: {names_in(table)}{near(theirs, table)}"
             problems.append(
                 Problem(table.file, "no such column", ours, cure, column=theirs, sentence=sentence)
             )

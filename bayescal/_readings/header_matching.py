@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from bayescal._core.errors import InputError
@@ -223,12 +223,18 @@ def note_missing(
     positions: Mapping[str, int],
     instrument: str,
     problems: Problems,
+    said: Collection[str] = (),
 ) -> dict[str, tuple[int, Header]]:
-    """Note the columns that the instrument needs and a file has not; those that one header looks like, and where."""
+    """Note the columns that the instrument needs and a file has not; those that one header looks like, and where.
+
+    Columns whose header the user has said are not among them: that the file lacks it is a problem already.
+    """
     offered: dict[str, tuple[int, Header]] = {}
     taken = {positions[name] for name in expected if name in positions}
     for name, column in expected.items():
-        if column.required and name not in positions and column.default is None:
+        if not column.required or name in positions or name in said:
+            continue
+        if column.default is None:
             free = [h for i, h in enumerate(table.headers) if h.name and i not in taken]
             alike = _alike(column, free)
             problems.append(_missing_column(table, column, alike, instrument))

@@ -16,6 +16,7 @@ from bayescal._readings.column_conversion import convert_columns, kept_table
 from bayescal._readings.column_matching import (
     InstrumentLike,
     ReadOptions,
+    expected_columns,
     output_name,
     unused_units,
 )
@@ -103,13 +104,21 @@ def _each(outputs: Sequence[str], options: ReadOptions, *rest: Any) -> dict[str,
     """Readings of several outputs; what is wrong with any is said at once.
 
     Raises:
-        InputError: one is named twice, or something cannot be used.
+        InputError: one is named twice or is an input, or something cannot be used.
     """
     if not outputs or len(set(outputs)) < len(outputs):
         raise InputError(f"outputs={list(outputs)}: name each channel once, and one at least")
     problems, instrument, found = Problems(), rest[2], dict[str, "Measurements"]()
+    output = output_name(instrument)
+    if output in options.columns:
+        raise InputError(f"{output}={options.columns[output]}, and channels: say only the channels")
+    inputs = expected_columns(instrument).keys() - {output}
     for name in outputs:
-        columns = {**options.columns, output_name(instrument): name}
+        if name in inputs:
+            raise InputError(
+                f"{name!r} is no channel: {instrument.name!r} reads it as what channels depend on"
+            )
+        columns = {**options.columns, output: name}
         others = frozenset(outputs) - {name}
         with problems.collecting():
             found[name] = _measurements(replace(options, columns=columns, others=others), *rest)

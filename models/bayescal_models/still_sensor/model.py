@@ -110,8 +110,9 @@ def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
     low, high = np.quantile(output, [0.005, 0.995])
     size = settings.get("size") or 0.5 * float(high - low) or 0.5 * float(np.ptp(output))
     if not size > 0:
+        column = next((s.output for s in readings.sources if s.output), "output")
         raise bc.InputError(
-            f"{readings.file}, column 'output': reads {middle:g} throughout, so no size can be "
+            f"{readings.file}, column {column!r}: reads {middle:g} throughout, so no size can be "
             "taken from it: choose another channel"
         )
     span = 0.5 * float(np.ptp(readings["temperature"])) if readings.has("temperature") else 0.0
