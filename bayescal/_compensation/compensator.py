@@ -147,7 +147,7 @@ class Compensator:
 
     @cached_property
     def noise(self) -> float:
-        """Standard deviation of the noise of one reading, output unit."""
+        """Standard deviation of the noise of one reading, output unit; of one that follows a column, over the fit."""
         return (
             self.loaded.noise if self.loaded else inversion.noise_variance(self._calibration) ** 0.5
         )

@@ -22,8 +22,10 @@ from bayescal._compensation.posterior_moments import PosteriorMoments
 from bayescal._core.jit import compiled
 from bayescal._model import forward
 from bayescal._model.frame import Frame
+from bayescal._readings.column import UNCERTAINTY
 
 TIGHT = 1e-13  # of Newton's last step, relative
+NOISE_READINGS = 1000  # over which a noise that follows a column is averaged; the mean is known far better than it
 
 
 def live(function, *arguments: Any) -> list[bool]:
@@ -186,25 +188,37 @@ def solved(
 
 
 def noise_variance(calibration: Calibration) -> float:
-    """Mean over the posterior of the variance of one reading's noise, output unit squared."""
+    """Mean over the posterior of the variance of one reading's noise, output unit squared.
+
+    Where it follows a column, it is also the mean over the readings of the calibration. What is known of the
+    uncertainty of each is not in it.
+    """
     _, _, v = calibration.draws(2000)
-    layout = calibration.layout
-    one = jnp.zeros(1)
-    frame = Frame(
-        columns={},
+    layout, frame = calibration.layout, _seen_by_noise(calibration)
+
+    def variance(v):
+        parameters = forward.hyper_values(layout, v)
+        return jnp.mean(layout.model.noise.variance(parameters, frame))
+
+    return float(jnp.mean(jax.vmap(variance)(jnp.asarray(v))))
+
+
+def _seen_by_noise(calibration: Calibration) -> Frame:
+    """As many readings as a mean over them takes; a single one without columns where the noise needs none."""
+    whole, follows = calibration.frame, bool(calibration.layout.model.noise.needs)
+    rows = np.arange(whole.size)[:: -(-whole.size // NOISE_READINGS)]
+    columns = {n: c[rows] for n, c in whole.columns.items() if follows and n != UNCERTAINTY}
+    one = jnp.zeros(len(rows) if follows else 1)
+    return Frame(
+        columns=columns,
         labels={},
-        rates={},
+        rates={n: r[rows] for n, r in whole.rates.items() if follows},
         codes={},
-        reference={},
+        reference=whole.reference if follows else {},
         order=one.astype(int),
         step=one,
         record={},
     )
-
-    def variance(v):
-        return layout.model.noise.variance(forward.hyper_values(layout, v), frame)[0]
-
-    return float(jnp.mean(jax.vmap(variance)(jnp.asarray(v))))
 
 
 class AtPoint(NamedTuple):

@@ -10,6 +10,7 @@ import pytest
 import bayescal as bc
 from bayescal._compensation.budget import READINGS
 from bayescal._diagnostics.prior_influence import prior_sensitivity
+from bayescal_models import mems_gyro
 from tests.support.made_up import bent_sensor
 
 
@@ -99,3 +100,16 @@ def test_a_prior_that_matters_shows_in_its_sensitivity() -> None:
     assert table.loc["rig.constant", "prior"] > 0.05
     assert table.loc["bias.temperature", "prior"] < 0.05
     assert "noise.white" not in table.index  # held at its estimate
+
+
+def test_noise_that_follows_a_column_is_averaged_over_the_readings_of_the_calibration() -> None:
+    random = np.random.default_rng(7)
+    temperature = np.linspace(-30.0, 70.0, 200)
+    spread = 0.02 * np.exp(0.02 * (temperature - 20.0))
+    output = 0.3 + 0.01 * (temperature - 20.0) + spread * random.standard_normal(200)
+    readings = bc.Measurements.from_arrays(
+        mems_gyro.INSTRUMENT, temperature=temperature, output=output
+    )
+    model = mems_gyro.INSTRUMENT.baseline().with_noise(bc.Heteroscedastic("temperature"))
+    found = bc.budget(bc.fit(model, readings), {"temperature": 60.0})
+    assert found.noise == pytest.approx(np.sqrt(np.mean(spread**2)), rel=0.15)
