@@ -85,10 +85,18 @@ def _mode_dataset(mode: Mode) -> xr.Dataset:
 _MODE_FIELDS = ("v", "covariance", "log_density", "log_evidence", "change", "flat", "indefinite")
 
 
+def _saved_in(folder: Path) -> str:
+    """The calibrations in a folder, or in those of a unit's channels, by name."""
+    found = sorted([*folder.glob("*.nc"), *folder.glob("*/*.nc")])
+    return f", {' or '.join(map(str, found[:6]))}" if found else ""
+
+
 def load_calibration(
     path: Path, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
 ) -> tuple[dict[str, Any], xr.DataTree]:
     """Read the fields of a calibration and its tree back; see `bayescal.load`."""
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: give the calibration in it{_saved_in(path)}")
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     content = io.BytesIO(verified(path, "a saved calibration", AGAIN))

@@ -52,6 +52,7 @@ class Channels:
         head = ["", *self.trails]
         parts = [table(head, [*self._errors(), *map(self._effect, self.effects), self._noise()])]
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
+        parts += [f"{n}: {t.search.stopped}" for n, t in self.trails.items() if _early(t)]
         parts += [
             f"{n}: not to be trusted: {t.gate.reason}" for n, t in self.trails.items() if not t.ok
         ]
@@ -86,6 +87,11 @@ class Channels:
 
     def _noise(self) -> list[str]:
         return ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
+
+
+def _early(trail: Trail) -> bool:
+    """Whether a search ended before its end; one that could not begin is not to be trusted, which is said."""
+    return trail.search is not None and not trail.search.complete
 
 
 def _shared_text(s: SharedShape) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from bayescal._cli.options import ModelOptions, with_groups
 if TYPE_CHECKING:
     from bayescal._cli.request import Asked
     from bayescal._model.effect import Effect
+    from bayescal._readings.measurements import Measurements
 
 commands = typer.Typer()
 
@@ -122,8 +123,7 @@ def _several(
 
     models, readings = request.open_channels(names, asked)
     kept = request.open_kept_channels(holdout, names, asked)
-    flags = list(dict.fromkeys(flag for one in readings.values() for flag in one.flags))
-    print_notes(flags)
+    print_notes(_flags(readings))
     own: Sequence[Effect] = request.user_effects(asked.choice.effects_file)
     first = next(iter(readings.values()))
     with result_folder(out) as folder:
@@ -140,7 +140,22 @@ def _several(
             found.save(folder)
     from bayescal._report.save_search import channels_data
 
+    fitted = {n: t.final.calibration.readings for n, t in found.trails.items()}
+    print_notes(flag for flag in _flags(fitted) if flag not in _flags(readings))
     print_result(channels_data(found) if json_ else found)
     if folder is not None and not json_:
         print(f"\nwritten: {folder}/channels.json, and a folder for each channel")
     exit_unless(found.ok, found.reason)
+
+
+def _flags(readings: Mapping[str, Measurements]) -> list[str]:
+    """Notes on the readings of channels: what holds for all once, the others with the channel's name."""
+    said = {
+        flag: [n for n, one in readings.items() if flag in one.flags]
+        for r in readings.values()
+        for flag in r.flags
+    }
+    return [
+        flag if len(names) == len(readings) else f"{', '.join(names)}: {flag}"
+        for flag, names in said.items()
+    ]

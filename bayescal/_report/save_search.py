@@ -57,6 +57,7 @@ def channels_data(found: Channels) -> dict[str, Any]:
                     "effects": list(trail.final.calibration.model.names),
                     "noise": trail.final.calibration.model.noise.law,
                     **{k: v for k, v in trail.final.errors().items() if k != "title"},
+                    "stopped": trail.search.stopped if trail.search else "",
                     "ok": trail.ok,
                     "reason": trail.gate.reason,
                 }

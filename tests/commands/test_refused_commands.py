@@ -54,6 +54,7 @@ REFUSED = (
     (f"{FIT} --local-gravity 0", "'--local-gravity'"),
     ("fit {table} --instrument mems_gyro --out {saved}", "cannot write to the folder"),
     ("check no.nc", "There is no file no.nc"),
+    ("check {folder}", "is a folder: give the calibration in it, "),
     ("check {table}", "Expected a saved calibration"),
     ("check {readings}", "readings.nc has no checksum at its end"),
     ("discover no.nc", "There is no file no.nc"),

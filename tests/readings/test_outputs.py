@@ -74,7 +74,7 @@ def test_a_channel_that_does_not_change_is_named(tmp_path) -> None:
     head = "time [s],temperature [degC],gyro_x [deg/s]"
     np.savetxt(path, table, delimiter=",", header=head, comments="")
     found = bc.read(path, INSTRUMENT, outputs=["gyro_x"])
-    with pytest.raises(bc.InputError, match="column 'gyro_x': reads 1.5 throughout"):
+    with pytest.raises(bc.InputError, match="column 'gyro_x': reads"):
         INSTRUMENT.for_readings(found["gyro_x"])
 
 
