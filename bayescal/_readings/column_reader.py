@@ -14,7 +14,7 @@ from bayescal._readings.column import MAY_BE_EMPTY, Column, ConvertedColumns, pl
 from bayescal._readings.column_matching import InstrumentLike, ReadOptions, output_name, unit_of
 from bayescal._readings.header_reading import unit_in
 from bayescal._tables.cells import Cells
-from bayescal._tables.dates import EXAMPLE, date_text, from_first, unit_of_counts
+from bayescal._tables.dates import EXAMPLE, date_text, exchangeable, from_first, unit_of_counts
 from bayescal._tables.problems import Problem, Problems, option
 from bayescal._tables.raw_table import Header, Table
 
@@ -197,6 +197,7 @@ class ColumnReader:
         hint = "Correct the cell, or remove the row"
         if any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in texts):
             hint = "If that is a decimal comma, say so (--decimal ,), or export the file with decimal points"
+        hint = exchangeable(texts) if self._is_time and exchangeable(texts) else hint
         came = ", ".join(repr(text[:60]) for text in texts[:_TEXTS]) + " …" * (len(texts) > _TEXTS)
         self._note(np.array(sorted(cells.bad), dtype=int), f"reads {came}", expected, hint)
 

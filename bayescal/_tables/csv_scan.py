@@ -213,9 +213,8 @@ def ragged_rows(scan: CsvScan) -> tuple[Problem, ...]:
     expected = len(scan.header)
     comma = scan.separator == "," and fields > expected
     hint = "If its numbers have decimal commas, export them with decimal points. " if comma else ""
-    above = (
-        "If the first lines only tell of the test, begin each with #. " if expected < fields else ""
-    )
+    longer = any(expected < n for _, _, n in scan.ragged)
+    above = "If the first lines only tell of the test, begin each with #. " if longer else ""
     cure = f"{hint}{above}Give every row one field for each column"
     came = f"{fields} field{'s' * (fields != 1)}"
     places = tuple(f"row {row}" for row, _, _ in scan.ragged)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -33,6 +34,13 @@ def unix_seconds(text: str) -> float:
     elif text[4:5] != "-":
         raise ValueError(f"{text!r} is no date")
     return _seconds(datetime.fromisoformat(text))
+
+
+def exchangeable(texts: Iterable[str]) -> str:
+    """What to do about dates that leave open which number is the day, as 05/06/2026; empty if there are none."""
+    if any(re.match(r"\s*\d{1,2}[/-]\d{1,2}[/-]\d{2,4}\b", text) for text in texts):
+        return "Day and month could be exchanged: write the year first, or points (22.11.2026)"
+    return ""
 
 
 def _seconds(when: datetime) -> float:

@@ -126,7 +126,11 @@ REFUSED = {
         "temperature [degC];output [deg/s]\n20,125;1,125\n30,125;2,125\n", 2, ("--decimal ,",)
     ),
     "months and days that may be exchanged": Bad(
-        dated(lambda m: f"{m:%m/%d/%Y %H:%M:%S}", "time"), 1, ("2026-11-22",)
+        dated(lambda m: f"{m:%m/%d/%Y %H:%M:%S}", "time"), 1,
+        ("2026-11-22", "write the year first"),
+    ),
+    "a title, a remark, then the header": Bad(
+        "Lab 3, unit 7\n\nremark\n" + text(HEAD), 3, ("begin each with #",)
     ),
     "zones in some rows": Bad(
         with_cell(5, 0, iso(BEGAN) + "+01:00", dated(iso, "time")), 1, ("with a zone everywhere",)
