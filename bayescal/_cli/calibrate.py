@@ -13,6 +13,7 @@ from bayescal._cli import options
 from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
 from bayescal._cli.options import ModelOptions, with_groups
+from bayescal._core.errors import InputError
 
 if TYPE_CHECKING:
     from bayescal._cli.request import Asked
@@ -75,7 +76,13 @@ def _one(
 ) -> None:
     """One output."""
     from bayescal._cli import request
+    from bayescal._report.whole_folder import CHANNELS
 
+    if out is not None and (out / CHANNELS).is_file():
+        raise InputError(
+            f"{out} holds the channels of a unit ({CHANNELS}), of which reports and parameters would still be made: "
+            "give another folder, or remove it"
+        )
     chosen, model, readings = request.open_request(asked)
     kept = request.open_kept(holdout, chosen, asked)
     print_notes(readings.flags)

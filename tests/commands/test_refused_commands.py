@@ -71,6 +71,7 @@ REFUSED = (
     ("calibrate --instrument mems_gyro", "Missing argument"),
     (f"{CALIBRATE} --holdout no.csv", "'no.csv' cannot be read"),
     (f"{CALIBRATE} --holdout {{level_table}}", "level.csv"),
+    ("calibrate {table} --instrument mems_gyro --out {unit}", "holds the channels of a unit"),
     (f"{CALIBRATE} --max-effects 0", "'--max-effects'"),
     (f"{CALIBRATE} --seed x", "'--seed'"),
     ("demo --instrument gyro --out {new}", "no instrument is called 'gyro'"),
@@ -94,6 +95,8 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     bc.read(TABLE, mems_gyro.INSTRUMENT).write(folder / "readings.nc")
+    (folder / "unit").mkdir()
+    (folder / "unit" / "channels.json").write_text("{}", encoding="utf-8")
     done = run("fit", TABLE, *GYRO, *QUICK, "--out", folder / "table")
     assert done.status == 0, done.err
     return {
@@ -107,6 +110,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "text": folder / "text.csv",
         "no_unit": folder / "no_unit.csv",
         "readings": folder / "readings.nc",
+        "unit": folder / "unit",
         "saved": folder / "table" / "calibration.nc",
     }
 
