@@ -15,7 +15,10 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import find_mode, in_numpy, prior_draws
+from bayescal._engine.record import Record
 from bayescal._model.correlated_noise import CORRELATION_TIME
+from bayescal._model.model import Model, testable
+from bayescal._model.parameters import bind
 from bayescal._readings.unit_conversion import same_dimension, unit_label
 
 CONFLICT = 4.0  # prior standard deviations from the prior's mean, beyond which readings and prior contradict each other
@@ -49,7 +52,7 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
                 f"{row['name']} is known worse than before the readings (contraction "
                 f"{row['contraction']:.1f}): the fit has lost its way."
             )
-    return [*found, *_too_large(calibration, spreads)]
+    return [*found, *_too_large(calibration, spreads), *_beyond_the_known(calibration, accepted)]
 
 
 def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
@@ -160,6 +163,40 @@ def _look_at(effect: str) -> str:
     if cause == "constant":
         return "check the nominal zero and scale" if slot != "scale" else "check the nominal scale"
     return "check the units of the columns and the nominal scale"
+
+
+def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[str]:
+    """Dependences without a name that are larger than all that is known of the instrument could make together.
+
+    A wrong sign or unit of an input is no missing effect, though a free curve along that input follows it.
+    """
+    unnamed = [e for e in calibration.model.effects if e.is_placeholder and e.name not in accepted]
+    if not unnamed:
+        return []
+    known, unit = _known_effects(calibration), unit_label(calibration.unit)
+    found = []
+    for effect in unnamed:
+        here = float(np.std(calibration.linear.contribution(effect.name)))
+        if known and here > CONFLICT * known:
+            found.append(
+                f"{effect.name} changes the output by {number(here)} {unit} rms, where all effects known of the "
+                f"instrument, as large as is plausible, would change it by {number(known)} {unit}: check the sign, the "
+                "unit and the nominal scale of the output and of the inputs."
+            )
+    return found
+
+
+def _known_effects(calibration: Fitted) -> float:
+    """How much the instrument's own effects plausibly change the output over these readings, rms, output unit."""
+    model, readings, record = calibration.model, calibration.readings, calibration.assembly.record
+    own = (*model.instrument.effects, *model.instrument.candidates)
+    effects = tuple(e for e in own if testable(e, readings) is None)
+    layout = bind(Model(model.instrument, effects, model.noise), readings)[0]
+    assembly = Assembly(layout, Record(model.instrument, record.frame, record.y, effects))
+    hyper = assembly.hyper(np.zeros(len(assembly.hypers)))
+    prior = assembly.prior(hyper, np.ones(assembly.size))
+    slopes = assembly.linearise(assembly.start, hyper).jacobian * (prior.sd * prior.weight)
+    return float(np.sqrt(np.sum(np.var(slopes, axis=0))))
 
 
 def _too_large(calibration: Fitted, spreads: list[dict[str, Any]]) -> list[str]:

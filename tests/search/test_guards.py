@@ -284,3 +284,15 @@ def test_a_step_between_runs_shuts_the_gate_and_one_within_a_run_does_not(betwee
     assert found.ok is not between, found.reason
     if between:
         assert re.match(r"Runs stand (4\.9|5)\S* °/s apart \(unknown\(time, jump\)", found.reason)
+
+
+def test_an_input_of_the_wrong_sign_is_no_missing_effect() -> None:
+    """A free curve along the input follows it; what is known of the gyroscope could not be as large."""
+    campaign = mems_gyro.Campaign(rate_input=(0.0, 100.0, -100.0), nonlinearity=0.0)
+    readings = mems_gyro.simulate({}, seed=1, campaign=campaign)
+    model = mems_gyro.INSTRUMENT.baseline() + "unknown(rate_input)"
+    turned = readings.with_column("output", -readings["output"], "deg/s")
+    said = bc.fit(model, turned, bc.LeastSquares(), strict=False).conflicts
+    assert any("unknown(rate_input)" in words and "check the sign" in words for words in said)
+    plain = bc.fit(model, readings, bc.LeastSquares(), strict=False).conflicts
+    assert not any("unknown(rate_input)" in words for words in plain)
