@@ -6,6 +6,7 @@ import textwrap
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
@@ -13,12 +14,14 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.guards import conflicts
 from bayescal._calibration.posterior_tree import build_tree
 from bayescal._calibration.storage import save
-from bayescal._calibration.summary import calibration_text
+from bayescal._calibration.summary import calibration_text, summary
 from bayescal._core.formatting import WIDTH
+from bayescal._core.printed import Printed
+from bayescal._model.model import in_short
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration(Fitted):
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Printed, Fitted):
     """The result of a fit.
 
     Attributes:
@@ -38,6 +41,22 @@ class Calibration(Fitted):
     def __str__(self) -> str:
         against = (textwrap.fill(f"conflict: {words}", WIDTH) for words in self.conflicts)
         return "\n".join([calibration_text(self), *against])
+
+    def _brief(self) -> str:
+        verdict = "converged" if self.verdict.ok else "NOT converged"
+        return f"{verdict}, {len(self.readings)} readings of {self.readings.file}, {in_short(self.model)}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each unknown, in its own unit; `low` and `high` bound the 95 % credible interval."""
+        coefficients, spreads = summary(self)
+        rows = [*coefficients, *spreads]
+        return {
+            "unknown": [r["name"] for r in rows],
+            **{name: [r[name] for r in rows] for name in ("effect", "unit", "mean", "sd")},
+            "low": [r["interval95"][0] for r in rows],
+            "high": [r["interval95"][1] for r in rows],
+            "contraction": [r["contraction"] for r in rows],
+        }
 
     @cached_property
     def conflicts(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import textwrap
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, table
+from bayescal._core.printed import Printed
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut, leave_one_group_out
 from bayescal._inference.trust import K_HAT
 from bayescal._readings.unit_conversion import unit_label
@@ -60,8 +61,8 @@ class Row:
     weight: float
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Printed):
     """Models side by side, the best first.
 
     Attributes:
@@ -81,6 +82,13 @@ class Comparison:
 
     def __str__(self) -> str:
         return comparison_text(self)
+
+    def _brief(self) -> str:
+        return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each model, with the fields of `Row`; errors in the output's unit."""
+        return {f.name: [getattr(r, f.name) for r in self.rows] for f in fields(Row)}
 
 
 def comparison_text(found: Comparison) -> str:

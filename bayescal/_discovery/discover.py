@@ -5,11 +5,13 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.formatting import WIDTH, number, probability, table, with_error
+from bayescal._core.printed import Printed
 from bayescal._core.progress import stage
 from bayescal._discovery.candidate import Candidate, alike, judge, kind_of
 from bayescal._engine.linear_model import linear_model
@@ -46,8 +48,8 @@ class LawProbability:
         return f"{self.in_words} {probability(self.probability)}"
 
 
-@dataclass(frozen=True)
-class Discovery:
+@dataclass(frozen=True, repr=False)
+class Discovery(Printed):
     """The answer to "which effect is missing?".
 
     Attributes:
@@ -78,6 +80,19 @@ class Discovery:
 
     def __str__(self) -> str:
         return discovery_text(self)
+
+    def _brief(self) -> str:
+        return "; ".join(_findings(self))
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each candidate, also for those that are not printed; sizes in `unit`."""
+        names = ("probability", "log_bayes_factor", "size", "size_sd", "unit", "minimum_detectable")
+        return {
+            "candidate": [c.effect for c in self.candidates],
+            **{name: [getattr(c, name) for c in self.candidates] for name in names},
+            "kind": [c.kind or "" for c in self.candidates],
+            "reason": [c.reason for c in self.candidates],
+        }
 
 
 def discover(
@@ -215,12 +230,7 @@ def _plausible(effect: Effect) -> float:
 
 def discovery_text(found: Discovery) -> str:
     """What is missing, and every candidate, the most probable first."""
-    lines = [f"nothing is missing: probability {probability(found.nothing_missing)}"]
-    for s in found.sets:
-        names = " or ".join(s.effects)
-        tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
-        lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
-    lines += map(str, found.departures)
+    lines = [*_findings(found), *map(str, found.departures)]
     if found.noise:
         shown = [n for n in found.noise if n.probability >= SHOWN]
         line = f"noise law (probability): {', '.join(map(str, shown))}"
@@ -239,6 +249,15 @@ def discovery_text(found: Discovery) -> str:
         lines.append("* log Bayes factor by refit; the others by score")
     lines += _alike(found) + _not_testable(found)
     return "\n".join(line for line in lines if line)
+
+
+def _findings(found: Discovery) -> list[str]:
+    lines = [f"nothing is missing: probability {probability(found.nothing_missing)}"]
+    for s in found.sets:
+        names = " or ".join(s.effects)
+        tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
+        lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
+    return lines
 
 
 def _candidate_row(c: Candidate) -> list[str]:

@@ -165,6 +165,10 @@ class Effect(eqx.Module):
                 f"{sorted(shapes)} by name; it takes {list(taken)}"
             )
 
+    def __repr__(self) -> str:
+        said = f"{self.name} [{self.coefficients[0].unit}]"
+        return f"<Effect: {said}: {self.equation}>" if self.equation else f"<Effect: {said}>"
+
     @property
     def is_placeholder(self) -> bool:
         """Whether it stands for what no named effect describes: sized by an amplitude, not by a coefficient."""

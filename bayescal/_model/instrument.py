@@ -112,6 +112,9 @@ class Instrument(eqx.Module):
         if self.use.equation is None:
             self.column(self.use.stimulus)
 
+    def __repr__(self) -> str:
+        return f"<Instrument: {self.name}, {self.title}>"
+
     def for_readings(self, readings: Measurements) -> Instrument:
         """The instrument tailored to readings, where it has to be; else the same."""
         return self if self.tailor is None else self.tailor(readings)

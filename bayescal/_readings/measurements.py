@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
+from bayescal._core.printed import Printed
 from bayescal._readings.averaging import average
 from bayescal._readings.column import (
     ARRAYS,
@@ -19,7 +20,9 @@ from bayescal._readings.column import (
     ConvertedColumns,
     NominalScale,
     Source,
+    cells,
     file_names,
+    readings_text,
 )
 from bayescal._readings.column_conversion import convert_columns, kept_table
 from bayescal._readings.column_matching import (
@@ -44,8 +47,8 @@ from bayescal._tables.raw_table import ROW, Header, Table
 from bayescal._tables.write import write
 
 
-@dataclass(frozen=True, eq=False)
-class Measurements:
+@dataclass(frozen=True, eq=False, repr=False)
+class Measurements(Printed):
     """Readings of an instrument, in its fixed units and in the order in which they came.
 
     Made by `read` or `from_arrays`, which check them. The arrays are read-only.
@@ -149,9 +152,20 @@ class Measurements:
     def __contains__(self, name: object) -> bool:
         return name in self.data.data_vars
 
-    def __repr__(self) -> str:
+    def __str__(self) -> str:
+        return readings_text(self.file, {n: (self[n], self.unit(n)) for n in self.columns})
+
+    def _brief(self) -> str:
         named = (f"{n} [{self.unit(n)}]" if self.unit(n) else n for n in self.columns)
-        return f"<{len(self)} readings of {self.file}: {', '.join(named)}>"
+        return f"{len(self)} readings of {self.file}: {', '.join(named)}"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The readings as a `pandas.DataFrame`, columns in their fixed units."""
+        return self.data.to_pandas()
+
+    def to_xarray(self) -> xr.Dataset:
+        """The readings as an `xarray.Dataset`; each column of numbers says its `units`."""
+        return self.data.copy(deep=True)
 
     def has(self, name: str) -> bool:
         """Whether there is a column of that name."""
@@ -190,7 +204,8 @@ class Measurements:
         if name == "reading":
             return tuple(str(i + 1) for i in range(len(self))), np.arange(len(self))
         if name == "cell":
-            return self._cells()
+            runs, run = self.groups("run")
+            return cells(runs, run, self[MAY_BE_EMPTY] if self.has(MAY_BE_EMPTY) else None)
         if not self.has(name) and name in ("run", "device", "axis"):
             return ("1",), np.zeros(len(self), dtype=np.int64)
         if self.unit(name) is not None:
@@ -199,19 +214,6 @@ class Measurements:
             )
         codes, levels = pd.factorize(self[name].astype(object))
         return tuple(map(str, levels)), codes
-
-    def _cells(self) -> tuple[tuple[str, ...], np.ndarray]:
-        codes = np.full(len(self), -1, dtype=np.int64)
-        if not self.has(MAY_BE_EMPTY):
-            return (), codes
-        runs, run = self.groups("run")
-        point = self[MAY_BE_EMPTY]
-        soaked = np.flatnonzero(~np.isnan(point))
-        points, index = np.unique(point[soaked], return_inverse=True)
-        found, first = pd.factorize(run[soaked] * max(1, len(points)) + index)
-        codes[soaked] = found
-        names = (f"run {runs[k // len(points)]}, {points[k % len(points)]:.10g} °C" for k in first)
-        return tuple(names), codes
 
     def select(self, chosen: ArrayLike) -> Measurements:
         """Some of the readings, by a mask or by indices.
