@@ -15,8 +15,7 @@ from bayescal._calibration.guards import conflicts
 from bayescal._calibration.posterior_tree import build_tree
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import calibration_text, summary
-from bayescal._core.formatting import WIDTH
-from bayescal._core.printed import Printed
+from bayescal._core.formatting import WIDTH, Printed
 from bayescal._model.model import in_short
 
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._channels.shared_shape import SharedShape
-from bayescal._core.formatting import number, probability, table, with_error
-from bayescal._core.printed import Printed
+from bayescal._core.formatting import Printed, number, probability, table, with_error
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._discovery.search_path import Trail
 from bayescal._readings.unit_conversion import unit_label
@@ -63,7 +62,7 @@ class Channels(Printed):
         return f"{', '.join(self.trails)}; effects {', '.join(self.effects) or 'none'}"
 
     def _columns(self) -> dict[str, list[Any]]:
-        """A row for each channel's last model: errors in its unit, the mean size of each effect in that of the effect."""
+        """A row for each channel's last model: errors in its unit, mean sizes of effects in theirs."""
         finals = [trail.final for trail in self.trails.values()]
         return {
             "channel": list(self.trails),

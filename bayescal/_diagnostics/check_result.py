@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._core.formatting import WIDTH, number, table
-from bayescal._core.printed import Printed
+from bayescal._core.formatting import WIDTH, Printed, number, table
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.noise_in_time import AllanCheck
 from bayescal._diagnostics.worst_region import Region

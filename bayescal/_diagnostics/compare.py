@@ -19,8 +19,7 @@ from scipy.optimize import minimize
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, number, table
-from bayescal._core.printed import Printed
+from bayescal._core.formatting import WIDTH, Printed, number, table
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut, leave_one_group_out
 from bayescal._inference.trust import K_HAT
 from bayescal._readings.unit_conversion import unit_label

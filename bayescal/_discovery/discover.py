@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._core.formatting import WIDTH, number, probability, table, with_error
-from bayescal._core.printed import Printed
+from bayescal._core.formatting import WIDTH, Printed, number, probability, table, with_error
 from bayescal._core.progress import stage
 from bayescal._discovery.candidate import Candidate, alike, judge, kind_of
 from bayescal._engine.linear_model import linear_model

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.guards import doubts_of_the_mode
-from bayescal._core.formatting import number, probability, table
-from bayescal._core.printed import Printed
+from bayescal._core.formatting import Printed, number, probability, table
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
 from bayescal._discovery.candidate import Candidate

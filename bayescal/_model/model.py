@@ -9,8 +9,7 @@ from typing import Any
 import equinox as eqx
 
 from bayescal._core.errors import ModelError
-from bayescal._core.formatting import number, table
-from bayescal._core.printed import Printed
+from bayescal._core.formatting import Printed, number, table
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument, slot_of

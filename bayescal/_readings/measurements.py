@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
-from bayescal._core.printed import Printed
+from bayescal._core.formatting import Printed
 from bayescal._readings.averaging import average
 from bayescal._readings.column import (
     ARRAYS,

@@ -24,7 +24,7 @@ MOST_ROOMS = 21
 
 # From the ground up. A module imports only what stands before it, wherever in the file the import stands.
 ROOMS = {
-    "_core": "version errors atomic_file formatting printed jax_setup progress parallel jit gaussian_algebra "
+    "_core": "version errors atomic_file formatting jax_setup progress parallel jit gaussian_algebra "
     "levenberg_marquardt null_space importance_weights",
     "_logs": "recorded px4_ulog ardupilot_bin ros_bag open_log",
     "_tables": "problems dates cells raw_table encoding csv_scan csv_reader binary_format parquet_netcdf spreadsheets "
