@@ -12,7 +12,7 @@ import xarray as xr
 
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.guards import conflicts
-from bayescal._calibration.posterior_tree import build_tree
+from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import calibration_text, summary
 from bayescal._core.formatting import WIDTH, Printed
@@ -70,6 +70,14 @@ class Calibration(Printed, Fitted):
         joint draws as plain vectors.
         """
         return build_tree(self)
+
+    def with_log_likelihood(self) -> xr.DataTree:
+        """A copy of `tree` with the group `log_likelihood`, (chain, draw, reading), for `arviz_stats.loo` and its like.
+
+        Made anew each time, since it is as large as draws times readings; above two million numbers draws are thinned,
+        and those of the other groups with them. Under correlated noise a reading's is given those before it in its run.
+        """
+        return with_log_likelihood(self.tree, self)
 
     def save(self, path: str | Path) -> Path:
         """Write to NetCDF, beside and then renamed. `bc.load` reads it back."""

@@ -190,7 +190,7 @@ def placeholders(values: np.ndarray) -> np.ndarray:
 
 
 def cells(
-    runs: Sequence[str], run: np.ndarray, point: np.ndarray | None
+    runs: Sequence[str], run: np.ndarray, point: ArrayLike | None
 ) -> tuple[tuple[str, ...], np.ndarray]:
     """Run × temperature point, in order of appearance, and each reading's index among them, −1 without a point.
 
@@ -202,6 +202,7 @@ def cells(
     codes = np.full(len(run), -1, dtype=np.int64)
     if point is None:
         return (), codes
+    point = np.asarray(point)
     soaked = np.flatnonzero(~np.isnan(point))
     points, index = np.unique(point[soaked], return_inverse=True)
     keys = run[soaked] * max(1, len(points)) + index

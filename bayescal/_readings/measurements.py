@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -152,6 +153,9 @@ class Measurements(Printed):
     def __contains__(self, name: object) -> bool:
         return name in self.data.data_vars
 
+    def __reduce__(self) -> Any:
+        return Measurements, (self.data, self.sources, self.flags, self.output)
+
     def __str__(self) -> str:
         return readings_text(self.file, {n: (self[n], self.unit(n)) for n in self.columns})
 
@@ -204,8 +208,7 @@ class Measurements(Printed):
         if name == "reading":
             return tuple(str(i + 1) for i in range(len(self))), np.arange(len(self))
         if name == "cell":
-            runs, run = self.groups("run")
-            return cells(runs, run, self[MAY_BE_EMPTY] if self.has(MAY_BE_EMPTY) else None)
+            return cells(*self.groups("run"), self.data.get(MAY_BE_EMPTY))
         if not self.has(name) and name in ("run", "device", "axis"):
             return ("1",), np.zeros(len(self), dtype=np.int64)
         if self.unit(name) is not None:
@@ -233,11 +236,9 @@ class Measurements(Printed):
         return replace(self, data=self.data.isel({ROW: index}))
 
     def with_column(self, name: str, values: ArrayLike, unit: str | None = None) -> Measurements:
-        """The same readings with one column replaced or added; unchecked.
+        """The same readings with one column replaced or added, one value a reading; unchecked.
 
         Args:
-            name: the column.
-            values: one per reading.
             unit: of a new column of numbers; a column that is there keeps its own.
 
         Raises:
@@ -282,12 +283,11 @@ def assemble(
 ) -> Measurements:
     """Measurements of checked columns, of one file or of several one after the other."""
     names, output = file_names([source.file for source in sources]), output_name(instrument)
-    where = row_namer(tables)
     if converted.origin is not None:
         began = date_text(converted.origin)
         converted.flags.append(f"{names}: time is in s since {began}, the first reading")
     values, units, repeated = converted.values, converted.units, repeated_rows(converted.values)
-    odd = flags_of(values, output, where, names, repeated, unchecked=converted.filled)
+    odd = flags_of(values, output, row_namer(tables), names, repeated, unchecked=converted.filled)
     kept, flags = once(values, repeated), [*converted.flags, *odd]
     variables = {n: _variable(v[kept], units[n]) for n, v in values.items()}
     return Measurements(xr.Dataset(variables), sources, tuple(flags), output)

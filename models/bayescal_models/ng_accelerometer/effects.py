@@ -156,10 +156,6 @@ def _constant(slot: str, source: str = SOURCE) -> bc.Effect:
     return effects.constant(slot, *BASELINE_SIZES[f"{slot}.constant"], source=source)
 
 
-def _line(slot: str) -> bc.Effect:
-    return effects.linear(slot, *BASELINE_SIZES[f"{slot}.temperature"], source=SOURCE)
-
-
 def _cells(name: str, parts: tuple[str, ...] = ("",)) -> bc.Effect:
     """A deviation of each cell whose spread is known to an order of magnitude or two."""
     size, unit = BASELINE_SIZES[name]
@@ -214,10 +210,10 @@ THERMOMETER = effects.thermometer(0.002, source="ours: 2 mK of an averaged tempe
 
 BASELINE = (
     _constant("bias"),
-    _line("bias"),
+    effects.linear("bias", *BASELINE_SIZES["bias.temperature"], source=SOURCE),
     _cells("bias.cell"),
     _constant("scale"),
-    _line("scale"),
+    effects.linear("scale", *BASELINE_SIZES["scale.temperature"], source=SOURCE),
     _cells("scale.cell"),
     _constant("fixture_tilt", "source 0: within 2′, taken as 95 %"),
     _cells("fixture_tilt.cell"),
