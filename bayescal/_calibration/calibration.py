@@ -11,7 +11,7 @@ from typing import Any
 import xarray as xr
 
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.guards import conflicts
+from bayescal._calibration.guards import conflicts, effects_off_scale
 from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import calibration_text, summary
@@ -38,8 +38,9 @@ class Calibration(Printed, Fitted):
     """
 
     def __str__(self) -> str:
-        against = (textwrap.fill(f"conflict: {words}", WIDTH) for words in self.conflicts)
-        return "\n".join([calibration_text(self), *against])
+        against = [f"conflict: {words}" for words in self.conflicts]
+        against += [f"unit? {words}" for words in self.off_scale]
+        return "\n".join([calibration_text(self), *(textwrap.fill(w, WIDTH) for w in against)])
 
     def _brief(self) -> str:
         verdict = "converged" if self.verdict.ok else "NOT converged"
@@ -61,6 +62,11 @@ class Calibration(Printed, Fitted):
     def conflicts(self) -> tuple[str, ...]:
         """Where readings and priors contradict each other, and what else a fit may not be, in words."""
         return tuple(conflicts(self))
+
+    @cached_property
+    def off_scale(self) -> tuple[str, ...]:
+        """Effects that at their plausible size are a million times smaller or larger than the noise, in words."""
+        return tuple(effects_off_scale(self))
 
     @cached_property
     def tree(self) -> xr.DataTree:

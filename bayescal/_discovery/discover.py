@@ -12,7 +12,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.formatting import WIDTH, Printed, number, probability, table, with_error
 from bayescal._core.progress import stage
-from bayescal._discovery.candidate import Candidate, alike, judge, kind_of
+from bayescal._discovery.candidate import Candidate, alike, judge, kind_of, too_small_or_large
 from bayescal._engine.linear_model import linear_model
 from bayescal._engine.record import Record
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck
@@ -58,6 +58,7 @@ class Discovery(Printed):
         best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
         noise: every noise law with its probability, the most probable first; empty where the readings cannot tell.
         stopped: why the search ended before its end; empty where it did not.
+        off_scale: candidates a million times smaller or larger than the noise at their plausible size, in words.
         departures: from the forms of the effects to add, where there are any; `best` holds them too.
         rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
             with those that come nearest; without a set, the leads.
@@ -71,6 +72,7 @@ class Discovery(Printed):
     departures: tuple[Departed, ...] = ()
     noise: tuple[LawProbability, ...] = ()
     stopped: str = ""
+    off_scale: tuple[str, ...] = ()
 
     @property
     def noise_wanders(self) -> float | None:
@@ -85,13 +87,9 @@ class Discovery(Printed):
 
     def _columns(self) -> dict[str, list[Any]]:
         """A row for each candidate, also for those that are not printed; sizes in `unit`."""
-        names = ("probability", "log_bayes_factor", "size", "size_sd", "unit", "minimum_detectable")
-        return {
-            "candidate": [c.effect for c in self.candidates],
-            **{name: [getattr(c, name) for c in self.candidates] for name in names},
-            "kind": [c.kind or "" for c in self.candidates],
-            "reason": [c.reason for c in self.candidates],
-        }
+        names = ("effect", "probability", "log_bayes_factor", "size", "size_sd", "unit")
+        names = (*names, "minimum_detectable", "kind", "reason")
+        return {name: [getattr(c, name) for c in self.candidates] for name in names}
 
 
 def discover(
@@ -195,6 +193,7 @@ def told(
         rivals=tuple(structures.candidates[n] for n in rivals),
         noise=tuple(_laws(structures, posterior)),
         stopped=stopped,
+        off_scale=too_small_or_large(library, points, here),
     )
 
 
@@ -234,8 +233,7 @@ def discovery_text(found: Discovery) -> str:
         shown = [n for n in found.noise if n.probability >= SHOWN]
         line = f"noise law (probability): {', '.join(map(str, shown))}"
         lines.append(textwrap.fill(line, WIDTH, subsequent_indent="  "))
-    if found.stopped:
-        lines.append(found.stopped)
+    lines += [found.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in found.off_scale)]
     quiet = (None, "not visible")  # an unknown dependence without evidence is not worth a line
     tested = [
         c

@@ -140,16 +140,18 @@ def test_arviz_does_leave_one_out_and_prior_sensitivity(found) -> None:
 
 
 def test_draws_of_a_tree_with_log_likelihood_are_thinned_together(found, monkeypatch) -> None:
-    count = found.joint.x.shape[0] * 100 * len(found.readings)
+    count = found.joint.x.shape[0] * 500 * len(found.readings)
     monkeypatch.setattr(type(found), "log_likelihood", partialmethod(Fitted.log_likelihood, count))
     tree = found.with_log_likelihood()
     kept = tree["log_likelihood"]["draw"].values
-    assert len(kept) <= 100
+    assert len(kept) <= 500
     for name in ("posterior", "log_prior"):
         np.testing.assert_array_equal(tree[name]["draw"], kept)
     whole = found.tree["posterior"]["bias.constant"].values
     np.testing.assert_array_equal(tree["posterior"]["bias.constant"], whole[:, kept])
-    assert loo(tree).elpd == pytest.approx(loo(found.with_log_likelihood()).elpd)  # pyright: ignore
+    thinned: Any = loo(tree)
+    every: Any = loo(found.with_log_likelihood())
+    assert thinned.elpd == pytest.approx(every.elpd, abs=every.se)
 
 
 @pytest.mark.parametrize(
