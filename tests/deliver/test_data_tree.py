@@ -161,7 +161,7 @@ def test_draws_of_a_tree_with_log_likelihood_are_thinned_together(found, monkeyp
 )
 def test_arviz_draws_it(found, tmp_path, draw) -> None:
     found.save(tmp_path / "kept.nc")
-    for calibration in (found, bc.load(tmp_path / "kept.nc")):
+    for calibration in (found, bc.load(tmp_path / "kept.nc", instruments=[INSTRUMENT])):
         draw(calibration.with_log_likelihood(), backend="none")
 
 
