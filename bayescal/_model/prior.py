@@ -36,12 +36,12 @@ def _static(cls: type[_T]) -> type[_T]:
     return jax.tree_util.register_static(dataclass(frozen=True)(cls))
 
 
-def in_full(module: Any) -> str:
+def in_full(self: Any) -> str:
     """The `repr` of a module by the values of its fields, those at their defaults left out: the same after pickling."""
-    said = {f.name: getattr(module, f.name) for f in fields(module) if f.repr}
-    plain = {f.name: f.default for f in fields(module)}
+    said = {f.name: getattr(self, f.name) for f in fields(self) if f.repr}
+    plain = {f.name: f.default for f in fields(self)}
     parts = (f"{name}={value!r}" for name, value in said.items() if value != plain[name])
-    return f"{type(module).__name__}({', '.join(parts)})"
+    return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def _of(v: Any) -> Any:

@@ -165,7 +165,7 @@ class Measurements(Printed):
 
     def to_pandas(self) -> pd.DataFrame:
         """The readings as a `pandas.DataFrame`, columns in their fixed units."""
-        return self.data.to_pandas()
+        return self.data.to_dataframe()
 
     def to_xarray(self) -> xr.Dataset:
         """The readings as an `xarray.Dataset`; each column of numbers says its `units`."""

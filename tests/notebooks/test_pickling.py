@@ -94,7 +94,9 @@ def test_results_of_a_search(calibration) -> None:
     trail = bc.calibrate(GYRO.baseline(), readings, method=QUICK, max_effects=1)
     assert str(again(trail)) == str(trail)
     assert str(again(trail.final.check)) == str(trail.final.check)
-    assert again(trail.steps[0].discovery).best == trail.steps[0].discovery.best
+    discovery = trail.steps[0].discovery
+    assert discovery is not None
+    assert again(discovery).best == discovery.best
 
 
 def own(basis, **more) -> bc.Effect:
