@@ -6,19 +6,21 @@ import textwrap
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.guards import conflicts
-from bayescal._calibration.posterior_tree import build_tree
+from bayescal._calibration.guards import conflicts, effects_off_scale
+from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
-from bayescal._calibration.summary import calibration_text
-from bayescal._core.formatting import WIDTH
+from bayescal._calibration.summary import calibration_text, summary
+from bayescal._core.formatting import WIDTH, Printed
+from bayescal._model.model import in_short
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration(Fitted):
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Printed, Fitted):
     """The result of a fit.
 
     Attributes:
@@ -36,13 +38,35 @@ class Calibration(Fitted):
     """
 
     def __str__(self) -> str:
-        against = (textwrap.fill(f"conflict: {words}", WIDTH) for words in self.conflicts)
-        return "\n".join([calibration_text(self), *against])
+        against = [f"conflict: {words}" for words in self.conflicts]
+        against += [f"unit? {words}" for words in self.off_scale]
+        return "\n".join([calibration_text(self), *(textwrap.fill(w, WIDTH) for w in against)])
+
+    def _brief(self) -> str:
+        verdict = "converged" if self.verdict.ok else "NOT converged"
+        return f"{verdict}, {len(self.readings)} readings of {self.readings.file}, {in_short(self.model)}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each unknown, in its own unit; `low` and `high` bound the 95 % credible interval."""
+        coefficients, spreads = summary(self)
+        rows = [*coefficients, *spreads]
+        return {
+            "unknown": [r["name"] for r in rows],
+            **{name: [r[name] for r in rows] for name in ("effect", "unit", "mean", "sd")},
+            "low": [r["interval95"][0] for r in rows],
+            "high": [r["interval95"][1] for r in rows],
+            "contraction": [r["contraction"] for r in rows],
+        }
 
     @cached_property
     def conflicts(self) -> tuple[str, ...]:
         """Where readings and priors contradict each other, and what else a fit may not be, in words."""
         return tuple(conflicts(self))
+
+    @cached_property
+    def off_scale(self) -> tuple[str, ...]:
+        """Effects that at their plausible size are a million times smaller or larger than the noise, in words."""
+        return tuple(effects_off_scale(self))
 
     @cached_property
     def tree(self) -> xr.DataTree:
@@ -52,6 +76,14 @@ class Calibration(Fitted):
         joint draws as plain vectors.
         """
         return build_tree(self)
+
+    def with_log_likelihood(self) -> xr.DataTree:
+        """A copy of `tree` with the group `log_likelihood`, (chain, draw, reading), for `arviz_stats.loo` and its like.
+
+        Made anew each time, since it is as large as draws times readings; above two million numbers draws are thinned,
+        and those of the other groups with them. Under correlated noise a reading's is given those before it in its run.
+        """
+        return with_log_likelihood(self.tree, self)
 
     def save(self, path: str | Path) -> Path:
         """Write to NetCDF, beside and then renamed. `bc.load` reads it back."""

@@ -1,8 +1,12 @@
-"""The evidence of another model on a calibration's readings."""
+"""How probable a calibration's readings are: under another model, and each one left out."""
 
 from __future__ import annotations
 
+import warnings
+from typing import Any
+
 import numpy as np
+import xarray as xr
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._engine.assembly import Assembly
@@ -29,3 +33,21 @@ def laplace_evidence(model: Model, calibration: Calibration) -> float:
         assembly = Assembly(layout, Record(model.instrument, frame, y))
         return float(find_mode(assembly).log_evidence)
     return float(compiled_mode(layout, frame, y).log_evidence)
+
+
+def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
+    """Expected log predictive density of each reading left out, by PSIS, and the largest Pareto k."""
+    import arviz_stats  # a second that only a comparison needs
+
+    tree = xr.DataTree.from_dict(
+        {
+            "log_likelihood": calibration.log_likelihood(),
+            "posterior": calibration.posterior,
+        }
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", UserWarning
+        )  # high Pareto k: said in our own words, by model
+        found: Any = arviz_stats.loo(tree, pointwise=True)  # pyright: ignore[reportPrivateImportUsage]
+    return np.asarray(found.elpd_i).ravel(), float(np.max(np.asarray(found.pareto_k)))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -43,6 +44,10 @@ class Fitted:
     layout: Layout
     mode: Mode
     log_evidence: tuple[float, float | None] | None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields, as pickle writes them; what is computed from them is computed again."""
+        return {f.name: getattr(self, f.name) for f in fields(Fitted)}
 
     @cached_property
     def posterior(self) -> xr.Dataset:

@@ -17,11 +17,16 @@ from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import find_mode, in_numpy, prior_draws
 from bayescal._engine.record import Record
 from bayescal._model.correlated_noise import CORRELATION_TIME
+from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._readings.unit_conversion import same_dimension, unit_label
 
 CONFLICT = 4.0  # prior standard deviations from the prior's mean, beyond which readings and prior contradict each other
+OFF_SCALE = (
+    1e-6,
+    1e6,
+)  # of the noise: what contributes less or more at a plausible size is in a wrong unit
 FREE = 1e3  # times a plausible size, which is none any more
 MOST = 2  # coefficients of an effect; more of them stand for a function
 SIZES = 10.0  # times a candidate's plausible size, which is known to an order of magnitude only
@@ -53,6 +58,39 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
                 f"{row['contraction']:.1f}): the fit has lost its way."
             )
     return [*found, *_too_large(calibration, spreads), *_beyond_the_known(calibration, accepted)]
+
+
+def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> list[str]:
+    """What to look at where an effect at its plausible size is far too small or large for these readings.
+
+    Args:
+        effect: with a fixed plausible size and a basis of columns; nothing is said of others.
+        contribution: prior size times basis, the largest over the readings, in `unit`.
+        noise: standard deviation, likewise.
+    """
+    first = effect.coefficients[0]
+    if not effect.columns or effect.is_placeholder or first.spread is not None or first.flat:
+        return []
+    if contribution == 0 or noise == 0 or OFF_SCALE[0] <= contribution / noise <= OFF_SCALE[1]:
+        return []
+    shown = f"{number(contribution)} {unit_label(unit)}"
+    return [
+        f"{effect.name} contributes at most {shown} at its plausible size, where the noise is {number(noise)} "
+        f"{unit_label(unit)}: check the unit of its basis, which gets columns in fixed units, ratios as plain numbers "
+        f"(45 % is 0.45), and its prior, in {first.unit}."
+    ]
+
+
+def effects_off_scale(calibration: Fitted) -> list[str]:
+    """`off_scale` of the effects of a fitted model."""
+    line, found = calibration.linear, []
+    noise = math.sqrt(float(np.median(line.variance)))
+    for effect in calibration.model.effects:
+        own = [i for i in range(calibration.layout.size) if line.owners[i] == effect.name]
+        if own:
+            most = float(np.max(np.abs(line.nuisance[:, own])))
+            found += off_scale(effect, most, noise, calibration.unit)
+    return found
 
 
 def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:

@@ -49,9 +49,29 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
         "draws": vectors,
     }
     prior = _prior_draws(c)
+    groups = {name: _numbered(group, draws.x.shape[1]) for name, group in groups.items()}
     if prior is not None:
-        groups["prior"] = named(layout, levels, *prior)
+        groups["prior"] = _numbered(named(layout, levels, *prior), PRIOR_DRAWS)
     return xr.DataTree.from_dict(groups)
+
+
+def with_log_likelihood(tree: xr.DataTree, calibration: Fitted) -> xr.DataTree:
+    """A copy of a calibration's tree with the group `log_likelihood`, all groups of the posterior thinned alike."""
+    count = calibration.joint.x.shape[1]
+    density = _numbered(calibration.log_likelihood(), count)
+    groups = {name: child.to_dataset() for name, child in tree.children.items()}
+    for name, group in groups.items():
+        if name != "prior" and group.sizes.get("draw") == count:
+            groups[name] = group.isel(draw=density["draw"].values)
+    return xr.DataTree.from_dict({**groups, "log_likelihood": density})
+
+
+def _numbered(group: xr.Dataset, count: int) -> xr.Dataset:
+    """Chains and draws by number, which ArviZ's pictures count on; thinned draws by theirs among all `count`."""
+    if "draw" not in group.sizes:
+        return group
+    chains, size = group.sizes["chain"], group.sizes["draw"]
+    return group.assign_coords(chain=np.arange(chains), draw=-(-count // size) * np.arange(size))
 
 
 def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Dataset:

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from bayescal._calibration.calibration import Calibration
 from bayescal._channels.shared_shape import SharedShape
-from bayescal._core.formatting import number, probability, table, with_error
+from bayescal._core.formatting import Printed, number, probability, table, with_error
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._discovery.search_path import Trail
 from bayescal._readings.unit_conversion import unit_label
 
 
-@dataclass(frozen=True)
-class Channels:
+@dataclass(frozen=True, repr=False)
+class Channels(Printed):
     """What `calibrate_channels` gives.
 
     Attributes:
@@ -58,6 +59,23 @@ class Channels:
         ]
         return "\n".join(parts)
 
+    def _brief(self) -> str:
+        return f"{', '.join(self.trails)}; effects {', '.join(self.effects) or 'none'}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each channel's last model: errors in its unit, mean sizes of effects in theirs."""
+        finals = [trail.final for trail in self.trails.values()]
+        return {
+            "channel": list(self.trails),
+            "unit": [s.calibration.unit for s in finals],
+            "error of the first model": [t.steps[0].rmse for t in self.trails.values()],
+            "error of the last": [s.rmse for s in finals],
+            "held out": [s.holdout_rmse for s in finals],
+            "noise floor": [s.noise_floor for s in finals],
+            **{e: [_size(s.calibration, e)[0] for s in finals] for e in self.effects},
+            "noise": [s.calibration.model.noise.law for s in finals],
+        }
+
     def _errors(self) -> list[list[str]]:
         trails = self.trails.values()
         rows = [
@@ -75,14 +93,8 @@ class Channels:
     def _effect(self, name: str) -> list[str]:
         cells = []
         for trail in self.trails.values():
-            calibration = trail.final.calibration
-            if name not in calibration.model.names:
-                cells.append("–")
-                continue
-            effect = calibration.model.effect(name)
-            size = f"{name}.{effect.measure}" if effect.measure else effect.coefficient_name(0)
-            draws = calibration.samples(size)
-            cells.append(with_error(float(draws.mean()), float(draws.std())))
+            mean, sd = _size(trail.final.calibration, name)
+            cells.append("–" if mean is None else with_error(mean, sd))
         return [name, *cells]
 
     def _noise(self) -> list[str]:
@@ -92,6 +104,16 @@ class Channels:
 def _early(trail: Trail) -> bool:
     """Whether a search ended before its end; one that could not begin is not to be trusted, which is said."""
     return trail.search is not None and not trail.search.complete
+
+
+def _size(calibration: Calibration, name: str) -> tuple[float | None, float]:
+    """Of an effect, and its uncertainty; None where the channel's model lacks it."""
+    if name not in calibration.model.names:
+        return None, 0.0
+    effect = calibration.model.effect(name)
+    size = f"{name}.{effect.measure}" if effect.measure else effect.coefficient_name(0)
+    draws = calibration.samples(size)
+    return float(draws.mean()), float(draws.std())
 
 
 def _shared_text(s: SharedShape) -> str:

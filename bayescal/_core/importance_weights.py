@@ -1,9 +1,10 @@
-"""Importance weights of draws: Pareto smoothing, effective sample size, resampling."""
+"""Weights: of draws, Pareto smoothing, effective sample size, resampling; of models, stacking."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.optimize import minimize
 
 ALIKE = 0.01  # scatter of corrections, from which the posterior is the same without
 TRIED = 50  # draws' worth from which this is known
@@ -62,3 +63,23 @@ class Corrections:
             self.mean = float(weight @ self.corrections)
             scatter = np.sqrt(float(weight @ (self.corrections - self.mean) ** 2))
             self.alike = bool(scatter < ALIKE)
+
+
+def stacking(log_densities: np.ndarray) -> np.ndarray:
+    """Weights on models (m,) that maximise the log score of their mixture, from (n, m) log densities.
+
+    Source: Yao et al., Bayesian Analysis 13 (2018) 917.
+    """
+    count = log_densities.shape[1]
+    density = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))
+
+    def loss(free: np.ndarray) -> tuple[float, np.ndarray]:
+        weight = np.exp(free - free.max())
+        weight /= weight.sum()
+        mixed = density @ weight
+        slope = (density / mixed[:, None]).sum(axis=0)
+        return -float(np.log(mixed).sum()), -weight * (slope - slope @ weight)
+
+    found = minimize(loss, np.zeros(count), jac=True, method="BFGS")
+    weight = np.exp(found.x - found.x.max())
+    return weight / weight.sum()

@@ -1,4 +1,4 @@
-"""Compiled functions: quickly compiled where the data are few, well optimised where they are many.
+"""Functions: compiled quickly where the data are few, well optimised where they are many; found again by value.
 
 Most structures of a model are fitted a few times to some hundred readings, and compiling takes a hundred times as
 long as computing. Without XLA's fusion emitters compiling takes half the time and computing no longer; without the
@@ -7,8 +7,10 @@ optimisations of its last stage too, a fifth, and computing at most three times 
 
 from __future__ import annotations
 
+import pickle
+import sys
 from collections.abc import Callable
-from functools import cache, cached_property, update_wrapper
+from functools import cache, cached_property, partial, update_wrapper
 from typing import Any, Generic, ParamSpec, TypeVar
 
 import equinox as eqx
@@ -68,3 +70,51 @@ def _knows(name: str, value: Any) -> bool:
     except jax.errors.JaxRuntimeError:
         return False
     return True
+
+
+class given(partial):
+    """`functools.partial` that compares by value: made twice, or unpickled, it finds the same compiled programs."""
+
+    def _key(self) -> tuple[Any, ...]:
+        return self.func, self.args, tuple(sorted(self.keywords.items()))
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, given) and self._key() == other._key())
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+
+def by_value(function: Any) -> Any:
+    """A partial as `given`, where its arguments allow; any other function as it is."""
+    if type(function) is not partial:
+        return function
+    made = given(function.func, *function.args, **function.keywords)
+    return made if _hashable(made) else function
+
+
+def _hashable(value: Any) -> bool:
+    try:
+        hash(value)
+    except TypeError:  # an array among its arguments
+        return False
+    return True
+
+
+def importable(function: Any) -> bool:
+    """Whether another process can find a function by its module and name, as pickle does; a lambda it cannot."""
+    try:
+        pickle.dumps(function)
+    except Exception:  # pickle raises AttributeError, PicklingError and TypeError
+        return False
+    return True
+
+
+def written_by_value() -> bool:
+    """Whether what pickles writes functions themselves, as cloudpickle (joblib, Dask) does, and needs no names."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        if "cloudpickle" in frame.f_globals.get("__name__", ""):
+            return True
+        frame = frame.f_back
+    return False

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from bayescal._core.formatting import WIDTH, number, table
+from bayescal._core.formatting import WIDTH, Printed, number, table
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.noise_in_time import AllanCheck
 from bayescal._diagnostics.worst_region import Region
@@ -63,8 +64,8 @@ class FixedComparison:
         return self.rms > 2 * self.noise
 
 
-@dataclass(frozen=True)
-class Check:
+@dataclass(frozen=True, repr=False)
+class Check(Printed):
     """Where a model fails.
 
     Attributes:
@@ -99,6 +100,28 @@ class Check:
 
     def __str__(self) -> str:
         return check_text(self)
+
+    def _brief(self) -> str:
+        unit = unit_label(self.unit)
+        most = max(self.entries, key=lambda e: e.log_bayes_factor, default=None)
+        worst = (
+            most and f"; most against {most.against}, log Bayes factor {most.log_bayes_factor:z.1f}"
+        )
+        return f"residuals {self.rms:.3g} {unit} rms, noise {self.noise:.3g} {unit}{worst or ''}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each covariate or group; sizes in the output's unit, places in the covariate's."""
+        worst = [e.worst for e in self.entries]
+        return {
+            "residuals against": [e.against for e in self.entries],
+            "log Bayes factor": [e.log_bayes_factor for e in self.entries],
+            "worst mean": [w.size for w in worst],
+            "z": [w.z for w in worst],
+            "from": [w.low for w in worst],
+            "to": [w.high for w in worst],
+            "group": [w.group or "" for w in worst],
+            "unit": [self.unit for _ in worst],
+        }
 
 
 def check_text(check: Check) -> str:

@@ -7,23 +7,27 @@ Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao e
 from __future__ import annotations
 
 import textwrap
-import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import xarray as xr
-from scipy.optimize import minimize
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.evidence import pointwise_loo
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, number, table
+from bayescal._core.formatting import WIDTH, Printed, number, table
+from bayescal._core.importance_weights import stacking
+from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut, leave_one_group_out
 from bayescal._inference.trust import K_HAT
 from bayescal._readings.unit_conversion import unit_label
 
+FEWEST_GROUPS = (
+    10  # that a standard error over groups needs: over three it is itself uncertain by half
+)
+BY_GROUPS, BY_EVIDENCE, BY_READINGS = "left-out groups", "log evidence", "pointwise leave-one-out"
 SAME_CURVE = (
     0.15  # largest difference, in noise standard deviations, of curves that count as the same
 )
@@ -35,10 +39,10 @@ class Row:
 
     Attributes:
         name: given by the user.
-        effects: canonical names.
+        effects: canonical names, with commas between.
         rmse: of the readings with group deviations at zero, output unit.
         group_score: sum of the joint log predictive densities of left-out groups.
-        group_difference, group_error: to the best, and its standard error over groups.
+        group_difference, group_error: to the best, and its standard error over groups; None over fewer than ten.
         group_rmse: of readings predicted from the other groups, output unit.
         loo: expected log pointwise predictive density by PSIS-LOO; its difference and error; worst Pareto k.
         log_evidence: None where a prior is flat.
@@ -46,7 +50,7 @@ class Row:
     """
 
     name: str
-    effects: tuple[str, ...]
+    effects: str
     rmse: float
     group_score: float | None
     group_difference: float | None
@@ -60,15 +64,15 @@ class Row:
     weight: float
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Printed):
     """Models side by side, the best first.
 
     Attributes:
         rows: one each.
         group: what was left out, and of how many.
         groups: number of groups.
-        chosen_by: "left-out groups" or "pointwise leave-one-out".
+        chosen_by: what ranks them: "left-out groups", "log evidence" or "pointwise leave-one-out".
         warnings: what the reader must know, each a sentence.
     """
 
@@ -82,11 +86,18 @@ class Comparison:
     def __str__(self) -> str:
         return comparison_text(self)
 
+    def _brief(self) -> str:
+        return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each model, with the fields of `Row`; errors in the output's unit."""
+        return {f.name: [getattr(r, f.name) for r in self.rows] for f in fields(Row)}
+
 
 def comparison_text(found: Comparison) -> str:
     """Models side by side, the best first."""
     unit = unit_label(found.unit)
-    grouped = found.chosen_by == "left-out groups"
+    grouped = found.chosen_by != BY_READINGS
     head = ["model", f"rmse [{unit}]"]
     head += [f"left-out {found.group}", "score", "difference"] if grouped else []
     head += ["LOO", "difference", "log evidence", "weight"]
@@ -99,26 +110,31 @@ def comparison_text(found: Comparison) -> str:
         evidence = "null" if r.log_evidence is None else f"{r.log_evidence:.1f}"
         loo = _gap(r.loo_difference, r.loo_error)
         rows.append([*cells, f"{r.loo:.1f}", loo, evidence, f"{r.weight:.2f}"])
-    count = f" ({found.groups} of them)" if grouped else ""
-    lines = [table(head, rows), f"chosen by {found.chosen_by}{count}"]
+    count = f" ({found.groups} of them)" if found.chosen_by == BY_GROUPS else ""
+    lines = [table(head, rows), f"the best first, by {found.chosen_by}{count}"]
     return "\n".join([*lines, *(textwrap.fill(w, WIDTH) for w in found.warnings)])
 
 
 def _gap(value: float | None, error: float | None) -> str:
-    if value is None or error is None or (value == 0 and error == 0):
-        return "0" if value == 0 else "–"
-    return f"{value:.1f} ± {error:.1f}"
+    if value is None or value == 0:
+        return "–" if value is None else "0"
+    return f"{value:.1f}" if error is None else f"{value:.1f} ± {error:.1f}"
 
 
-def compare(calibrations: Mapping[str, Calibration]) -> Comparison:
+def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> Comparison:
     """Set fitted models side by side.
 
+    The best comes first: by the log scores of left-out groups where there are ten groups or more; by log evidence where
+    there are fewer, whose scatter says nothing; by pointwise leave-one-out where the noise is not Gaussian.
+
     Args:
-        calibrations: name → fit, of the same readings.
+        calibrations: name → fit, of the same readings; or the fits, named after what each adds to what all share.
 
     Raises:
         InputError: fewer than two, or fits of different readings.
     """
+    if not isinstance(calibrations, Mapping):
+        calibrations = _named(calibrations)
     names = list(calibrations)
     _refuse_different_readings(calibrations)
     loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
@@ -133,18 +149,20 @@ def compare(calibrations: Mapping[str, Calibration]) -> Comparison:
         _row(name, calibrations[name], loo[name], best_loo, folds[name], best_fold, float(weight))
         for name, weight in zip(names, weights, strict=True)
     ]
-    rows.sort(key=lambda r: -(r.group_score if grouped and r.group_score is not None else r.loo))
+    few = grouped and fold is not None and fold.count < FEWEST_GROUPS
+    by = BY_GROUPS if grouped else BY_READINGS
+    if few and all(r.log_evidence is not None for r in rows):
+        by = BY_EVIDENCE
+    measured = {BY_GROUPS: "group_score", BY_EVIDENCE: "log_evidence", BY_READINGS: "loo"}[by]
+    rows.sort(key=lambda r: -getattr(r, measured))
     first = calibrations[names[0]]
     return Comparison(
         rows=tuple(rows),
         group=fold.group if fold else "reading",
         groups=fold.count if fold else len(first.readings),
         unit=first.unit,
-        chosen_by="left-out groups" if grouped else "pointwise leave-one-out",
-        warnings=(
-            *_warnings(rows, fold.count if fold else 0, grouped),
-            *_alike(calibrations),
-        ),
+        chosen_by=by,
+        warnings=(*_warnings(rows, by, fold), *_alike(calibrations)),
     )
 
 
@@ -177,11 +195,11 @@ def _row(
     gap = fold.log_score - best_fold.log_score if fold and best_fold else None
     return Row(
         name=name,
-        effects=calibration.model.names,
+        effects=", ".join(calibration.model.names),
         rmse=predict(calibration).rmse,
         group_score=float(fold.log_score.sum()) if fold else None,
         group_difference=None if gap is None else float(gap.sum()),
-        group_error=None if gap is None else _error(gap),
+        group_error=None if gap is None or len(gap) < FEWEST_GROUPS else _error(gap),
         group_rmse=fold.rmse if fold else None,
         loo=float(points.sum()),
         loo_difference=float((points - best_loo).sum()),
@@ -201,54 +219,21 @@ def _error(differences: np.ndarray) -> float:
     )
 
 
-def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
-    """Expected log predictive density of each reading left out, by PSIS, and the largest Pareto k."""
-    import arviz_stats  # a second that only a comparison needs
-
-    tree = xr.DataTree.from_dict(
-        {
-            "log_likelihood": calibration.log_likelihood(),
-            "posterior": calibration.posterior,
-        }
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", UserWarning
-        )  # high Pareto k: said in our own words, by model
-        found: Any = arviz_stats.loo(tree, pointwise=True)  # pyright: ignore[reportPrivateImportUsage]
-    return np.asarray(found.elpd_i).ravel(), float(np.max(np.asarray(found.pareto_k)))
-
-
-def stacking(log_densities: np.ndarray) -> np.ndarray:
-    """Weights on models (m,) that maximise the log score of their mixture, from (n, m) log densities."""
-    count = log_densities.shape[1]
-    density = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))
-
-    def loss(free: np.ndarray) -> tuple[float, np.ndarray]:
-        weight = np.exp(free - free.max())
-        weight /= weight.sum()
-        mixed = density @ weight
-        slope = (density / mixed[:, None]).sum(axis=0)
-        return -float(np.log(mixed).sum()), -weight * (slope - slope @ weight)
-
-    found = minimize(loss, np.zeros(count), jac=True, method="BFGS")
-    weight = np.exp(found.x - found.x.max())
-    return weight / weight.sum()
-
-
-def _warnings(rows: list[Row], groups: int, grouped: bool) -> list[str]:
-    said = []
-    if grouped and len(rows) > 1:
-        second = rows[1]
-        gap, error = second.group_difference, second.group_error
-        if gap is not None and error is not None and abs(gap) < 2 * error:
+def _warnings(rows: list[Row], by: str, fold: LeaveOneGroupOut | None) -> list[str]:
+    said, (best, second) = [], rows[:2]
+    names = f"{best.name!r} and {second.name!r}"
+    if fold and fold.count < FEWEST_GROUPS:
+        said.append(
+            f"Only {fold.count} groups ({fold.group}) to leave out: a standard error over so few says nothing, "
+            "and none is given."
+        )
+    if by == BY_EVIDENCE:
+        said += _by_evidence(rows)
+    elif by == BY_GROUPS and second.group_difference is not None and second.group_error:
+        gap, error = -second.group_difference, second.group_error
+        if gap < 2 * error:
             said.append(
-                f"{rows[0].name!r} and {second.name!r} differ by {abs(gap):.1f} ± {error:.1f} in left-out "
-                "score: these readings do not tell them apart."
-            )
-        if groups < 10:
-            said.append(
-                f"Only {groups} groups: the error over groups is itself uncertain; no test is made."
+                f"{names} differ by {gap:.1f} ± {error:.1f} in left-out score: it does not tell them apart."
             )
     for row in rows:
         if row.pareto_k > K_HAT:
@@ -257,6 +242,32 @@ def _warnings(rows: list[Row], groups: int, grouped: bool) -> list[str]:
                 "reliable."
             )
     return said
+
+
+def _by_evidence(rows: list[Row]) -> list[str]:
+    """Whether the evidence tells the first two apart, and where left-out groups would choose another first."""
+    best, second = rows[:2]
+    said, gap = [], (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
+    if gap < STRONG:
+        said.append(
+            f"{best.name!r} and {second.name!r} differ by {gap:.1f} in log evidence: it does not tell them apart."
+        )
+    other = max(rows, key=lambda r: r.group_score or -np.inf)
+    if other is not best:
+        said.append(f"By left-out groups {other.name!r} would come first.")
+    return said
+
+
+def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
+    """Fits by what each adds to the effects that all share; "model 1" … where that is nothing, or the same."""
+    shared = (
+        set.intersection(*(set(c.model.names) for c in calibrations)) if calibrations else set()
+    )
+    named: dict[str, Calibration] = {}
+    for i, c in enumerate(calibrations, start=1):
+        name = " ".join(f"+ {n}" for n in c.model.names if n not in shared)
+        named[name if name and name not in named else f"model {i}"] = c
+    return named
 
 
 def _alike(calibrations: Mapping[str, Calibration]) -> list[str]:
@@ -278,6 +289,6 @@ def _alike(calibrations: Mapping[str, Calibration]) -> list[str]:
             unit = calibrations[name].unit
             said.append(
                 f"{', '.join(map(repr, [name, *same]))} are the same curve to within "
-                f"{max(gaps[n] for n in same):.2g} {unit} (noise {noise:.2g}): these readings cannot tell them apart."
+                f"{max(gaps[n] for n in same):.2g} {unit} (noise {noise:.2g}): corrections by them are the same."
             )
     return said

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
+from bayescal._calibration.guards import off_scale
 from bayescal._engine.closed_form import Density
+from bayescal._engine.linear_model import linear_model
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._search.library import Library
 from bayescal._search.posterior import FOUND
@@ -94,6 +96,21 @@ def judge(
         return replace(found, **_by_refit(effect, with_it))
     mean, variance = _size(library, points)
     return replace(found, size=mean, size_sd=math.sqrt(variance))
+
+
+def too_small_or_large(
+    library: Library, points: Mapping[str, Sequence[Scored]], at: Weighed
+) -> tuple[str, ...]:
+    """Candidates that at their plausible size are far off the scale of these readings, in words."""
+    line, base, found = linear_model(at.assembly, at.mode), library.structures.base, []
+    noise = math.sqrt(float(np.median(line.variance)))
+    for name, (top, *_) in points.items():
+        effect = library.structures.candidates[name]
+        most = (
+            float(np.max(np.abs(top.columns[:, 0]))) * effect.coefficients[0].size
+        )  # of the noise
+        found += off_scale(effect, most * noise, noise, base.instrument.unit)
+    return tuple(found)
 
 
 def _by_refit(effect, with_it: Weighed) -> dict:

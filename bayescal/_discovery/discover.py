@@ -5,13 +5,14 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._core.formatting import WIDTH, number, probability, table, with_error
+from bayescal._core.formatting import WIDTH, Printed, number, probability, table, with_error
 from bayescal._core.progress import stage
-from bayescal._discovery.candidate import Candidate, alike, judge, kind_of
+from bayescal._discovery.candidate import Candidate, alike, judge, kind_of, too_small_or_large
 from bayescal._engine.linear_model import amplitudes, linear_model, sized
 from bayescal._engine.record import Record
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck
@@ -46,8 +47,8 @@ class LawProbability:
         return f"{self.in_words} {probability(self.probability)}"
 
 
-@dataclass(frozen=True)
-class Discovery:
+@dataclass(frozen=True, repr=False)
+class Discovery(Printed):
     """The answer to "which effect is missing?".
 
     Attributes:
@@ -57,6 +58,7 @@ class Discovery:
         best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
         noise: every noise law with its probability, the most probable first; empty where the readings cannot tell.
         stopped: why the search ended before its end; empty where it did not.
+        off_scale: candidates a million times smaller or larger than the noise at their plausible size, in words.
         departures: from the forms of the effects to add, where there are any; `best` holds them too.
         rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
             with those that come nearest; without a set, the leads.
@@ -70,6 +72,7 @@ class Discovery:
     departures: tuple[Departed, ...] = ()
     noise: tuple[LawProbability, ...] = ()
     stopped: str = ""
+    off_scale: tuple[str, ...] = ()
 
     @property
     def noise_wanders(self) -> float | None:
@@ -78,6 +81,15 @@ class Discovery:
 
     def __str__(self) -> str:
         return discovery_text(self)
+
+    def _brief(self) -> str:
+        return "; ".join(_findings(self))
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each candidate, also for those that are not printed; sizes in `unit`."""
+        names = ("effect", "probability", "log_bayes_factor", "size", "size_sd", "unit")
+        names = (*names, "minimum_detectable", "kind", "reason")
+        return {name: [getattr(c, name) for c in self.candidates] for name in names}
 
 
 def discover(
@@ -185,6 +197,7 @@ def told(
         rivals=tuple(structures.candidates[n] for n in rivals),
         noise=tuple(_laws(structures, posterior)),
         stopped=stopped,
+        off_scale=too_small_or_large(library, points, here),
     )
 
 
@@ -219,18 +232,12 @@ def _plausible(effect: Effect) -> float:
 
 def discovery_text(found: Discovery) -> str:
     """What is missing, and every candidate, the most probable first."""
-    lines = [f"nothing is missing: probability {probability(found.nothing_missing)}"]
-    for s in found.sets:
-        names = " or ".join(s.effects)
-        tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
-        lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
-    lines += map(str, found.departures)
+    lines = [*_findings(found), *map(str, found.departures)]
     if found.noise:
         shown = [n for n in found.noise if n.probability >= SHOWN]
         line = f"noise law (probability): {', '.join(map(str, shown))}"
         lines.append(textwrap.fill(line, WIDTH, subsequent_indent="  "))
-    if found.stopped:
-        lines.append(found.stopped)
+    lines += [found.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in found.off_scale)]
     quiet = (None, "not visible")  # an unknown dependence without evidence is not worth a line
     tested = [
         c
@@ -243,6 +250,15 @@ def discovery_text(found: Discovery) -> str:
         lines.append("* log Bayes factor by refit; the others by score")
     lines += _alike(found) + _not_testable(found)
     return "\n".join(line for line in lines if line)
+
+
+def _findings(found: Discovery) -> list[str]:
+    lines = [f"nothing is missing: probability {probability(found.nothing_missing)}"]
+    for s in found.sets:
+        names = " or ".join(s.effects)
+        tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
+        lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
+    return lines
 
 
 def _candidate_row(c: Candidate) -> list[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.guards import doubts_of_the_mode
-from bayescal._core.formatting import number, probability, table
+from bayescal._core.formatting import Printed, number, probability, table
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
 from bayescal._discovery.candidate import Candidate
@@ -90,8 +90,8 @@ class Gate:
     reason: str
 
 
-@dataclass(frozen=True)
-class Trail:
+@dataclass(frozen=True, repr=False)
+class Trail(Printed):
     """The sequence of models from the first to the chosen one, and whether to trust the last.
 
     Attributes:
@@ -136,6 +136,29 @@ class Trail:
 
     def __str__(self) -> str:
         return trail_text(self)
+
+    def _brief(self) -> str:
+        unit = unit_label(self.final.calibration.unit)
+        errors = f"error {number(self.steps[0].rmse)} → {number(self.final.rmse)} {unit}"
+        return f"{', '.join(s.title for s in self.steps)}; {errors}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each step; errors in the output's unit, rms."""
+        steps = self.steps
+        evidence = [s.calibration.log_evidence for s in steps]
+        return {
+            "step": [s.title for s in steps],
+            "as fitted": [s.rmse_fitted for s in steps],
+            "new run": [s.rmse for s in steps],
+            "left-out": [s.left_out.rmse if s.left_out else None for s in steps],
+            "held-out": [s.holdout_rmse for s in steps],
+            "floor": [s.noise_floor for s in steps],
+            "unit": [s.calibration.unit for s in steps],
+            "log evidence": [e[0] if e else None for e in evidence],
+            "nothing missing": [
+                s.discovery.nothing_missing if s.discovery else None for s in steps
+            ],
+        }
 
 
 def trail_text(trail: Trail) -> str:

@@ -123,7 +123,7 @@ class _Density:
         total = _sum(found.log_marginal, prior)
         # Where polynomials end or have lost their definiteness, φ that may count are computed.
         outside = products.outside(hyper, v) & (total > self.highest - FAR)
-        anew = outside | ((total <= NOWHERE) & ~products.exact)
+        anew = outside | ((total <= NOWHERE) & (not products.exact))
         if np.any(anew):
             (pick,) = np.nonzero(anew)
             exact = conditionals(products.directly(v[pick]), args[0], sd[pick], *args[2:])

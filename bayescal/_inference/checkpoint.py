@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import CodeType
@@ -275,11 +276,14 @@ def _digest(parts: list[str]) -> str:
 
 def _code_of(function: Any, depth: int = 0) -> str:
     """What a function does, as text: its code, constants, defaults and what it closes over."""
+    bound: tuple[Any, ...] = ()
+    if isinstance(function, partial):
+        function, bound = function.func, (*function.args, *function.keywords.values())
     code = getattr(function, "__code__", None)
     if code is None or depth > 8:
         return f"{type(function).__name__} {getattr(function, '__qualname__', '')}"
     closed = [cell.cell_contents for cell in getattr(function, "__closure__", None) or ()]
-    given = [*closed, *(getattr(function, "__defaults__", None) or ())]
+    given = [*bound, *closed, *(getattr(function, "__defaults__", None) or ())]
     inner = [_code_of(v, depth + 1) if callable(v) else _shown(v) for v in given]
     return f"{_bytes_of(code)} {inner}"
 

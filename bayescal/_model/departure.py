@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import numpy as np
 
+from bayescal._core.jit import given
 from bayescal._model.effect import Effect, Shape
 from bayescal._model.unknown_effect import (
     process_along,
@@ -60,7 +60,7 @@ def departure(
     return Departure(
         f"departure({of.name})",
         of.slot,
-        _beside(curves[0], own, at, shares),
+        given(_beside, curves[0], own, at, shares),
         coefficients=standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), amplitude),
         weights=process_sizes(terms),
@@ -91,16 +91,8 @@ def rounded(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
 
 
-@functools.cache  # of whatever size, so that one program serves
 def _beside(
-    curves: Callable[..., Any],
-    own: Basis,
-    at: tuple[tuple[str, float], ...],
-    shares: Rows,
-) -> Callable[..., Any]:
-    taken = np.array(shares)
-
-    def columns(r):
-        return curves(r) - Effect.matrix(*own, r, dict(at)) @ taken  # pyright: ignore[reportArgumentType]
-
-    return columns
+    curves: Callable[..., Any], own: Basis, at: tuple[tuple[str, float], ...], shares: Rows, r: Any
+) -> Any:
+    """The process less what the effect's columns take of it; the same of whatever size."""
+    return curves(r) - Effect.matrix(*own, r, dict(at)) @ np.array(shares)  # pyright: ignore[reportArgumentType]

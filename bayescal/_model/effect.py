@@ -16,8 +16,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
+from bayescal._core.jit import by_value, importable, written_by_value
 from bayescal._model.frame import Frame
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal, in_full
 from bayescal._readings.measurements import Measurements
 
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
@@ -46,6 +47,7 @@ class Coefficient(eqx.Module):
     slot: str | None = eqx.field(static=True, default=None)
     per: Group | None = eqx.field(static=True, default=None)
     spread: HalfNormal | HalfCauchy | Flat | None = None
+    __repr__ = in_full
 
     def __check_init__(self) -> None:
         if self.spread is not None and self.per is None:
@@ -90,6 +92,7 @@ class Shape(eqx.Module):
     scale: Literal["log", "linear"] = eqx.field(static=True, default="log")
     ragged: bool = eqx.field(static=True, default=False)
     shared: bool = eqx.field(static=True, default=False, repr=False)
+    __repr__ = in_full
 
     def __check_init__(self) -> None:
         positive = self.low > 0 or self.open
@@ -153,16 +156,20 @@ class Effect(eqx.Module):
 
     name: str = eqx.field(static=True)
     slot: str = eqx.field(static=True)
-    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float] = eqx.field(static=True)
+    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float] = eqx.field(
+        static=True, converter=by_value
+    )
     coefficients: tuple[Coefficient, ...]
     shapes: tuple[Shape, ...] = ()
     columns: tuple[str, ...] = eqx.field(static=True, default=())
     equation: str = eqx.field(static=True, default="")
     source: str = eqx.field(static=True, default="the user's own")
     varies: tuple[str, ...] = eqx.field(static=True, default=())
-    weights: Callable[..., Any] | None = eqx.field(static=True, default=None)
+    weights: Callable[..., Any] | None = eqx.field(static=True, default=None, converter=by_value)
     measure: str | None = eqx.field(static=True, default=None)
-    untestable: Callable[[Measurements], str | None] | None = eqx.field(static=True, default=None)
+    untestable: Callable[[Measurements], str | None] | None = eqx.field(
+        static=True, default=None, converter=by_value
+    )
     along: str | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
@@ -183,6 +190,25 @@ class Effect(eqx.Module):
                 f"effect {self.name!r}: its basis must take the readings and then its shapes "
                 f"{sorted(shapes)} by name; it takes {list(taken)}"
             )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """As pickle writes it: its functions by module and name.
+
+        Raises:
+            ModelError: one of them has no name that another process could import.
+        """
+        for role in ("basis", "weights", "untestable"):
+            if not importable(getattr(self, role)) and not written_by_value():
+                raise ModelError(
+                    f"effect {self.name!r} cannot be pickled, because its {role} is a lambda or a local function, "
+                    "which another process cannot import: define it with `def` at the top of a module, with "
+                    "functools.partial for what it is given beforehand"
+                )
+        return dict(vars(self))
+
+    def __repr__(self) -> str:
+        said = f"{self.name} [{self.coefficients[0].unit}]"
+        return f"<Effect: {said}: {self.equation}>" if self.equation else f"<Effect: {said}>"
 
     @property
     def is_placeholder(self) -> bool:

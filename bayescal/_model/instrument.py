@@ -5,13 +5,17 @@ Instruments are not subclasses. A new one is a set of columns, slots and one fun
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
+from bayescal._core.jit import importable, written_by_value
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_laws import Noise, White
@@ -77,7 +81,7 @@ class Instrument(eqx.Module):
         source: document that the equations come from.
         tailor: of an instrument whose output may be anything: `tailor(readings, **settings)` gives the
             instrument in the unit of these readings, with plausible sizes to match; settings that are given
-            are not taken from the readings.
+            are not taken from the readings, which are None where all are given.
         settings: what a tailored instrument was made with, by name; saved with its calibrations.
     """
 
@@ -110,6 +114,31 @@ class Instrument(eqx.Module):
                 )
         if self.use.equation is None:
             self.column(self.use.stimulus)
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """As pickle writes it: where its module holds it, and what differs from that.
+
+        Raises:
+            ModelError: no module holds an instrument of this name, and its functions cannot be imported.
+        """
+        module = self.response.__module__
+        held = sys.modules.get(module)
+        for name, value in vars(held).items() if held else ():
+            if isinstance(value, Instrument) and value.name == self.name:
+                if self.settings and value.tailor is not None:
+                    return _again, (module, name, None, dict(self.settings))
+                mine, its = vars(self), vars(value)
+                more = {f: mine[f] for f in mine if mine[f] is not its[f]}
+                return _again, (module, name, more, {})
+        if not importable((*vars(self).values(),)) and not written_by_value():
+            raise ModelError(
+                f"instrument {self.name!r} cannot be pickled: another process finds an instrument by name, so give it "
+                "one at the top of the module that its response stands in, INSTRUMENT = bayescal.Instrument(…)"
+            )
+        return object.__reduce_ex__(self, protocol)
+
+    def __repr__(self) -> str:
+        return f"<Instrument: {self.name}, {self.title}>"
 
     def for_readings(self, readings: Measurements) -> Instrument:
         """The instrument tailored to readings, where it has to be; else the same."""
@@ -211,6 +240,16 @@ class Instrument(eqx.Module):
                 "dependence has nothing to add to"
             )
         return placeholder(covariate, slot.name, slot.unit)
+
+
+def _again(
+    module: str, name: str, more: dict[str, Any] | None, settings: dict[str, Any]
+) -> Instrument:
+    """An unpickled instrument: that of a module, tailored again or with what differed."""
+    instrument: Any = getattr(import_module(module), name)
+    if settings:
+        return instrument.tailor(None, **settings)
+    return replace(instrument, **more) if more else instrument
 
 
 def slot_of(instrument: Instrument, name: str) -> Slot:

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import equinox as eqx
 
 from bayescal._core.errors import ModelError
+from bayescal._core.formatting import Printed, number, table
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument, slot_of
 from bayescal._model.noise_laws import Noise
 from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements
+from bayescal._readings.unit_conversion import unit_label
 from bayescal._readings.unit_parsing import ANY
 
 
-class Model(eqx.Module):
+class Model(Printed, eqx.Module):
     """An instrument, the effects believed present, and a noise law. Frozen; `+` and `-` give new models.
 
         model = instrument.baseline() + "bias.thermal_lag" - "bias.temperature"
@@ -39,6 +42,36 @@ class Model(eqx.Module):
             for coefficient in effect.coefficients:
                 slot_of(self.instrument, coefficient.slot or effect.slot)
                 _require_group(self.instrument, effect, coefficient.per)
+
+    def __str__(self) -> str:
+        head = ["effect", "coefficient", "plausible size", "equation"]
+        rows = []
+        for effect in self.effects:
+            first = effect.coefficients[0]
+            size = "flat prior" if first.flat else f"{number(first.size)} {unit_label(first.unit)}"
+            count = len(effect.coefficients)
+            per = f"one a {first.per}" if first.per else "one" if count == 1 else f"{count}"
+            rows.append([effect.name, per, size.rstrip(), effect.equation])
+        fixed = [f"{name} = {value:g}" for name, value in self.fixed]
+        lines = [f"{self.instrument.name}, noise {self.noise.in_words}"]
+        lines += [table(head, rows, left=2, fold=30)] if rows else []
+        return "\n".join([*lines, *([f"fixed: {', '.join(fixed)}"] if fixed else [])])
+
+    def _brief(self) -> str:
+        return in_short(self)
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each coefficient; its prior's size in its unit."""
+        each = [(e, i, c) for e in self.effects for i, c in enumerate(e.coefficients)]
+        return {
+            "coefficient": [e.coefficient_name(i) for e, i, _ in each],
+            "effect": [e.name for e, _, _ in each],
+            "slot": [c.slot or e.slot for e, _, c in each],
+            "per": [c.per or "" for _, _, c in each],
+            "plausible size": [float("inf") if c.flat else c.size for _, _, c in each],
+            "unit": [c.unit for _, _, c in each],
+            "equation": [e.equation for e, _, _ in each],
+        }
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -172,6 +205,13 @@ class Model(eqx.Module):
                     f"{self.noise.law} noise needs the column {column!r}, which {readings.file} lacks: record it, "
                     "or use White() noise"
                 )
+
+
+def in_short(model: Model) -> str:
+    """A model in one line: its instrument, effects and noise law."""
+    fixed = f", {len(model.fixed)} fixed" if model.fixed else ""
+    names = " + ".join(model.names) or "no effect"
+    return f"{model.instrument.name}: {names}; noise {model.noise.law}{fixed}"
 
 
 def baseline(self: Instrument) -> Model:

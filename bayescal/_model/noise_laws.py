@@ -19,7 +19,7 @@ from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 
 from bayescal._model.frame import Frame
-from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
+from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive, in_full
 from bayescal._readings.column import UNCERTAINTY
 
 Parameters = dict[str, Float[Array, ""]]
@@ -46,6 +46,7 @@ class Noise(eqx.Module):
     gaussian: ClassVar[bool]
     law: ClassVar[str]
     independent: ClassVar[bool] = True
+    __repr__ = in_full
 
     @property
     def needs(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ value at v and its log density *in v* (the Jacobian included), so that nothing e
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
 import jax
@@ -34,6 +34,14 @@ _EDGE = 1e-15  # of the probability, within which a bounded value counts as at i
 def _static(cls: type[_T]) -> type[_T]:
     """A frozen dataclass that JAX takes as structure and not as data."""
     return jax.tree_util.register_static(dataclass(frozen=True)(cls))
+
+
+def in_full(self: Any) -> str:
+    """The `repr` of a module by the values of its fields, those at their defaults left out: the same after pickling."""
+    said = {f.name: getattr(self, f.name) for f in fields(self) if f.repr}
+    plain = {f.name: f.default for f in fields(self)}
+    parts = (f"{name}={value!r}" for name, value in said.items() if value != plain[name])
+    return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def _of(v: Any) -> Any:

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bayescal._core.jit import given
 from bayescal._model.effect import OPEN, Coefficient, Effect, Shape
 from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements
@@ -133,16 +134,22 @@ def unknown(
     )
 
 
-@functools.cache  # of whatever amplitude, so that one program serves
 def process_along(covariate: str, terms: int) -> Callable[..., Any]:
-    """`process_columns` along a covariate, as a basis."""
-    return lambda r: process_columns(r.position(covariate), terms)
+    """`process_columns` along a covariate, as a basis: the same of whatever amplitude, so that one program serves."""
+    return given(_along, covariate, terms)
 
 
-@functools.cache
 def process_sizes(terms: int) -> Callable[..., Any]:
     """`weights` of an effect whose columns are a process's, of learned length and amplitude."""
-    return lambda length, amplitude: amplitude * process_weights(length, terms)
+    return given(_sizes, terms)
+
+
+def _along(covariate, terms, r):
+    return process_columns(r.position(covariate), terms)
+
+
+def _sizes(terms, length, amplitude):
+    return amplitude * process_weights(length, terms)
 
 
 @functools.cache

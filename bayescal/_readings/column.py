@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
+from bayescal._core.formatting import number, table
 from bayescal._readings.unit_parsing import ANY
 from bayescal._tables.problems import Problem
 from bayescal._tables.raw_table import ROW
@@ -18,6 +19,7 @@ UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
 ARRAYS = "the given arrays"  # in place of files
 TAKEN = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
+SHOWN = 5  # labels of a column that are named
 
 
 @dataclass(frozen=True)
@@ -187,3 +189,52 @@ def placeholders(values: np.ndarray) -> np.ndarray:
         if max(low - value, value - high) > 3 * (high - low):
             found |= there
     return np.flatnonzero(found)
+
+
+def cells(
+    runs: Sequence[str], run: np.ndarray, point: ArrayLike | None
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Run × temperature point, in order of appearance, and each reading's index among them, −1 without a point.
+
+    Args:
+        runs: names of the runs.
+        run: each reading's index among them.
+        point: temperature points, °C, NaN for none; None where there is no such column.
+    """
+    codes = np.full(len(run), -1, dtype=np.int64)
+    if point is None:
+        return (), codes
+    point = np.asarray(point)
+    soaked = np.flatnonzero(~np.isnan(point))
+    points, index = np.unique(point[soaked], return_inverse=True)
+    keys = run[soaked] * max(1, len(points)) + index
+    found, first, which = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    codes[soaked] = np.argsort(order)[which]
+    names = (
+        f"run {runs[k // len(points)]}, {points[k % len(points)]:.10g} °C" for k in found[order]
+    )
+    return tuple(names), codes
+
+
+def readings_text(file: str, columns: Mapping[str, tuple[np.ndarray, str | None]]) -> str:
+    """Readings for people: a line for each column with its range, or the labels that it has.
+
+    Args:
+        file: where they came from.
+        columns: name → values, one a reading, and their unit (None for labels).
+    """
+    rows, count = [], 0
+    for name, (values, unit) in columns.items():
+        count = len(values)
+        if unit is None:
+            labels = list(dict.fromkeys(map(str, values)))
+            shown = ", ".join(labels[:SHOWN]) + (" …" if len(labels) > SHOWN else "")
+            rows.append([name, "", f"{len(labels)} labels: {shown}"])
+        elif np.isnan(values).all():
+            rows.append([name, unit, "empty"])
+        else:
+            low, high = np.nanmin(values), np.nanmax(values)
+            rows.append([name, unit, f"{number(low, 5)} to {number(high, 5)}"])
+    said = table(["column", "unit", "range"], rows, left=3)
+    return f"{count} readings of {file}\n{said}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
+from bayescal._core.formatting import Printed
 from bayescal._readings.averaging import average
 from bayescal._readings.column import (
     ARRAYS,
@@ -19,7 +21,9 @@ from bayescal._readings.column import (
     ConvertedColumns,
     NominalScale,
     Source,
+    cells,
     file_names,
+    readings_text,
 )
 from bayescal._readings.column_conversion import convert_columns, kept_table
 from bayescal._readings.column_matching import (
@@ -44,8 +48,8 @@ from bayescal._tables.raw_table import ROW, Header, Table
 from bayescal._tables.write import write
 
 
-@dataclass(frozen=True, eq=False)
-class Measurements:
+@dataclass(frozen=True, eq=False, repr=False)
+class Measurements(Printed):
     """Readings of an instrument, in its fixed units and in the order in which they came.
 
     Made by `read` or `from_arrays`, which check them. The arrays are read-only.
@@ -149,9 +153,23 @@ class Measurements:
     def __contains__(self, name: object) -> bool:
         return name in self.data.data_vars
 
-    def __repr__(self) -> str:
+    def __reduce__(self) -> Any:
+        return Measurements, (self.data, self.sources, self.flags, self.output)
+
+    def __str__(self) -> str:
+        return readings_text(self.file, {n: (self[n], self.unit(n)) for n in self.columns})
+
+    def _brief(self) -> str:
         named = (f"{n} [{self.unit(n)}]" if self.unit(n) else n for n in self.columns)
-        return f"<{len(self)} readings of {self.file}: {', '.join(named)}>"
+        return f"{len(self)} readings of {self.file}: {', '.join(named)}"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The readings as a `pandas.DataFrame`, columns in their fixed units."""
+        return self.data.to_dataframe()
+
+    def to_xarray(self) -> xr.Dataset:
+        """The readings as an `xarray.Dataset`; each column of numbers says its `units`."""
+        return self.data.copy(deep=True)
 
     def has(self, name: str) -> bool:
         """Whether there is a column of that name."""
@@ -190,7 +208,7 @@ class Measurements:
         if name == "reading":
             return tuple(str(i + 1) for i in range(len(self))), np.arange(len(self))
         if name == "cell":
-            return self._cells()
+            return cells(*self.groups("run"), self.data.get(MAY_BE_EMPTY))
         if not self.has(name) and name in ("run", "device", "axis"):
             return ("1",), np.zeros(len(self), dtype=np.int64)
         if self.unit(name) is not None:
@@ -199,19 +217,6 @@ class Measurements:
             )
         codes, levels = pd.factorize(self[name].astype(object))
         return tuple(map(str, levels)), codes
-
-    def _cells(self) -> tuple[tuple[str, ...], np.ndarray]:
-        codes = np.full(len(self), -1, dtype=np.int64)
-        if not self.has(MAY_BE_EMPTY):
-            return (), codes
-        runs, run = self.groups("run")
-        point = self[MAY_BE_EMPTY]
-        soaked = np.flatnonzero(~np.isnan(point))
-        points, index = np.unique(point[soaked], return_inverse=True)
-        found, first = pd.factorize(run[soaked] * max(1, len(points)) + index)
-        codes[soaked] = found
-        names = (f"run {runs[k // len(points)]}, {points[k % len(points)]:.10g} °C" for k in first)
-        return tuple(names), codes
 
     def select(self, chosen: ArrayLike) -> Measurements:
         """Some of the readings, by a mask or by indices.
@@ -231,11 +236,9 @@ class Measurements:
         return replace(self, data=self.data.isel({ROW: index}))
 
     def with_column(self, name: str, values: ArrayLike, unit: str | None = None) -> Measurements:
-        """The same readings with one column replaced or added; unchecked.
+        """The same readings with one column replaced or added, one value a reading; unchecked.
 
         Args:
-            name: the column.
-            values: one per reading.
             unit: of a new column of numbers; a column that is there keeps its own.
 
         Raises:
@@ -280,12 +283,11 @@ def assemble(
 ) -> Measurements:
     """Measurements of checked columns, of one file or of several one after the other."""
     names, output = file_names([source.file for source in sources]), output_name(instrument)
-    where = row_namer(tables)
     if converted.origin is not None:
         began = date_text(converted.origin)
         converted.flags.append(f"{names}: time is in s since {began}, the first reading")
     values, units, repeated = converted.values, converted.units, repeated_rows(converted.values)
-    odd = flags_of(values, output, where, names, repeated, unchecked=converted.filled)
+    odd = flags_of(values, output, row_namer(tables), names, repeated, unchecked=converted.filled)
     kept, flags = once(values, repeated), [*converted.flags, *odd]
     variables = {n: _variable(v[kept], units[n]) for n, v in values.items()}
     return Measurements(xr.Dataset(variables), sources, tuple(flags), output)

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 from bayescal._model.effect import Coefficient, Effect, Group
+from bayescal._model.frame import Frame
 from bayescal._model.prior import Flat, HalfNormal, Normal
+
+
+def _one(r: Frame) -> float:
+    return 1.0
 
 
 def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect:
@@ -12,7 +17,7 @@ def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect
     return Effect(
         f"{slot}.constant",
         slot,
-        basis=lambda r: 1.0,
+        basis=_one,
         coefficients=(Coefficient(unit, prior),),
         equation="c",
         source=source,
@@ -25,7 +30,7 @@ def deviation(slot: str, per: Group, size: float, unit: str, *, source: str) -> 
     return Effect(
         f"{slot}.{per}",
         slot,
-        basis=lambda r: 1.0,
+        basis=_one,
         coefficients=(Coefficient(unit, Normal(0.0, size), per=per, spread=HalfNormal(size)),),
         columns=column,
         equation=f"d[{per}],  d ~ N(0, s²)",

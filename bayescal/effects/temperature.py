@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 from bayescal._model.effect import Coefficient, Effect
+from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
 
 _POWERS = {1: ("", ""), 2: ("_quadratic", "²"), 3: ("_cubic", "³"), 4: ("_quartic", "⁴")}
+
+
+def _powered(column: str, order: int, r: Frame) -> Any:
+    return r.centred(column) ** order
 
 
 def _power(
@@ -15,7 +23,7 @@ def _power(
     return Effect(
         f"{slot}.{name}{suffix}",
         slot,
-        basis=lambda r: r.centred(column) ** order,
+        basis=partial(_powered, column, order),
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         columns=(column,),
         varies=(column,),

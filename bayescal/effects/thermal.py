@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from bayescal._model.effect import Coefficient, Effect, Shape
-from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.prior import Normal
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.time_in_runs import run_codes
@@ -31,7 +32,7 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
     return Effect(
         f"{slot}.rate",
         slot,
-        basis=lambda r, window: -r.lag(window, column) / window,
+        basis=partial(_smoothed_rate, column),
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         shapes=(Shape("window", "s", *WINDOWS),),
         columns=("time", column),
@@ -50,21 +51,10 @@ def hysteresis(
     D is Dahl's hysteresis. Of the state in which a run began exp(−travel/w) is left: one coefficient a run.
     """
 
-    def untestable(readings: Measurements) -> str | None:
-        frame = build_frame(readings, reference_of(readings))
-        turned = np.asarray(frame.direction(jnp.asarray(math.sqrt(math.prod(WIDTHS))), column)[0])
-        warmed, cooled = (turned > 0.5).mean() >= SEEN, (turned < -0.5).mean() >= SEEN
-        if warmed and cooled:
-            return None
-        seen = "only rises" if warmed else "only falls" if cooled else "stands still"
-        return (
-            f"needs {column} to rise and to fall within runs, by over {WIDTHS[0]:g} °C; it {seen}"
-        )
-
     return Effect(
         f"{slot}.hysteresis",
         slot,
-        basis=lambda r, width: jnp.stack(r.direction(width, column), axis=1),
+        basis=partial(_directions, column),
         coefficients=(
             Coefficient(unit, Normal(0.0, size)),
             Coefficient(unit, Normal(0.0, size), part="start", per="run"),
@@ -72,7 +62,7 @@ def hysteresis(
         shapes=(Shape("width", "degC", *WIDTHS),),
         columns=("time", column),
         varies=(column,),
-        untestable=untestable,
+        untestable=partial(_one_way, column),
         equation="c·D + d[run]·exp(−∫|dT|/w),  dD/dT = (sign(dT) − D)/w",
         source=source,
     )
@@ -104,7 +94,7 @@ def thermal_lag(
     return Effect(
         f"{slot}.{name}",
         slot,
-        basis=lambda r, tau: jnp.stack([r.lag(tau, column), jnp.exp(-r.elapsed / tau)], axis=1),
+        basis=partial(_lagging, column),
         coefficients=(
             Coefficient(unit, Normal(0.0, size)),
             Coefficient(start_unit, Normal(0.0, start), part="start", per="run"),
@@ -137,7 +127,7 @@ def temperature_x_lag(
     return Effect(
         f"{slot}.temperature_x_lag",
         slot,
-        basis=lambda r, tau: r.centred(column) * r.lag(tau, column),
+        basis=partial(_lag_by_temperature, column),
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         shapes=(Shape("tau", "s", low, high, shared=True),),
         columns=("time", column),
@@ -146,6 +136,33 @@ def temperature_x_lag(
         equation="c·(T − T0)·(T̃ − T),  τ·dT̃/dt = T − T̃",
         source=source,
     )
+
+
+def _smoothed_rate(column: str, r: Frame, window: Any) -> Any:
+    return -r.lag(window, column) / window
+
+
+def _directions(column: str, r: Frame, width: Any) -> Any:
+    return jnp.stack(r.direction(width, column), axis=1)
+
+
+def _lagging(column: str, r: Frame, tau: Any) -> Any:
+    return jnp.stack([r.lag(tau, column), jnp.exp(-r.elapsed / tau)], axis=1)
+
+
+def _lag_by_temperature(column: str, r: Frame, tau: Any) -> Any:
+    return r.centred(column) * r.lag(tau, column)
+
+
+def _one_way(column: str, readings: Measurements) -> str | None:
+    """Why a temperature that does not go both ways shows no hysteresis, if so."""
+    frame = build_frame(readings, reference_of(readings))
+    turned = np.asarray(frame.direction(jnp.asarray(math.sqrt(math.prod(WIDTHS))), column)[0])
+    warmed, cooled = (turned > 0.5).mean() >= SEEN, (turned < -0.5).mean() >= SEEN
+    if warmed and cooled:
+        return None
+    seen = "only rises" if warmed else "only falls" if cooled else "stands still"
+    return f"needs {column} to rise and to fall within runs, by over {WIDTHS[0]:g} °C; it {seen}"
 
 
 def _too_short(low: float, readings: Measurements) -> str | None:

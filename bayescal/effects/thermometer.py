@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 from bayescal._model.effect import Coefficient, Effect
+from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
+
+
+def _one(r: Frame) -> float:
+    return 1.0
 
 
 def thermometer(sd: float, *, source: str, column: str = "temperature") -> Effect:
@@ -15,7 +20,7 @@ def thermometer(sd: float, *, source: str, column: str = "temperature") -> Effec
     return Effect(
         f"{column}.reading",
         column,
-        basis=lambda r: 1.0,
+        basis=_one,
         coefficients=(Coefficient("delta_degC", Normal(0.0, sd), per="reading"),),
         columns=(column,),
         equation="T_true = T + e,  e ~ N(0, s²)",

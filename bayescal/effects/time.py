@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 
 from bayescal._model.effect import Coefficient, Effect, Shape
+from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
+
+
+def _progress(r: Frame) -> Any:
+    return r.progress
+
+
+def _decay(r: Frame, tau: Any) -> Any:
+    return jnp.exp(-r.elapsed / tau)
 
 
 def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
@@ -13,7 +24,7 @@ def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
     return Effect(
         f"{slot}.drift",
         slot,
-        basis=lambda r: r.progress,
+        basis=_progress,
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         columns=("time",),
         equation="c·(t − t̄)/(tmax − tmin)",
@@ -26,7 +37,7 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
     return Effect(
         f"{slot}.warm_up",
         slot,
-        basis=lambda r, tau: jnp.exp(-r.elapsed / tau),
+        basis=_decay,
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         shapes=(Shape("tau", "s", low, high),),
         columns=("time",),

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partialmethod
 from typing import Any
 
 import numpy as np
 import pytest
+from arviz_plots import (
+    plot_dist,  # pyright: ignore[reportPrivateImportUsage]
+    plot_forest,  # pyright: ignore[reportPrivateImportUsage]
+    plot_loo_pit,  # pyright: ignore[reportPrivateImportUsage]
+    plot_ppc_dist,  # pyright: ignore[reportPrivateImportUsage]
+    plot_trace,  # pyright: ignore[reportPrivateImportUsage]
+    plot_trace_dist,  # pyright: ignore[reportPrivateImportUsage]
+)
 from arviz_stats import (
     loo,  # pyright: ignore[reportPrivateImportUsage]
     psense_summary,  # pyright: ignore[reportPrivateImportUsage]
@@ -14,6 +23,7 @@ from arviz_stats import (
 from scipy import stats
 
 import bayescal as bc
+from bayescal._calibration.fitted import Fitted
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
 from bayescal_models.mems_gyro.effects import THERMOMETER
 
@@ -119,14 +129,40 @@ def test_arviz_summarises_it(found) -> None:
 
 
 def test_arviz_does_leave_one_out_and_prior_sensitivity(found) -> None:
-    tree = found.tree.copy()
-    tree["log_likelihood"] = type(tree)(found.log_likelihood())
+    tree = found.with_log_likelihood()
     result: Any = loo(tree)  # declared as a tuple there
     predicted = bc.predict(found, new_groups=False)
     exact = stats.norm.logpdf(predicted.residual, 0, predicted.sd).sum()
     assert result.elpd == pytest.approx(exact, abs=2 + result.se)
     sensitive = psense_summary(tree)
     assert float(sensitive.loc["bias.temperature", "prior"]) < 0.05
+    assert "log_likelihood" not in found.tree.children
+
+
+def test_draws_of_a_tree_with_log_likelihood_are_thinned_together(found, monkeypatch) -> None:
+    count = found.joint.x.shape[0] * 500 * len(found.readings)
+    monkeypatch.setattr(type(found), "log_likelihood", partialmethod(Fitted.log_likelihood, count))
+    tree = found.with_log_likelihood()
+    kept = tree["log_likelihood"]["draw"].values
+    assert len(kept) <= 500
+    for name in ("posterior", "log_prior"):
+        np.testing.assert_array_equal(tree[name]["draw"], kept)
+    whole = found.tree["posterior"]["bias.constant"].values
+    np.testing.assert_array_equal(tree["posterior"]["bias.constant"], whole[:, kept])
+    thinned: Any = loo(tree)
+    every: Any = loo(found.with_log_likelihood())
+    assert thinned.elpd == pytest.approx(every.elpd, abs=every.se)
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [plot_trace_dist, plot_forest, plot_trace, plot_dist, plot_ppc_dist, plot_loo_pit],
+    ids=lambda f: f.__name__,
+)
+def test_arviz_draws_it(found, tmp_path, draw) -> None:
+    found.save(tmp_path / "kept.nc")
+    for calibration in (found, bc.load(tmp_path / "kept.nc", instruments=[INSTRUMENT])):
+        draw(calibration.with_log_likelihood(), backend="none")
 
 
 @pytest.mark.slow

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 
 import pytest
 
+import bayescal as bc
+from bayescal_models import mems_gyro
 from tests.support.command_line import Ran, needs_installation, run
 from tests.support.shown_output import assert_as_shown, blocks
 
@@ -89,3 +92,34 @@ def test_a_saved_calibration_asks_for_the_file_with_its_effect(followed: dict[st
 def test_a_report_looks_for_it_too(followed: dict[str, Ran], folder: Path) -> None:
     assert followed[REPORT].status == 0
     assert "bias.humidity was found missing." in (folder / "report.html").read_text("utf-8")
+
+
+def damp(size: float) -> bc.Effect:
+    return bc.Effect(
+        "bias.damp",
+        "bias",
+        basis=lambda r: r["humidity"],
+        coefficients=(bc.Coefficient("deg/s/%", bc.Normal(0.0, size)),),
+        columns=("humidity",),
+    )
+
+
+@pytest.mark.parametrize(
+    ("size", "shown"), [(0.02, False), (1e-12, True), (1e9, True)], ids=["right", "small", "large"]
+)
+def test_an_effect_in_a_wrong_unit_is_asked_about(size: float, shown: bool) -> None:
+    readings = mems_gyro.simulate({"unlisted.humidity": 0.02}, seed=1)
+    baseline, quick = mems_gyro.INSTRUMENT.baseline(), bc.LeastSquares(draws=50)
+    line = bc.fit(baseline, readings, quick)
+    with_it = bc.fit(baseline + damp(size), readings, quick, strict=False)
+    assert line.off_scale == ()
+    found = bc.discover(line, effects=[damp(size)], max_effects=1)
+    for said in (with_it.off_scale, found.off_scale):
+        assert [words.split(" contributes")[0] for words in said] == ["bias.damp"] * shown
+        for words in said:
+            assert re.search(
+                r"at most \S+ °/s at its plausible size, where the noise is 0\.\d+ °/s", words
+            )
+            assert "check the unit of its basis" in words
+    for result in (with_it, found):
+        assert ("unit? bias.damp contributes" in str(result)) == shown

@@ -264,7 +264,7 @@ def test_a_further_column_may_carry_its_unit_as_in_a_file():
 
 def test_readings_describe_themselves(grouped):
     assert repr(grouped) == (
-        "<5 readings of the given arrays: run, temperature_point [degC], output [ug]>"
+        "<Measurements: 5 readings of the given arrays: run, temperature_point [degC], output [ug]>"
     )
     assert "output" in grouped and "colour" not in grouped
     with pytest.raises(InputError, match="the given arrays has no column 'x'; it has: run"):

@@ -40,8 +40,27 @@ def tangential(r: bc.Frame) -> Any:
     return slope(r, speed)  # r·Ω in units such that its derivative is in µg
 
 
+def _one(r: bc.Frame) -> float:
+    return 1.0
+
+
+def _outward(r: bc.Frame) -> Any:
+    return direction(r) * r["acceleration"]
+
+
+def _progress(r: bc.Frame) -> Any:
+    return r.progress
+
+
+def _as_scale(readings: bc.Measurements) -> str:
+    return (
+        "is the same thing as scale.device: on an arm, a device at another radius reads as one of another "
+        "scale factor. Measure the radii, or swap devices between places"
+    )
+
+
 def _device(
-    name: str, slot: str, size: float, unit: str, equation: str, basis=lambda r: 1.0, **more: Any
+    name: str, slot: str, size: float, unit: str, equation: str, basis=_one, **more: Any
 ) -> bc.Effect:
     """An effect with one coefficient for each device, their spread learned."""
     coefficient = bc.Coefficient(
@@ -61,7 +80,7 @@ SECOND_ORDER = _device(
     1000.0,
     "ppm/g",
     "K2[device]·s·a in the scale",
-    lambda r: direction(r) * r["acceleration"],
+    _outward,
     columns=("group", "acceleration"),
     varies=("acceleration",),
 )
@@ -81,10 +100,7 @@ RADIUS_OF_DEVICE = _device(
     "ppm",
     "a·δr[device]/r",
     columns=("acceleration",),
-    untestable=lambda readings: (
-        "is the same thing as scale.device: on an arm, a device at another radius reads as one of another "
-        "scale factor. Measure the radii, or swap devices between places"
-    ),
+    untestable=_as_scale,
 )
 SKEW = _device(
     "timing.skew",
@@ -101,7 +117,7 @@ DRIFT = _device(
     100.0,
     "ug",
     "d[device]·(t − t̄)/(tmax − tmin)",
-    lambda r: r.progress,
+    _progress,
     columns=("time",),
 )
 BIAS = effects.deviation("bias", "device", 10000.0, "ug", source=SOURCE)

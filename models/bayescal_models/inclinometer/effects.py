@@ -7,6 +7,7 @@ dividing table is one and the same for all.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -85,7 +86,7 @@ def _effect(
 def _placement(name: str, power: int, **more: Any) -> bc.Effect:
     return _effect(
         name,
-        lambda r: r["placement_angle"] ** power,
+        partial(_angle_to, power),
         "c·ω" + {1: "", 2: "²", 3: "³"}[power],
         columns=("placement_angle",),
         varies=("placement_angle",),
@@ -93,7 +94,39 @@ def _placement(name: str, power: int, **more: Any) -> bc.Effect:
     )
 
 
-def _waves(r: bc.Frame, orders: tuple[int, ...]) -> Any:
+def _one(r: bc.Frame) -> float:
+    return 1.0
+
+
+def _progress(r: bc.Frame) -> Any:
+    return r.progress
+
+
+def _angle_to(power: int, r: bc.Frame) -> Any:
+    return r["placement_angle"] ** power
+
+
+def _centred(r: bc.Frame) -> Any:
+    return r.centred("temperature")
+
+
+def _sweep(r: bc.Frame) -> Any:
+    return r.has_label("direction", "forward") - r.has_label("direction", "backward")
+
+
+def _of_tilt(r: bc.Frame) -> Any:
+    return 1 / jnp.cos(r["true_angle"])
+
+
+def _of_tilt_from_level(r: bc.Frame) -> Any:
+    return _of_tilt(r) - 1
+
+
+def _exact_less_linear(r: bc.Frame) -> Any:
+    return exact_placement(r["true_angle"], r["placement_angle"], jnp) - r["placement_angle"]
+
+
+def _waves(orders: tuple[int, ...], r: bc.Frame) -> Any:
     angle = r["placement_angle"]
     return jnp.stack([f(m * angle) for m in orders for f in (jnp.cos, jnp.sin)], axis=1)
 
@@ -103,8 +136,9 @@ def _exact_waves(r: bc.Frame) -> Any:
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
 
 
-def _spline(angle: Any) -> Any:
+def _spline(r: bc.Frame) -> Any:
     """Values of the natural cubic splines that are 1 at one knot and 0 at the others; straight lines beyond."""
+    angle = r["placement_angle"]
     spline = CubicSpline(KNOTS, np.eye(KNOTS.size), bc_type="natural")
     low, high = KNOTS[0], KNOTS[-1]
     inside = jnp.clip(angle, low, high)
@@ -124,16 +158,14 @@ def _one_way(readings: bc.Measurements) -> str | None:
     return f"needs sweeps forward and backward; these readings have {', '.join(sorted(found))} only"
 
 
-CONSTANT = _effect("zero.constant", lambda r: 1.0, "c[axis]", source="source 4: 3 to 5 mg of bias")
+CONSTANT = _effect("zero.constant", _one, "c[axis]", source="source 4: 3 to 5 mg of bias")
 LINE = _placement("zero.placement", 1, source="source 4: its two lines have 0.72 and 0.07″/deg")
-RUN = _effect(
-    "zero.run", lambda r: 1.0, "d[run],  d ~ N(0, s²)", per="run", learned=True, columns=("run",)
-)
+RUN = _effect("zero.run", _one, "d[run],  d ~ N(0, s²)", per="run", learned=True, columns=("run",))
 QUADRATIC = _placement("zero.placement_quadratic", 2)
 CUBIC = _placement("zero.placement_cubic", 3)
 PROJECTION = _effect(
     "zero.projection",
-    lambda r: _waves(r, (1,)),
+    partial(_waves, (1,)),
     "S_p·cos ω + S_d·sin ω",
     parts=("pendulum", "door"),
     columns=("placement_angle",),
@@ -141,7 +173,7 @@ PROJECTION = _effect(
 )
 TABLE = _effect(
     "zero.table",
-    lambda r: _spline(r["placement_angle"]),
+    _spline,
     "natural cubic spline through departures from the line at −45°, −30° … 45°",
     parts=tuple(f"{k:g}" for k in np.rad2deg(KNOTS).round()),
     columns=("placement_angle",),
@@ -149,21 +181,21 @@ TABLE = _effect(
 )
 TEMPERATURE = _effect(
     "zero.temperature",
-    lambda r: r.centred("temperature"),
+    _centred,
     "c·(T − T0)",
     columns=("temperature",),
     varies=("temperature",),
 )
 HYSTERESIS = _effect(
     "zero.hysteresis",
-    lambda r: r.has_label("direction", "forward") - r.has_label("direction", "backward"),
+    _sweep,
     "+c in forward sweeps, −c in backward ones",
     columns=("direction",),
     untestable=_one_way,
 )
 CROSS_AXIS = _effect(
     "zero.cross_axis",
-    lambda r: 1.0,
+    _one,
     "m·sin ω",
     slot="cross_axis",
     columns=("placement_angle",),
@@ -171,21 +203,21 @@ CROSS_AXIS = _effect(
 )
 ELECTRICAL = _effect(
     "zero.electrical_tilt",
-    lambda r: 1 / jnp.cos(r["true_angle"]) - 1,
+    _of_tilt_from_level,
     "S_e·(1/cos x − 1)",
     columns=("true_angle",),
     varies=("true_angle",),
 )
 EXACT = _effect(
     "zero.exact_placement",
-    lambda r: exact_placement(r["true_angle"], r["placement_angle"], jnp) - r["placement_angle"],
+    _exact_less_linear,
     "c·(atan2(sin y, √(1 − sin²x − sin²y)) − y)",
     columns=("true_angle", "placement_angle"),
     varies=("true_angle", "placement_angle"),
 )
 ELECTRICAL_ZERO = _effect(
     "zero.electrical",
-    lambda r: 1 / jnp.cos(r["true_angle"]),
+    _of_tilt,
     "S_e/cos x",
     columns=("true_angle",),
 )
@@ -197,12 +229,10 @@ EXACT_PROJECTION = _effect(
     columns=("true_angle", "placement_angle"),
     varies=("true_angle", "placement_angle"),
 )
-SCALE = _effect(
-    "scale.constant", lambda r: 1.0, "κ", columns=("true_angle",), varies=("true_angle",)
-)
+SCALE = _effect("scale.constant", _one, "κ", columns=("true_angle",), varies=("true_angle",))
 WOBBLE = _effect(
     "dividing.wobble",
-    lambda r: _waves(r, (1, 2)),
+    partial(_waves, (1, 2)),
     "Σ_m a_m·cos mω + b_m·sin mω,  m = 1, 2",
     per=None,
     parts=("cos1", "sin1", "cos2", "sin2"),
@@ -210,18 +240,14 @@ WOBBLE = _effect(
     varies=("placement_angle",),
     source="source 4: face vertical within 2″",
 )
-FACE = _effect(
-    "dividing.face", lambda r: 1.0, "c", per=None, source="source 4: face vertical within 2″"
-)
-DRIFT = _effect(
-    "base_tilt.drift", lambda r: r.progress, "c·(t − t̄)/(tmax − tmin)", columns=("time",)
-)
+FACE = _effect("dividing.face", _one, "c", per=None, source="source 4: face vertical within 2″")
+DRIFT = _effect("base_tilt.drift", _progress, "c·(t − t̄)/(tmax − tmin)", columns=("time",))
 
 # Populations: accelerometers ("axis") and devices as draws from one, with learned spreads.
 MEAN = bc.Effect(
     "zero.mean",
     "zero",
-    lambda r: 1.0,
+    _one,
     coefficients=(bc.Coefficient("arcsec", bc.Normal(0.0, 1000.0)),),
     equation="c",
     source="source 4: 3 to 5 mg of bias",
@@ -229,18 +255,14 @@ MEAN = bc.Effect(
 MEAN_LINE = bc.Effect(
     "zero.placement_mean",
     "zero",
-    lambda r: r["placement_angle"],
+    partial(_angle_to, 1),
     coefficients=(bc.Coefficient("arcsec/deg", bc.Normal(0.0, 2.0)),),
     columns=("placement_angle",),
     varies=("placement_angle",),
     equation="c·ω",
     source=SOURCE,
 )
-AXIS = _effect(
-    "zero.axis", lambda r: 1.0, "d[axis],  d ~ N(0, s²)", learned=True, columns=("axis",)
-)
+AXIS = _effect("zero.axis", _one, "d[axis],  d ~ N(0, s²)", learned=True, columns=("axis",))
 AXIS_LINE = _placement("zero.placement_axis", 1, learned=True)
-DEVICE = _effect(
-    "zero.device", lambda r: 1.0, "d[device]", per="device", learned=True, columns=("device",)
-)
+DEVICE = _effect("zero.device", _one, "d[device]", per="device", learned=True, columns=("device",))
 DEVICE_LINE = _placement("zero.placement_device", 1, per="device", learned=True)

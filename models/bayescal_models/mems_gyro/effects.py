@@ -27,6 +27,18 @@ def _size(name: str) -> tuple[float, str]:
     return SIZES[name].value, SIZES[name].unit
 
 
+def _one(r):
+    return 1.0
+
+
+def _board(r):
+    return r.centred("board_temperature")
+
+
+def _centred(r):
+    return r.centred()
+
+
 CONSTANT = effects.constant("bias", 50.0, "deg/s", source=SOURCE)
 LINE = effects.linear("bias", *_size("bias.temperature"), source=SOURCE)
 QUADRATIC = effects.quadratic("bias", *_size("bias.temperature_quadratic"), source=SOURCE)
@@ -44,7 +56,7 @@ LAG = effects.thermal_lag(
 REFERENCE = bc.Effect(
     "bias.reference_voltage",
     "bias",
-    basis=lambda r: r.centred("board_temperature"),
+    basis=_board,
     coefficients=(
         bc.Coefficient("deg/s/degC", bc.Normal(0.0, _size("bias.reference_voltage")[0])),
     ),
@@ -61,7 +73,7 @@ RUN = effects.deviation("bias", "run", *_size("bias.run"), source=SOURCE)
 SCALE = bc.Effect(
     "scale.constant",
     "scale",
-    basis=lambda r: 1.0,
+    basis=_one,
     coefficients=(bc.Coefficient("ppm", bc.Normal(0.0, 10000.0)),),
     columns=("rate_input",),
     varies=("rate_input",),
@@ -71,7 +83,7 @@ SCALE = bc.Effect(
 SCALE_TEMPERATURE = bc.Effect(
     "scale.temperature",
     "scale",
-    basis=lambda r: r.centred(),
+    basis=_centred,
     coefficients=(bc.Coefficient("ppm/degC", bc.Normal(0.0, _size("scale.temperature")[0])),),
     columns=("temperature", "rate_input"),
     varies=("temperature", "rate_input"),

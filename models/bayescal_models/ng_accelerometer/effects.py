@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -36,6 +37,38 @@ def tides(r: bc.Frame) -> Float[Array, "n 20"]:
     return jnp.stack([*waves, *waves], axis=1)
 
 
+def _one(r: bc.Frame) -> float:
+    return 1.0
+
+
+def _ones(count: int, r: bc.Frame) -> Float[Array, "n k"]:
+    return jnp.ones((r.size, count))
+
+
+def _centred(r: bc.Frame) -> Float[Array, "n"]:
+    return r.centred()
+
+
+def _laboratory(r: bc.Frame) -> Float[Array, "n"]:
+    return r.centred("lab_temperature")
+
+
+def _progress(r: bc.Frame) -> Float[Array, "n"]:
+    return r.progress
+
+
+def _turned_by_temperature(r: bc.Frame) -> Float[Array, "n 4"]:
+    return turned(r, r.centred())
+
+
+def _once_round(r: bc.Frame) -> Float[Array, "n 2"]:
+    return jnp.stack([jnp.cos(r[POSITION]), jnp.sin(r[POSITION])], axis=1)
+
+
+def _on_both_sides(basis: Callable[[bc.Frame], Any], r: bc.Frame) -> Float[Array, "n 2"]:
+    return jnp.stack([basis(r)] * 2, axis=1)
+
+
 def _effect(
     name: str,
     slot: str,
@@ -67,7 +100,7 @@ def _base(name: str, basis: Callable[[bc.Frame], Any], column: str, equation: st
     return bc.Effect(
         name,
         "base_tilt_parallel",
-        basis=lambda r: jnp.stack([basis(r)] * 2, axis=1),
+        basis=partial(_on_both_sides, basis),
         coefficients=tuple(
             bc.Coefficient(unit, bc.Normal(0.0, size), part=side, slot=f"base_tilt_{side}")
             for side in SIDES
@@ -85,7 +118,7 @@ def _run_slope() -> bc.Effect:
     return bc.Effect(
         name,
         "fixture_tilt",
-        basis=lambda r: r.centred(),
+        basis=_centred,
         coefficients=(
             bc.Coefficient(unit, bc.Normal(0.0, size), per="run", spread=bc.HalfNormal(size)),
         ),
@@ -123,10 +156,6 @@ def _constant(slot: str, source: str = SOURCE) -> bc.Effect:
     return effects.constant(slot, *BASELINE_SIZES[f"{slot}.constant"], source=source)
 
 
-def _line(slot: str) -> bc.Effect:
-    return effects.linear(slot, *BASELINE_SIZES[f"{slot}.temperature"], source=SOURCE)
-
-
 def _cells(name: str, parts: tuple[str, ...] = ("",)) -> bc.Effect:
     """A deviation of each cell whose spread is known to an order of magnitude or two."""
     size, unit = BASELINE_SIZES[name]
@@ -134,7 +163,7 @@ def _cells(name: str, parts: tuple[str, ...] = ("",)) -> bc.Effect:
     return bc.Effect(
         name,
         slots[0],
-        basis=lambda r: jnp.ones((r.size, len(parts))),
+        basis=partial(_ones, len(parts)),
         coefficients=tuple(
             bc.Coefficient(
                 unit,
@@ -155,7 +184,7 @@ def _cells(name: str, parts: tuple[str, ...] = ("",)) -> bc.Effect:
 BASE_CONSTANT = bc.Effect(
     "base_tilt.constant",
     "base_tilt_parallel",
-    basis=lambda r: jnp.ones((r.size, 2)),
+    basis=partial(_ones, len(SIDES)),
     coefficients=tuple(
         bc.Coefficient(
             BASELINE_SIZES["base_tilt.constant"].unit,
@@ -171,7 +200,7 @@ BASE_CONSTANT = bc.Effect(
 TILT_SETTING = _effect(
     "tilt.setting",
     "base_tilt_perp",
-    lambda r: 1.0,
+    _one,
     ("tilt",),
     "c, added to γ as γ2⊥ is",
     varies=(),
@@ -181,10 +210,10 @@ THERMOMETER = effects.thermometer(0.002, source="ours: 2 mK of an averaged tempe
 
 BASELINE = (
     _constant("bias"),
-    _line("bias"),
+    effects.linear("bias", *BASELINE_SIZES["bias.temperature"], source=SOURCE),
     _cells("bias.cell"),
     _constant("scale"),
-    _line("scale"),
+    effects.linear("scale", *BASELINE_SIZES["scale.temperature"], source=SOURCE),
     _cells("scale.cell"),
     _constant("fixture_tilt", "source 0: within 2′, taken as 95 %"),
     _cells("fixture_tilt.cell"),
@@ -226,34 +255,34 @@ CANDIDATES = (
     _effect(
         "fixture_tilt.position",
         "fixture_tilt",
-        lambda r: turned(r, r.centred()),
+        _turned_by_temperature,
         (POSITION, TEMPERATURE),
         "(T − T0)·Σ(c·cos mθ + s·sin mθ),  m = 2, 3",
         parts=LOBES,
     ),
     _base(
         "base_tilt.lab_temperature",
-        lambda r: r.centred("lab_temperature"),
+        _laboratory,
         "lab_temperature",
         "c·(L − L0)",
     ),
-    _base("base_tilt.temperature", lambda r: r.centred(), TEMPERATURE, "c·(T − T0)"),
+    _base("base_tilt.temperature", _centred, TEMPERATURE, "c·(T − T0)"),
     _tide(),
-    _base("base_tilt.drift", lambda r: r.progress, "time", "c·(t − t̄)/(tmax − tmin)"),
-    _effect("second_order", "second_order", lambda r: 1.0, (POSITION,), "K2"),
-    _effect("third_order", "third_order", lambda r: 1.0, (POSITION,), "K3"),
-    _effect("cross_coupling", "cross_coupling", lambda r: 1.0, (POSITION,), "Kip"),
+    _base("base_tilt.drift", _progress, "time", "c·(t − t̄)/(tmax − tmin)"),
+    _effect("second_order", "second_order", _one, (POSITION,), "K2"),
+    _effect("third_order", "third_order", _one, (POSITION,), "K3"),
+    _effect("cross_coupling", "cross_coupling", _one, (POSITION,), "Kip"),
     _effect(
         "cross_coupling.temperature",
         "cross_coupling",
-        lambda r: r.centred(),
+        _centred,
         (POSITION, TEMPERATURE),
         "c·(T − T0)",
     ),
     _effect(
         "rotation.harmonic",
         "rotation",
-        lambda r: jnp.stack([jnp.cos(r[POSITION]), jnp.sin(r[POSITION])], axis=1),
+        _once_round,
         (POSITION,),
         "c·cos θ + s·sin θ, dividing error of the table",
         parts=("cos", "sin"),

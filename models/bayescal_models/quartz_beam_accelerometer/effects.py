@@ -8,7 +8,7 @@ null combinations are exact as printed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache  # equal models then share one compiled program
+from functools import cache, partial  # equal models then share one compiled program
 from typing import Any
 
 import bayescal as bc
@@ -41,8 +41,29 @@ def gradient(r: bc.Frame) -> Any:
     return r["temperature_circuit"] - r["temperature_head"]
 
 
-def _power(of: Callable[[bc.Frame], Any], order: int) -> Callable[[bc.Frame], Any]:
-    return lambda r: of(r) ** order
+def _one(r: bc.Frame) -> float:
+    return 1.0
+
+
+def _power(of: Callable[[bc.Frame], Any], order: int, r: bc.Frame) -> Any:
+    return of(r) ** order
+
+
+def _rate(column: str, r: bc.Frame) -> Any:
+    return r.rate(column)
+
+
+def _times_rate(of: Callable[[bc.Frame], Any], column: str, r: bc.Frame) -> Any:
+    return of(r) * r.rate(column)
+
+
+def _times_gradient(of: Callable[[bc.Frame], Any], r: bc.Frame) -> Any:
+    return of(r) * gradient(r)
+
+
+def _shown(nominal: float, tempco: float, r: bc.Frame) -> Any:
+    """The temperature that the frequency sum shows, °C from where it is nominal."""
+    return (r["frequency_sum"] - nominal) / tempco
 
 
 POWERS = ("", "_quadratic", "_cubic", "_quartic", "_quintic")
@@ -89,7 +110,12 @@ def polynomial(slot: str, of: str, orders: range) -> tuple[bc.Effect, ...]:
     along = of if of in THERMOMETERS else ""
     return tuple(
         _effect(
-            slot, of + POWERS[n - 1], _power(quantity, n), columns, f"c·{sign}{SIGNS[n - 1]}", along
+            slot,
+            of + POWERS[n - 1],
+            partial(_power, quantity, n),
+            columns,
+            f"c·{sign}{SIGNS[n - 1]}",
+            along,
         )
         for n in orders
     )
@@ -101,7 +127,7 @@ def constant(slot: str, where: str) -> bc.Effect:
     return bc.Effect(
         f"{slot}.constant_{where}",
         slot,
-        basis=lambda r: 1.0,
+        basis=_one,
         coefficients=(bc.Coefficient(UNIT[slot], bc.Normal(0.0, CONSTANT[slot])),),
         columns=("acceleration",) if slot == "scale" else (),
         varies=("acceleration",) if slot == "scale" else (),
@@ -117,7 +143,7 @@ def rates(slot: str) -> tuple[bc.Effect, ...]:
         _effect(
             slot,
             f"rate_{name}",
-            lambda r, c=f"temperature_{name}": r.rate(c),
+            partial(_rate, f"temperature_{name}"),
             ("time", f"temperature_{name}"),
             f"c·d{sign}/dt",
             f"temperature_{name} rate",
@@ -139,14 +165,14 @@ def crossed(slot: str, by: str = "head") -> tuple[bc.Effect, ...]:
         _effect(
             slot,
             "temperature_x_rate",
-            lambda r: of(r) * r.rate(column),
+            partial(_times_rate, of, column),
             ("time", *THERMOMETERS),
             f"c·({sign} − T0)·d{sign}/dt",
         ),
         _effect(
             slot,
             "temperature_x_gradient",
-            lambda r: of(r) * gradient(r),
+            partial(_times_gradient, of),
             THERMOMETERS,
             f"c·({sign} − T0)·(t1 − t2)",
         ),
@@ -192,16 +218,13 @@ def frequency_sum(
         nominal: sum near the middle of the range, Hz.
         tempco: of the sum, Hz/°C; turns it into an apparent temperature, so that sizes keep their meaning.
     """
-
-    def shown(r: bc.Frame) -> Any:
-        return (r["frequency_sum"] - nominal) / tempco
-
+    shown = partial(_shown, nominal, tempco)
     made = []
     for n in orders:
         like = _effect(
             slot,
             "temperature_head" + POWERS[n - 1],
-            _power(shown, n),
+            partial(_power, shown, n),
             ("frequency_sum",),
             f"c·((F − F0)/F'){SIGNS[n - 1]},  F0 = {nominal:g} Hz, F' = {tempco:g} Hz/°C",
         )
@@ -245,7 +268,7 @@ BASELINE = tuple(
 K2 = bc.Effect(
     "second_order",
     "second_order",
-    basis=lambda r: 1.0,
+    basis=_one,
     coefficients=(bc.Coefficient("ug/g^2", bc.Normal(0.0, SECOND_ORDER)),),
     columns=("acceleration",),
     varies=("acceleration",),

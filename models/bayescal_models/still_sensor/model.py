@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -41,11 +42,21 @@ from bayescal_models.still_sensor import COLUMNS, effects
 from bayescal_models.still_sensor.simulator import simulated_columns
 
 MINUTE = 60.0
+SETTINGS = {"unit", "size", "constant", "span", "pace"}
 LEAST_TEMPERATURE_RANGE = (
     0.1  # °C: what a good chamber holds, so no temperature model can be seen in less
 )
 
 
+def _at_rest(slots, r):
+    return slots["bias"]
+
+
+def _in_use(true, slots, r):
+    return slots["bias"] + true
+
+
+@cache  # the same settings are the same instrument
 def instrument(
     unit: str = "1",
     *,
@@ -78,7 +89,7 @@ def instrument(
         title="any sensor at rest: its output over temperature and time",
         columns=tuple(replace(c, unit=unit) if c.name == "output" else c for c in COLUMNS),
         slots=(bc.Slot("bias", unit, "output at rest"),),
-        response=lambda slots, r: slots["bias"],
+        response=_at_rest,
         effects=(effects.constant(unit, constant), *thermal),
         candidates=(*([] if span else [line]), *candidates, *effects.temporal(unit, size)),
         noise=bc.White(bc.HalfCauchy(0.1 * size)),
@@ -88,7 +99,7 @@ def instrument(
             ("cubic", lambda: made.baseline() + candidates[:2]),
         ),
         simulator=simulated_columns,
-        use=bc.Use("input", unit, equation=lambda true, slots, r: slots["bias"] + true),
+        use=bc.Use("input", unit, equation=_in_use),
         source="ours",
         settings=(("unit", unit), *settings.items()),
     )
@@ -105,6 +116,8 @@ def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
     Raises:
         InputError: the output does not change, so that no size can be taken from it.
     """
+    if set(settings) == SETTINGS:
+        return instrument(**settings)
     output = readings["output"]
     middle = float(np.median(output))
     low, high = np.quantile(output, [0.005, 0.995])

@@ -1,0 +1,147 @@
+"""Models and calibrations go to other processes: equal on arrival, nothing compiled twice, or refused in a sentence."""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+from functools import partial
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal import effects
+from bayescal._calibration.description import identity
+from bayescal_models import INSTRUMENTS, mems_gyro, still_sensor
+from tests.support.compilations import compiled
+
+QUICK = bc.LeastSquares(draws=400)
+GYRO = mems_gyro.INSTRUMENT
+
+
+def again(value):
+    return pickle.loads(pickle.dumps(value))
+
+
+def instrument_of(name: str) -> bc.Instrument:
+    return import_module(f"bayescal_models.{name}").INSTRUMENT
+
+
+def squared(column, r):
+    return r[column] ** 2
+
+
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_models_and_effects_of_every_instrument(name) -> None:
+    instrument = instrument_of(name)
+    assert again(instrument) is instrument
+    for effect in (*instrument.effects, *instrument.candidates):
+        copy = again(effect)
+        assert copy == effect
+        assert (copy.basis, hash(copy.basis)) == (effect.basis, hash(effect.basis))
+        assert repr(copy.coefficients) == repr(effect.coefficients)
+    model = instrument.baseline()
+    assert again(model) == model
+    assert again(model + instrument.candidates) == model + instrument.candidates
+
+
+def test_the_catalogue_makes_the_same_effect_twice() -> None:
+    one, other = (effects.linear("bias", 1.0, "deg/s/degC", source="ours") for _ in range(2))
+    assert one == other
+    assert one.basis == other.basis
+    assert one.basis != effects.quadratic("bias", 1.0, "deg/s/degC^2", source="ours").basis
+
+
+def test_a_tailored_and_a_changed_instrument() -> None:
+    tailored = still_sensor.INSTRUMENT.for_readings(still_sensor.simulate({}, seed=1))
+    assert again(tailored) is tailored
+    from dataclasses import replace
+
+    fewer = replace(GYRO, candidates=GYRO.candidates[:2])
+    assert again(fewer).candidates == fewer.candidates
+
+
+@pytest.fixture(scope="module")
+def calibration() -> bc.Calibration:
+    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
+    return bc.fit(GYRO.baseline() + "bias.thermal_lag" + "unknown(temperature)", readings, QUICK)
+
+
+def test_a_calibration_is_the_same(calibration) -> None:
+    assert calibration.tree is not None  # what was computed from it does not travel
+    copy = again(calibration)
+    assert identity(copy) == identity(calibration)
+    assert str(copy) == str(calibration)
+    for name in calibration.posterior:
+        np.testing.assert_array_equal(copy.samples(name), calibration.samples(name))
+    np.testing.assert_array_equal(bc.predict(copy).mean, bc.predict(calibration).mean)
+    with pytest.raises(ValueError, match="read-only"):
+        copy.readings["output"][0] = 0.0
+
+
+def test_nothing_is_compiled_again(calibration) -> None:
+    def same() -> None:
+        copy = again(calibration)
+        bc.predict(copy)
+        bc.fit(copy.model, copy.readings, QUICK)
+
+    assert compiled(same) == []
+
+
+def test_results_of_a_search(calibration) -> None:
+    readings = calibration.readings
+    trail = bc.calibrate(GYRO.baseline(), readings, method=QUICK, max_effects=1)
+    assert str(again(trail)) == str(trail)
+    assert str(again(trail.final.check)) == str(trail.final.check)
+    discovery = trail.steps[0].discovery
+    assert discovery is not None
+    assert again(discovery).best == discovery.best
+
+
+def own(basis, **more) -> bc.Effect:
+    return bc.Effect(
+        "bias.humidity", "bias", basis, (bc.Coefficient("deg/s"),), columns=("humidity",), **more
+    )
+
+
+def test_an_effect_of_a_module_is_pickled() -> None:
+    effect = own(partial(squared, "humidity"))
+    assert again(effect) == effect
+
+
+def test_a_lambda_is_refused_in_a_sentence_and_left_to_cloudpickle() -> None:
+    cloudpickle = pytest.importorskip("cloudpickle")
+    model = GYRO.baseline() + own(lambda r: r["humidity"])
+    with pytest.raises(bc.ModelError, match=r"'bias\.humidity' cannot be pickled.*basis.*`def`"):
+        pickle.dumps(model)
+    copy = pickle.loads(cloudpickle.dumps(model))  # what joblib and Dask fall back to
+    assert copy.names == model.names
+
+
+def test_an_instrument_without_a_name_is_refused_in_a_sentence() -> None:
+    instrument = bc.Instrument(
+        name="mine",
+        title="mine",
+        columns=(bc.Column("output", "deg/s", "output"),),
+        slots=(bc.Slot("bias", "deg/s"),),
+        response=lambda slots, r: slots["bias"],
+        effects=(),
+    )
+    with pytest.raises(bc.ModelError, match=r"instrument 'mine' cannot be pickled.*INSTRUMENT ="):
+        pickle.dumps(instrument)
+
+
+def summary_of(content: bytes) -> tuple[str, str, int]:
+    arrived = pickle.loads(content)
+    fitted = bc.fit(arrived.model, arrived.readings, QUICK)
+    return identity(arrived), identity(fitted), len(bc.predict(arrived).mean)
+
+
+@pytest.mark.slow
+def test_in_a_process_that_never_saw_it(calibration) -> None:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        there, fitted, size = pool.apply(summary_of, (pickle.dumps(calibration),))
+    assert there == identity(calibration)
+    assert fitted == identity(bc.fit(calibration.model, calibration.readings, QUICK))
+    assert size == len(calibration.readings)

@@ -1,0 +1,140 @@
+"""In a notebook: a result is one line as `repr`, a table in HTML with everything escaped, and numbers in pandas."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import bayescal as bc
+from bayescal._core.formatting import as_html, table
+from bayescal._readings.column import Source
+from bayescal_models import still_sensor
+from bayescal_models.mems_gyro import INSTRUMENT, simulate
+
+SCRIPT = "<script>alert(1)</script>"
+QUICK = bc.LeastSquares(draws=400)
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, object]:
+    readings = simulate({"bias.thermal_lag": 0.05}, seed=1)
+    readings = replace(readings, sources=(Source(f"{SCRIPT}.csv", "0", 330),))
+    trail = bc.calibrate(INSTRUMENT.baseline(), readings, method=QUICK, max_effects=1)
+    first, last = trail.steps[0].calibration, trail.final.calibration
+    unit = {n: still_sensor.simulate({}, seed=i) for i, n in enumerate(("x", "y"))}
+    models = {n: still_sensor.INSTRUMENT.for_readings(r).baseline() for n, r in unit.items()}
+    return {
+        "readings": readings,
+        "model": last.model,
+        "calibration": last,
+        "check": trail.steps[0].check,
+        "discovery": trail.steps[0].discovery,
+        "comparison": bc.compare({SCRIPT: first, "with it": last}),
+        "trail": trail,
+        "channels": bc.calibrate_channels(models, unit, method=QUICK, max_effects=1),
+    }
+
+
+NAMES = [
+    "readings",
+    "model",
+    "calibration",
+    "check",
+    "discovery",
+    "comparison",
+    "trail",
+    "channels",
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_repr_is_one_short_line(results, name) -> None:
+    said = repr(results[name])
+    assert said.startswith(f"<{type(results[name]).__name__}: ")
+    assert "\n" not in said
+    assert len(said) < 250
+
+
+def test_repr_of_what_stands_in_results_is_short(results) -> None:
+    assert repr(INSTRUMENT) == f"<Instrument: mems_gyro, {INSTRUMENT.title}>"
+    said = repr(results["discovery"].best)
+    assert said.startswith("(<Effect: bias.thermal_lag [deg/s/degC]: c·(T̃ − T)")
+    assert len(said) < 200
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_html_holds_every_word_of_the_text_and_nothing_unescaped(results, name) -> None:
+    found = results[name]._repr_html_()
+    assert "<table>" in found
+    assert SCRIPT not in found
+    assert set(re.findall(r"</?(\w+)", found)) <= {
+        "table",
+        "thead",
+        "tbody",
+        "tr",
+        "th",
+        "td",
+        "p",
+        "br",
+    }
+    plain = re.sub(r"&\w+;|&#x?\w+;|<[^>]*>|\s", "", found)
+    text = re.sub(r"[\s─<>&'\"]", "", str(results[name]))
+    assert plain == text
+
+
+def test_names_of_files_models_and_effects_are_escaped(results) -> None:
+    assert "&lt;script&gt;" in results["readings"]._repr_html_()
+    assert "&lt;script&gt;" in results["comparison"]._repr_html_()
+    effect = bc.Effect(
+        f"bias.{SCRIPT}", "bias", abs, (bc.Coefficient("deg/s"),), equation="<b>c</b> & d"
+    )
+    found = (INSTRUMENT.baseline() + effect)._repr_html_()
+    assert SCRIPT not in found
+    assert "&lt;b&gt;c&lt;/b&gt; &amp; d" in found
+
+
+def test_a_table_in_html_has_its_cells_in_their_columns() -> None:
+    text = table(
+        ["name", "ẋ", "why"],
+        [["a", "1", "a long reason that is folded " * 4], ["b", "−2.5", ""]],
+        fold=20,
+    )
+    found = as_html(f"before\n{text}\nafter: this is no row")
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", found)
+    assert [cells[0], cells[1], *cells[3:]] == ["a", "1", "b", "−2.5", ""]
+    assert cells[2].replace("<br>", " ") == ("a long reason that is folded " * 4).strip()
+    assert found.startswith("<p>before</p><table>")
+    assert found.endswith("</table><p>after: this is no row</p>")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_numbers_come_as_pandas_and_xarray(results, name) -> None:
+    frame, dataset = results[name].to_pandas(), results[name].to_xarray()
+    assert isinstance(frame, pd.DataFrame)
+    assert isinstance(dataset, xr.Dataset)
+    assert len(frame) > 1
+    assert set(frame.columns) == set(map(str, dataset.data_vars))
+    assert dataset.sizes == {frame.index.name: len(frame)}
+
+
+def test_numbers_are_those_that_are_printed(results) -> None:
+    calibration = results["calibration"]
+    frame = calibration.to_pandas()
+    draws = calibration.samples("bias.thermal_lag")
+    assert frame.loc["bias.thermal_lag", "mean"] == pytest.approx(draws.mean())
+    assert frame.loc["bias.thermal_lag", "high"] == pytest.approx(np.quantile(draws, 0.975))
+    assert frame.loc["bias.thermal_lag", "unit"] == "deg/s/degC"
+    discovery = results["discovery"]
+    assert discovery.to_pandas()["probability"].idxmax() == discovery.candidates[0].effect
+    assert results["trail"].to_pandas().loc["baseline", "new run"] == results["trail"].steps[0].rmse
+    assert results["comparison"].to_pandas().loc["with it", "log_evidence"] == pytest.approx(
+        calibration.log_evidence[0]
+    )
+    readings = results["readings"]
+    np.testing.assert_array_equal(readings.to_pandas()["output"], readings["output"])
+    assert readings.to_xarray()["output"].attrs["units"] == "deg/s"
