@@ -15,7 +15,6 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import find_mode, in_numpy, prior_draws
-from bayescal._engine.record import Record
 from bayescal._model.correlated_noise import CORRELATION_TIME
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
@@ -226,11 +225,11 @@ def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[st
 
 def _known_effects(calibration: Fitted) -> float:
     """How much the instrument's own effects plausibly change the output over these readings, rms, output unit."""
-    model, readings, record = calibration.model, calibration.readings, calibration.assembly.record
+    model, readings = calibration.model, calibration.readings
     own = (*model.instrument.effects, *model.instrument.candidates)
     effects = tuple(e for e in own if testable(e, readings) is None)
     layout = bind(Model(model.instrument, effects, model.noise), readings)[0]
-    assembly = Assembly(layout, Record(model.instrument, record.frame, record.y, effects))
+    assembly = Assembly(layout, calibration.assembly.record)
     hyper = assembly.hyper(np.zeros(len(assembly.hypers)))
     prior = assembly.prior(hyper, np.ones(assembly.size))
     slopes = assembly.linearise(assembly.start, hyper).jacobian * (prior.sd * prior.weight)

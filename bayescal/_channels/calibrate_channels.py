@@ -12,7 +12,6 @@ from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
 from bayescal._discovery.calibrate import Loop
 from bayescal._discovery.candidate import Candidate
-from bayescal._discovery.discover import structures_over
 from bayescal._discovery.search_path import Step, Trail
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect, Shape
@@ -122,12 +121,7 @@ class _Channel:
         loop, first = loop.begin(model)
         if first.against:
             return cls(name, loop, first, None, [], {}, {})
-        if loop.on_trial(first):
-            loop, widen_noise = replace(loop, max_effects=0), False
-        reference = first.calibration.reference
-        structures, shut = structures_over(
-            model, loop.readings, reference, effects=effects, widen_noise=widen_noise
-        )
+        loop, structures, shut = loop.open(first, effects, widen_noise)
         own = cls(name, loop, first, structures, shut, {}, dict(structures.log_odds))
         own.stopped = loop.look(Library(structures))
         return own

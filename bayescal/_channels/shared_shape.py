@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._model.effect import Shape
+from bayescal._model.effect import CENTRAL_95, Shape
 from bayescal._search.library import Library
 from bayescal._search.scores import View
 from bayescal._search.structures import Structures, Weighed
@@ -27,7 +27,6 @@ RAGGED_STEP = 0.02
 CLOSE = np.linspace(-4.0, 4.0, 25)  # about what a channel found, in its standard deviations
 MOVED = 0.5  # standard deviations of a shape, or log odds, by which a channel's prior moves before it is asked again
 ASKED = 3  # most probable structures with the effect and without, of which a channel is asked
-CENTRAL_95 = 1.959963984540054
 
 
 class FromOthers(NamedTuple):

@@ -88,11 +88,7 @@ def calibrate(
     loop, first = loop.begin(model)
     if first.against:
         return loop.not_looked(first)
-    if loop.on_trial(first):
-        loop, widen_noise = replace(loop, max_effects=0), False
-    structures, shut = structures_over(
-        model, readings, first.calibration.reference, effects=effects, widen_noise=widen_noise
-    )
+    loop, structures, shut = loop.open(first, effects, widen_noise)
     return loop.search(first, Library(structures), shut, seeds, follow)
 
 
@@ -114,6 +110,19 @@ class Loop:
         """The first step."""
         first = self.step(model, method=self.quick(model))
         return replace(self, begun=time.monotonic()), first
+
+    def open(
+        self, first: Step, effects: Sequence[Effect], widen_noise: bool
+    ) -> tuple[Loop, Structures, list[Candidate]]:
+        """The structures to look at beyond the first step, and the candidates that these readings cannot test."""
+        loop = self
+        if self.on_trial(first):
+            loop, widen_noise = replace(self, max_effects=0), False
+        c = first.calibration
+        structures, shut = structures_over(
+            c.model, self.readings, c.reference, effects=effects, widen_noise=widen_noise
+        )
+        return loop, structures, shut
 
     def quick(self, model: Model) -> Method | None:
         """How steps on the way are fitted: not sampled, for their errors and evidence need no draws."""

@@ -24,6 +24,7 @@ from bayescal._readings.measurements import Measurements
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
 
 
+CENTRAL_95 = 1.959963984540054  # standard deviations to either end of the central 95 % of a normal distribution
 OPEN = (0.0, math.inf)  # low and high of a shape whose plausible range the readings say
 
 
@@ -117,9 +118,9 @@ class Shape(eqx.Module):
                 "or give low and high"
             )
         if self.scale == "log":
-            sd = math.log(self.high / self.low) / (2 * 1.959963984540054)
+            sd = math.log(self.high / self.low) / (2 * CENTRAL_95)
             return LogNormal(math.sqrt(self.low * self.high), sd)
-        return Normal((self.low + self.high) / 2, (self.high - self.low) / (2 * 1.959963984540054))
+        return Normal((self.low + self.high) / 2, (self.high - self.low) / (2 * CENTRAL_95))
 
 
 class Effect(eqx.Module):
