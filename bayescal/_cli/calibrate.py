@@ -128,8 +128,8 @@ def _several(
     """Channels of one unit."""
     from bayescal._cli import request
 
-    models, readings = request.open_channels(names, asked)
-    kept = request.open_kept_channels(holdout, names, asked)
+    general, models, readings = request.open_channels(names, asked)
+    kept = request.open_kept_channels(holdout, names, general, asked)
     print_notes(_flags(readings))
     own: Sequence[Effect] = request.user_effects(asked.choice.effects_file)
     first = next(iter(readings.values()))

@@ -82,8 +82,8 @@ def open_request(asked: Asked) -> tuple[Instrument, Model, Measurements]:
 
 def open_channels(
     names: Sequence[str], asked: Asked
-) -> tuple[dict[str, Model], dict[str, Measurements]]:
-    """Models and readings of the channels of one unit; the instrument tailored to each.
+) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
+    """Instrument, models and readings of the channels of one unit; a model has it tailored to its readings.
 
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
@@ -95,7 +95,7 @@ def open_channels(
     models = {
         n: compose(general.for_readings(one), asked.choice, own) for n, one in readings.items()
     }
-    return models, readings
+    return general, models, readings
 
 
 def _opened(asked: Asked, **more: Any) -> tuple[Instrument, Any]:
@@ -121,13 +121,12 @@ def open_kept(
 
 
 def open_kept_channels(
-    files: Sequence[Path] | None, names: Sequence[str], asked: Asked
+    files: Sequence[Path] | None, names: Sequence[str], general: Instrument, asked: Asked
 ) -> dict[str, Measurements] | None:
     """The same of the channels of one unit."""
     if not files:
         return None
-    general, how = instrument_named(asked.instrument), asked.columns.for_read()
-    readings = read(list(files), general, **how, outputs=list(names))
+    readings = read(list(files), general, **asked.columns.for_read(), outputs=list(names))
     return {n: averaged(one, asked.average, asked.keep_spikes) for n, one in readings.items()}
 
 

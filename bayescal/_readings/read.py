@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -96,32 +96,38 @@ def read(
     options = ReadOptions(
         columns or {}, units or {}, local_gravity, nominal_scale, missing, decimal
     )
-    rest = (paths, names, instrument, allow_one_temperature, max_bytes)
-    return _measurements(options, *rest) if outputs is None else _each(outputs, options, *rest)
+
+    def one(options: ReadOptions) -> Measurements:
+        return _measurements(options, paths, names, instrument, allow_one_temperature, max_bytes)
+
+    return one(options) if outputs is None else _each(outputs, options, instrument, one)
 
 
-def _each(outputs: Sequence[str], options: ReadOptions, *rest: Any) -> dict[str, Measurements]:
-    """Readings of several outputs; what is wrong with any is said at once.
+def _each(
+    outputs: Sequence[str],
+    options: ReadOptions,
+    instrument: InstrumentLike,
+    one: Callable[[ReadOptions], Measurements],
+) -> dict[str, Measurements]:
+    """Readings of several outputs, each as `one` reads it; what is wrong with any is said at once.
 
     Raises:
         InputError: one is named twice or is an input, or something cannot be used.
     """
     if not outputs or len(set(outputs)) < len(outputs):
         raise InputError(f"outputs={list(outputs)}: name each channel once, and one at least")
-    problems, instrument, found = Problems(), rest[2], dict[str, "Measurements"]()
-    output = output_name(instrument)
-    if output in options.columns:
+    problems, found = Problems(), dict[str, "Measurements"]()
+    if (output := output_name(instrument)) in options.columns:
         raise InputError(f"{output}={options.columns[output]}, and channels: say only the channels")
-    inputs = expected_columns(instrument).keys() - {output}
+    for name in (expected_columns(instrument).keys() - {output}).intersection(outputs):
+        raise InputError(
+            f"{name!r} is no channel: {instrument.name!r} reads it as what channels depend on"
+        )
     for name in outputs:
-        if name in inputs:
-            raise InputError(
-                f"{name!r} is no channel: {instrument.name!r} reads it as what channels depend on"
-            )
         columns = {**options.columns, output: name}
         others = frozenset(outputs) - {name}
         with problems.collecting():
-            found[name] = _measurements(replace(options, columns=columns, others=others), *rest)
+            found[name] = one(replace(options, columns=columns, others=others))
     Problems(dict.fromkeys(problems)).refuse()
     return found
 
@@ -178,9 +184,7 @@ def _opened(
             part = convert_columns(table, instrument, options, problems)
             parts.append(part)
             records_known = part.unread.isdisjoint(("run", "device", "axis"))
-            if (
-                problems and records_known
-            ):  # what is wrong with the file as a whole is said with the rest
+            if problems and records_known:  # said with the rest
                 problems += problems_of_whole([table], part, instrument, True)
     problems.refuse()
     return tables, parts
@@ -235,10 +239,8 @@ def _join(tables: Sequence[Table], parts: Sequence[ConvertedColumns]) -> Convert
     units = {name: unit for part in parts for name, unit in part.units.items()}
     for name, unit in units.items():
         have = [name in part.values for part in parts]
-        with_it, without = (
-            tables[have.index(True)].file,
-            None if all(have) else tables[have.index(False)].file,
-        )
+        with_it = tables[have.index(True)].file
+        without = None if all(have) else tables[have.index(False)].file
         for table, part in zip(tables, parts, strict=True):
             if part.units.get(name, unit) != unit:
                 raise InputError(
