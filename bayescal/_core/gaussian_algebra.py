@@ -122,6 +122,11 @@ class Conditional(NamedTuple):
         return self.sd[:, None] * self.covariance_of_z * self.sd
 
     @property
+    def root(self) -> Float[np.ndarray, "p p"]:
+        """A square root of the covariance of x."""
+        return self.place(np.eye(self.u.size)) - self.mean[:, None]
+
+    @property
     def log_jacobian(self) -> float:
         """Log volume of the map from standard normal numbers to x."""
         return float(np.sum(np.log(self.sd)) - np.sum(np.log(np.diag(self.chol))))

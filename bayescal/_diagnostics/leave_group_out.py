@@ -82,7 +82,7 @@ def _fold(
 ) -> tuple[float, np.ndarray | float]:
     """Log density and residuals of the readings left out, given the kept ones; not a number where these say nothing."""
     fitted, predicted = (_density(whole, mode, rows) for rows in (kept, out))
-    v = climb(fitted, mode.v, mode.covariance, NOTHING_LEFT) if len(mode.v) else mode.v
+    v, _ = climb(fitted, mode.v, mode.covariance, NOTHING_LEFT)
     found = fitted.at(v)[1]
     if found is None:
         return np.nan, np.nan

@@ -244,8 +244,6 @@ class Assembly:
         if not self.affine or not own or not plain:
             return None
         made = self.record.column_slopes(own[0].known.columns, float(hyper[name]))
-        if made is None:
-            return None
         wide, at = np.zeros((self.record.size, self.size), order="F"), []
         for t in own:
             self._place(t, slopes[t.slot] * made[:, t.index] * t.factor, wide)

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from bayescal._core.gaussian_algebra import Conditional, Gram, condition
 from bayescal._engine.assembly import NUDGE, Assembly, Line, Point, Values
+from bayescal._engine.noise_slopes import noise_slopes
 from bayescal._engine.whitening import Robust, Whitening, known_variance, robust, whitening
 from bayescal._model.noise_laws import White
 
@@ -48,7 +49,7 @@ class Density:
         )
         self.evaluations = 0
         self._lines: dict[tuple[float, ...], tuple[Line, Gram | None]] = {}
-        self._white: tuple[Whitening, np.ndarray] | None = None  # of the last products
+        self._white: tuple[Whitening, np.ndarray, np.ndarray] | None = None  # of the last products
         self._mode = self.point.x  # of x, where it was sought
 
     def _line(self, v: np.ndarray, hyper: Values) -> tuple[Line, Gram | None]:
@@ -106,9 +107,10 @@ class Density:
         if not self.assembly.noise.gaussian:
             return self._about_the_mode(self._beside(line), hyper)
         white = whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
-        table = white(self._beside(line))
-        self._white = (white, table)
-        return Gram.of(table, white.logdet)
+        table = self._beside(line)
+        whitened = white(table)
+        self._white = (white, table, whitened)
+        return Gram.of(whitened, white.logdet)
 
     def _about_the_mode(self, table: Float[np.ndarray, "n q"], hyper: Values) -> Gram:
         """The products that stand for a law that is not Gaussian: of the quadratic about the mode of x given φ.
@@ -193,7 +195,9 @@ class Density:
         z = (found.mean - found.shift) / np.where(found.sd > 0, found.sd, 1.0)
         excess = (z**2 + np.diag(covariance) - 1) * assembly.weight_of_x
         exact = assembly.noise.gaussian  # else the curvature at the mode of x moves with all of φ
-        by_shape = self._shape_slopes(v, found, covariance) if exact else {}
+        known = (
+            self._noise_slopes(v, found) | self._shape_slopes(v, found, covariance) if exact else {}
+        )
         for i, kind in enumerate(assembly.kinds):
             if not exact:
                 gradient[i] += self._difference(v, i, value, careful=True)
@@ -201,8 +205,8 @@ class Density:
                 gradient[i] += excess @ self._log_size_slope(v, i)
             elif kind == "noise" and self.even:
                 gradient[i] += self._white_slope(v, found, z, covariance)
-            elif kind == "shape" and i in by_shape:
-                gradient[i] += by_shape[i]
+            elif i in known:
+                gradient[i] += known[i]
             else:
                 gradient[i] += self._difference(v, i, value, careful)
         return value, gradient
@@ -221,6 +225,16 @@ class Density:
             found = (likelihood(STEP) - value + self.assembly.log_prior(v)) / STEP
         return found if abs(found) < 1e100 else 0.0  # beyond the edge of where there is a density
 
+    def _noise_slopes(self, v: np.ndarray, found: Conditional) -> dict[int, float]:
+        """By the coordinates of the noise's parameters, where readings have no variance in common."""
+        if self.even or self._white is None:
+            return {}
+        white, table, whitened = self._white
+        q = len(found.mean)
+        turn = np.zeros((q + 1, q + 1))  # [J | r] to [J·C^½ | e]
+        turn[:q, :q], turn[:q, q], turn[q, q] = found.root, self.point.x - found.mean, 1.0
+        return noise_slopes(self.assembly, v, white, table @ turn, whitened @ turn)
+
     def _shape_slopes(
         self, v: np.ndarray, found: Conditional, covariance: np.ndarray
     ) -> dict[int, float]:
@@ -234,7 +248,7 @@ class Density:
         white, table, scale = None, self._beside(line), hyper.get("noise.white", 1.0) ** 2
         if gram is None:
             assert self._white is not None
-            (white, table), scale = self._white, 1.0
+            (white, _, table), scale = self._white, 1.0
         mean, made = found.mean, {}
         move, spread = mean - self.point.x, found.sd[:, None] * covariance * found.sd
         for i in shapes:

@@ -67,6 +67,7 @@ def find_mode(
     covariance: np.ndarray | None = None,
     point: Point | None = None,
     still: float = STILL,
+    curved: bool = True,
 ) -> Mode:
     """The mode, from the best of some coordinates of φ. Deterministic.
 
@@ -77,6 +78,7 @@ def find_mode(
         point: where x̂ may be; its prior mean if not given.
         still: standard deviations that a round moves anything by, below which the mode is found. The log evidence is
             off by about half their square.
+        curved: whether the Gaussian fit there is asked for too; without, its covariance is the climb's guess.
     """
     point, dim = assembly.start if point is None else point, len(assembly.hypers)
     hyper = assembly.hyper(np.zeros(dim))
@@ -92,16 +94,20 @@ def find_mode(
         mirrored = np.where(promoted, -found.v, found.v)
         other = _climbed(assembly, mirrored, covariance, point, flat, still)
         found = max(found, other, key=lambda summit: summit.value)
+    if not curved and found.value > NOWHERE:
+        value = found.value
+        return Mode(found.point, found.v, found.wide, value, value, found.change, flat, False)
     return at_mode(Density(assembly, found.point, flat), found.v, found.change)
 
 
 class _Summit(NamedTuple):
-    """Where a climb ended: the log density there, and by how much the last round still moved anything."""
+    """Where a climb ended: the log density there, by how much the last round still moved anything, a covariance."""
 
     value: float
     change: float
     v: np.ndarray
     point: Point
+    wide: np.ndarray
 
 
 def _climbed(
@@ -114,23 +120,24 @@ def _climbed(
 ) -> _Summit:
     """The mode of φ and of x in turn, from one start."""
     density, change, value = Density(assembly, point, flat), math.inf, NOWHERE
+    wide = np.eye(len(v))
     for _ in range(ROUNDS):
         if not assembly.affine:
             point = mode_of_x(assembly, point, v, flat, still)
             density = Density(assembly, point, flat)
-        best = climb(density, v, covariance, max(NOTHING_LEFT, 0.01 * still**2)) if len(v) else v
+        best, wide = climb(density, v, covariance, max(NOTHING_LEFT, 0.01 * still**2))
         value, found = density.at(best)
         if found is None:
-            return _Summit(NOWHERE, math.inf, best, point)
+            return _Summit(NOWHERE, math.inf, best, point, wide)
         width = np.sqrt(np.diag(found.covariance)) + 1e-300
         moved = float(np.max(np.abs((found.mean - point.x) / width), initial=0.0))
         change = max(moved, float(np.max(np.abs(best - v), initial=0.0)))
         v, point = best, _with_rows(assembly, density, found, best)
         if assembly.affine:
-            return _Summit(value, 0.0, v, point)
+            return _Summit(value, 0.0, v, point, wide)
         if change < still:
             break
-    return _Summit(value, change, v, point)
+    return _Summit(value, change, v, point, wide)
 
 
 def climb(
@@ -138,8 +145,8 @@ def climb(
     start: np.ndarray,
     covariance: np.ndarray | None,
     nothing: float = NOTHING_LEFT,
-) -> np.ndarray:
-    """φ̂ of a density, uphill from a coordinate: BFGS, until what is left to gain is nothing.
+) -> tuple[np.ndarray, np.ndarray]:
+    """φ̂ of a density, uphill from a coordinate: BFGS, until what is left to gain is nothing; the inverse curvature.
 
     Args:
         density: of φ.
@@ -150,6 +157,8 @@ def climb(
     v, wide = start, 0.1 * np.eye(len(start))
     if covariance is not None and np.all(np.isfinite(covariance)):
         wide = covariance
+    if not len(v):
+        return v, wide
     value, slope = density.slope(v)
     for _ in range(CLIMB):
         step = wide @ slope
@@ -169,7 +178,7 @@ def climb(
             left = np.eye(len(v)) - np.outer(step, turned) / bend
             wide = left @ wide @ left.T + np.outer(step, step) / bend
         v, value, slope = v + step, there, next_slope
-    return v
+    return v, wide
 
 
 def prior_draws(assembly: Assembly) -> list[np.ndarray]:
@@ -231,21 +240,11 @@ def _with_rows(assembly, density: Density, found, v, x=None) -> Point:
     hyper = assembly.hyper(v)
     line = assembly.linearise(point, hyper)
     rest = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
-    variance = noise_variance(assembly, hyper)
-    return Point(x, mean_of_rows(assembly, line.rows, rest, variance)[0])
-
-
-def noise_variance(assembly: Assembly, hyper) -> np.ndarray:
-    """Variance of each reading by the noise alone."""
-    return variance_of(assembly.noise, hyper, assembly.record, 0.0)
-
-
-def mean_of_rows(assembly: Assembly, slopes, residual, variance):
-    """Per-reading coefficients given all else, and the Cholesky factor of their precision."""
-    precision = slopes[:, :, None] * slopes[:, None, :] / variance[:, None, None]
+    variance = variance_of(assembly.noise, hyper, assembly.record, 0.0)
+    precision = line.rows[:, :, None] * line.rows[:, None, :] / variance[:, None, None]
     precision = precision + np.diag(1 / assembly.row_sd**2)
-    pull = slopes * (residual / variance)[:, None]
-    return np.linalg.solve(precision, pull[:, :, None])[:, :, 0], precision
+    pull = line.rows * (rest / variance)[:, None]
+    return Point(x, np.linalg.solve(precision, pull[:, :, None])[:, :, 0])
 
 
 def at_mode(density: Density, v: np.ndarray, change: float) -> Mode:

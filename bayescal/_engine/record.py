@@ -25,6 +25,7 @@ TOGETHER = 48  # draws in one call of a program: as many as a shape has nodes, a
 REACH = 4.0  # prior standard deviations of a shape, up to which columns are interpolated along it,
 NODES = REACH * np.cos((np.arange(40) + 0.5) * np.pi / 40)  # between Chebyshev's points,
 INTERPOLATED = 1e-9  # as good as this part of the largest number in a column, tried half way between some of them
+ASIDE = 1e-5  # of a coordinate, for slopes of columns that are not interpolated
 BETWEEN = REACH * np.cos(np.array([1.0, 7.0, 16.0, 24.0, 33.0, 39.0]) * np.pi / 40)
 _WEIGHTS = (-1.0) ** np.arange(40) * np.sin((np.arange(40) + 0.5) * np.pi / 40)
 
@@ -40,8 +41,7 @@ def shares(v: float | Float[np.ndarray, "b"]) -> Float[np.ndarray, "... s"]:
 
 def share_slopes(v: float) -> Float[np.ndarray, "s"]:
     """Of these shares by v."""
-    step = 1e-6
-    return (shares(v + step) - shares(v - step)) / (2 * step)
+    return (shares(v + ASIDE) - shares(v - ASIDE)) / (2 * ASIDE)
 
 
 @dataclass(eq=False)
@@ -103,10 +103,9 @@ class Record:
         """
         if not effect.shapes:
             return self._less(effect.less) if effect.less else self._fixed_columns(effect.basis)
-        if len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH:
-            curve = self._curve(effect)
-            if curve is not None:
-                return (shares(v) @ curve).reshape(self.size, -1, order="F")
+        near = len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH
+        if near and (curve := self._curve(effect)) is not None:
+            return (shares(v) @ curve).reshape(self.size, -1, order="F")
         key = (effect.basis, values)
         found = self._shaped.get(key)
         if found is None:
@@ -119,13 +118,15 @@ class Record:
             self._shaped.move_to_end(key)
         return found
 
-    def column_slopes(self, effect: ColumnsOf, value: float) -> Float[np.ndarray, "n k"] | None:
-        """Slopes of an effect's columns by the coordinate of its one shape; None where they are not interpolated."""
-        v = effect.priors[0].coordinate(value)
+    def column_slopes(self, effect: ColumnsOf, value: float) -> Float[np.ndarray, "n k"]:
+        """Slopes of an effect's columns by the coordinate of its one shape."""
+        v = (prior := effect.priors[0]).coordinate(value)
         curve = self._curve(effect) if abs(v) < REACH else None
-        if curve is None:
-            return None
-        return (share_slopes(v) @ curve).reshape(self.size, -1, order="F")
+        if curve is not None:
+            return (share_slopes(v) @ curve).reshape(self.size, -1, order="F")
+        at = [(prior.value(v + step),) for step in (ASIDE, -ASIDE)]
+        up, down = (self.moved_columns(effect, values, {})[0] for values in at)
+        return (up - down) / (2 * ASIDE)
 
     def _curve(self, effect: ColumnsOf) -> Float[np.ndarray, "s m"] | None:
         """Columns at the nodes of a shape's coordinate; None where they run too sharply to be interpolated."""
@@ -203,7 +204,7 @@ class Record:
         random = np.random.default_rng(0)
         reach = float(np.ptp(self.y)) or 1.0
         for _ in range(2):
-            slots = {}
+            slots = dict[str, np.ndarray]()
             for name in self.slots:
                 steep = float(np.max(np.abs(slopes[name]), initial=0.0))
                 size = min(1.0, reach / steep) if steep > 0 else 1.0
@@ -211,9 +212,9 @@ class Record:
             _, there = self._response(slots, {})
             for name in self.slots:
                 scale = np.max(np.abs(slopes[name]), initial=0.0)
-                change = np.max(np.abs(there[name] - slopes[name]), initial=0.0)
+                change = np.abs(there[name] - slopes[name])
                 # not "larger than": outside of an arcsine there is no slope to compare
-                if not change <= AFFINE * scale:
+                if not np.max(change, initial=0.0) <= AFFINE * scale:
                     return None
         return base, slopes
 

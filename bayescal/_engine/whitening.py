@@ -7,14 +7,11 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from scipy.linalg.lapack import (  # pyright: ignore[reportAttributeAccessIssue]
-    dpttrf,
-    dtbtrs,
-)
+from jaxtyping import Float, Integer
 from scipy.special import gammaln, ndtri, stdtr
 
 from bayescal._core.gaussian_algebra import LOG_2PI
+from bayescal._core.tridiagonal import Tridiagonal
 from bayescal._engine.record import Record
 from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
 from bayescal._model.noise_laws import Heteroscedastic, Noise, StudentT, White
@@ -25,22 +22,55 @@ Batch = Mapping[str, np.ndarray]  # φ by name, one value a draw
 LEAST_FREEDOM = 2.1  # below 2 Student's variance does not exist
 
 
+class Recursion(NamedTuple):
+    """What is new in each reading of correlated noise, y[i] − carry[i]·y[i−1]: correlated with its neighbours alone.
+
+    Attributes:
+        order: of the readings: that of time within runs.
+        step: s to the reading before; below zero at a run's first.
+        carry: what passes from one reading to the next; 0 at a run's first.
+        fresh: part of the correlated noise's variance that is new.
+        white: variance of each reading's own noise.
+        factor: of the covariance of what is new.
+    """
+
+    order: Integer[np.ndarray, "n"]
+    step: Float[np.ndarray, "n"]
+    carry: Float[np.ndarray, "n"]
+    fresh: Float[np.ndarray, "n"]
+    white: Float[np.ndarray, "n"]
+    factor: Tridiagonal
+
+    @classmethod
+    def of(cls, record: Record, white: Float[np.ndarray, "n"], variance: float, tau: float):
+        """Of white noise (n,) in the readings' order, and correlated noise of a variance and a time."""
+        order, step = record.in_time
+        white = white[order]
+        carry = np.where(step < 0, 0.0, np.exp(-step / tau))
+        fresh = np.where(step < 0, 1.0, -np.expm1(-2 * step / tau))
+        diagonal = variance * fresh + white
+        diagonal[1:] += carry[1:] ** 2 * white[:-1]
+        factor = Tridiagonal.of(diagonal, -carry[1:] * white[:-1])
+        return cls(order, step, carry, fresh, white, factor)
+
+
 class Whitening(NamedTuple):
     """L⁻¹ of LLᵀ = Σ: a standard deviation for each reading, after a recursion where readings hang together.
 
     Attributes:
         sd: of each reading given those before it, in the order of time within runs where there is a recursion.
-        order: that order; None for independent readings.
-        band: the unit lower factor of what is new in each reading, for LAPACK.
-        carry: what passes from one reading to the next; 0 at a run's first.
+        recursion: of correlated noise; None for independent readings.
         beyond: what a heavy-tailed law counts beside the squares of whitened residuals.
     """
 
     sd: Float[np.ndarray, "n"]
-    order: np.ndarray | None = None
-    band: np.ndarray | None = None
-    carry: np.ndarray | None = None
+    recursion: Recursion | None = None
     beyond: float = 0.0
+
+    @property
+    def order(self) -> Integer[np.ndarray, "n"] | None:
+        """Of the rows of what is whitened; None for that of the readings."""
+        return None if self.recursion is None else self.recursion.order
 
     @property
     def logdet(self) -> float:
@@ -48,13 +78,13 @@ class Whitening(NamedTuple):
 
     def __call__(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
         """L⁻¹ times a table, in the order of the readings (in that of time, where they hang together)."""
-        if self.order is None:
+        if self.recursion is None:
             return table / self.sd[:, None]
         if not table.shape[1]:
             return table
-        values = np.asfortranarray(table[self.order])
-        values[1:] -= self.carry[1:, None] * values[:-1]  # pyright: ignore[reportOptionalSubscript]
-        return dtbtrs(self.band, values, uplo="L", diag="U")[0] / self.sd[:, None]
+        values = np.asfortranarray(table[self.recursion.order])
+        values[1:] -= self.recursion.carry[1:, None] * values[:-1]
+        return self.recursion.factor.forward(values) / self.sd[:, None]
 
 
 def known_variance(record: Record) -> Float[np.ndarray, "n"] | float:
@@ -158,22 +188,9 @@ def whitening(
         return Whitening(1 / np.sqrt(terms.weight), beyond=beyond)
     if not isinstance(noise, OrnsteinUhlenbeck):
         return Whitening(np.sqrt(variance_of(noise, values, record, extra)))
-    white = _squared_scale(noise, values, record) + extra
-    white = np.broadcast_to(white, (record.size,))
-    order, step = record.in_time
-    tau, variance = values[CORRELATION_TIME], _wandering(values)
-    white = white[order]
-    # What is new in a reading, y[i] − carry[i]·y[i−1], hangs together with its neighbours alone.
-    carry = np.where(step < 0, 0.0, np.exp(-step / tau))
-    fresh = np.where(step < 0, 1.0, -np.expm1(-2 * step / tau))  # part of the variance that is new
-    diagonal = variance * fresh + white
-    diagonal[1:] += carry[1:] ** 2 * white[:-1]
-    pivots, below, failed = dpttrf(diagonal, -carry[1:] * white[:-1])
-    if failed:
-        pivots = np.full(record.size, np.nan)
-    band = np.zeros((2, record.size), order="F")
-    band[0], band[1, :-1] = 1.0, below
-    return Whitening(np.sqrt(pivots), order, band, carry)
+    white = np.broadcast_to(_squared_scale(noise, values, record) + extra, (record.size,))
+    recursion = Recursion.of(record, white, _wandering(values), values[CORRELATION_TIME])
+    return Whitening(np.sqrt(recursion.factor.pivots), recursion)
 
 
 def gram_matrices(

@@ -10,7 +10,7 @@ import numpy as np
 from bayescal._core.gaussian_algebra import condition
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import NOWHERE, Density
-from bayescal._engine.mode import Mode, find_mode
+from bayescal._engine.mode import Mode, at_mode, find_mode
 from bayescal._model.effect import Effect
 
 SIZES = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}  # factors on a plausible size, and their probabilities
@@ -30,8 +30,13 @@ def averaged(
     """The structure at its likeliest sizes, and its log evidence averaged over all.
 
     One effect's size at a time, the others' at their likeliest.
+
+    Args:
+        assembly: the structure at its plausible sizes.
+        mode: where it has its mode, its Gaussian fit not made.
+        sized: effects with a plausible size.
     """
-    if not sized or not math.isfinite(mode.log_evidence):
+    if not math.isfinite(mode.log_evidence):
         return assembly, mode, mode.log_evidence
     chosen = {e.name: 1.0 for e in sized}
     at_sizes = _AtSizes(assembly, mode, chosen)
@@ -45,6 +50,8 @@ def averaged(
     if any(factor != 1.0 for factor in chosen.values()):
         assembly = Assembly(assembly.layout, assembly.record, dict(chosen))
         mode = find_mode(assembly, [mode.v], mode.covariance, mode.point, STILL)
+    else:
+        mode = at_mode(Density(assembly, mode.point, mode.flat), mode.v, mode.change)
     at_sizes = _AtSizes(assembly, mode, chosen)
     log_evidence = mode.log_evidence
     for name in chosen:

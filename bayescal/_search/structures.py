@@ -208,11 +208,11 @@ class Structures:
         model = self.model(structure, departures)
         assembly = Assembly(Layout(model, self.layout.counts), self.record)
         if near is None:
-            mode = find_mode(assembly, still=STILL)
+            mode = find_mode(assembly, still=STILL, curved=False)
         else:
             starts, width = _starts(assembly, near, hints), _width(assembly, near)
             point = assembly.point_of(near.assembly, near.mode.point)
-            mode = find_mode(assembly, starts, width, point, STILL)
+            mode = find_mode(assembly, starts, width, point, STILL, curved=False)
         sized = [e for e in model.effects if e.name in structure.effects and has_size(e)]
         assembly, mode, log_evidence = averaged(assembly, mode, sized)
         log_prior = self.log_prior(structure)

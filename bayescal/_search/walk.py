@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
+from bayescal._core.parallel import on_one_thread
 from bayescal._engine.linear_model import linear_model
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior, on_residuals
@@ -24,6 +25,7 @@ LIMIT = "The search was ended after {:.0f} s with the best so far: more time may
 STOPPED = "The search was interrupted after {:.0f} s: this is the best so far."
 
 
+@on_one_thread
 def walk(
     library: Library,
     max_effects: int,

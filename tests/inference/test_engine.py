@@ -49,6 +49,10 @@ CASES: dict[str, tuple[Any, Any]] = {
         GYRO.baseline() + mems_gyro.effects.THERMOMETER + "bias.temperature_quadratic",
         lambda: mems_gyro.simulate({}, seed=1),
     ),
+    "gyro, thermometer, wandering": (
+        (LAG + mems_gyro.effects.THERMOMETER).with_noise(WANDER),
+        lambda: mems_gyro.simulate({}, seed=1),
+    ),
     "gyro, unknown": (
         GYRO.baseline() + "unknown(time)" + "unknown(time, jump)",
         lambda: mems_gyro.simulate({}, seed=1),
