@@ -35,8 +35,8 @@ ROOMS = {
     "_model": "prior frame effect unknown_effect departure noise_laws correlated_noise instrument "
     "installed model parameters forward",
     "effects": "constant temperature thermal thermometer time",
-    "_engine": "pieces terms record assembly whitening noise_slopes closed_form mode linear_model joint products sampling "
-    "refinement",
+    "_engine": "pieces terms record assembly whitening noise_slopes closed_form mode linear_model joint products "
+    "sampling refinement",
     "_inference": "block_elimination gaussian laplace checkpoint method sampled_products importance_sampling "
     "nuts_chains trust least_squares marginal nuts",
     "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",

@@ -49,8 +49,8 @@ CASES: dict[str, tuple[Any, Any]] = {
         GYRO.baseline() + mems_gyro.effects.THERMOMETER + "bias.temperature_quadratic",
         lambda: mems_gyro.simulate({}, seed=1),
     ),
-    "gyro, thermometer, wandering": (
-        (LAG + mems_gyro.effects.THERMOMETER).with_noise(WANDER),
+    "gyro, thermometer, scatter": (
+        (LAG + mems_gyro.effects.THERMOMETER).with_noise(SCATTER),
         lambda: mems_gyro.simulate({}, seed=1),
     ),
     "gyro, unknown": (
