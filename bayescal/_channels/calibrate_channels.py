@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from bayescal._channels.channels import Channels
-from bayescal._channels.shared_shape import MOVED, FromOthers, SharedShape, channel_says, grid
+from bayescal._channels.shared_shape import FromOthers, Said, SharedShape, said
 from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
 from bayescal._discovery.calibrate import Loop
@@ -20,8 +20,8 @@ from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.set_aside import set_aside
 from bayescal._search.library import Library
-from bayescal._search.structures import Structures
-from bayescal._search.walk import NEAR
+from bayescal._search.structures import Structure, Structures
+from bayescal._search.walk import BEAM
 
 ROUNDS = 3  # of hearing the others, at most
 
@@ -78,7 +78,7 @@ def calibrate_channels(
         )
         with stage(name):
             channels.append(_Channel.begun(name, model, loop, effects, widen_noise))
-    shared = _heard(channels)
+    shared = _shared(channels)
     trails = {}
     for channel in channels:
         with stage(channel.name):
@@ -102,15 +102,21 @@ class _Channel:
 
     Attributes:
         structures: None where nothing can be looked for.
+        shut: candidates that its readings cannot test.
+        shared: shapes that all channels share, as the instrument states them, by the candidate that has it.
+        heard: what the others said of these when the channel was last asked; at first what the instrument says.
+        says: what it says of them itself, by the structures weighed last.
+        stopped: why its search ended early, if it did.
     """
 
     name: str
     loop: Loop
     first: Step
-    structures: Structures | None
-    shut: list[Candidate]
-    heard: dict[str, FromOthers]
-    prior_odds: dict[str, float]
+    structures: Structures | None = None
+    shut: Sequence[Candidate] = ()
+    shared: Mapping[str, Shape] = field(default_factory=dict)
+    heard: dict[str, FromOthers] = field(default_factory=dict)
+    says: dict[str, Said] = field(default_factory=dict)
     stopped: str = ""
 
     @classmethod
@@ -120,49 +126,51 @@ class _Channel:
         """After a first search alone."""
         loop, first = loop.begin(model)
         if first.against:
-            return cls(name, loop, first, None, [], {}, {})
+            return cls(name, loop, first)
         loop, structures, shut = loop.open(first, effects, widen_noise)
-        own = cls(name, loop, first, structures, shut, {}, dict(structures.log_odds))
-        own.stopped = loop.look(Library(structures))
-        return own
+        found = cls(name, loop, first, structures, shut)
+        if loop.max_effects > 0:
+            of_all = {n: e.shared_shape for n, e in structures.candidates.items()}
+            found.shared = {n: shape for n, shape in of_all.items() if shape is not None}
+        odds = structures.log_odds
+        found.heard = {n: FromOthers(odds[n], s.low, s.high) for n, s in found.shared.items()}
+        found._look(structures)
+        return found
 
-    def shared(self) -> dict[str, Shape]:
-        """Shapes that all channels share, by the candidate that has it."""
-        if self.structures is None or self.loop.max_effects == 0:
-            return {}
-        candidates = self.structures.candidates.items()
-        return {n: e.shared_shape for n, e in candidates if e.shared_shape is not None}
-
-    def moved_by(self, told: Mapping[str, FromOthers], shared: Mapping[str, SharedShape]) -> bool:
-        """Whether the others say something else than before; then it is the prior of what is weighed from now on."""
-        aside = {n for n, t in told.items() if t.aside(self._heard(shared[n]), shared[n].shape)}
-        likelier = {
-            n for n, t in told.items() if abs(t.log_odds - self._heard(shared[n]).log_odds) > MOVED
-        }
-        if self.structures is None or not aside | likelier:
+    def hear(self, told: Mapping[str, FromOthers]) -> bool:
+        """Look again if the others say something else than before: it is the prior of what is weighed from now on."""
+        before, shapes = self.structures, self.shared
+        aside = {n for n, now in told.items() if now.aside(self.heard[n], shapes[n])}
+        likelier = {n for n, now in told.items() if now.likelier(self.heard[n])}
+        if before is None or not aside | likelier:
             return False
-        before, candidates = self.structures, dict(self.structures.candidates)
-        for name in aside | likelier:
-            then, now, shape = self._heard(shared[name]), told[name], shared[name].shape
-            self.heard[name] = now if name in aside else then._replace(log_odds=now.log_odds)
-            if name in aside:
-                candidates[name] = candidates[name].ranging({shape.name: (now.low, now.high)})
-        odds = {n: t.log_odds for n, t in self.heard.items()}
-        after = replace(before, candidates=candidates, odds=odds, visited={}, expected={}, forms={})
+        candidates = dict(before.candidates)
+        for name in aside:
+            self.heard[name] = now = told[name]
+            candidates[name] = candidates[name].ranging({shapes[name].name: (now.low, now.high)})
+        for name in likelier:
+            self.heard[name] = self.heard[name]._replace(log_odds=told[name].log_odds)
+        after = replace(
+            before,
+            candidates=candidates,
+            odds={n: now.log_odds for n, now in self.heard.items()},
+            earlier={**before.earlier, **before.visited},
+            visited={},
+            expected={},
+            forms={},
+        )
         for structure, weighed in before.visited.items():
             if structure.effects.isdisjoint(aside):
                 log_prior = after.log_prior(structure)
                 after.visited[structure] = replace(weighed, log_prior=log_prior)
-        self.structures = after
-        near = sorted(before.visited.values(), key=lambda w: -w.total)
-        again = [w.structure for w in near if w.total > near[0].total - NEAR]
-        self.stopped = self.loop.look(Library(after), again)
+        leaders = sorted(before.visited.values(), key=lambda w: -w.total)[:BEAM]
+        self._look(after, [w.structure for w in leaders])
         return True
 
-    def _heard(self, shared: SharedShape) -> FromOthers:
-        """What the others said of an effect when the channel was last asked; at first what the instrument says."""
-        alone = FromOthers(self.prior_odds[shared.effect], shared.shape.low, shared.shape.high)
-        return self.heard.get(shared.effect, alone)
+    def _look(self, structures: Structures, again: Sequence[Structure] = ()) -> None:
+        """Walk over structures, and find what the channel says of the shared shapes by them."""
+        self.structures, self.stopped = structures, self.loop.look(Library(structures), again)
+        self.says = {n: said(structures, n, shape) for n, shape in self.shared.items()}
 
     def trail(self, follow: Callable[[str, Trail], None]) -> Trail:
         """The models on the way to the most probable structure."""
@@ -177,27 +185,30 @@ class _Channel:
         )
 
 
-def _heard(channels: Sequence[_Channel]) -> list[SharedShape]:
+def _shared(channels: Sequence[_Channel]) -> list[SharedShape]:
     """Have the channels hear each other until nothing new is said; what they say in the end."""
-    shapes = {n: shape for channel in channels for n, shape in channel.shared().items()}
-    shared: dict[str, SharedShape] = {}
-    for asked in range(ROUNDS + 1):
-        shared = {n: _shared(n, shape, channels) for n, shape in shapes.items()}
+    shapes = {n: shape for c in channels for n, shape in c.shared.items()}
+    alone: dict[str, float] = {}  # prior probability of each effect in one channel
+    for c in channels:
+        for n, now in c.heard.items():
+            alone[n] = max(alone.get(n, 0.0), 1 / (1 + math.exp(-now.log_odds)))
+    for _ in range(ROUNDS):
+        found = _said(channels, shapes, alone)
         moved = []
-        for channel in channels if asked < ROUNDS else ():
-            told = {n: shared[n].from_others(channel.name) for n in channel.shared()}
-            with stage(channel.name):
-                moved.append(channel.moved_by(told, shared))
+        for c in channels:
+            with stage(c.name):
+                moved.append(c.hear({n: found[n].from_others(c.name) for n in c.shared}))
         if not any(moved):
             break
-    return list(shared.values())
+    return list(_said(channels, shapes, alone).values())
 
 
-def _shared(effect: str, shape: Shape, channels: Sequence[_Channel]) -> SharedShape:
-    """What all channels that can say something of an effect say of it."""
-    able = [c for c in channels if effect in c.shared()]
-    found = {c.name: c.structures for c in able if c.structures is not None}
-    v = grid(effect, shape, found.values())
-    alone = max(1 / (1 + math.exp(-c.prior_odds[effect])) for c in able)
-    says = {n: channel_says(s, effect, shape, v) for n, s in found.items()}
-    return SharedShape(effect, shape, v, min(2 * alone, 0.5), says)
+def _said(
+    channels: Sequence[_Channel], shapes: Mapping[str, Shape], alone: Mapping[str, float]
+) -> dict[str, SharedShape]:
+    """What the channels that can say something of each effect say of it."""
+    found = {}
+    for n, shape in shapes.items():
+        says = {c.name: c.says[n] for c in channels if n in c.says}
+        found[n] = SharedShape.of(n, shape, min(2 * alone[n], 0.5), says)
+    return found

@@ -8,7 +8,7 @@ prior: how probable the effect is there, and in which range its shape lies.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from bayescal._search.scores import View
 from bayescal._search.structures import Structures, Weighed
 
 SHARES = (np.arange(10) + 0.5)[:, None] / 10  # of the channels that show what their unit has
-REACH, STEP = 3.5, 0.05  # of the shape's grid, prior standard deviations
+REACH, STEP = 3.5, 0.25  # of the shape's grid, prior standard deviations
 RAGGED_STEP = 0.02
 CLOSE = np.linspace(-4.0, 4.0, 25)  # about what a channel found, in its standard deviations
 MOVED = 0.5  # standard deviations of a shape, or log odds, by which a channel's prior moves before it is asked again
@@ -43,6 +43,17 @@ class FromOthers(NamedTuple):
         narrower = min(now[1] - now[0], before[1] - before[0])
         return max(abs(a - b) for a, b in zip(now, before, strict=True)) > MOVED * narrower / 4
 
+    def likelier(self, then: FromOthers) -> bool:
+        """Whether the effect is more or less probable than it was, by what counts."""
+        return abs(self.log_odds - then.log_odds) > MOVED
+
+
+class Said(NamedTuple):
+    """What one channel says of a shape: log ratio of its evidence with the effect, at each v, to that without it."""
+
+    v: Float[np.ndarray, "k"]
+    log_ratio: Float[np.ndarray, "k"]
+
 
 @dataclass(frozen=True, eq=False)
 class SharedShape:
@@ -61,6 +72,13 @@ class SharedShape:
     v: Float[np.ndarray, "k"]
     prior: float
     says: Mapping[str, Float[np.ndarray, "k"]]
+
+    @classmethod
+    def of(cls, effect: str, shape: Shape, prior: float, said: Mapping[str, Said]) -> SharedShape:
+        """Of what each channel said, on the points of all."""
+        v = _apart(np.concatenate([one.v for one in said.values()]))
+        says = {name: np.interp(v, one.v, one.log_ratio) for name, one in said.items()}
+        return cls(effect, shape, v, prior, says)
 
     @cached_property
     def _log_mass(self) -> Float[np.ndarray, "k"]:
@@ -116,39 +134,22 @@ def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> n
     return log_density - np.logaddexp.reduce(log_density)
 
 
-def grid(effect: str, shape: Shape, found: Iterable[Structures]) -> Float[np.ndarray, "k"]:
-    """Coordinates of an effect's shape: even ones, and closer about what channels found."""
-    parts = [np.arange(-REACH, REACH, RAGGED_STEP if shape.ragged else STEP)]
-    for structures in found:
-        if best := _best(structures, effect, holds=True):
-            at = [h.name for h in best[0].assembly.hypers].index(f"{effect}.{shape.name}")
-            own = best[0].model.effect(effect).shared_shape
-            assert own is not None
-            sd = math.sqrt(best[0].mode.covariance[at, at])
-            close = own.prior.value(best[0].mode.v[at] + np.clip(sd, 1e-4, 1.0) * CLOSE)
-            parts.append(np.array([shape.prior.coordinate(float(value)) for value in close]))
-    v = np.sort(np.concatenate(parts))
-    v = v[np.abs(v) <= REACH]
-    return v[np.insert(np.diff(v) > 1e-6, 0, True)]
-
-
-def channel_says(
-    structures: Structures, name: str, shape: Shape, v: Float[np.ndarray, "k"]
-) -> Float[np.ndarray, "k"]:
-    """Log ratio of a channel's evidence with an effect, its shape at each v, to that without it.
+def said(structures: Structures, name: str, shape: Shape) -> Said:
+    """What a channel says of a shape by the structures weighed of it.
 
     Args:
-        structures: weighed ones of the channel.
+        structures: of the channel.
         name: of the effect.
-        shape: as the instrument states it; the structures may hold it with a narrower range.
-        v: its coordinates.
+        shape: as the instrument states it; the structures may hold it with another range.
     """
-    narrow = structures.candidates[name].shared_shape
-    assert narrow is not None
-    u = np.array([narrow.prior.coordinate(float(shape.prior.value(x))) for x in v])
+    own = structures.candidates[name].shared_shape
+    assert own is not None
+    holding, without = (_best(structures, name, holds=h) for h in (True, False))
+    v = _grid(shape, own, holding[:1], f"{name}.{shape.name}")
+    u = np.array([own.prior.coordinate(float(shape.prior.value(x))) for x in v])
     fine = Library(structures, {name: u[:, None]})
-    with_it, without = [], _best(structures, name, holds=False)
-    for weighed in _best(structures, name, holds=True):
+    with_it = []
+    for weighed in holding:
         gains = _gains(fine, weighed, name)
         total = weighed.total - structures.log_odds[name]
         with_it.append(total + gains - np.logaddexp.reduce(gains + log_mass(u)))
@@ -156,7 +157,26 @@ def channel_says(
         if weighed.structure.plus(name) not in structures.visited:
             with_it.append(weighed.total + _gains(fine, weighed, name))
     totals = [w.total for w in without]
-    return np.logaddexp.reduce(with_it, axis=0) - np.logaddexp.reduce(totals)
+    return Said(v, np.logaddexp.reduce(with_it, axis=0) - np.logaddexp.reduce(totals))
+
+
+def _grid(shape: Shape, own: Shape, best: Sequence[Weighed], name: str) -> Float[np.ndarray, "k"]:
+    """Coordinates: even ones, over the channel's own range too, and closer about what it found."""
+    even = np.arange(-REACH, REACH, RAGGED_STEP if shape.ragged else STEP)
+    there = [even, np.arange(-REACH, REACH, STEP)]
+    for weighed in best:
+        at = [h.name for h in weighed.assembly.hypers].index(name)
+        sd = math.sqrt(weighed.mode.covariance[at, at])
+        there.append(weighed.mode.v[at] + np.clip(sd, 1e-4, 1.0) * CLOSE)
+    values = own.prior.value(np.concatenate(there[1:]))
+    moved = [shape.prior.coordinate(float(value)) for value in values]
+    return _apart(np.concatenate([even, moved]))
+
+
+def _apart(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """Sorted, within reach, none twice."""
+    v = np.sort(v[np.abs(v) <= REACH])
+    return v[np.insert(np.diff(v) > 1e-6, 0, True)]
 
 
 def _best(structures: Structures, name: str, *, holds: bool) -> list[Weighed]:

@@ -14,7 +14,7 @@ from bayescal._engine.mode import Mode, at_mode, find_mode
 from bayescal._model.effect import Effect
 
 SIZES = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}  # factors on a plausible size, and their probabilities
-STILL = 0.01  # standard deviations to which a mode is found: its log evidence to 1e-4
+STILL = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
 
 
 def has_size(effect: Effect) -> bool:
@@ -32,14 +32,14 @@ def averaged(
     One effect's size at a time, the others' at their likeliest.
 
     Args:
-        assembly: the structure at its plausible sizes.
+        assembly: the structure, its sizes those of a start.
         mode: where it has its mode, its Gaussian fit not made.
         sized: effects with a plausible size.
     """
     if not math.isfinite(mode.log_evidence):
         return assembly, mode, mode.log_evidence
-    chosen = {e.name: 1.0 for e in sized}
-    at_sizes = _AtSizes(assembly, mode, chosen)
+    begun = {e.name: (assembly.spread or {}).get(e.name, 1.0) for e in sized}
+    at_sizes, chosen = _AtSizes(assembly, mode, begun), dict(begun)
     for _ in range(2):
         before = dict(chosen)
         for name in chosen:
@@ -47,7 +47,7 @@ def averaged(
             chosen[name] = max(gains, key=gains.__getitem__)
         if chosen == before:
             break
-    if any(factor != 1.0 for factor in chosen.values()):
+    if chosen != begun:
         assembly = Assembly(assembly.layout, assembly.record, dict(chosen))
         mode = find_mode(assembly, [mode.v], mode.covariance, mode.point, STILL)
     else:

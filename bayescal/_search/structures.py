@@ -12,11 +12,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._engine.assembly import Assembly
+from bayescal._engine.closed_form import Density
 from bayescal._engine.linear_model import LinearModel, linear_model
-from bayescal._engine.mode import Mode, find_mode
+from bayescal._engine.mode import Mode, column_scale, find_mode
 from bayescal._engine.record import Record
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
@@ -28,6 +30,7 @@ from bayescal._search.noise_laws import log_prior
 from bayescal._search.plausible_sizes import STILL, averaged, has_size
 
 NOTHING = 0.5  # prior probability that no candidate is missing
+WIDE = (-6.0, 6.0)  # coordinates of a noise's size
 UNKNOWN_SHARE = 0.1  # of the prior that something is, for what no named effect describes
 
 
@@ -93,6 +96,7 @@ class Structures:
         candidates: effects that may be added, by name.
         laws: further noise laws that the readings can tell, by name.
         odds: prior log odds of candidates of which more is known than their number.
+        earlier: structures weighed with other ranges of shapes: where refits begin.
     """
 
     base: Model
@@ -101,6 +105,7 @@ class Structures:
     candidates: Mapping[str, Effect]
     laws: Mapping[str, Noise]
     odds: Mapping[str, float] = field(default_factory=dict)
+    earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
     forms: dict[str, Form | None] = field(default_factory=dict)  # of departures, by candidate
@@ -168,6 +173,7 @@ class Structures:
         """
         found = self.visited.get(structure)
         if found is None:
+            near = self.earlier.get(structure, near)
             found = self.visited[structure] = self._weighed(structure, near, hints)
         return found
 
@@ -206,7 +212,8 @@ class Structures:
 
     def _refitted(self, structure, departures, near, hints) -> Weighed:
         model = self.model(structure, departures)
-        assembly = Assembly(Layout(model, self.layout.counts), self.record)
+        sizes = None if near is None else near.assembly.spread
+        assembly = Assembly(Layout(model, self.layout.counts), self.record, sizes)
         if near is None:
             mode = find_mode(assembly, still=STILL, curved=False)
         else:
@@ -218,6 +225,25 @@ class Structures:
         log_prior = self.log_prior(structure)
         return Weighed(structure, log_evidence, log_prior, assembly, mode, departures)
 
+    def roughly(self, structure: Structure, near: Weighed) -> float:
+        """The total of a structure under independent noise of one size, all else of φ as another one has it.
+
+        Infinite where there is more to it than this size: then only a refit tells.
+        """
+        if structure in self.visited or not self.noise(structure).independent:
+            return math.inf
+        layout = Layout(self.model(structure), self.layout.counts)
+        assembly = Assembly(layout, self.record, near.assembly.spread)
+        if assembly.kinds.count("noise") != 1:
+            return math.inf
+        point, v = assembly.point_of(near.assembly, near.mode.point), _starts(assembly, near, ())[0]
+        flat = column_scale(assembly.linearise(point, assembly.hyper(v)).jacobian)
+        density, of_size = Density(assembly, point, flat), np.array(assembly.kinds) == "noise"
+        found = minimize_scalar(
+            lambda size: -density.at(np.where(of_size, size, v))[0], bounds=WIDE, method="bounded"
+        )
+        return self.log_prior(structure) - float(found.fun)
+
     def expect(self, structure: Structure, total: float) -> None:
         """Keep what the score expects of a structure: it counts where that was not refitted."""
         if math.isfinite(total):
@@ -226,6 +252,16 @@ class Structures:
     @property
     def best(self) -> Weighed:
         return max(self.visited.values(), key=lambda w: w.total)
+
+
+def _carried(assembly: Assembly, near: Weighed) -> dict[str, float]:
+    """Coordinates of another structure's φ̂ by name, where these priors have the same values."""
+    theirs = {h.name: h.prior for h in near.assembly.hypers}
+    found = dict(near.values)
+    for h in assembly.hypers:
+        if h.name in theirs and h.prior != theirs[h.name]:
+            found[h.name] = h.prior.coordinate(float(theirs[h.name].value(found[h.name])))
+    return found
 
 
 def _width(assembly: Assembly, near: Weighed) -> np.ndarray:
@@ -242,12 +278,12 @@ def _starts(
     assembly: Assembly, near: Weighed, hints: Sequence[Mapping[str, float]]
 ) -> list[np.ndarray]:
     """Where the climb may begin: at another structure's φ̂, at the hints, and one step aside along each known shape."""
-    names = [h.name for h in assembly.hypers]
-    here = {**dict.fromkeys(names, 0.0), **{n: v for n, v in near.values.items() if n in names}}
+    names, carried = [h.name for h in assembly.hypers], _carried(assembly, near)
+    here = {n: carried.get(n, 0.0) for n in names}
     starts = [here, *({**here, **{n: v for n, v in hint.items() if n in names}} for hint in hints)]
     for h in assembly.hypers:
-        if h.kind == "shape" and h.name in near.values:
+        if h.kind == "shape" and h.name in carried:
             starts += [{**here, h.name: here[h.name] + aside} for aside in (-1.0, 1.0)]
-        elif h.name not in near.values and h.kind in ("spread", "noise"):
+        elif h.name not in carried and h.kind in ("spread", "noise"):
             starts += [{**here, h.name: v} for v in (-1.5, 1.0)]
     return [np.array([start[n] for n in names]) for start in starts]

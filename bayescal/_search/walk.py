@@ -21,6 +21,7 @@ BEAM = 4  # most probable structures whose neighbours are all looked at before t
 LEAST, MOST = 2, 10  # neighbours that are refitted, of each structure looked at
 TWOS = 4  # pairs among them
 NEAR = 6.0  # log odds behind the best, up to which a structure is refitted, and looked at
+HOPELESS = 100.0  # log odds behind the best from which a structure under another noise law is not refitted
 LIMIT = "The search was ended after {:.0f} s with the best so far: more time may find more."
 STOPPED = "The search was interrupted after {:.0f} s: this is the best so far."
 
@@ -88,7 +89,12 @@ def _look_around(library: Library, at: Weighed, max_effects: int, ends_at: float
     structures, here = library.structures, at.structure
     for law in {"", *wandering(structures)}:
         other = here.under(law)
-        structures.weigh(other.minus(*structures.barred(other)), at)
+        other = other.minus(*structures.barred(other))
+        rough = structures.roughly(other, at)
+        if rough > structures.best.total - HOPELESS:
+            structures.weigh(other, at)
+        else:
+            structures.expect(other, rough)
     if not math.isfinite(at.total):
         return
     changes = list(_changes_of_noise(structures, at))
@@ -111,8 +117,8 @@ def wandering(structures: Structures) -> list[str]:
 
 def _changes_of_noise(structures: Structures, at: Weighed) -> Iterator[Move]:
     """Other independent noise laws beside the same effects, by what they gain on the residuals under the given law."""
-    plain = structures.weigh(at.structure.under(""), at)
-    if not structures.laws or not math.isfinite(plain.total):
+    plain = structures.visited.get(at.structure.under(""))
+    if not structures.laws or plain is None or not math.isfinite(plain.total):
         return
     left = linear_model(plain.assembly, plain.mode).residual
     own = on_residuals(structures.base.noise, structures.record, left)

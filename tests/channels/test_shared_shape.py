@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._channels.shared_shape import SHARES, SharedShape, channel_says, grid, log_mass
+from bayescal._channels.shared_shape import SHARES, SharedShape, log_mass, said
 from bayescal._discovery.discover import structures_over
 from bayescal._model.frame import reference_of
 from bayescal._search.library import Library
@@ -82,8 +82,7 @@ def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
     readings = still_sensor.simulate({LAG: 8.0}, seed=3, runs=1, interval=20)
     made = weighed(readings)
     effect = made.candidates[LAG]
-    v = grid(LAG, effect.shared_shape, [made])
-    log_ratio = channel_says(made, LAG, effect.shared_shape, v)
+    v, log_ratio = said(made, LAG, effect.shared_shape)
     assert LAG in made.best.structure.effects
     prior = effect.shared_shape.prior
     peak = v[int(np.argmax(log_ratio))]
