@@ -6,6 +6,7 @@ they are saved as, so the methods are attached here, and `bayescal` takes them f
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,7 +19,7 @@ from bayescal._discovery.calibrate import calibrate as calibrate
 from bayescal._discovery.search_path import Trail
 from bayescal._report.result_json import clean, result, write_json
 from bayescal._report.under_way import RESULT, UNDER_WAY
-from bayescal._report.whole_folder import CHANNELS, whole_folder
+from bayescal._report.whole_folder import CHANNELS, remove_results, whole_folder
 
 CHANNELS_SCHEMA = "bayescal.channels/1"
 
@@ -94,13 +95,29 @@ def folders_of(names: Iterable[str]) -> dict[str, str]:
 def save_channels(self: Channels, folder: Path) -> None:
     """Write a folder of results for each channel (as `Trail.save` does), then channels.json, to an existing folder.
 
+    Results of another unit's channels, of a run before, are removed, unless they were changed since.
+
     Raises:
         InputError: there is no such folder, or it cannot be written.
     """
-    for name, inner in folders_of(self.trails).items():
-        (Path(folder) / inner).mkdir(exist_ok=True)
-        save_search(self.trails[name], Path(folder) / inner)
-    write_json(channels_data(self), Path(folder) / CHANNELS)
+    folder = Path(folder)
+    before, now = _channel_folders(folder), folders_of(self.trails)
+    for name, inner in now.items():
+        (folder / inner).mkdir(exist_ok=True)
+        save_search(self.trails[name], folder / inner)
+    write_json(channels_data(self), folder / CHANNELS)
+    for inner in before - set(now.values()):
+        remove_results(folder / inner)
+
+
+def _channel_folders(folder: Path) -> set[str]:
+    """Names of the folders that a channels.json tells of; none where there is none to read."""
+    try:
+        told = json.loads((folder / CHANNELS).read_text("utf-8"))["channels"].values()
+        names = {str(channel["folder"]) for channel in told}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return set()
+    return {n for n in names if n not in ("", ".", "..") and Path(n).name == n}
 
 
 Channels.save = save_channels

@@ -77,6 +77,15 @@ def files_of(folder: Path) -> dict[str, str]:
     return {} if not (folder / MANIFEST).is_file() else _manifest(folder)["files"]
 
 
+def remove_results(folder: Path) -> None:
+    """Remove the results in a folder as their run left them, and the folder if nothing else stands in it."""
+    unchanged = _unchanged(folder)
+    for name in unchanged | {MANIFEST} if unchanged else ():
+        (folder / name).unlink(missing_ok=True)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
 def refuse_mixed(folder: Path, *names: str) -> None:
     """Files that do not belong to the results of their folder, if it has a manifest.
 

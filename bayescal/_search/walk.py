@@ -21,7 +21,9 @@ BEAM = 4  # most probable structures whose neighbours are all looked at before t
 LEAST, MOST = 2, 10  # neighbours that are refitted, of each structure looked at
 TWOS = 4  # pairs among them
 NEAR = 6.0  # log odds behind the best, up to which a structure is refitted, and looked at
-HOPELESS = 100.0  # log odds behind the best from which a structure under another noise law is not refitted
+HOPELESS = (
+    100.0  # log odds behind the best from which a structure under another noise law is not refitted
+)
 LIMIT = "The search was ended after {:.0f} s with the best so far: more time may find more."
 STOPPED = "The search was interrupted after {:.0f} s: this is the best so far."
 

@@ -68,6 +68,16 @@ def test_a_unit_is_saved_channel_by_channel_and_each_is_loaded_as_it_was(unit, t
     assert lag["low"] < LAG_TIME < lag["high"]
 
 
+def test_results_of_channels_that_are_no_more_are_removed_but_nothing_of_the_users_own(
+    unit, tmp_path
+) -> None:
+    unit.save(tmp_path)
+    (tmp_path / "weak" / "notes.txt").write_text("mine", encoding="utf-8")
+    bc.Channels({"strong": unit.trails["strong"]}, unit.shared).save(tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {"strong", "weak", "channels.json"}
+    assert [p.name for p in (tmp_path / "weak").iterdir()] == ["notes.txt"]
+
+
 def test_the_table_has_a_column_for_each_channel_and_a_row_for_each_effect(unit) -> None:
     lines = str(unit).splitlines()
     assert lines[0].split() == list(HIDDEN)
