@@ -86,8 +86,9 @@ def refuse_one_temperature(columns: Columns, names: str) -> None:
             "another (files given together are read together)"
         )
         came = f"reads {seen} °C, one temperature only"
-        problem = Problem(names, came, cure=cure, column="temperature")
-        raise InputError(str(problem), (problem,))
+        said = f"{names}, column 'temperature': {came}. {cure}"  # of files, or of a device
+        problem = Problem(names, came, cure=cure, column="temperature", sentence=said)
+        raise InputError(said, (problem,))
 
 
 def refuse_backward_time(columns: Columns, where: Where) -> None:
