@@ -68,7 +68,7 @@ class _Scaled:
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.scale * _of(v).exp(v)
 
-    def coordinate(self, value: Float[Array, "..."]) -> Float[Array, "..."]:
+    def coordinate(self, value: Any) -> Any:
         return _of(value).log(value / self.scale)
 
 
@@ -93,7 +93,7 @@ class Normal(_StandardNormal):
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.mean + self.sd * v
 
-    def coordinate(self, value: Float[Array, "..."]) -> Float[Array, "..."]:
+    def coordinate(self, value: Any) -> Any:
         return (value - self.mean) / self.sd
 
 
@@ -107,7 +107,7 @@ class LogNormal(_StandardNormal):
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.median * _of(v).exp(self.sd * v)
 
-    def coordinate(self, value: Float[Array, "..."]) -> Float[Array, "..."]:
+    def coordinate(self, value: Any) -> Any:
         return _of(value).log(value / self.median) / self.sd
 
 
@@ -129,7 +129,7 @@ class LogUniform(_StandardNormal):
         share = (in_jax if isinstance(v, jax.Array) else on_host).ndtr(v)
         return self.low * _of(v).exp(math.log(self.high / self.low) * share)
 
-    def coordinate(self, value: Float[Array, "..."]) -> Float[Array, "..."]:
+    def coordinate(self, value: Any) -> Any:
         """Finite at the bounds, where rounding may have put a value."""
         xp = _of(value)
         share = xp.log(value / self.low) / math.log(self.high / self.low)
@@ -180,7 +180,7 @@ class FlatLine(_Improper):
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.scale * v
 
-    def coordinate(self, value: Float[Array, "..."]) -> Float[Array, "..."]:
+    def coordinate(self, value: Any) -> Any:
         return value / self.scale
 
     def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -123,9 +123,9 @@ def match(
             continue
         header = table.headers[positions[name]]
         if header.unit not in (None, "", "1", "-"):
-            came, expected = f"carries the unit {header.unit}", f"a label (text) as {name!r}"
+            came, meant = f"carries the unit {header.unit}", f"a label (text) as {name!r}"
             cure = "Remove the unit, or rename the column"
-            problems.append(Problem(table.file, came, expected, cure, column=header.raw))
+            problems.append(Problem(table.file, came, meant, cure, column=header.raw))
     return positions
 
 
