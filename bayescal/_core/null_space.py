@@ -8,6 +8,7 @@ no coefficient in common.
 from __future__ import annotations
 
 import numpy as np
+from scipy import linalg
 
 EXACT = 3e-14  # of the largest singular value of normalised columns: rounding, no information
 DUST = 1e-9  # of a direction's largest entry: rounding
@@ -27,9 +28,7 @@ def exact(columns: np.ndarray) -> np.ndarray:
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
     small = _small(columns / norm)
-    _, values, rows = np.linalg.svd(small, full_matrices=True)
-    values = np.concatenate([values, np.zeros(len(rows) - len(values))])
-    basis = echelon(rows[values <= EXACT * max(values[0], 1.0)])
+    basis = echelon(linalg.null_space(small, rcond=EXACT).T)
     basis = np.array([_swept(small, row) for row in basis]).reshape(basis.shape)
     basis = _in_order(basis / norm)
     return basis / np.abs(basis).max(axis=1, keepdims=True, initial=1e-300)
@@ -43,11 +42,11 @@ def _swept(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
     large = np.abs(row) > TRACE * np.abs(row).max()
     if large.all():
         return row
-    _, values, rows = np.linalg.svd(_small(columns[:, large]), full_matrices=True)
-    if len(values) < len(rows) or values[-1] > EXACT * max(values[0], 1.0):
+    found = linalg.null_space(_small(columns[:, large]), rcond=EXACT)
+    if not found.size:
         return row
     swept = np.zeros_like(row)
-    swept[large] = rows[-1]
+    swept[large] = found[:, -1]
     return swept
 
 

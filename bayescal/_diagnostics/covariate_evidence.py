@@ -6,14 +6,16 @@ it. It is the score test of a variance component, in the metric in which all nui
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy.special import logsumexp
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._core.errors import InputError
 from bayescal._diagnostics import efficient_score
-from bayescal._diagnostics.group_bayes_factor import log_bayes_factors as at_sizes
 from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
 SCALES = (
@@ -22,6 +24,10 @@ SCALES = (
 )  # lengths of the process over their plausible range; in time, where the range is wider
 AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # in noise standard deviations
 WAVES = 2  # along each of two covariates together
+INVISIBLE = 1e-12  # I·W of a direction below this: its prior spread is lost in its uncertainty
+ROUNDING = 64 * float(
+    np.finfo(float).eps
+)  # of the largest of its group, below which it is only rounding
 
 
 @dataclass(frozen=True)
@@ -91,3 +97,27 @@ def log_bayes_factors(
         )
         found.append(float(logsumexp(terms) - np.log(len(terms))))
     return found
+
+
+def at_sizes(
+    score: Float[np.ndarray, "k"], information: Float[np.ndarray, "k k"], sizes: Sequence[float]
+) -> Float[np.ndarray, "s"]:
+    """Log Bayes factors, in nats, of one group of columns at prior standard deviations common to all of its columns.
+
+    Each is ½ u'(W⁻¹ + I)⁻¹u − ½ log|1 + IW|, W the prior variance. A direction without information counts nothing, so
+    that zero and linearly dependent columns are allowed.
+
+    Raises:
+        InputError: score or information is not finite.
+    """
+    if not (np.isfinite(score).all() and np.isfinite(information).all()):
+        raise InputError(
+            "the score of a group of columns is not finite: every prior must be proper"
+        )
+    values, vectors = np.linalg.eigh((information + information.T) / 2)
+    variance = np.square(np.asarray(sizes, float))[:, None]
+    spread = variance * values
+    seen = spread > np.maximum(INVISIBLE, ROUNDING * spread[:, -1:])
+    spread = np.where(seen, spread, 0.0)
+    energy = np.where(seen, variance * (vectors.T @ score) ** 2, 0.0) / (1 + spread)
+    return 0.5 * np.sum(energy - np.log1p(spread), axis=1)

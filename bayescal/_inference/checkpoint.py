@@ -44,7 +44,7 @@ from bayescal._core.errors import InputError
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
 
-SCHEMA = "bayescal.checkpoint/1"
+SCHEMA = "bayescal.checkpoint/2"
 PAUSE = 1.0  # s between writes of unfinished chains; every other piece is written at once
 PACKAGES = ("bayescal", "jax", "jaxlib", "numpyro", "optimistix", "equinox", "numpy")
 T = TypeVar("T")
@@ -73,22 +73,14 @@ class Checkpoint:
         Raises:
             InputError: it cannot be written.
         """
-        variables, kinds = {}, {}
-        for name, leaves in self.arrays.items():
-            kinds[name] = [str(leaf.dtype) for leaf in leaves]
-            for i, leaf in enumerate(leaves):
-                dims = tuple(f"{name}.{i}.{axis}" for axis in range(leaf.ndim))
-                variables[f"{name}.{i}"] = (
-                    dims,
-                    leaf.view(np.uint8) if leaf.dtype == bool else leaf,
-                )
-        head = {
-            "schema": SCHEMA,
-            "fingerprint": self.fingerprint,
-            "notes": self.notes,
-            "kinds": kinds,
+        variables = {
+            f"{name}.{i}": (tuple(f"{name}.{i}.{axis}" for axis in range(leaf.ndim)), leaf)
+            for name, leaves in self.arrays.items()
+            for i, leaf in enumerate(leaves)
         }
-        data = xr.Dataset(variables, attrs={"bayescal": json.dumps(head)})
+        counts = {name: len(leaves) for name, leaves in self.arrays.items()}
+        head = {"schema": SCHEMA, "fingerprint": self.fingerprint, "notes": self.notes}
+        data = xr.Dataset(variables, attrs={"bayescal": json.dumps({**head, "arrays": counts})})
         plain = {name: {"_FillValue": None} for name in variables}
         with replacing_for_user(self.path) as partial:
             write_sealed(netcdf_bytes(data, encoding=plain), partial)
@@ -203,10 +195,10 @@ def open_checkpoint(path: Path, fingerprint: dict[str, str]) -> Checkpoint:
         ) as opened:
             data = opened.load()
         head = json.loads(data.attrs["bayescal"])
-        then, notes, kinds = head["fingerprint"], head["notes"], head["kinds"]
+        then, notes, counts = head["fingerprint"], head["notes"], head["arrays"]
         arrays = {
-            name: [_as(data[f"{name}.{i}"].values, kind) for i, kind in enumerate(own)]
-            for name, own in kinds.items()
+            name: [data[f"{name}.{i}"].values for i in range(count)]
+            for name, count in counts.items()
         }
         if head["schema"] != SCHEMA or not isinstance(notes, dict):
             raise ValueError(head["schema"])
@@ -217,11 +209,6 @@ def open_checkpoint(path: Path, fingerprint: dict[str, str]) -> Checkpoint:
     if differing := _differing(then, fingerprint):
         raise InputError(f"{path.name!r} is the checkpoint of another run: {differing}. {anew}")
     return Checkpoint(path, fingerprint, arrays, notes)
-
-
-def _as(values: np.ndarray, kind: str) -> np.ndarray:
-    values = np.ascontiguousarray(values).reshape(values.shape)
-    return values.view(bool) if kind == "bool" else values.astype(kind, copy=False)
 
 
 def _differing(then: dict[str, str], now: dict[str, str]) -> str:

@@ -189,11 +189,6 @@ def whitener(
     return scaled
 
 
-def needs_one_pass(layout: Layout, frame: Frame) -> bool:
-    """Whether products over the readings can be computed once: J does not move with φ, and one variance."""
-    return not layout.moving and not layout.row_blocks and layout.model.noise.constant(frame)
-
-
 def gram_function(layout: Layout, frame: Frame, y: Float[Array, "n"], point: Point):
     """A function of φ that gives the weighted products of the readings linearised at `point`.
 

@@ -7,7 +7,6 @@ does not. Both optimisers are optimistix's.
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -201,48 +200,3 @@ def _curvature(function, v: Float[Array, "d"], step: float = 1e-4) -> Float[Arra
     shifts = step * jnp.concatenate([jnp.eye(v.size), -jnp.eye(v.size)])
     slopes = jax.lax.map(jax.grad(function), v + shifts)
     return (slopes[: v.size] - slopes[v.size :]) / (2 * step)
-
-
-class LinearisedModel(NamedTuple):
-    """The fitted model as a linear one: residual at the prior mean, and all nuisance columns."""
-
-    residual: Float[Array, "n"]
-    nuisance: Float[Array, "n q"]
-    prior: gaussian.Prior
-    extra: Float[Array, "n"]
-    hyper: forward.Values
-
-
-def linearised(layout: Layout, frame: Frame, y: Float[Array, "n"], mode) -> LinearisedModel:
-    """Linearise the fitted model; shapes and promoted coefficients are nuisances too."""
-    hyper = forward.hyper_values(layout, mode.v)
-    point = mode.point
-    line = forward.linearise(layout, frame, point.x, point.rows, hyper)
-    moving = layout.moving
-    nuisance, prior = line.jacobian, gaussian.prior_of(layout, hyper, mode.flat)
-    at = point.x
-    if moving:
-        places = jnp.asarray(moving)
-
-        def output(w):
-            values = forward.hyper_values(layout, jnp.asarray(mode.v).at[places].set(w))
-            return forward.mean(layout, frame, point.x, point.rows, values)
-
-        nuisance = jnp.concatenate([nuisance, jax.jacfwd(output)(mode.v[places])], axis=1)
-        ones = jnp.ones(len(moving))
-        prior = gaussian.Prior(
-            jnp.concatenate([prior.mean, 0 * ones]),
-            jnp.concatenate([prior.sd, ones]),
-            jnp.concatenate([prior.weight, ones]),
-        )
-        at = jnp.concatenate([at, mode.v[places]])
-    back = jnp.sum(line.rows * point.rows, axis=1)
-    offset = jnp.where(prior.weight > 0, prior.mean - at, 0.0)
-    residual = y - line.mean + back - nuisance @ offset
-    return LinearisedModel(
-        residual=residual,
-        nuisance=nuisance,
-        prior=prior,
-        extra=gaussian.row_variance(layout, line),
-        hyper=hyper,
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,15 @@ from bayescal._inference.method import Draws, Method, Outcome
 from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
-from bayescal._model.prior import FlatLine, LogNormal, LogUniform, Normal
+from bayescal._model.prior import (
+    FlatLine,
+    HalfCauchy,
+    HalfNormal,
+    LogNormal,
+    LogUniform,
+    Normal,
+    Positive,
+)
 
 
 class NUTS(Method):
@@ -92,17 +100,23 @@ def sampled(
         return found, place(found.draws)
 
 
-def _coordinate(prior, value: Array) -> Array:
-    """The coordinate v of a hyper-parameter's value: the inverse of its `value`."""
-    if isinstance(prior, Normal):
-        return (value - prior.mean) / prior.sd
-    if isinstance(prior, FlatLine):
-        return value / prior.scale
-    if isinstance(prior, LogNormal):
-        return jnp.log(value / prior.median) / prior.sd
-    if isinstance(prior, LogUniform):
-        return prior.coordinates(value)
-    return jnp.log(value / prior.scale)
+def law_of(prior: Normal | FlatLine | Positive) -> Any:
+    """A prior of φ, of the value in its own unit, as NumPyro has it."""
+    import numpyro.distributions as dist  # NumPyro only where its program is asked for
+
+    match prior:
+        case Normal(mean=mean, sd=sd):
+            return dist.Normal(mean, sd)
+        case LogNormal(median=median, sd=sd):
+            return dist.LogNormal(np.log(median), sd)
+        case LogUniform(low=low, high=high):
+            return dist.LogUniform(low, high)
+        case HalfNormal() | HalfCauchy():
+            return getattr(dist, type(prior).__name__)(prior.scale)
+    real = isinstance(prior, FlatLine)
+    return dist.ImproperUniform(
+        dist.constraints.real if real else dist.constraints.positive, (), ()
+    )
 
 
 def program(layout: Layout, frame: Frame) -> Callable:
@@ -117,8 +131,8 @@ def program(layout: Layout, frame: Frame) -> Callable:
     def model(y: Array) -> None:
         values, v = {}, []
         for h in layout.hypers:
-            values[h.name] = numpyro.sample(h.name, h.prior.distribution())
-            v.append(_coordinate(h.prior, values[h.name]))
+            values[h.name] = numpyro.sample(h.name, law_of(h.prior))
+            v.append(h.prior.coordinate(jnp.asarray(values[h.name])))
         v = jnp.stack(v) if v else jnp.zeros(0)
         values.update({name: jnp.asarray(value) for name, value in layout.model.fixed})
         x = []

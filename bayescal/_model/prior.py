@@ -49,8 +49,38 @@ def _of(v: Any) -> Any:
     return jnp if isinstance(v, jax.Array) else np
 
 
+class _StandardNormal:
+    """A prior whose coordinate is standard normal."""
+
+    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+        return -0.5 * v**2 - _HALF_LOG_2PI
+
+    def sample(self, key: Array) -> Float[Array, ""]:
+        return jax.random.normal(key)
+
+
 @_static
-class Normal:
+class _Scaled:
+    """A prior of a positive quantity with a scale, in its own unit; its coordinate is log(value/scale)."""
+
+    scale: float = 1.0
+
+    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+        return self.scale * _of(v).exp(v)
+
+    def coordinate(self, value: Any) -> Any:
+        return _of(value).log(value / self.scale)
+
+
+class _Improper:
+    """A prior that cannot be drawn from."""
+
+    def sample(self, key: Array) -> Float[Array, ""]:
+        raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
+
+
+@_static
+class Normal(_StandardNormal):
     """A Gaussian prior; `mean` and `sd` in the coefficient's own unit."""
 
     mean: float = 0.0
@@ -63,23 +93,12 @@ class Normal:
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.mean + self.sd * v
 
-    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return -0.5 * v**2 - _HALF_LOG_2PI
-
-    def coordinate(self, value: float) -> float:
+    def coordinate(self, value: Any) -> Any:
         return (value - self.mean) / self.sd
-
-    def sample(self, key: Array) -> Float[Array, ""]:
-        return jax.random.normal(key)
-
-    def distribution(self) -> Any:
-        import numpyro.distributions as dist  # numpyro only where its program is asked for
-
-        return dist.Normal(self.mean, self.sd)
 
 
 @_static
-class LogNormal:
+class LogNormal(_StandardNormal):
     """A positive quantity whose logarithm is Gaussian; `median` in its own unit, `sd` of the logarithm."""
 
     median: float
@@ -88,23 +107,12 @@ class LogNormal:
     def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.median * _of(v).exp(self.sd * v)
 
-    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return -0.5 * v**2 - _HALF_LOG_2PI
-
-    def coordinate(self, value: float) -> float:
-        return math.log(value / self.median) / self.sd
-
-    def sample(self, key: Array) -> Float[Array, ""]:
-        return jax.random.normal(key)
-
-    def distribution(self) -> Any:
-        import numpyro.distributions as dist
-
-        return dist.LogNormal(math.log(self.median), self.sd)
+    def coordinate(self, value: Any) -> Any:
+        return _of(value).log(value / self.median) / self.sd
 
 
 @_static
-class LogUniform:
+class LogUniform(_StandardNormal):
     """A positive quantity between two bounds, its logarithm uniform between theirs; `low` and `high` in its own unit.
 
     Its coordinate is standard normal: value = low·(high/low)^Φ(v), so that no v leaves the bounds.
@@ -121,102 +129,62 @@ class LogUniform:
         share = (in_jax if isinstance(v, jax.Array) else on_host).ndtr(v)
         return self.low * _of(v).exp(math.log(self.high / self.low) * share)
 
-    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return -0.5 * v**2 - _HALF_LOG_2PI
-
-    def coordinate(self, value: float) -> float:
-        return float(self.coordinates(np.float64(value)))
-
-    def coordinates(self, values: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Coordinates of values; finite at the bounds, where rounding may have put a value."""
-        xp = _of(values)
-        share = xp.log(values / self.low) / math.log(self.high / self.low)
-        special = in_jax if isinstance(values, jax.Array) else on_host
+    def coordinate(self, value: Any) -> Any:
+        """Finite at the bounds, where rounding may have put a value."""
+        xp = _of(value)
+        share = xp.log(value / self.low) / math.log(self.high / self.low)
+        special = in_jax if isinstance(value, jax.Array) else on_host
         return special.ndtri(xp.clip(share, _EDGE, 1 - _EDGE))
-
-    def sample(self, key: Array) -> Float[Array, ""]:
-        return jax.random.normal(key)
-
-    def distribution(self) -> Any:
-        import numpyro.distributions as dist
-
-        return dist.LogUniform(self.low, self.high)
 
 
 @_static
-class HalfNormal:
+class HalfNormal(_Scaled):
     """The positive half of N(0, scale²), for spreads and noise scales."""
-
-    scale: float = 1.0
-
-    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return self.scale * _of(v).exp(v)
 
     def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return _LOG_2 - _HALF_LOG_2PI - 0.5 * _of(v).exp(2 * v) + v
 
-    def coordinate(self, value: float) -> float:
-        return math.log(value / self.scale)
-
     def sample(self, key: Array) -> Float[Array, ""]:
         return jnp.log(jnp.abs(jax.random.normal(key)))
 
-    def distribution(self) -> Any:
-        import numpyro.distributions as dist
-
-        return dist.HalfNormal(self.scale)
-
 
 @_static
-class HalfCauchy:
+class HalfCauchy(_Scaled):
     """The positive half of a Cauchy: a scale known to an order of magnitude or two."""
-
-    scale: float = 1.0
-
-    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return self.scale * _of(v).exp(v)
 
     def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return math.log(2 / math.pi) - _of(v).logaddexp(0.0, 2 * v) + v
 
-    def coordinate(self, value: float) -> float:
-        return math.log(value / self.scale)
-
     def sample(self, key: Array) -> Float[Array, ""]:
         return jnp.log(jnp.abs(jax.random.cauchy(key)))
 
-    def distribution(self) -> Any:
-        import numpyro.distributions as dist
-
-        return dist.HalfCauchy(self.scale)
-
 
 @_static
-class Flat:
+class Flat(_Improper, _Scaled):
     """No preference at all. Improper: the evidence of a model that holds one is not defined.
 
     For a coefficient: flat on the real line. For a spread or a noise scale: flat on the positive half line,
     `scale` only setting the unit of its coordinate.
     """
 
-    scale: float = 1.0
-
-    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return self.scale * _of(v).exp(v)
-
     def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
         return v + math.log(self.scale)
 
-    def coordinate(self, value: float) -> float:
-        return math.log(value / self.scale)
 
-    def sample(self, key: Array) -> Float[Array, ""]:
-        raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
+@_static
+class FlatLine(_Improper):
+    """A flat prior on the whole line, for a flat coefficient that is sampled with the hyper-parameters."""
 
-    def distribution(self) -> Any:
-        import numpyro.distributions as dist
+    scale: float = 1.0
 
-        return dist.ImproperUniform(dist.constraints.positive, (), ())
+    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+        return self.scale * v
+
+    def coordinate(self, value: Any) -> Any:
+        return value / self.scale
+
+    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+        return 0.0 * v + math.log(self.scale)
 
 
 Positive = HalfNormal | HalfCauchy | LogNormal | LogUniform | Flat
@@ -229,27 +197,3 @@ def multiplied(prior: Positive, factor: float) -> Positive:
     if isinstance(prior, LogUniform):
         return LogUniform(prior.low * factor, prior.high * factor)
     return type(prior)(prior.scale * factor)
-
-
-@_static
-class FlatLine:
-    """A flat prior on the whole line, for a flat coefficient that is sampled with the hyper-parameters."""
-
-    scale: float = 1.0
-
-    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return self.scale * v
-
-    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
-        return 0.0 * v + math.log(self.scale)
-
-    def coordinate(self, value: float) -> float:
-        return value / self.scale
-
-    def sample(self, key: Array) -> Float[Array, ""]:
-        raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
-
-    def distribution(self) -> Any:
-        import numpyro.distributions as dist
-
-        return dist.ImproperUniform(dist.constraints.real, (), ())

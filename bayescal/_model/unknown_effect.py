@@ -51,12 +51,6 @@ def covariate_in(name: str) -> str | None:
     return ", ".join(part.strip() for part in found[1].split(",")) if found else None
 
 
-def free_curve(name: str) -> bool:
-    """Whether an effect follows any smooth curve, and so can stand in for others; a law or a form in time cannot."""
-    covariate = covariate_in(name)
-    return covariate is not None and covariate not in FORMS
-
-
 def placeholder(covariate: str, slot: str, unit: str) -> Effect:
     """The placeholder for a covariate; "time, jump" and "time, cycle" are the forms in time.
 

@@ -107,10 +107,8 @@ def _drop(table: Table, converted: ConvertedColumns, problems: Problems) -> None
     gone = np.unique(np.concatenate(list(missing.values())))
     if len(gone) == table.rows:
         counts = ", ".join(f"{name} in {len(rows)}" for name, rows in missing.items())
-        sentence = (
-            f"{table.file!r} has no row without a missing reading: {counts} of {table.rows} rows"
-        )
-        problems.append(Problem(table.file, "a missing reading in every row", sentence=sentence))
+        came = f"no row without a missing reading: {counts} of {table.rows} rows"
+        problems.append(Problem(table.file, came))
         return
     converted.kept = np.setdiff1d(np.arange(table.rows), gone)
     converted.values = {name: v[converted.kept] for name, v in converted.values.items()}

@@ -112,16 +112,9 @@ def match(
             continue
         if header.name in positions:
             chosen = table.headers[positions[header.name]]
-            sentence = (
-                f"{table.file!r} has two columns for {header.name!r}: {header.raw!r}, and "
-                f"{chosen.raw!r} by columns=. Rename {header.raw!r} in the file, or leave "
-                f"{header.name!r} out of columns="
-            )
-            cure = f"rename it, or leave {header.name} out of --columns"
-            came = f"a second column {header.name}"
-            problems.append(
-                Problem(table.file, came, cure=cure, column=header.raw, sentence=sentence)
-            )
+            came = f"a second {header.name!r} beside {chosen.raw!r}, which columns= names"
+            cure = f"Rename it, or leave {header.name!r} out of columns= (--columns)"
+            problems.append(Problem(table.file, came, cure=cure, column=header.raw))
             continue
         positions[header.name] = position
     _rename_synonyms(table, expected, positions, problems)
@@ -130,14 +123,9 @@ def match(
             continue
         header = table.headers[positions[name]]
         if header.unit not in (None, "", "1", "-"):
-            sentence = (
-                f"{table.file!r}: column {header.raw!r} carries a unit, but "
-                f"{name!r} is a label (text). Remove the unit, or rename the column"
-            )
-            came, cure = f"the unit {header.unit}", "Remove the unit, or rename the column"
-            problems.append(
-                Problem(table.file, came, "a label", cure, column=header.raw, sentence=sentence)
-            )
+            came, meant = f"carries the unit {header.unit}", f"a label (text) as {name!r}"
+            cure = "Remove the unit, or rename the column"
+            problems.append(Problem(table.file, came, meant, cure, column=header.raw))
     return positions
 
 
@@ -149,22 +137,13 @@ def _renamed_by_user(
     for ours, theirs in columns.items():
         found = [i for i, h in enumerate(table.headers) if theirs.strip() in (h.name, h.raw)]
         if not found:
-            sentence = (
-                f"columns={{{ours!r}: {theirs!r}}}: {table.file!r} has no column "
-                f"{theirs!r}{near(theirs, table)}. It has: {names_in(table)}"
-            )
+            came = f"no such column, but columns={{{ours!r}: {theirs!r}}}"
             cure = f"It has: {names_in(table)}{near(theirs, table)}"
-            problems.append(
-                Problem(table.file, "no such column", ours, cure, column=theirs, sentence=sentence)
-            )
+            problems.append(Problem(table.file, came, cure=cure, column=theirs))
         elif found[0] in positions.values():
             other = next(name for name, position in positions.items() if position == found[0])
-            sentence = (
-                f"columns= gives {table.file!r}'s column {theirs!r} to both {other!r} and "
-                f"{ours!r}: name one for each"
-            )
-            came = f"{other} and {ours} by --columns"
-            problems.append(Problem(table.file, came, column=theirs, sentence=sentence))
+            came = f"both {other} and {ours} by columns= (--columns)"
+            problems.append(Problem(table.file, came, cure="Name one for each", column=theirs))
         else:
             positions[ours] = found[0]
     return positions
@@ -178,11 +157,8 @@ def _rename_synonyms(
         for other in (n for n in column.also if n in positions and n not in expected):
             if name in positions:
                 first, second = (table.headers[positions[n]].raw for n in (name, other))
-                sentence = f"{table.file!r} has two columns for {name!r}: {first!r} and {second!r}. Remove one"
-                came = f"another column {name}"
-                problems.append(
-                    Problem(table.file, came, cure="Remove one", column=second, sentence=sentence)
-                )
+                came = f"a second {name!r} beside {first!r}"
+                problems.append(Problem(table.file, came, cure="Remove one", column=second))
                 continue
             positions[name] = positions.pop(other)
 
@@ -212,11 +188,9 @@ def with_fixed_units(
         if column.unit != ANY or name not in positions:
             continue
         if options.nominal_scale is not None:
-            sentence = (
-                f"{table.file!r}: a nominal scale was given for {name!r}, which is taken in the unit that "
-                "it is in: leave the scale out, or choose an instrument whose output has a unit"
-            )
-            problems.append(Problem(table.file, "a nominal scale", column=name, sentence=sentence))
+            came = "a nominal scale was given, but it is taken in the unit that it is in"
+            cure = "Leave the scale out, or choose an instrument whose output has a unit"
+            problems.append(Problem(table.file, came, cure=cure, column=name))
         if name == "output_uncertainty":
             fixed[name] = replace(column, unit=fixed["output"].unit)
             continue
@@ -237,22 +211,10 @@ def unused_units(tables: Sequence[Table], options: ReadOptions, problems: Proble
     known |= set(options.columns)
     for name, unit in options.units.items():
         if name not in known:
-            names = " and ".join(repr(t.file) for t in tables)
-            sentence = (
-                f"units={{{name!r}: {unit!r}}}: {names} has "
-                f"no column {name!r}{near(name, tables[0])}. It has: {names_in(tables[0])}"
-            )
-            cure = f"It has: {names_in(tables[0])}"
-            problems.append(
-                Problem(
-                    tables[0].file,
-                    "no such column",
-                    f"one in {unit}",
-                    cure,
-                    column=name,
-                    sentence=sentence,
-                )
-            )
+            came = f"no such column, but units={{{name!r}: {unit!r}}}"
+            others = "".join(f", nor has {t.file!r}" for t in tables[1:])
+            cure = f"It has: {names_in(tables[0])}{near(name, tables[0])}{others}"
+            problems.append(Problem(tables[0].file, came, cure=cure, column=name))
 
 
 def names_in(table: Table) -> str:

@@ -161,16 +161,11 @@ class ColumnReader:
         if unit is None and self._is_time and cells.bad and np.isnan(cells.values).all():
             return None  # dates of another form, which are said as such
         if unit is None:
-            raw, example = self.header.raw, self.column.example
-            sentence = (
-                f"{self.table.file!r}, column {raw!r}: the header has no unit. Write '{self.header.name} [{example}]' "
-                f"(or the unit that the numbers are in), or give units={{{raw!r}: …}} "
-                f"({self._unit_option})"
+            unit, name = self.column.example, self.header.name
+            cure = (
+                f"UNIT is what its numbers are in, such as {unit}; in a header, '{name} [{unit}]'"
             )
-            cure = f"UNIT is what its numbers are in, such as {example}"
-            self._problem(
-                "the header has no unit", "one", cure, option=self._unit_option, sentence=sentence
-            )
+            self._problem("the header has no unit", "one", cure, option=self._unit_option)
             return None
         if self.column.unit not in (None, unit_conversion.ANY):
             unit = unit_in(unit, (self.column.unit,)) or unit
@@ -230,14 +225,9 @@ class ColumnReader:
             f", or {scale.unit}, which the nominal scale converts" if raw_output and scale else ""
         )
         hint = " Or give a nominal_scale." if raw_output and scale is None else ""
-        sentence = (
-            f"{self.table.file!r}, column {self.header.raw!r}: its unit is [{unit}], expected is "
-            f"one that converts to {target}{also}. Correct the header, or give "
-            f"units={{{self.header.raw!r}: …}}.{hint}"
-        )
         cure = f"Correct the header, or give the unit that is meant.{hint}"
         expected, given = f"one that converts to {target}{also}", self._unit_option
-        self._problem(f"the unit [{unit}]", expected, cure, option=given, sentence=sentence)
+        self._problem(f"its unit is [{unit}]", expected, cure, option=given)
         return None
 
     def _not_finite(self, values: np.ndarray) -> np.ndarray:

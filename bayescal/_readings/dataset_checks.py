@@ -81,16 +81,14 @@ def refuse_one_temperature(columns: Columns, names: str) -> None:
     low, high = float(temperature.min()), float(temperature.max())
     if high - low < LEAST_TEMPERATURE_SPAN:
         seen = f"{low:g}" if low == high else f"{low:g} … {high:g}"
-        cure = "Add readings at another temperature (files given together are read together)"
-        sentence = (
-            f"{names}, column 'temperature': reads {seen} °C, one temperature only; at least two "
-            f"were expected, or nothing that depends on temperature can be calibrated. {cure}"
+        cure = (
+            "At least two are needed, or nothing that depends on temperature can be calibrated: add readings at "
+            "another (files given together are read together)"
         )
         came = f"reads {seen} °C, one temperature only"
-        problem = Problem(
-            names, came, "at least two", cure, column="temperature", sentence=sentence
-        )
-        raise InputError(sentence, (problem,))
+        said = f"{names}, column 'temperature': {came}. {cure}"  # of files, or of a device
+        problem = Problem(names, came, cure=cure, column="temperature", sentence=said)
+        raise InputError(said, (problem,))
 
 
 def refuse_backward_time(columns: Columns, where: Where) -> None:
@@ -119,21 +117,11 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
         labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
         inside = f" within {', '.join(labels)}" if labels else ""
         cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
-        sentence = (
-            f"{where(index)}, column 'time': reads {time[index]:.12g} s after {time[before]:.12g} "
-            f"s in {where(before)}: time runs backwards{inside}. {cure}"
-        )
+        came = f"reads {time[index]:.12g} s after {time[before]:.12g} s in {where(before)}: time runs backwards{inside}"
         places = tuple(where(int(i)).partition(" of ")[0] for i in np.sort(order[1:][back]))
-        problem = Problem(
-            where(index).partition(" of ")[2].strip("'"),
-            f"{time[index]:.12g} s after {time[before]:.12g} s",
-            f"no time before the last{inside}",
-            cure,
-            column="time",
-            places=places,
-            sentence=sentence,
-        )
-        raise InputError(sentence, (problem,))
+        file = where(index).partition(" of ")[2].strip("'")
+        problem = Problem(file, came, cure=cure, column="time", places=places)
+        raise InputError(str(problem), (problem,))
 
 
 def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:

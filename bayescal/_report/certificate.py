@@ -14,55 +14,27 @@ from typing import Any
 
 from bayescal._core.errors import InputError
 
-# Section → key → (what a person reads, whether it is a date). A section in lists may stand several times.
-SECTIONS: dict[str, dict[str, tuple[str, bool]]] = {
-    "certificate": {
-        "number": ("certificate", False),
-        "issued": ("issued", True),
-        "remarks": ("remarks", False),
-    },
-    "device": {
-        "name": ("device", False),
-        "manufacturer": ("manufacturer", False),
-        "model": ("type", False),
-        "serial": ("serial number", False),
-        "owner_number": ("owner's number", False),
-    },
+# Section → key → what a person reads. A section in lists may stand several times.
+_PLACE = {"street": "street", "city": "city", "postcode": "postcode", "country": "country"}
+_MADE = {"manufacturer": "manufacturer", "model": "type", "serial": "serial number"}
+SECTIONS: dict[str, dict[str, str]] = {
+    "certificate": {"number": "certificate", "issued": "issued", "remarks": "remarks"},
+    "device": {"name": "device", **_MADE, "owner_number": "owner's number"},
     "calibration": {
-        "begin": ("calibrated from", True),
-        "end": ("calibrated to", True),
-        "place": ("place", False),
-        "operator": ("operator", False),
-        "procedure": ("procedure", False),
+        **{"begin": "calibrated from", "end": "calibrated to", "place": "place"},
+        **{"operator": "operator", "procedure": "procedure"},
     },
     "laboratory": {
-        "name": ("laboratory", False),
-        "street": ("street", False),
-        "city": ("city", False),
-        "postcode": ("postcode", False),
-        "country": ("country", False),
-        "email": ("e-mail", False),
-        "accreditation": ("accreditation", False),
-        "responsible": ("responsible person", False),
+        **{"name": "laboratory", **_PLACE, "email": "e-mail"},
+        **{"accreditation": "accreditation", "responsible": "responsible person"},
     },
-    "customer": {
-        "name": ("customer", False),
-        "street": ("street", False),
-        "city": ("city", False),
-        "postcode": ("postcode", False),
-        "country": ("country", False),
-        "email": ("e-mail", False),
-    },
+    "customer": {"name": "customer", **_PLACE, "email": "e-mail"},
     "standards": {
-        "name": ("standard", False),
-        "manufacturer": ("manufacturer", False),
-        "model": ("type", False),
-        "serial": ("serial number", False),
-        "certificate": ("its certificate", False),
-        "traceable_to": ("traceable to", False),
-        "valid_until": ("valid until", True),
+        **{"name": "standard", **_MADE, "certificate": "its certificate"},
+        **{"traceable_to": "traceable to", "valid_until": "valid until"},
     },
 }
+DATES = ("issued", "begin", "end", "valid_until")
 LISTS = ("standards",)
 CONDITIONS = "conditions"  # free: name → text
 
@@ -107,7 +79,7 @@ class Certificate:
             for one in given if section in LISTS else [given]:
                 said = [
                     (label, one[key].isoformat() if isinstance(one[key], date) else one[key])
-                    for key, (label, _) in keys.items()
+                    for key, label in keys.items()
                     if key in one
                 ]
                 found += [(section, said)] * bool(said)
@@ -166,7 +138,7 @@ def _checked(given: dict[str, Any], section: str, where: str) -> dict[str, Any]:
     for key, value in given.items():
         if key not in keys:
             raise InputError(f"{where}: no such key {key!r}; there are: {', '.join(keys)}")
-        if keys[key][1]:
+        if key in DATES:
             if type(value) is not date:
                 raise InputError(
                     f"{where} {key} = {value!r}: a date was expected, {key} = 2026-11-22"

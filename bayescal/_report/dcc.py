@@ -16,7 +16,6 @@ from pathlib import Path
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity, sources_of
 from bayescal._calibration.summary import summary
-from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._core.version import __version__
 from bayescal._readings.unit_parsing import STANDARD_GRAVITY
@@ -33,34 +32,21 @@ NEEDED = (
 K, PROBABILITY = 2.0, 0.9545  # coverage of k = 2 for a normal distribution (JCGM 100, table G.1)
 
 
-def write_dcc(
-    calibration: Calibration,
-    path: str | Path,
-    certificate: Certificate | str | Path,
-    *,
-    local_gravity: float = STANDARD_GRAVITY,
-) -> Path:
-    """Write a digital calibration certificate.
-
-    Args:
-        calibration: a fit that is to be trusted.
-        path: of the XML file.
-        certificate: what it states beside the numbers, or the TOML file of it.
-        local_gravity: m/s², that one g of the calibration is.
-
-    Raises:
-        InputError: the fit is not to be trusted, the certificate does not state what the schema needs, or a place
-            that cannot be written to.
-    """
-    return write_text(dcc_text(calibration, certificate, local_gravity), path)
-
-
 def dcc_text(
     calibration: Calibration,
     certificate: Certificate | str | Path,
     local_gravity: float = STANDARD_GRAVITY,
 ) -> str:
-    """The certificate as XML; arguments and refusals as of `write_dcc`."""
+    """The certificate as XML.
+
+    Args:
+        calibration: a fit that is to be trusted.
+        certificate: what it states beside the numbers, or the TOML file of it.
+        local_gravity: m/s², that one g of the calibration is.
+
+    Raises:
+        InputError: the fit is not to be trusted, or the certificate does not state what the schema needs.
+    """
     stated = certificate if isinstance(certificate, Certificate) else read_certificate(certificate)
     stated.require(*NEEDED)
     for section in ("laboratory", "customer"):

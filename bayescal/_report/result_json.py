@@ -198,10 +198,7 @@ def check_data(check: Check, step: int) -> list[dict[str, Any]]:
 
 
 def pairs_data(check: Check, step: int) -> list[dict[str, Any]]:
-    return [
-        {"step": step, "against": list(p.against), "log_bayes_factor": p.log_bayes_factor}
-        for p in check.pairs
-    ]
+    return [{"step": step, **vars(p)} for p in check.pairs]
 
 
 def allan_data(check: Check, step: int) -> list[dict[str, Any]]:
@@ -217,25 +214,7 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
         "noise_laws": [vars(n) for n in found.noise],
         "sets": [{"effects": list(s.effects), "probability": s.probability} for s in found.sets],
         "departures": [{**vars(d), "in_words": str(d)} for d in found.departures],
-        "candidates": [
-            {
-                "effect": c.effect,
-                "probability": c.probability,
-                "log_bayes_factor": c.log_bayes_factor,
-                "source": c.source,
-                "z": c.z,
-                "size": c.size,
-                "size_sd": c.size_sd,
-                "unit": c.unit,
-                "shape": c.shape,
-                "visibility": c.visibility,
-                "minimum_detectable": c.minimum_detectable,
-                "kind": c.kind,
-                "indistinguishable_from": list(c.indistinguishable_from),
-                "reason": c.reason,
-            }
-            for c in found.candidates
-        ],
+        "candidates": [vars(c) for c in found.candidates],
         "unknown": [
             {
                 "column": e.against,

@@ -209,24 +209,16 @@ def ragged_rows(scan: CsvScan) -> tuple[Problem, ...]:
     """The rows that have not one field for each column, as one problem."""
     if not scan.ragged:
         return ()
-    row, text, fields = scan.ragged[0]
+    _, text, fields = scan.ragged[0]
     expected = len(scan.header)
     comma = scan.separator == "," and fields > expected
     hint = "If its numbers have decimal commas, export them with decimal points. " if comma else ""
     longer = any(expected < n for _, _, n in scan.ragged)
     above = "If the first lines only tell of the test, begin each with #. " if longer else ""
     cure = f"{hint}{above}Give every row one field for each column"
-    came = f"{fields} field{'s' * (fields != 1)}"
+    came = f"{fields} field{'s' * (fields != 1)}, {text!r}, its header has {expected}"
     places = tuple(f"row {row}" for row, _, _ in scan.ragged)
-    more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
-    sentence = (
-        f"row {row} of {scan.file!r} has {came}, its header {expected}: {text!r}{more}. {cure}"
-    )
-    return (
-        Problem(
-            scan.file, came, f"{expected}, as in its header", cure, places=places, sentence=sentence
-        ),
-    )
+    return (Problem(scan.file, came, cure=cure, places=places),)
 
 
 def text_of(line: bytes, scan: CsvScan) -> str:

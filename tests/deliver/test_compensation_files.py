@@ -112,7 +112,7 @@ def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) ->
         good.replace("temperature", "pressure"): "temperature",
         good.replace("[degC]", "[rad]"): "its unit is",
         "temperature [degC],output [deg/s],output_compensated\n40,1,2\n": "already",
-        good + "40\n": "row 7 of 'in.csv' has 1 field",
+        good + "40\n": "row 7 of 'in.csv': 1 field, '40', its header has 2",
     }
     for text, said in cases.items():
         (tmp_path / "in.csv").write_text(text)

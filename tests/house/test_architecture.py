@@ -42,7 +42,7 @@ ROOMS = {
     "_numpyro": "trace survey gaussian_sites marginal_density program_fit fit_program",
     "_calibration": "named_draws on_readings fitted description posterior_tree storage summary guards calibration "
     "predict fit evidence",
-    "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_in_time "
+    "_diagnostics": "evidence_scale efficient_score prior_influence noise_in_time "
     "covariate_evidence part worst_region check_result check leave_group_out compare",
     "_search": "noise_laws plausible_sizes departures structures library scores walk posterior",
     "_discovery": "candidate discover next_experiment false_reports draft_effect search_path gate calibrate",

@@ -101,9 +101,7 @@ def test_a_file_of_corrections_is_negated(tmp_path: Path) -> None:
 def test_a_column_has_one_of_its_names(tmp_path: Path) -> None:
     both = tmp_path / "both.csv"
     both.write_text("placement_angle [deg],output [arcsec],zero_offset [arcsec]\n0,1,1\n5,2,2\n")
-    with pytest.raises(
-        bc.InputError, match=r"two columns for 'output': 'output \[arcsec\]' and 'zero"
-    ):
+    with pytest.raises(bc.InputError, match=r"'zero.*a second 'output' beside 'output \[arcsec\]'"):
         bc.read(both, INSTRUMENT)
     made = bc.Measurements.from_arrays(
         INSTRUMENT, placement_angle=[0.0, 0.1], zero_offset=[1.0, 2.0]

@@ -129,14 +129,6 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
     assert 0 < rms < (0.4 if name == "zero.hysteresis" else 0.25), rms
 
 
-def test_the_same_seed_gives_the_same_noise() -> None:
-    plain, same, other = (inclinometer.simulate(seed=s)["output"] for s in (3, 3, 4))
-    np.testing.assert_array_equal(plain, same)
-    assert not np.allclose(plain, other)
-    with_face = inclinometer.simulate({"dividing.face": 7.0}, seed=3)["output"]
-    np.testing.assert_allclose(with_face - plain, 7.0, atol=1e-4)
-
-
 def test_hysteresis_needs_both_directions() -> None:
     one_way = inclinometer.simulate(seed=1, campaign=Campaign(backward=False))
     reason = can_test(INSTRUMENT.effect("zero.hysteresis"), one_way)

@@ -78,7 +78,10 @@ def test_a_loggers_file_is_opened_by_renaming_and_units(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("units", "said"),
     [
-        (["t_s=s", "temp=degC"], r"'acc_x'.*no unit\. Write 'acc_x \[m/s\^2\]'.*--unit acc_x="),
+        (
+            ["t_s=s", "temp=degC"],
+            r"'acc_x'.*no unit, .* 'acc_x \[m/s\^2\]' \(--unit acc_x=",
+        ),
         (["acc_x=furlong", "t_s=s", "temp=degC"], r"'acc_x'.*\[furlong\] is not a unit"),
     ],
 )
@@ -91,7 +94,7 @@ def test_a_channel_without_a_unit_is_refused(tmp_path: Path, units, said) -> Non
 
 def test_a_nominal_scale_is_refused_where_the_unit_is_open(tmp_path: Path) -> None:
     path, _ = log(tmp_path)
-    with pytest.raises(bc.InputError, match="a nominal scale was given for 'output'"):
+    with pytest.raises(bc.InputError, match="column 'output': a nominal scale was given"):
         bc.read(
             path,
             still_sensor.INSTRUMENT,

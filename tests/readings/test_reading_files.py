@@ -124,7 +124,7 @@ def test_many_rows_are_checked_in_stretches(put, monkeypatch):
     rows[61] = "a,61,20,1.2.3"
     refused(put(HEAD + "\n".join(rows)), r"row 63 of .* reads '1\.2\.3'")
     rows[61] = "a,61,20"
-    refused(put(HEAD + "\n".join(rows)), "row 63 of 't.csv' has 3 fields, its header 4")
+    refused(put(HEAD + "\n".join(rows)), "row 63 of 't.csv': 3 fields, 'a,61,20', its header has 4")
     refused(put(HEAD + "a" * 200), "row 2 of 't.csv' is longer than 64 bytes")
 
 

@@ -42,14 +42,14 @@ from tests.support.gyro_files import GOOD, GYRO, HEAD, Gyro, refused
         ),
         (
             "temperature [V],output [V]\n20,1\n",
-            r"its unit is \[V\], expected is one that converts to d",
+            r"its unit is \[V\], one that converts to degC was expected",
         ),
         ("temperature [K],output [Hz]\n20,1\n", r"deg/s, or V, which the nominal scale converts"),
         ("temperature [K],output [V],output [V]\n20,1,1\n", "2 columns called 'output'"),
         ("temperature [K],output [V],output [mV]\n20,1,1\n", "2 columns called 'output'"),
         (
             "run [s],temperature [K],output [V]\n1,20,1\n",
-            r"'run \[s\]' carries a unit, but 'run' is a l",
+            r"'run \[s\]': carries the unit s, a label \(text\) as 'run' was",
         ),
     ],
 )
@@ -59,7 +59,7 @@ def test_headers_that_cannot_be_used_are_refused(put, text, message):
 
 def test_a_raw_output_without_a_nominal_scale_is_refused(put):
     path = put("temperature [degC],output [V]\n20,1\n30,2\n")
-    with pytest.raises(InputError, match=r"\[V\], expected .* deg/s\..* Or give a nominal_scale"):
+    with pytest.raises(InputError, match=r"\[V\], one .* deg/s was .* Or give a nominal_scale"):
         read(path, Gyro(nominal_scale=None))
     with pytest.raises(InputError, match="the gain must be finite and not zero"):
         NominalScale("V", gain=0.0)
@@ -70,15 +70,15 @@ def test_a_raw_output_without_a_nominal_scale_is_refused(put):
     [
         (
             {"columns": {"output": "gyro"}},
-            r"columns=\{'output': 'gyro'\}: 't.csv' has no column 'gyro'",
+            r"'t.csv', column 'gyro': no such column, but columns=\{'output': 'gyro'\}",
         ),
         (
             {"columns": {"output": "x"}},
-            r"two columns for 'output': 'output \[deg/s\]', and 'x \[deg/s\]'",
+            r"'output \[deg/s\]': a second 'output' beside 'x \[deg/s\]', which",
         ),
         (
             {"columns": {"output": "x", "rate_input": "x"}},
-            "x  .*output and rate_input by --columns",
+            "x  .*both output and rate_input by columns=",
         ),
         ({"units": {"outptu": "V"}}, r"units=\{'outptu': 'V'\}.*\(is 'output \[deg/s\]' meant"),
         ({"units": {"output": "volts!"}}, r"column 'output \[deg/s\]': \[volts!\] is not a unit"),
@@ -116,11 +116,11 @@ def test_options_that_do_not_fit_the_file_are_refused(put, options, message):
             'b,5,30,"1,5"',
             r"row 5 .* reads '1,5', .* decimal comma, say so \(--decimal ,\), or export",
         ),
-        ("a,0,30", "row 5 of 't.csv' has 3 fields, its header 4: 'a,0,30'"),
-        ("a,0,30,1,", "row 5 of 't.csv' has 5 fields, its header 4.*one field for each column"),
+        ("a,0,30", "row 5 of 't.csv': 3 fields, 'a,0,30', its header has 4"),
+        ("a,0,30,1,", "row 5 of 't.csv': 5 fields, .*header has 4.*one field for each column"),
         (
             "a,0,30,1,5",
-            "row 5 of 't.csv' has 5 fields.* decimal commas, export them with decimal p",
+            "row 5 of 't.csv': 5 fields.* decimal commas, export them with decimal p",
         ),
         ('"a,0,30,1', "row 5 of 't.csv' has a quotation mark without its pair"),
         ("a,0,30\r,1", "row 5 of 't.csv' holds a carriage return that ends no line"),
@@ -175,7 +175,7 @@ def test_an_unknown_label_is_refused(put):
 @pytest.mark.parametrize("second", ["20", "20.05"])
 def test_one_temperature_only_is_refused_unless_asked_for(put, second):
     path = put(f"temperature [degC],output [deg/s]\n20,1\n{second},2\n")
-    refused(path, r"'temperature': reads 20( … 20\.05)? °C, one temperature only; at least two")
+    refused(path, r"'temperature': reads 20( … 20\.05)? °C, one temperature only\. At least two")
     assert len(read(path, GYRO, allow_one_temperature=True)) == 2
 
 

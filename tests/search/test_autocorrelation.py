@@ -9,7 +9,8 @@ import pytest
 import bayescal as bc
 from bayescal._diagnostics.check import autocorrelation
 from bayescal._diagnostics.efficient_score import fitted_directions
-from bayescal._inference.laplace import linearised
+from bayescal._inference import gaussian
+from bayescal._model import forward
 from bayescal_models import still_sensor
 
 SENSOR = still_sensor.instrument("ug", size=20.0, constant=200.0, span=20.0)
@@ -56,10 +57,13 @@ def test_z_is_standard_under_the_model(rng) -> None:
     )
     found, _ = of(LEVELS, data)
     g = fitted_directions(found)
-    line = linearised(found.layout, found.frame, jnp.asarray(data["output"]), found.mode)
-    noise = found.model.noise.variance(line.hyper, found.frame)
-    a = np.asarray(line.nuisance * line.prior.sd) / np.sqrt(np.asarray(noise))[:, None]
-    h = a @ np.linalg.solve(a.T @ a + np.diag(line.prior.weight), a.T)
+    layout, mode = found.layout, found.mode
+    hyper = forward.hyper_values(layout, jnp.asarray(mode.v))
+    line = forward.linearise(layout, found.frame, mode.point.x, mode.point.rows, hyper)
+    prior, noise = gaussian.prior_of(layout, hyper, mode.flat), found.model.noise
+    sd = np.sqrt(np.asarray(noise.variance(hyper, found.frame)))
+    a = np.asarray(line.jacobian * prior.sd) / sd[:, None]
+    h = a @ np.linalg.solve(a.T @ a + np.diag(prior.weight), a.T)
     np.testing.assert_allclose(g @ g.T, h, atol=1e-9)
     values, vectors = np.linalg.eigh(np.eye(len(data)) - h)
     root = vectors * np.sqrt(np.maximum(values, 0))

@@ -9,7 +9,6 @@ import pytest
 
 import bayescal as bc
 from bayescal._discovery.draft_effect import shape_of, template
-from bayescal._model.unknown_effect import free_curve
 from bayescal_models import mems_gyro
 
 INSTRUMENT = mems_gyro.INSTRUMENT
@@ -89,14 +88,6 @@ def test_a_calibration_with_one_is_saved_and_loaded(jumped: bc.Trail, tmp_path) 
     assert again.model.names == final.model.names
     fresh = mems_gyro.simulate({}, seed=43)
     np.testing.assert_allclose(bc.predict(again, fresh).mean, bc.predict(final, fresh).mean)
-
-
-def test_only_smooth_functions_are_free_curves() -> None:
-    assert free_curve("unknown(time)")
-    assert free_curve("unknown(temperature rate)")
-    assert not free_curve("unknown(time, jump)")
-    assert not free_curve("unknown(time, cycle)")
-    assert not free_curve("bias.drift")
 
 
 def test_forms_need_enough_readings_and_their_names_bear_any_space() -> None:
