@@ -1,0 +1,143 @@
+"""A population of a fleet: sums over partitions, added up as a tree, and each partition's devices under it.
+
+Partitions keep what the readings alone say of their devices in a file of numbers (Λ and h), which workers map into
+memory; all that travels are sums of a few numbers for each draw of the spreads.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bayescal._cluster.engine import Engine
+from bayescal._core.atomic_file import replacing_for_user
+from bayescal._core.errors import InputError, ModelError
+from bayescal._fleet.batch_result import BatchResult, load_batch
+from bayescal._fleet.partial_pooling import put_to, summed_up
+from bayescal._population import device_sums
+from bayescal._population.device_sums import DeviceMoments, Sums, Told
+from bayescal._population.population import FEWEST, Learned, Named, Population, learn, sizes, told
+
+
+def learn_population(
+    files: Sequence[Path], pooled: Path, named: Named, seed: int, engine: Engine
+) -> Population:
+    """Learn a population from the results of partitions, and write each partition's devices under it.
+
+    Args:
+        files: results of each device by itself.
+        pooled: folder for those under the population.
+        named: the population's coefficients.
+        seed: of every random number.
+        engine: where the sums are made.
+
+    Raises:
+        ModelError: fewer than three devices that can be trusted.
+        InputError: a partition cannot be read or written.
+    """
+    shutil.rmtree(
+        pooled, ignore_errors=True
+    )  # of another population: derived, and quickly made anew
+    pooled.mkdir(parents=True)
+    places = [pooled / f".{file.stem}.npy" for file in files]  # hidden: a dataset passes over it
+    counts = engine.tree(write_told, [(f, p, named) for f, p in zip(files, places, strict=True)])
+    if counts.devices < FEWEST:
+        raise ModelError(
+            f"a population is learned from at least {FEWEST} devices that converge; here {counts.devices} did"
+        )
+    devices = _InPartitions(tuple(places), counts.devices, engine)
+    learned = learn(devices, named, seed)
+    tasks = [(f, p, pooled / f.name, named, learned) for f, p in zip(files, places, strict=True)]
+    written = engine.tree(write_pooled, tasks)
+    for place in places:
+        place.unlink(missing_ok=True)
+    assert written.devices == counts.devices
+    return learned.population
+
+
+@dataclass(frozen=True)
+class Count:
+    """A number of devices, to be added up."""
+
+    devices: int
+
+    def __add__(self, other: Count) -> Count:
+        return Count(self.devices + other.devices)
+
+
+@dataclass(frozen=True)
+class _InPartitions:
+    """Devices in partitions, as `learn` takes them."""
+
+    places: tuple[Path, ...]
+    count: int
+    engine: Engine
+
+    def sums(self, scale: np.ndarray, v: np.ndarray) -> Sums:
+        return self.engine.tree(sums_of, [(place, scale, v) for place in self.places])
+
+    def sums_and_slopes(self, scale: np.ndarray, v: np.ndarray) -> tuple[Sums, Sums]:
+        tasks = [(place, scale, v) for place in self.places]
+        both = self.engine.tree(sums_and_slopes_of, tasks)
+        return both.values, both.slopes
+
+
+@dataclass(frozen=True)
+class ValuesAndSlopes:
+    """Sums and their slopes, to be added up."""
+
+    values: Sums
+    slopes: Sums
+
+    def __add__(self, other: ValuesAndSlopes) -> ValuesAndSlopes:
+        return ValuesAndSlopes(self.values + other.values, self.slopes + other.slopes)
+
+
+def write_told(file: Path, place: Path, named: Named) -> Count:
+    """Keep what a partition's readings alone say of its devices, as numbers (b, k, k + 1)."""
+    found = load_batch(file)
+    own = _told(found, named)
+    with replacing_for_user(place) as partial, partial.open("wb") as out:
+        np.save(out, np.concatenate([own.precision, own.pull[:, :, None]], axis=2))
+    return Count(len(own.pull))
+
+
+def _told(found: BatchResult, named: Named) -> Told:
+    k = len(named)
+    mean, covariance = summed_up(found.parts, found.ok, named)
+    return told(mean, covariance, named) if len(mean) else Told(np.zeros((0, k, k)), mean)
+
+
+def _mapped(place: Path) -> Told:
+    try:
+        held = np.load(place, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{place} cannot be read: {error}. Run the same command again") from None
+    return Told(held[:, :, :-1], held[:, :, -1])
+
+
+def sums_of(place: Path, scale: np.ndarray, v: np.ndarray) -> Sums:
+    """Sums over a partition's devices at several spreads."""
+    return device_sums.sums(_mapped(place), scale, v)
+
+
+def sums_and_slopes_of(place: Path, scale: np.ndarray, v: np.ndarray) -> ValuesAndSlopes:
+    """The sums, and their slopes."""
+    return ValuesAndSlopes(*device_sums.sums_and_slopes(_mapped(place), scale, v))
+
+
+def write_pooled(file: Path, place: Path, to: Path, named: Named, learned: Learned) -> Count:
+    """Write a partition's devices under the population."""
+    found, own, size = load_batch(file), _mapped(place), sizes(named)
+    moved = DeviceMoments(own.pull, own.precision)
+    if len(own.pull):
+        moved = device_sums.device_moments(own, *learned[1:])
+    parts = put_to(
+        found.parts, found.ok, named, moved.mean * size, moved.covariance * np.outer(size, size)
+    )
+    replace(found, parts=tuple(parts), population=learned.population).save(to)
+    return Count(len(own.pull))
