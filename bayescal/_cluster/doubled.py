@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from bayescal._cluster.fit_partition import PARTITION
-from bayescal._cluster.partitions import Partition
+from bayescal._partitions.partitions import Partition
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ for each worker at a time, so that neither it nor this process holds more than w
 from __future__ import annotations
 
 import functools
-import importlib.util
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
@@ -20,7 +19,6 @@ T = TypeVar("T")
 AHEAD = 4  # tasks for each thread of the cluster that the scheduler holds
 RETRIES = 2  # of a task that failed; a worker that died does not count
 ARITY = 16  # sums that are added up at once
-INSTALL = "Fleets run on Dask: pip install 'bayescal[fleet]'"
 
 
 class Outcome(NamedTuple):
@@ -148,13 +146,3 @@ def _in_words(error: BaseException | None) -> str:
     if isinstance(error, KilledWorker):
         return "the workers that it ran on died one after the other: is there memory enough for a partition?"
     return str(error) or type(error).__name__
-
-
-def require_dask() -> None:
-    """Refuse where Dask is not installed.
-
-    Raises:
-        InputError: it is not.
-    """
-    if importlib.util.find_spec("distributed") is None:
-        raise InputError(INSTALL)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, overload
 
 from bayescal._cluster.fit_fleet import fit_fleet
 from bayescal._cluster.fleet_result import FleetResult
-from bayescal._cluster.partitions import ROWS
 from bayescal._core.errors import InputError
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices, gathered
@@ -18,6 +17,7 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
+from bayescal._partitions.partitions import ROWS
 from bayescal._population.population import Spread, chosen
 from bayescal._readings.measurements import Measurements
 

@@ -12,10 +12,7 @@ import numpy as np
 
 from bayescal._cluster.engine import Engine, Here, OnDask
 from bayescal._cluster.fleet_result import ALONE, POOLED, FleetResult
-from bayescal._cluster.partitions import Partition, partitions_of
 from bayescal._cluster.population_tree import learn_population
-from bayescal._cluster.read_partition import read_partition
-from bayescal._cluster.request import Request
 from bayescal._cluster.run import Run
 from bayescal._core.errors import InputError
 from bayescal._core.progress import tell
@@ -25,6 +22,9 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
 from bayescal._model.frame import Reference, reference_name
 from bayescal._model.model import Model
+from bayescal._partitions.partitions import Partition, partitions_of
+from bayescal._partitions.read_partition import read_partition
+from bayescal._partitions.request import Request
 from bayescal._population.population import Named
 from bayescal._readings.column_matching import ReadOptions
 

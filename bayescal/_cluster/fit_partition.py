@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal._cluster.partitions import Partition
-from bayescal._cluster.read_partition import content_digest, read_partition
-from bayescal._cluster.request import Request
 from bayescal._core.errors import InputError
 from bayescal._fleet.batch_result import BatchResult, load_batch
 from bayescal._fleet.fit_devices import fit_devices
+from bayescal._partitions.partitions import Partition
+from bayescal._partitions.read_partition import content_digest, read_partition
+from bayescal._partitions.request import Request
 
 ONE = threading.Lock()  # a worker of several threads holds one partition at a time all the same
 SHOWN = 10  # devices whose refusal is told

@@ -1,6 +1,6 @@
 """A population of a fleet: sums over partitions, added up as a tree, and each partition's devices under it.
 
-Partitions keep what the readings alone say of their devices in a file of numbers (Λ and h), which workers map into
+Partitions keep what the readings alone say of their devices in a file of numbers (Λ, x̂ and e), which workers map into
 memory; all that travels are sums of a few numbers for each draw of the spreads.
 """
 
@@ -49,7 +49,7 @@ def learn_population(
         raise ModelError(
             f"a population is learned from at least {FEWEST} devices that converge; here {counts.devices} did"
         )
-    devices = _InPartitions(tuple(places), counts.devices, engine)
+    devices = _InPartitions(tuple(places), counts.devices, counts.estimate / counts.devices, engine)
     learned = learn(devices, named, seed)
     tasks = [(f, p, pooled / f.name, named, learned) for f, p in zip(files, places, strict=True)]
     written = engine.tree(write_pooled, tasks)
@@ -61,12 +61,13 @@ def learn_population(
 
 @dataclass(frozen=True)
 class Count:
-    """A number of devices, to be added up."""
+    """A number of devices and the sum of their estimates, to be added up."""
 
     devices: int
+    estimate: np.ndarray
 
     def __add__(self, other: Count) -> Count:
-        return Count(self.devices + other.devices)
+        return Count(self.devices + other.devices, self.estimate + other.estimate)
 
 
 @dataclass(frozen=True)
@@ -75,13 +76,14 @@ class _InPartitions:
 
     places: tuple[Path, ...]
     count: int
+    centre: np.ndarray
     engine: Engine
 
     def sums(self, scale: np.ndarray, v: np.ndarray) -> Sums:
-        return self.engine.tree(sums_of, [(place, scale, v) for place in self.places])
+        return self.engine.tree(sums_of, [(place, self.centre, scale, v) for place in self.places])
 
     def sums_and_slopes(self, scale: np.ndarray, v: np.ndarray) -> tuple[Sums, Sums]:
-        tasks = [(place, scale, v) for place in self.places]
+        tasks = [(place, self.centre, scale, v) for place in self.places]
         both = self.engine.tree(sums_and_slopes_of, tasks)
         return both.values, both.slopes
 
@@ -98,18 +100,19 @@ class ValuesAndSlopes:
 
 
 def write_told(file: Path, place: Path, named: Named) -> Count:
-    """Keep what a partition's readings alone say of its devices, as numbers (b, k, k + 1)."""
+    """Keep what a partition's readings alone say of its devices, as numbers (b, k, k + 2)."""
     found = load_batch(file)
     own = _told(found, named)
     with replacing_for_user(place) as partial, partial.open("wb") as out:
-        np.save(out, np.concatenate([own.precision, own.pull[:, :, None]], axis=2))
-    return Count(len(own.pull))
+        columns = (own.precision, own.estimate[:, :, None], own.rest[:, :, None])
+        np.save(out, np.concatenate(columns, axis=2))
+    return Count(len(own.estimate), own.estimate.sum(axis=0))
 
 
 def _told(found: BatchResult, named: Named) -> Told:
     k = len(named)
     mean, covariance = summed_up(found.parts, found.ok, named)
-    return told(mean, covariance, named) if len(mean) else Told(np.zeros((0, k, k)), mean)
+    return told(mean, covariance, named) if len(mean) else Told(np.zeros((0, k, k)), mean, mean)
 
 
 def _mapped(place: Path) -> Told:
@@ -117,27 +120,29 @@ def _mapped(place: Path) -> Told:
         held = np.load(place, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError) as error:
         raise InputError(f"{place} cannot be read: {error}. Run the same command again") from None
-    return Told(held[:, :, :-1], held[:, :, -1])
+    return Told(held[:, :, :-2], held[:, :, -2], held[:, :, -1])
 
 
-def sums_of(place: Path, scale: np.ndarray, v: np.ndarray) -> Sums:
+def sums_of(place: Path, centre: np.ndarray, scale: np.ndarray, v: np.ndarray) -> Sums:
     """Sums over a partition's devices at several spreads."""
-    return device_sums.sums(_mapped(place), scale, v)
+    return device_sums.sums(_mapped(place), centre, scale, v)
 
 
-def sums_and_slopes_of(place: Path, scale: np.ndarray, v: np.ndarray) -> ValuesAndSlopes:
+def sums_and_slopes_of(
+    place: Path, centre: np.ndarray, scale: np.ndarray, v: np.ndarray
+) -> ValuesAndSlopes:
     """The sums, and their slopes."""
-    return ValuesAndSlopes(*device_sums.sums_and_slopes(_mapped(place), scale, v))
+    return ValuesAndSlopes(*device_sums.sums_and_slopes(_mapped(place), centre, scale, v))
 
 
 def write_pooled(file: Path, place: Path, to: Path, named: Named, learned: Learned) -> Count:
     """Write a partition's devices under the population."""
     found, own, size = load_batch(file), _mapped(place), sizes(named)
-    moved = DeviceMoments(own.pull, own.precision)
-    if len(own.pull):
+    moved = DeviceMoments(own.estimate, own.precision)
+    if len(own.estimate):
         moved = device_sums.device_moments(own, *learned[1:])
     parts = put_to(
         found.parts, found.ok, named, moved.mean * size, moved.covariance * np.outer(size, size)
     )
     replace(found, parts=tuple(parts), population=learned.population).save(to)
-    return Count(len(own.pull))
+    return Count(len(own.estimate), own.estimate.sum(axis=0))

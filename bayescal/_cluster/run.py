@@ -12,10 +12,10 @@ import pandas as pd
 from bayescal._cluster.doubled import Doubled, doubled_devices
 from bayescal._cluster.engine import Engine
 from bayescal._cluster.fit_partition import Moments, PartitionDone, fit_partition
-from bayescal._cluster.partitions import Partition
-from bayescal._cluster.request import Request
 from bayescal._core.errors import InputError
 from bayescal._core.progress import tell
+from bayescal._partitions.partitions import Partition
+from bayescal._partitions.request import Request
 
 EVERY = 2.0  # seconds between two lines of progress
 

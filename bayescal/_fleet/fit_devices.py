@@ -206,7 +206,7 @@ class _BatchRun:
                 f"none of the {len(devices)} devices can be used; {first[0]}: {first[1]}"
             )
         reasons = [refused.get(name) or self.reasons.get(name, "") for name in devices]
-        ok = np.array([not reason for reason in reasons])
+        ok = np.array([not reason for reason in reasons], dtype=bool)
         population = None
         if named:
             parts, population = pooled(parts, ok, named, self.seed)

@@ -1,11 +1,16 @@
 """What a population asks of its devices: sums over them at given spreads, and their own coefficients in the end.
 
-A device is summed up by Λ and h (`population.py`). With T = diag(τ²) and M = (1 + ΛT)⁻¹, all that the population's
-hyper-parameters depend on are three sums over the devices,
+A device is summed up by Λ and h (`population.py`), kept as its own estimate x̂ and e = h − Λx̂, which is small: it is
+what its own prior pulled. With T = diag(τ²) and M = (1 + ΛT)⁻¹, all that the population's hyper-parameters depend on
+are three sums over the devices,
 
-    Σ (hᵀT·M·h + log|M|),   Σ M·h,   Σ M·Λ,
+    Σ hᵀT·M·h + log|M|  =  Σ −xᵀM·Λx + 2eᵀ(1 − Mᵀ)x + eᵀT·M·e + log|M|  +  a constant,
+    Σ M·h  =  Σ M·Λx + M·e,
+    Σ M·Λ,
 
-which add up over any parts of a fleet. Padded devices have Λ = 0 and h = 0 and add nothing.
+with x = x̂ − c, the coefficients counted from a common centre c. Written so, no term is larger than the spread of the
+devices in parts of τ asks for, and the order of summing does not show. Padded devices have Λ = 0, x = 0 and e = 0 and
+add nothing. The sums add up over any parts of a fleet.
 """
 
 from __future__ import annotations
@@ -35,18 +40,20 @@ class Told(NamedTuple):
 
     Attributes:
         precision: Λ, (b, k, k).
-        pull: h, (b, k).
+        estimate: x̂, (b, k).
+        rest: e, (b, k).
     """
 
     precision: np.ndarray
-    pull: np.ndarray
+    estimate: np.ndarray
+    rest: np.ndarray
 
 
 class Sums(NamedTuple):
     """Sums over devices at each of several spreads, or their slopes along log τ (leaves (s, k, …)).
 
     Attributes:
-        level: Σ hᵀTMh + log|M|, (s,).
+        level: Σ hᵀTMh + log|M|, but for a constant, (s,).
         pull: Σ M·h, (s, k).
         precision: Σ M·Λ, (s, k, k).
     """
@@ -66,14 +73,16 @@ class DeviceMoments(NamedTuple):
     covariance: np.ndarray
 
 
-def sums(told: Told, scale: np.ndarray, v: np.ndarray) -> Sums:
-    """Sums over devices at the spreads τ = scale·exp(v), v (s, k)."""
-    return Sums(*map(np.asarray, _sums(*_padded(told), scale, v)))
+def sums(told: Told, centre: np.ndarray, scale: np.ndarray, v: np.ndarray) -> Sums:
+    """Sums over devices, counted from a centre, at the spreads τ = scale·exp(v), v (s, k)."""
+    return Sums(*map(np.asarray, _sums(_padded(told, centre), scale, v)))
 
 
-def sums_and_slopes(told: Told, scale: np.ndarray, v: np.ndarray) -> tuple[Sums, Sums]:
+def sums_and_slopes(
+    told: Told, centre: np.ndarray, scale: np.ndarray, v: np.ndarray
+) -> tuple[Sums, Sums]:
     """The sums, and their derivatives along each of v, (s, k, …)."""
-    values, slopes = _sums_and_slopes(*_padded(told), scale, v)
+    values, slopes = _sums_and_slopes(_padded(told, centre), scale, v)
     return Sums(*map(np.asarray, values)), Sums(*map(np.asarray, slopes))
 
 
@@ -82,6 +91,11 @@ class Devices(Protocol):
 
     @property
     def count(self) -> int: ...
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Mean of their estimates, (k,)."""
+        ...
 
     def sums(self, scale: np.ndarray, v: np.ndarray) -> Sums: ...
 
@@ -96,17 +110,22 @@ class Here:
 
     @property
     def count(self) -> int:
-        return len(self.told.pull)
+        return len(self.told.estimate)
+
+    @property
+    def centre(self) -> np.ndarray:
+        return self.told.estimate.mean(axis=0)
 
     def sums(self, scale: np.ndarray, v: np.ndarray) -> Sums:
-        return sums(self.told, scale, v)
+        return sums(self.told, self.centre, scale, v)
 
     def sums_and_slopes(self, scale: np.ndarray, v: np.ndarray) -> tuple[Sums, Sums]:
-        return sums_and_slopes(self.told, scale, v)
+        return sums_and_slopes(self.told, self.centre, scale, v)
 
 
 def device_moments(
     told: Told,
+    centre: np.ndarray,
     scale: np.ndarray,
     v: np.ndarray,
     weights: np.ndarray,
@@ -117,21 +136,23 @@ def device_moments(
 
     Args:
         told: the devices.
-        scale, v: the draws, as of `sums`.
+        centre, scale, v: the draws, as of `sums`.
         weights: of the draws, adding up to one, (s,).
-        mean, covariance: of the population's mean given each draw, (s, k) and (s, k, k).
+        mean, covariance: of the population's mean less the centre, given each draw, (s, k) and (s, k, k).
     """
-    count, likely = len(told.pull), int(np.argmax(weights))
-    made = _moments(*_padded(told), scale, v, weights, mean, covariance, likely)
-    return DeviceMoments(*(np.asarray(a)[:count] for a in made))
+    count, likely = len(told.estimate), int(np.argmax(weights))
+    made = _moments(_padded(told, centre), scale, v, weights, mean, covariance, likely)
+    found = DeviceMoments(*(np.asarray(a)[:count] for a in made))
+    return found._replace(mean=found.mean + centre)
 
 
-def _padded(told: Told) -> tuple[np.ndarray, np.ndarray]:
-    count = len(told.pull)
+def _padded(told: Told, centre: np.ndarray) -> Told:
+    count = len(told.estimate)
     spare = max(LEAST, 1 << max(count - 1, 0).bit_length()) - count
-    return (
+    return Told(
         np.pad(told.precision, ((0, spare), (0, 0), (0, 0))),
-        np.pad(told.pull, ((0, spare), (0, 0))),
+        np.pad(told.estimate - centre, ((0, spare), (0, 0))),
+        np.pad(told.rest, ((0, spare), (0, 0))),
     )
 
 
@@ -140,24 +161,30 @@ def _inverse(precision: Array, t: Float[Array, "k"]) -> Array:
     return jnp.linalg.inv(jnp.eye(len(t)) + precision * t)
 
 
-def _at(precision: Array, pull: Array, scale: Array, v: Float[Array, "k"]):
+def _times(matrices: Array, vectors: Array) -> Array:
+    return jnp.einsum("bij,bj->bi", matrices, vectors)
+
+
+def _at(told: Told, scale: Array, v: Float[Array, "k"]):
     t = (scale * jnp.exp(v)) ** 2
-    inverse = _inverse(precision, t)
-    pulled = jnp.einsum("bij,bj->bi", inverse, pull)
-    level = jnp.sum(pull * t * pulled) + jnp.sum(jnp.linalg.slogdet(inverse)[1])
-    return level, jnp.sum(pulled, axis=0), jnp.sum(inverse @ precision, axis=0)
+    inverse = _inverse(told.precision, t)
+    x, rest, weighed = told.estimate, told.rest, inverse @ told.precision
+    pulled, pulled_rest = _times(weighed, x), _times(inverse, rest)
+    level = jnp.sum(rest * (t * pulled_rest + 2 * x) - x * (pulled + 2 * pulled_rest))
+    level = level + jnp.sum(jnp.linalg.slogdet(inverse)[1])
+    return level, jnp.sum(pulled + pulled_rest, axis=0), jnp.sum(weighed, axis=0)
 
 
 @jax.jit
-def _sums(precision: Array, pull: Array, scale: Array, v: Array):
-    return over(partial(_at, precision, pull, scale), v, TOGETHER)
+def _sums(told: Told, scale: Array, v: Array):
+    return over(partial(_at, told, scale), v, TOGETHER)
 
 
 @jax.jit
-def _sums_and_slopes(precision: Array, pull: Array, scale: Array, v: Array):
+def _sums_and_slopes(told: Told, scale: Array, v: Array):
     def one(v: Array):
         def both(v: Array):
-            found = _at(precision, pull, scale, v)
+            found = _at(told, scale, v)
             return found, found
 
         slopes, values = jax.jacfwd(both, has_aux=True)(v)
@@ -167,14 +194,16 @@ def _sums_and_slopes(precision: Array, pull: Array, scale: Array, v: Array):
 
 
 @partial(jax.jit, static_argnames="likely")
-def _moments(precision, pull, scale, v, weights, mean, covariance, likely):
+def _moments(told: Told, scale, v, weights, mean, covariance, likely):
     def given(v, mean, covariance):
         """c | m has covariance T·M and mean m + T·M·(h − Λm); m is integrated over its own."""
         t = (scale * jnp.exp(v)) ** 2
-        inner = t[:, None] * _inverse(precision, t)
+        inner = t[:, None] * _inverse(told.precision, t)
         inner = 0.5 * (inner + jnp.swapaxes(inner, 1, 2))
-        slope = jnp.eye(len(t)) - inner @ precision
-        device = jnp.einsum("bij,bj->bi", inner, pull) + jnp.einsum("bij,j->bi", slope, mean)
+        share = inner @ told.precision
+        slope = jnp.eye(len(t)) - share
+        device = _times(share, told.estimate) + _times(inner, told.rest)
+        device = device + jnp.einsum("bij,j->bi", slope, mean)
         return device, inner + slope @ covariance @ jnp.swapaxes(slope, 1, 2)
 
     # Second moments about the likeliest draw's means, which keeps their digits.
@@ -187,6 +216,6 @@ def _moments(precision, pull, scale, v, weights, mean, covariance, likely):
         new = device, inner + device[:, :, None] * device[:, None, :]
         return tuple(a + weight * b for a, b in zip(total, new, strict=True)), None
 
-    start = jnp.zeros_like(pull), jnp.zeros_like(precision)
+    start = jnp.zeros_like(told.estimate), jnp.zeros_like(told.precision)
     first, second = jax.lax.scan(add, start, (weights, v, mean, covariance))[0]
     return about + first, second - first[:, :, None] * first[:, None, :]

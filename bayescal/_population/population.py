@@ -99,6 +99,7 @@ class Learned(NamedTuple):
     """A population, and what each device's coefficients follow from (arguments of `device_sums.device_moments`)."""
 
     population: Population
+    centre: np.ndarray
     scale: np.ndarray
     v: np.ndarray
     weights: np.ndarray
@@ -130,8 +131,8 @@ def told(
     """
     size, (weight, centre) = sizes(named), _prior(named)
     own = np.linalg.inv(covariance / np.outer(size, size))
-    pull = np.einsum("bij,bj->bi", own, mean / size) - weight * centre
-    return Told(own - np.diag(weight), pull)
+    estimate = mean / size
+    return Told(own - np.diag(weight), estimate, weight * (estimate - centre))
 
 
 def _prior(named: Named) -> tuple[np.ndarray, np.ndarray]:
@@ -169,7 +170,8 @@ def learn(devices: Devices, named: Named, seed: int) -> Learned:
         seed: of every random number.
     """
     size, spreads = sizes(named), [spread for _, spread in named.values()]
-    density = SpreadDensity(devices, spreads, size, *_prior(named))
+    weight, centre = _prior(named)
+    density = SpreadDensity(devices, spreads, size, weight, centre - devices.centre)
     draws, weights, k_hat, given = draws_of_spread(density, seed)
     mean, covariance = density.population_mean(given)
     spread = density.scale * np.exp(draws)
@@ -177,7 +179,7 @@ def learn(devices: Devices, named: Named, seed: int) -> Learned:
     table = pd.DataFrame(
         {
             "coefficient": list(named),
-            "mean": weights @ mean * size,
+            "mean": (weights @ mean + devices.centre) * size,
             "mean_sd": np.sqrt(weights @ (variance + (mean - weights @ mean) ** 2)) * size,
             "spread": weights @ spread * size,
             "spread_sd": np.sqrt(weights @ (spread - weights @ spread) ** 2) * size,
@@ -192,4 +194,4 @@ def learn(devices: Devices, named: Named, seed: int) -> Learned:
         devices=devices.count,
         pareto_k=k_hat,
     )
-    return Learned(population, density.scale, draws, weights, mean, covariance)
+    return Learned(population, devices.centre, density.scale, draws, weights, mean, covariance)

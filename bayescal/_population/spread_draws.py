@@ -18,8 +18,7 @@ DRAWS = 2000  # of τ, fewer for many devices: their posterior is narrow
 CELLS = 1_000_000  # draws × devices at most
 FREEDOM = 5.0  # of the Student-t that τ's logarithms are proposed from
 DEFENCE = 0.1  # share of proposals from the prior
-POLISHED = 1e-12  # of log τ, to which its mode is found, so that the order of summing does not show
-STEPS = 20  # of Newton, to it
+STEPS = 10  # of Newton to the mode, at most
 
 Spread = HalfNormal | HalfCauchy | Flat
 
@@ -35,7 +34,7 @@ class SpreadDensity:
         weight: np.ndarray,
         centre: np.ndarray,
     ) -> None:
-        """`weight` and `centre` are those of the prior of m; `size` the units of all sums."""
+        """`weight` and `centre` are those of the prior of m, from the devices' centre; `size` the units of sums."""
         self.devices, self.spreads = devices, spreads
         self.weight, self.centre = weight, centre
         # A prior's coordinate v is the logarithm of τ over its scale.
@@ -88,18 +87,27 @@ def _mode(density: SpreadDensity) -> tuple[np.ndarray, np.ndarray]:
     starts = np.array([np.full(density.size, v) for v in (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)])
     start = starts[np.argmin(np.nan_to_num(density.negative(starts)[0], nan=np.inf))]
     best = minimize(one, start, jac=True, method="BFGS").x
-    shifts = 1e-4 * np.eye(density.size)
+    for _ in range(2):
+        inverse, root = _curvature(density, best)
+        best = best - inverse @ one(best)[1]
+    # To the last digits, so that neither the optimiser's end nor the order of summing shows in what is drawn.
+    last = np.inf
     for _ in range(STEPS):
-        slopes = density.negative(np.concatenate([best[None], best + shifts, best - shifts]))[1]
-        up, down = np.split(slopes[1:], 2)
-        values, vectors = np.linalg.eigh(0.5 * ((up - down) + (up - down).T) / 2e-4)
-        # A spread that the devices do not show has a flat logarithm: no wider than a few units, its prior's width.
-        values = np.maximum(values, 0.1)
-        step = vectors @ (vectors.T @ slopes[0] / values)
-        if not np.max(np.abs(step)) > POLISHED or np.max(np.abs(step)) > 1:
+        step = inverse @ one(best)[1]
+        if not (size := float(np.max(np.abs(step)))) < 0.5 * last:
             break
-        best = best - step
-    return best, vectors / np.sqrt(values)
+        best, last = best - step, size
+    return best, root
+
+
+def _curvature(density: SpreadDensity, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse of the second derivatives of minus the density's logarithm, and a root of it."""
+    shifts = 1e-4 * np.eye(density.size)
+    up, down = np.split(density.negative(np.concatenate([at + shifts, at - shifts]))[1], 2)
+    values, vectors = np.linalg.eigh(0.5 * ((up - down) + (up - down).T) / 2e-4)
+    # A spread that the devices do not show has a flat logarithm: no wider than a few units, its prior's width.
+    root = vectors / np.sqrt(np.maximum(values, 0.1))
+    return root @ root.T, root
 
 
 def draws_of_spread(

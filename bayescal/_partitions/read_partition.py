@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayescal._cluster.partitions import Partition, Piece
-from bayescal._cluster.request import Request
-from bayescal._cluster.row_groups import open_row_groups
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._fleet.devices import DEVICE, DeviceBlock, Devices, without
 from bayescal._fleet.split_devices import open_readings, split_table
+from bayescal._partitions.partitions import Partition, Piece
+from bayescal._partitions.request import Request
+from bayescal._partitions.row_groups import open_row_groups
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from bayescal._cluster.partitions import Piece
 from bayescal._core.errors import InputError
+from bayescal._partitions.partitions import Piece
 from bayescal._tables.binary_format import as_format, refuse_large, row_place
 from bayescal._tables.cells import Cells
 from bayescal._tables.parquet_netcdf import arrow_cells, field_unit
