@@ -100,8 +100,19 @@ def batch(
         if apart or out.suffix != ".parquet":
             _by_partition(model, files, out, client, columns, asked, json_)
             return
+    _at_once(model, files, out, columns, asked, json_)
+
+
+def _at_once(
+    model: Model,
+    files: list[Path],
+    out: Path,
+    columns: ColumnOptions,
+    asked: dict[str, Any],
+    json_: bool,
+) -> None:
     needs = tuple(column for effect in model.effects for column in effect.columns)
-    devices = bc.split_devices(list(files), chosen, **columns.for_read(), needs=needs)
+    devices = bc.split_devices(list(files), model.instrument, **columns.for_read(), needs=needs)
     columns.keep()
     fitted = bc.fit_batch(model, devices, **asked)
     fitted.save(out)

@@ -103,8 +103,7 @@ def fit_batch(
             their spreads; a half-Cauchy of the coefficient's plausible size is the default.
         seed: of every random number.
         chunk: devices fitted at once at most, which bounds memory.
-        reference: constants of the bases, such as {"T0": 0.0}, in place of each device's own; a population sets T0 to
-            that of all readings where none is given.
+        reference: constants of the bases, in place of each device's own; a population sets T0 to that of all readings.
         client: of a Dask cluster whose workers see the files and `out` under the same paths.
         out: folder for the results of partitions.
         partition_rows: readings in a partition, about; a process holds one at a time.

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 INSTALL = "Fleets run on Dask: pip install 'bayescal[fleet]'"
 ANSWER = 20.0  # seconds within which a scheduler answers
-# One core for each worker: several threads of XLA would be in each other's way, as those of BLAS, which Dask holds.
-SINGLE = {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
 
 
 @contextmanager
@@ -37,7 +35,6 @@ def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[
                 threads_per_worker=1,
                 processes=True,
                 dashboard_address=":0" if shown else None,
-                env=SINGLE,
             ) as cluster,
             Client(cluster) as client,
         ):
