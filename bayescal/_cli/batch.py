@@ -79,13 +79,18 @@ def batch(
         str | None,
         typer.Option("--scheduler", help="tcp://host:8786: a Dask cluster that does the work."),
     ] = None,
+    find: Annotated[
+        bool,
+        typer.Option("--find", help="Search each device's missing effects: a second a device."),
+    ] = False,
     seed: options.Seed = 0,
     json_: options.Json = False,
 ) -> None:
     """Fit every device of files with a column 'device' by itself: one table of coefficients."""
     from bayescal._cli.request import compose, instrument_named, method_named, user_effects
 
-    apart = workers is not None or scheduler is not None or any(path.is_dir() for path in files)
+    apart = find or workers is not None or scheduler is not None
+    apart = apart or any(path.is_dir() for path in files)
     _refuse_place(out, files, apart)
     with _cluster(workers, scheduler) as client:
         chosen = instrument_named(instrument)
@@ -98,6 +103,7 @@ def batch(
             "reference": {**named_numbers(choice.reference, "--reference")},
         }
         if apart or out.suffix != ".parquet":
+            asked["find"] = find and bc.Find(effects=tuple(own.values()))
             _by_partition(model, files, out, client, columns, asked, json_)
             return
     _at_once(model, files, out, columns, asked, json_)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 from bayescal._cluster.fit_fleet import fit_fleet
 from bayescal._cluster.fleet_result import FleetResult
 from bayescal._core.errors import InputError
+from bayescal._finding.find_devices import Find
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices, gathered
 from bayescal._fleet.fit_devices import CHUNK, fit_devices, mappable
@@ -17,7 +18,7 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
-from bayescal._partitions.partitions import ROWS
+from bayescal._partitions.partitions import FIND_ROWS, ROWS
 from bayescal._population.population import Spread, chosen
 from bayescal._readings.measurements import Measurements
 
@@ -59,8 +60,9 @@ def fit_batch(
     reference: Reference | None = None,
     client: Client | None = None,
     out: str | Path,
-    partition_rows: int = ROWS,
+    partition_rows: int | None = None,
     columns: Mapping[str, Any] | None = None,
+    find: bool | Find = False,
 ) -> FleetResult: ...
 def fit_batch(
     model: Model,
@@ -73,8 +75,9 @@ def fit_batch(
     reference: Reference | None = None,
     client: Client | None = None,
     out: str | Path | None = None,
-    partition_rows: int = ROWS,
+    partition_rows: int | None = None,
     columns: Mapping[str, Any] | None = None,
+    find: bool | Find = False,
 ) -> BatchResult | FleetResult:
     """Fit one model to many devices of one type, each by itself, in a few compiled programs.
 
@@ -108,6 +111,7 @@ def fit_batch(
         out: folder for the results of partitions.
         partition_rows: readings in a partition, about; a process holds one at a time.
         columns: with `out`, how files are read: arguments of `split_devices`, such as {"units": {"rate": "rad/s"}}.
+        find: with `out`, whether each device's missing effects are searched (a second a device), or how.
 
     Raises:
         InputError: no device that can be used, files that cannot be read, a client without `out`, a cluster gone.
@@ -117,10 +121,14 @@ def fit_batch(
     named = chosen(model, population)
     shared = {"seed": seed, "chunk": chunk, "reference": reference}
     if out is not None:
-        how = {"client": client, "rows": partition_rows, "columns": columns, **shared}
+        rows = partition_rows or (FIND_ROWS if find else ROWS)
+        search = Find() if find is True else find or None
+        how = {"client": client, "rows": rows, "columns": columns, "find": search, **shared}
         return fit_fleet(model, _paths(readings), Path(out), mapped, named, **how)
-    if client is not None:
-        raise InputError("a client's workers write by partition: give out=, a folder they see too")
+    if client is not None or find:
+        raise InputError(
+            "workers, and searches, write by partition: give out=, a folder they see too"
+        )
     return fit_devices(model, _devices(model, readings), mapped, named=named, **shared)
 
 

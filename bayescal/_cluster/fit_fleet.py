@@ -17,6 +17,8 @@ from bayescal._cluster.run import Run
 from bayescal._core.errors import InputError
 from bayescal._core.progress import tell
 from bayescal._core.version import __version__
+from bayescal._finding.find_devices import Find
+from bayescal._finding.fleet_table import effects_table
 from bayescal._fleet.fit_devices import sized_for
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
@@ -25,7 +27,7 @@ from bayescal._model.model import Model
 from bayescal._partitions.partitions import Partition, partitions_of
 from bayescal._partitions.read_partition import read_partition
 from bayescal._partitions.request import Request
-from bayescal._population.population import Named
+from bayescal._population.population import Named, Population
 from bayescal._readings.column_matching import ReadOptions
 
 if TYPE_CHECKING:
@@ -47,6 +49,7 @@ def fit_fleet(
     client: Client | None,
     rows: int,
     columns: Mapping[str, Any] | None,
+    find: Find | None = None,
 ) -> FleetResult:
     """Fit the devices of files, partition by partition: see `fit_batch`.
 
@@ -59,18 +62,18 @@ def fit_fleet(
         tell(f"the cluster's dashboard: {client.dashboard_link}")
     partitions = partitions_of(paths, rows)
     options = ReadOptions(**(columns or {}))
-    request = Request(model, method, seed, chunk, dict(reference or {}), options)
+    request = Request(model, method, seed, chunk, dict(reference or {}), options, find=find)
     request = _with_common(request, partitions, engine, bool(named))
     folder = out.resolve()
     run = Run(request, partitions, folder / ALONE, engine)
     run.fit()
     if not any(done.trusted for done in run.in_order):
         raise InputError(f"none of the devices can be used; {_first_reason(run)}")
-    population = None
+    population, apart = None, dict[str, float]()
     if named:
         files = [folder / ALONE / partitions[done.number].file for done in run.in_order]
-        population = learn_population(files, folder / POOLED, named, seed, engine)
-    found = _whole(run, out, population, time.monotonic() - begun)
+        population, apart = learn_population(files, folder / POOLED, named, seed, engine)
+    found = _whole(run, out, population, apart, time.monotonic() - begun)
     found.save()
     return found
 
@@ -131,7 +134,9 @@ def _with_common(
     return request
 
 
-def _whole(run: Run, out: Path, population: Any, seconds: float) -> FleetResult:
+def _whole(
+    run: Run, out: Path, population: Population | None, apart: dict[str, float], seconds: float
+) -> FleetResult:
     done, model = list(run.in_order), run.request.model
     doubted = {n: why for one in done for n, why in one.doubted.items()}
     about = {
@@ -157,5 +162,7 @@ def _whole(run: Run, out: Path, population: Any, seconds: float) -> FleetResult:
         missing=run.missing,
         table=run.table(),
         population=population,
+        apart=apart,
+        effects=effects_table(run.effects),
         about=about,
     )

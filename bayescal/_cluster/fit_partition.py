@@ -7,12 +7,14 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bayescal._core.errors import InputError
+from bayescal._finding.find_devices import DeviceStructure, EffectCounts, find_and_fit
 from bayescal._fleet.batch_result import BatchResult, load_batch
 from bayescal._fleet.fit_devices import fit_devices
 from bayescal._partitions.partitions import Partition
@@ -54,6 +56,7 @@ class PartitionDone:
         doubted: some devices that are not to be trusted, and why.
         unreadable: file → why it cannot be used.
         moments: (coefficient, unit) → over the devices that are trusted.
+        effects: what was found missing, over the devices that were searched.
         doubled, dropped: devices refused or left out because they stand in other partitions too.
         again: whether its results stood there before.
         seconds: of the processor.
@@ -67,6 +70,7 @@ class PartitionDone:
     doubted: dict[str, str] = field(default_factory=dict)
     unreadable: dict[str, str] = field(default_factory=dict)
     moments: dict[tuple[str, str], Moments] = field(default_factory=dict)
+    effects: EffectCounts = field(default_factory=EffectCounts)
     doubled: dict[str, str] = field(default_factory=dict)
     dropped: tuple[str, ...] = ()
     again: bool = False
@@ -134,15 +138,18 @@ def _fitted(
     dropped: Sequence[str],
 ) -> BatchResult:
     read = read_partition(partition, request, doubled, dropped)
-    found = fit_devices(
-        request.model,
-        read.devices,
-        request.method,
-        seed=request.seed,
-        chunk=request.chunk,
-        reference=request.reference,
-        each=True,
-    )
+    shared: dict[str, Any] = {
+        "seed": request.seed,
+        "chunk": request.chunk,
+        "reference": request.reference,
+    }
+    told: dict[str, DeviceStructure] = {}
+    if request.find is None:
+        found = fit_devices(request.model, read.devices, request.method, each=True, **shared)
+    else:
+        found, told = find_and_fit(
+            request.model, read.devices, request.find, request.method, **shared
+        )
     own = {
         "digest": digest,
         "files": [piece.name for piece in partition.pieces],
@@ -150,6 +157,7 @@ def _fitted(
         "unreadable": read.unreadable,
         "doubled": dict(doubled),
         "dropped": list(dropped),
+        "structures": {name: asdict(one) for name, one in told.items()},
     }
     return replace(found, about={**found.about, PARTITION: own})
 
@@ -178,9 +186,16 @@ def _told(partition: Partition, found: BatchResult) -> PartitionDone:
         doubted={found.devices[i]: found.reasons[i] for i in bad[:SHOWN]},
         unreadable=own["unreadable"],
         moments=moments,
+        effects=EffectCounts.of([structure_from(s) for s in own["structures"].values()]),
         doubled=own["doubled"],
         dropped=tuple(own["dropped"]),
     )
+
+
+def structure_from(held: dict[str, Any]) -> DeviceStructure:
+    """A device's structure as a file of results holds it."""
+    sets = tuple(tuple(one) for one in held["sets"])
+    return DeviceStructure(**{**held, "effects": tuple(held["effects"]), "sets": sets})
 
 
 def peak_memory() -> int:

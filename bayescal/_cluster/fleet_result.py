@@ -12,6 +12,7 @@ import pyarrow.dataset as pads
 
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
+from bayescal._finding.fleet_table import COLUMNS as EFFECTS
 from bayescal._fleet.batch_result import COLUMNS, POPULATION, load_batch
 from bayescal._fleet.device_result import DeviceResult
 from bayescal._population.population import Population
@@ -35,6 +36,9 @@ class FleetResult:
         table: one row a coefficient: mean over the devices that are trusted, standard deviation between them, typical
             (root mean square) standard uncertainty, unit.
         population: what the devices have in common, if it was asked for.
+        apart: devices that stand out from the population, and their posterior predictive p, the least first.
+        effects: where effects were looked for, one row an effect: devices that have it, their share with its 95 %
+            interval, how many are expected to; else without rows.
         about: instrument, effects, method, seed, versions, partitions and what they took.
     """
 
@@ -46,6 +50,8 @@ class FleetResult:
     missing: dict[str, str]
     table: pd.DataFrame
     population: Population | None
+    apart: dict[str, float]
+    effects: pd.DataFrame
     about: dict[str, Any]
 
     def __len__(self) -> int:
@@ -96,6 +102,8 @@ class FleetResult:
                 "devices": population.devices,
                 "pareto_k": population.pareto_k,
             },
+            "apart": self.apart,
+            "effects": self.effects.to_dict("records"),
             "about": self.about,
         }
 
@@ -119,7 +127,14 @@ class FleetResult:
         ]
         lines += [f"  … and {len(self.missing) - SHOWN} more files"] * (len(self.missing) > SHOWN)
         lines.append(self.table.to_string(index=False, float_format=lambda v: f"{v:.4g}"))
-        return "\n".join([*lines, *([str(self.population)] if self.population else [])])
+        if len(self.effects):
+            shown = self.effects.head(SHOWN).to_string(index=False, float_format="{:.3g}".format)
+            lines.append(f"missing from the devices' models:\n{shown}")
+        lines += [str(self.population)] if self.population else []
+        if self.apart:
+            least = ", ".join(f"{n} (p = {p:.2g})" for n, p in list(self.apart.items())[:SHOWN])
+            lines.append(f"standing out from the population: {least}")
+        return "\n".join(lines)
 
 
 def load_fleet(folder: str | Path) -> FleetResult:
@@ -138,7 +153,8 @@ def load_fleet(folder: str | Path) -> FleetResult:
         if told is not None:
             table_ = pd.DataFrame(told.pop("table"), columns=list(POPULATION))
             told = Population(table_, **told)
-        return FleetResult(folder, table=table, population=told, **held)
+        effects = pd.DataFrame(held.pop("effects"), columns=EFFECTS)
+        return FleetResult(folder, table=table, population=told, effects=effects, **held)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{folder} holds no results of a fleet, or not of this version ({type(error).__name__}: {error}): give "

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
 from bayescal._cluster.engine import Engine
 from bayescal._core.atomic_file import replacing_for_user
@@ -22,10 +23,13 @@ from bayescal._population import device_sums
 from bayescal._population.device_sums import DeviceMoments, Sums, Told
 from bayescal._population.population import FEWEST, Learned, Named, Population, learn, sizes, told
 
+KEPT = 100  # devices that stand out most, of which the whole keeps the p
+BY_CHANCE = 0.01  # devices of so small a p, expected by chance in the whole fleet
+
 
 def learn_population(
     files: Sequence[Path], pooled: Path, named: Named, seed: int, engine: Engine
-) -> Population:
+) -> tuple[Population, dict[str, float]]:
     """Learn a population from the results of partitions, and write each partition's devices under it.
 
     Args:
@@ -34,6 +38,9 @@ def learn_population(
         named: the population's coefficients.
         seed: of every random number.
         engine: where the sums are made.
+
+    Returns:
+        The population, and the devices that stand out from it with their posterior predictive p.
 
     Raises:
         ModelError: fewer than three devices that can be trusted.
@@ -55,8 +62,8 @@ def learn_population(
     written = engine.tree(write_pooled, tasks)
     for place in places:
         place.unlink(missing_ok=True)
-    assert written.devices == counts.devices
-    return learned.population
+    least = [(p, name) for p, name in written.least if p * counts.devices < BY_CHANCE]
+    return learned.population, {name: p for p, name in least}
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,16 @@ class Count:
 
     def __add__(self, other: Count) -> Count:
         return Count(self.devices + other.devices, self.estimate + other.estimate)
+
+
+@dataclass(frozen=True)
+class Least:
+    """The devices of least posterior predictive p, (p, device); to be added up."""
+
+    least: tuple[tuple[float, str], ...]
+
+    def __add__(self, other: Least) -> Least:
+        return Least(tuple(sorted((*self.least, *other.least))[:KEPT]))
 
 
 @dataclass(frozen=True)
@@ -135,8 +152,8 @@ def sums_and_slopes_of(
     return ValuesAndSlopes(*device_sums.sums_and_slopes(_mapped(place), centre, scale, v))
 
 
-def write_pooled(file: Path, place: Path, to: Path, named: Named, learned: Learned) -> Count:
-    """Write a partition's devices under the population."""
+def write_pooled(file: Path, place: Path, to: Path, named: Named, learned: Learned) -> Least:
+    """Write a partition's devices under the population; those that stand out from it most."""
     found, own, size = load_batch(file), _mapped(place), sizes(named)
     moved = DeviceMoments(own.estimate, own.precision)
     if len(own.estimate):
@@ -145,4 +162,24 @@ def write_pooled(file: Path, place: Path, to: Path, named: Named, learned: Learn
         found.parts, found.ok, named, moved.mean * size, moved.covariance * np.outer(size, size)
     )
     replace(found, parts=tuple(parts), population=learned.population).save(to)
-    return Count(len(own.estimate), own.estimate.sum(axis=0))
+    return _standing_out(found, own, named, learned.population)
+
+
+def _standing_out(found: BatchResult, own: Told, named: Named, population: Population) -> Least:
+    """Posterior predictive p of what each device's readings alone say, as of a device drawn from the population anew.
+
+    For a device of mean m and spread T, h − Λm has the covariance Λ + ΛTΛ; directions that its readings do not
+    determine take no part.
+    """
+    if not len(own.estimate):
+        return Least(())
+    table, size = population.table, sizes(named)
+    mean = table["mean"].to_numpy() / size
+    spread = (table["spread"].to_numpy() ** 2 + table["mean_sd"].to_numpy() ** 2) / size**2
+    apart = np.einsum("bij,bj->bi", own.precision, own.estimate - mean) + own.rest
+    covariance = own.precision + (own.precision * spread) @ own.precision
+    square = np.einsum("bi,bij,bj->b", apart, np.linalg.pinv(covariance, hermitian=True), apart)
+    p = stats.chi2.sf(square, np.linalg.matrix_rank(covariance, hermitian=True))
+    at = [int(d) for part in found.parts for d in part.devices[found.ok[part.devices]]]
+    order = np.argsort(p)[:KEPT]
+    return Least(tuple((float(p[i]), found.devices[at[i]]) for i in order))

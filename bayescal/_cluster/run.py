@@ -14,6 +14,7 @@ from bayescal._cluster.engine import Engine
 from bayescal._cluster.fit_partition import Moments, PartitionDone, fit_partition
 from bayescal._core.errors import InputError
 from bayescal._core.progress import tell
+from bayescal._finding.find_devices import EffectCounts
 from bayescal._partitions.partitions import Partition
 from bayescal._partitions.request import Request
 
@@ -109,6 +110,11 @@ class Run:
             f"{self.partitions[number].name}": why for number, why in sorted(self.failed.items())
         }
         return files
+
+    @property
+    def effects(self) -> EffectCounts:
+        """What was found missing, over all devices that were searched."""
+        return sum((done.effects for done in self.in_order), EffectCounts())
 
     def table(self) -> pd.DataFrame:
         """One row a coefficient, over the devices that are trusted."""

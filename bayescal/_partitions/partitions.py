@@ -16,6 +16,7 @@ from bayescal._core.errors import InputError
 from bayescal._tables.open_table import READ
 
 ROWS = 500_000  # readings in a partition, which with JAX takes 0.6 GB of a worker
+FIND_ROWS = 5_000  # where each device is searched: so that no more than a minute or two is lost
 BYTES_A_ROW = 30  # of a text file, a log
 
 

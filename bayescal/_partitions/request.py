@@ -11,6 +11,7 @@ from typing import Any
 
 from bayescal._calibration.description import stated
 from bayescal._core.version import __version__
+from bayescal._finding.find_devices import Find
 from bayescal._fleet.fit_devices import CHUNK
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
@@ -33,6 +34,7 @@ class Request:
         reference: constants of the bases.
         options: how columns are understood.
         max_bytes: most that a file may take in memory.
+        find: what is looked for in each device, if anything is.
     """
 
     model: Model
@@ -42,6 +44,7 @@ class Request:
     reference: Reference = field(default_factory=dict)
     options: ReadOptions = field(default_factory=ReadOptions)
     max_bytes: int = MAX_BYTES
+    find: Find | None = None
 
     @cached_property
     def needs(self) -> tuple[str, ...]:
@@ -63,9 +66,14 @@ class Request:
             "seed": self.seed,
             "chunk": self.chunk,
             "reference": {k: repr(v) for k, v in sorted(self.reference.items())},
+            "find": None if self.find is None else _find(self.find),
             "options": {k: _plain(v) for k, v in sorted(options.items())},
         }
         return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+
+
+def _find(find: Find) -> list[Any]:
+    return [[_effect(e) for e in find.effects], find.max_effects, find.widen_noise]
 
 
 def _plain(value: Any) -> Any:
