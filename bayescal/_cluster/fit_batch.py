@@ -87,38 +87,34 @@ def fit_batch(
 
     Estimates and uncertainties are those of `fit` with the same method. A device whose readings cannot be used, or
     whose fit does not converge, gets a reason and changes nothing for the others.
-
-    **Population.** Coefficients named there are taken as drawn from a normal distribution over the devices, whose mean
-    and standard deviation are learned; every device moves toward it by as much as its own readings leave open. A
-    coefficient's prior becomes that of the mean. Exact for a linear model with Gaussian noise that is known; else each
-    device is represented by its mean and covariance, and its noise stays at its own estimate.
+    **Population.** Coefficients named there are drawn from a normal distribution over the devices, whose mean and
+    standard deviation are learned; every device moves toward it by as much as its own readings leave open. Exact for a
+    linear model with Gaussian noise that is known; else each device is represented by its mean and covariance.
 
     **With `out`** files are cut into partitions that are read, fitted and written one by one, here or by the workers of
     a Dask `client`. A partition leaves one Parquet file, whole or not at all: a run that was ended in any way goes on
     with the same call, and ends with the same numbers. A device that is met in several partitions is refused.
 
     Args:
-        model: an instrument, effects, a noise law.
-        readings: `split_devices(…)`, or paths of files with a column `device`, or measurements, one for each device
-            (a mapping names them). With `out`: paths, of folders too.
+        model: what is fitted.
+        readings: `split_devices(…)`, paths of files with a column `device`, or measurements, one a device (a mapping
+            names them). With `out`: paths, of folders too.
         method: `LeastSquares()` if not given; or `Marginal()`, by importance sampling alone.
-        population: True for all coefficients that a device has one of, or names, or names with the priors of
-            their spreads; a half-Cauchy of the coefficient's plausible size is the default.
+        population: True for all coefficients that a device has one of, or names, or names with priors of their spreads.
         seed: of every random number.
         chunk: devices fitted at once at most, which bounds memory.
         reference: constants of the bases, in place of each device's own; a population sets T0 to that of all readings.
         client: of a Dask cluster whose workers see the files and `out` under the same paths.
-        out: folder for the results of partitions.
+        out: folder for the results of partitions. What follows goes with it.
         partition_rows: readings in a partition, about; a process holds one at a time.
-        columns: with `out`, how files are read: arguments of `split_devices`, such as {"units": {"rate": "rad/s"}}.
-        find: with `out`, whether each device's missing effects are searched (a second a device), or how.
+        columns: how files are read: arguments of `split_devices`, such as {"units": {"rate": "rad/s"}}.
+        find: whether each device's missing effects are searched (a second or two a device), or how.
 
     Raises:
         InputError: no device that can be used, files that cannot be read, a client without `out`, a cluster gone.
         ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
     """
-    mapped = mappable(model, LeastSquares() if method is None else method)
-    named = chosen(model, population)
+    mapped, named = mappable(model, method or LeastSquares()), chosen(model, population)
     shared = {"seed": seed, "chunk": chunk, "reference": reference}
     if out is not None:
         rows = partition_rows or (FIND_ROWS if find else ROWS)
@@ -126,9 +122,7 @@ def fit_batch(
         how = {"client": client, "rows": rows, "columns": columns, "find": search, **shared}
         return fit_fleet(model, _paths(readings), Path(out), mapped, named, **how)
     if client is not None or find:
-        raise InputError(
-            "workers, and searches, write by partition: give out=, a folder they see too"
-        )
+        raise InputError("workers and searches write by partition: give out=, a folder")
     return fit_devices(model, _devices(model, readings), mapped, named=named, **shared)
 
 

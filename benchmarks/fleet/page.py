@@ -36,8 +36,9 @@ def _throughput(r: dict[str, Any]) -> str:
 
 A line in temperature for each of {r["devices"]:,} simulated gyroscopes, {r["readings"]:,} readings in
 {r["partitions"]} files, with two workers: {r["processor_s"]:.0f} s of the processor, reading, fitting, writing and
-checksums together, {r["clock_s"]:.0f} s by the clock of a machine that had other work. At most {r["peak_memory_mb"]:.0f} MB
-in a process (goal 1 GiB). The peers fit arrays that are in memory already, one call a device, in the same run.
+checksums together, {r["clock_s"]:.0f} s by the clock of a machine that had other work.
+At most {r["peak_memory_mb"]:.0f} MB in a process
+(goal 1 GiB). The peers fit arrays that are in memory already, one call a device, in the same run.
 
 {table(["", "devices per core-second", "bayescal over it"], rows)}
 From one worker to two, on {pair["devices"]:,} devices: {pair["ratio"]:.2f} × by the clock (goal 1.7).
@@ -49,7 +50,8 @@ def _kills(r: dict[str, Any]) -> str:
     return f"""## kill -9 of a worker
 
 One of two workers killed at a random moment of a run of {r["devices"]:,} devices in {r["partitions"]} partitions
-({r["run_s"]:.1f} s): the same results, bit for bit, {proportion(r["same"], len(r["kills"]))} times. Moments, s: {moments}.
+({r["run_s"]:.1f} s): the same results, bit for bit, {proportion(r["same"], len(r["kills"]))} times.
+Moments, s: {moments}.
 A scheduler that is killed, and the same command run again, is a test: `tests/fleet/test_cluster_faults.py`.
 """
 
@@ -81,8 +83,9 @@ def _finding(r: dict[str, Any]) -> str:
     ]
     return f"""## Each device's structure searched
 
-{r["devices"]} simulated gyroscopes of {r["readings"]} readings, `--find`: {r["devices_per_core_second"]:.2f} devices per
-core-second ({r["processor_s"]:.0f} s of the processor). Devices with an effect that they do not have:
+{r["devices"]} simulated gyroscopes of {r["readings"]} readings, `--find`:
+{r["devices_per_core_second"]:.2f} devices per core-second ({r["processor_s"]:.0f} s of the processor).
+Devices with an effect that they do not have:
 {proportion(r["false"], r["devices"])}.
 
 {table(["hidden", "size", "share drawn", "in devices", "found in", "95 % of the share"], rows)}
@@ -97,9 +100,11 @@ def _wafer(r: dict[str, Any]) -> str:
     told = "the same pairs in the same order" if c["same"] else "NOT the same pairs"
     return f"""## Pairs of a wafer
 
-The twelve best of {r["pairs"]:,} pairs of {r["devices"]:,} made-up resonators: {r["processor_s"]:.0f} s of the processor,
-{r["peak_memory_mb"]:.0f} MB. {r["classes_excluded"]:,} of {r["classes"]:,} pairs of classes were excluded by their bound
-({r["pairs_of_excluded_classes"]:,} pairs), {r["bounded"]:,} pairs by one of their own; {r["evaluated"]:,} were computed.
+The twelve best of {r["pairs"]:,} pairs of {r["devices"]:,} made-up resonators:
+{r["processor_s"]:.0f} s of the processor, {r["peak_memory_mb"]:.0f} MB.
+{r["classes_excluded"]:,} of {r["classes"]:,} pairs of classes were excluded by their bound
+({r["pairs_of_excluded_classes"]:,} pairs), {r["bounded"]:,} pairs by one of their own;
+{r["evaluated"]:,} were computed.
 The best leaves {r["best"][2]:.2f} µg, the twelfth {r["last"][2]:.2f} µg, and no excluded pair less than
 {r["least_excluded"]:.2f} µg. On {c["devices"]:,} devices the full table ({c["full_table_s"]:.0f} s; by bounds
 {c["by_bounds_s"]:.1f} s) has {told}.

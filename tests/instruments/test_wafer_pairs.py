@@ -47,6 +47,8 @@ def test_bounds_exclude_no_pair_of_the_best(seed: int) -> None:
         held = (found.members[outer] == one.outer) & (found.members[80 + inner] == one.inner)
         assert held.sum() == one.pairs
         assert np.all(every[held] >= one.bound)
+        assert np.sum(every[held] < one.least) <= one.computed
+    assert sum(c.computed for c in found.classes) == found.evaluated
 
 
 def test_what_cannot_be_bounded_is_refused() -> None:

@@ -76,6 +76,8 @@ class ClassBound:
         pairs: how many there are.
         bound: that no pair's expected residual is below, µg.
         excluded: whether that was enough; else their pairs were bounded one by one.
+        computed: pairs whose expected residual was computed; none of an excluded one.
+        least: the least bound of the other pairs, µg: what excluded them.
     """
 
     outer: int
@@ -83,6 +85,8 @@ class ClassBound:
     pairs: int
     bound: float
     excluded: bool
+    computed: int
+    least: float
 
 
 @dataclass(frozen=True)
@@ -184,17 +188,22 @@ class _Search:
             rows, columns = np.flatnonzero(of_outer == i), np.flatnonzero(of_inner == j)
             excluded = bound >= self.limit
             pairs = len(rows) * len(columns)
-            self.classes.append(ClassBound(i, j, pairs, max(bound, 0.0), excluded))
-            if excluded:
-                self.least = min(self.least, bound)
-            else:
-                for begin in range(0, len(rows), step := max(1, KEPT // len(columns))):
-                    self._open(rows[begin : begin + step], columns)
+            before, least = self.evaluated, bound if excluded else np.inf
+            if not excluded:
+                for begin in range(0, len(rows), step := max(1, KEPT // max(len(columns), 1))):
+                    least = min(least, self._open(rows[begin : begin + step], columns))
+            self.least = min(self.least, least)
+            computed = self.evaluated - before
+            self.classes.append(ClassBound(i, j, pairs, max(bound, 0.0), excluded, computed, least))
         assert sum(c.pairs for c in self.classes) == outer * inner
         return np.concatenate([of_outer, of_inner])
 
-    def _open(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> None:
-        """Bound the pairs of two classes one by one, and compute those that are left, the least bound first."""
+    def _open(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> float:
+        """Bound the pairs of two classes one by one, and compute those that are left, the least bound first.
+
+        Returns:
+            The least bound of those that were excluded, µg.
+        """
         outer = self.wafer.outer
         below = columns + outer
         bounds = self._bounds(
@@ -215,7 +224,7 @@ class _Search:
             bounds[some] = np.nan  # computed, not excluded
         out = bounds[~np.isnan(bounds)]
         self.bounded += len(out)
-        self.least = min(self.least, float(out.min(initial=np.inf)))
+        return float(out.min(initial=np.inf))
 
     def _keep(self, i, j, residual: Array, ratio: Array) -> None:
         self.evaluated += len(residual)
