@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 from bayescal._core.errors import BayescalError, InputError
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 AHEAD = 4  # tasks for each thread of the cluster that the scheduler holds
 RETRIES = 2  # of a task that failed; a worker that died does not count
+LOOK, PATIENCE = (
+    20.0,
+    200.0,
+)  # seconds between looks at the workers; without one, until it is given up
 ARITY = 16  # sums that are added up at once
 
 
@@ -76,25 +81,42 @@ class OnDask:
         Raises:
             InputError: the scheduler is gone; what was written stays.
         """
-        from distributed import as_completed
-
         waiting = iter(enumerate(tasks))
-        running: dict[str, int] = {}
+        running: dict[Any, int] = {}
 
-        def submit(count: int) -> list[Any]:
-            made = []
+        def submit(count: int) -> None:
             for _, (index, task) in zip(range(count), waiting, strict=False):
                 future = self.client.submit(function, *task, pure=False, retries=RETRIES)
-                running[future.key] = index
-                made.append(future)
-            return made
+                running[future] = index
 
-        threads = sum(self.client.nthreads().values()) or 1
-        done = as_completed(submit(AHEAD * threads))
-        for future in done:
-            index = running.pop(future.key)
-            yield self._outcome(index, future)
-            done.update(submit(1))
+        threads: Any = self.client.nthreads()
+        submit(AHEAD * max(sum(threads.values()), 1))
+        while running:
+            for future in self._ended(list(running)):
+                yield self._outcome(running.pop(future), future)
+                submit(1)
+
+    def _ended(self, running: list[Any]) -> list[Any]:
+        """Those of the tasks that have ended, as soon as one has.
+
+        Raises:
+            InputError: there is no worker, and none has come for some minutes.
+        """
+        from distributed import wait
+
+        alone = 0.0
+        while True:
+            try:
+                return list(wait(running, timeout=LOOK, return_when="FIRST_COMPLETED").done)
+            except TimeoutError:
+                alone = 0.0 if self.client.nthreads() else alone + LOOK
+            except CancelledError:
+                raise InputError(_gone(self.client)) from None
+            if alone > PATIENCE:
+                raise InputError(
+                    "the cluster has no worker left. The partitions that were finished are kept: start workers, and "
+                    "the same command goes on from there"
+                )
 
     def _outcome(self, index: int, future: Any) -> Outcome:
         error = future.exception()
