@@ -34,7 +34,7 @@ def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[
                 n_workers=workers,
                 threads_per_worker=1,
                 processes=True,
-                dashboard_address=":0" if shown else None,
+                dashboard_address=":0" if shown else None,  # pyright: ignore[reportArgumentType]
             ) as cluster,
             Client(cluster) as client,
         ):

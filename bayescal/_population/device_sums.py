@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -156,12 +156,12 @@ def _padded(told: Told, centre: np.ndarray) -> Told:
     )
 
 
-def _inverse(precision: Array, t: Float[Array, "k"]) -> Array:
+def _inverse(precision: Any, t: Float[Array, "k"]) -> Array:
     """M = (1 + ΛT)⁻¹ of each device."""
     return jnp.linalg.inv(jnp.eye(len(t)) + precision * t)
 
 
-def _times(matrices: Array, vectors: Array) -> Array:
+def _times(matrices: Any, vectors: Any) -> Array:
     return jnp.einsum("bij,bj->bi", matrices, vectors)
 
 

@@ -13,7 +13,7 @@ import bayescal as bc
 from bayescal._cluster.open_cluster import open_cluster
 from bayescal_models import mems_gyro
 
-DEVICES, EVERY, SEED = 60, 5, 4000  # every fifth reading of a campaign of 330
+DEVICES, EVERY, SEED = 24, 5, 4000  # every fifth reading of a campaign of 330
 HIDDEN = {"bias.thermal_lag": (0.05, 0.3)}  # size, °/s per °C, and in what share of the fleet
 MODEL = mems_gyro.INSTRUMENT.baseline()
 

@@ -35,7 +35,8 @@ def fitted(folder: Any, out: Path, workers: int, warm: Any = None) -> tuple[bc.F
     with open_cluster(workers) as client:
         if warm is not None:
             client.wait_for_workers(workers)
-            for name in client.nthreads():
+            threads: Any = client.nthreads()
+            for name in threads:
                 client.submit(_warm, warm, workers=[name], pure=False).result()
         shutil.rmtree(out, ignore_errors=True)
         begun = time.perf_counter()

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -66,7 +67,7 @@ def test_killed_workers_change_nothing(folder, expected, tmp_path) -> None:
 
     out = tmp_path / "out"
     with open_cluster(2) as client:
-        own = client.run(os.getpid)
+        own: Any = client.run(os.getpid)
 
         def kill() -> None:
             for process in own.values():
@@ -75,7 +76,8 @@ def test_killed_workers_change_nothing(folder, expected, tmp_path) -> None:
         killer = when(out, 3, kill)
         found = fit(folder, out, client)
         killer.join(timeout=10)
-        assert not set(own.values()) & set(client.run(os.getpid).values())
+        now: Any = client.run(os.getpid)
+        assert not set(own.values()) & set(now.values())
     assert found.missing == {}
     pd.testing.assert_frame_equal(found.rows(), expected, check_exact=True)
 
@@ -109,7 +111,7 @@ def _free_port() -> int:
 @contextmanager
 def _processes(port: int) -> Iterator[tuple[subprocess.Popen, list[subprocess.Popen]]]:
     """A scheduler and two workers, processes of their own."""
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     scheduler = subprocess.Popen(
         [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1"]
         + ["--port", str(port), "--no-dashboard"],

@@ -25,6 +25,7 @@ from bayescal_models.differential_pair.pairing import criteria
 from bayescal_models.differential_pair.pairing.devices import Devices
 
 Array = NDArray[np.float64]
+Places = NDArray[np.int64]
 
 CLASSES = 64  # of either side at most
 AT_ONCE = 2_000  # pairs whose expected residual is computed at once
@@ -139,7 +140,7 @@ def best_pairs(wafer: Wafer, count: int = 12) -> WaferPairs:
     )
 
 
-def expected_residual(wafer: Wafer, outer: Array, inner: Array) -> tuple[Array, Array]:
+def expected_residual(wafer: Wafer, outer: Places, inner: Places) -> tuple[Array, Array]:
     """Expected residual, µg, and ratio of pairs given by the places of their devices, (pairs,) each."""
     inner = inner + wafer.outer
     ratio = criteria.median(
@@ -171,7 +172,7 @@ class _Search:
         full = len(self.found_residual) == self.count
         return float(self.found_residual.max()) if full else np.inf
 
-    def run(self) -> NDArray[np.int64]:
+    def run(self) -> Places:
         outer, inner = self.wafer.outer, len(self.below)
         of_outer, of_inner = _classes(self.above), _classes(self.below)
         sides = [_balls(self.above, of_outer), _balls(self.below, of_inner)]
@@ -198,7 +199,7 @@ class _Search:
         assert sum(c.pairs for c in self.classes) == outer * inner
         return np.concatenate([of_outer, of_inner])
 
-    def _open(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> float:
+    def _open(self, rows: Places, columns: Places) -> float:
         """Bound the pairs of two classes one by one, and compute those that are left, the least bound first.
 
         Returns:
@@ -250,14 +251,14 @@ class _Search:
         return np.maximum(np.sqrt(np.maximum(square, 0.0)) - spare, 0.0) / self.largest
 
 
-def _classes(points: Array) -> NDArray[np.int64]:
+def _classes(points: Array) -> Places:
     """Classes of devices whose environments are alike; the same for the same devices."""
     count = int(np.clip(len(points) // 16, 1, CLASSES))
     spread = points.std(axis=0).max() or 1.0
     return kmeans2(points / spread, count, minit="++", rng=0)[1].astype(np.int64)
 
 
-def _balls(points: Array, of: NDArray[np.int64]) -> tuple[Array, Array]:
+def _balls(points: Array, of: Places) -> tuple[Array, Array]:
     """Centre and radius of each class; of an empty one, a point at the origin."""
     count = int(of.max()) + 1
     centres, radii = np.zeros((count, points.shape[1])), np.zeros(count)
@@ -268,7 +269,7 @@ def _balls(points: Array, of: NDArray[np.int64]) -> tuple[Array, Array]:
     return centres, radii
 
 
-def _extremes(low: Array, high: Array, of: NDArray[np.int64]) -> tuple[Array, Array]:
+def _extremes(low: Array, high: Array, of: Places) -> tuple[Array, Array]:
     count = int(of.max()) + 1
     return (
         np.array([low[of == k].min(initial=np.inf) for k in range(count)]),
