@@ -77,7 +77,10 @@ from ._firmware.parameters import FirmwareParameters as FirmwareParameters
 from ._numpyro.program_fit import ProgramFit as ProgramFit
 
 # many devices at once
-from ._fleet.fit_batch import fit_batch as fit_batch
+from ._cluster.fit_batch import fit_batch as fit_batch
+from ._cluster.fleet_result import FleetResult as FleetResult
+from ._finding.find_devices import Find as Find
+from ._cluster.fleet_result import load_fleet as load_fleet
 from ._fleet.split_devices import split_devices as split_devices
 from ._fleet.devices import Devices as Devices
 from ._fleet.weighted_draws import weighted_draws as weighted_draws

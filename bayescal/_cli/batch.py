@@ -2,19 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import bayescal as bc
 from bayescal._cli import options
 from bayescal._cli.column_options import ColumnOptions
-from bayescal._cli.console import exit_unless, print_result
+from bayescal._cli.console import OWN_FILES, exit_unless, print_result
 from bayescal._cli.options import ModelOptions, named_numbers, with_groups
 from bayescal._core.errors import InputError
 
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from bayescal._model.model import Model
+
 commands = typer.Typer()
+
+
+def _refuse_missing(paths: list[Path]) -> list[Path]:
+    """Folders may stand among the files.
+
+    Raises:
+        InputError: a path is not there.
+    """
+    options.refuse_missing([path for path in paths if not path.is_dir()])
+    return paths
+
+
+Sources = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Files of readings, or folders of them: a Parquet dataset, CSVs, logs.",
+        show_default=False,
+        callback=_refuse_missing,
+    ),
+]
 
 
 @commands.command(
@@ -23,11 +50,16 @@ commands = typer.Typer()
 @with_groups
 def batch(
     *,
-    files: options.Files,
+    files: Sources,
     instrument: options.Name,
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", help="Parquet file to write.", show_default=False),
+        typer.Option(
+            "--out",
+            "-o",
+            help="Parquet file to write; or a folder, for results partition by partition.",
+            show_default=False,
+        ),
     ],
     columns: ColumnOptions,
     choice: ModelOptions,
@@ -39,30 +71,56 @@ def batch(
             help="Coefficient whose mean and spread over the devices are learned; 'all', or repeat.",
         ),
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", min=1, help="Processes of this machine that share the work."),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", help="tcp://host:8786: a Dask cluster that does the work."),
+    ] = None,
+    find: Annotated[
+        bool,
+        typer.Option("--find", help="Search each device's missing effects: a second a device."),
+    ] = False,
     seed: options.Seed = 0,
     json_: options.Json = False,
 ) -> None:
     """Fit every device of files with a column 'device' by itself: one table of coefficients."""
     from bayescal._cli.request import compose, instrument_named, method_named, user_effects
 
-    chosen = instrument_named(instrument)
-    own = {effect.name: effect for effect in user_effects(choice.effects_file)}
-    model = compose(chosen, choice, own)
-    if out.suffix != ".parquet":
-        raise InputError(f"--out: a batch is saved as Parquet: name it ….parquet, not {out.name!r}")
-    if out in files:
-        raise InputError(f"--out {out}: that is a file of readings; name another")
+    apart = find or workers is not None or scheduler is not None
+    apart = apart or any(path.is_dir() for path in files)
+    _refuse_place(out, files, apart)
+    with _cluster(workers, scheduler) as client:
+        chosen = instrument_named(instrument)
+        own = {effect.name: effect for effect in user_effects(choice.effects_file)}
+        model = compose(chosen, choice, own)
+        asked: dict[str, Any] = {
+            "method": method_named(method),
+            "population": True if population == ["all"] else population or False,
+            "seed": seed,
+            "reference": {**named_numbers(choice.reference, "--reference")},
+        }
+        if apart or out.suffix != ".parquet":
+            asked["find"] = find and bc.Find(effects=tuple(own.values()))
+            _by_partition(model, files, out, client, columns, asked, json_)
+            return
+    _at_once(model, files, out, columns, asked, json_)
+
+
+def _at_once(
+    model: Model,
+    files: list[Path],
+    out: Path,
+    columns: ColumnOptions,
+    asked: dict[str, Any],
+    json_: bool,
+) -> None:
     needs = tuple(column for effect in model.effects for column in effect.columns)
-    devices = bc.split_devices(list(files), chosen, **columns.for_read(), needs=needs)
+    devices = bc.split_devices(list(files), model.instrument, **columns.for_read(), needs=needs)
     columns.keep()
-    fitted = bc.fit_batch(
-        model,
-        devices,
-        method=method_named(method),
-        population=True if population == ["all"] else population or False,
-        seed=seed,
-        reference={**named_numbers(choice.reference, "--reference")},
-    )
+    fitted = bc.fit_batch(model, devices, **asked)
     fitted.save(out)
     bad = [name for name, ok in zip(fitted.devices, fitted.ok, strict=True) if not ok]
     data = {"file": str(out), "devices": len(fitted), "not_trusted": bad, **fitted.about}
@@ -72,3 +130,67 @@ def batch(
     if not json_:
         print(f"\nwritten: {out}")
     exit_unless(not bad, f"{len(bad)} of {len(fitted)} devices have no result, or none to rely on")
+
+
+def _refuse_place(out: Path, files: list[Path], apart: bool) -> None:
+    """Say what is wrong with the place of the results before anything is read.
+
+    Raises:
+        InputError: a suffix that is not Parquet's, a folder named as a file, a file of the readings.
+    """
+    if out in files:
+        raise InputError(f"--out {out}: that is a file of readings; name another")
+    if out.suffix and out.suffix != ".parquet":
+        raise InputError(f"--out: a batch is saved as Parquet: name it ….parquet, not {out.name!r}")
+    if apart and out.suffix:
+        raise InputError(
+            f"--out {out}: results of a folder of readings, or of several workers, are a folder with a file for "
+            f"each partition: name it without suffix, {out.stem!r}"
+        )
+    if out.is_file() and not out.suffix:
+        raise InputError(f"--out {out}: that is a file, a folder was expected; name another")
+
+
+@contextmanager
+def _cluster(workers: int | None, scheduler: str | None) -> Iterator[Client | None]:
+    """The cluster that is asked for; None for this process.
+
+    Raises:
+        InputError: both kinds are, Dask is not installed, or nobody answers at the address.
+    """
+    if workers is None and scheduler is None:
+        yield None
+        return
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers and --scheduler: give one of them, a cluster here or elsewhere")
+    from bayescal._cluster.open_cluster import open_cluster
+
+    with open_cluster(workers, scheduler) as client:
+        yield client
+
+
+def _by_partition(
+    model: Model,
+    files: list[Path],
+    out: Path,
+    client: Client | None,
+    columns: ColumnOptions,
+    asked: dict[str, Any],
+    json_: bool,
+) -> None:
+    if client is not None:
+        for own in sorted(OWN_FILES):  # effects and instruments of the user's own
+            client.upload_file(own)
+    fleet = bc.fit_batch(
+        model, list(files), out=out, client=client, columns=columns.for_read(), **asked
+    )
+    columns.keep()
+    print_result(fleet.data() if json_ else fleet)
+    if not json_:
+        print(f"\nwritten: {fleet.folder}")
+    bad, lost = fleet.devices - fleet.trusted, len(fleet.missing)
+    said = [f"{bad} of {fleet.devices} devices have no result, or none to rely on"] * bool(bad)
+    said += [
+        f"{lost} files have none: put right what is said of them, and the same command goes on from there"
+    ] * bool(lost)
+    exit_unless(not said, "; ".join(said))

@@ -68,7 +68,7 @@ def channel_names(given: str) -> list[str]:
     return names
 
 
-def _refuse_missing(files: list[Path] | None) -> list[Path] | None:
+def refuse_missing(files: list[Path] | None) -> list[Path] | None:
     """Refuse files that are not there before an instrument loads, which takes seconds.
 
     Raises:
@@ -106,7 +106,7 @@ Files = Annotated[
     typer.Argument(
         help="CSV, Parquet, NetCDF, Excel or MATLAB files of readings, or logs: .ulg, .bin, .bag, .mcap, .db3.",
         show_default=False,
-        callback=_refuse_missing,
+        callback=refuse_missing,
     ),
 ]
 Saved = Annotated[Path, typer.Argument(help="A saved calibration (.nc).", show_default=False)]
@@ -203,7 +203,7 @@ Holdout = Annotated[
     list[Path] | None,
     typer.Option(
         help="Readings kept apart, only read after the last step; repeat for more.",
-        callback=_refuse_missing,
+        callback=refuse_missing,
     ),
 ]
 TimeLimit = Annotated[

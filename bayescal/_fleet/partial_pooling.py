@@ -2,44 +2,64 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from bayescal._core.errors import ModelError
 from bayescal._fleet.device_result import BatchPart
-from bayescal._fleet.population import FEWEST, Named, Population, pool
+from bayescal._population.population import FEWEST, Named, Population, pool
 
 
 def pooled(
-    parts: list[BatchPart], ok: np.ndarray, named: Named, seed: int
+    parts: Sequence[BatchPart], ok: np.ndarray, named: Named, seed: int
 ) -> tuple[list[BatchPart], Population]:
     """Learn the population from all devices that can be trusted, and put it to each of them.
 
     Raises:
         ModelError: fewer than three of them.
     """
-    good = [ok[part.devices] for part in parts]
-    if (count := int(sum(g.sum() for g in good))) < FEWEST:
+    mean, covariance = summed_up(parts, ok, named)
+    if len(mean) < FEWEST:
         raise ModelError(
-            f"a population is learned from at least {FEWEST} devices that converge; here {count} did"
+            f"a population is learned from at least {FEWEST} devices that converge; here {len(mean)} did"
         )
-    # Of unknowns that differ from part to part, the named ones alone take part; the others of a part follow there.
-    own = [_named_in(part, named) for part in parts]
-    mean = np.concatenate([p.mean[g][:, i] for p, g, i in zip(parts, good, own, strict=True)])
-    covariance = np.concatenate(
-        [p.covariance[g][:, i[:, None], i] for p, g, i in zip(parts, good, own, strict=True)]
-    )
     learned = pool(mean, covariance, named, seed)
+    return put_to(parts, ok, named, learned.mean, learned.covariance), learned.population
+
+
+def summed_up(
+    parts: Sequence[BatchPart], ok: np.ndarray, named: Named
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of the named coefficients of the devices that can be trusted, part by part."""
+    # Of unknowns that differ from part to part, the named ones alone take part; the others of a part follow there.
+    some = [(part, ok[part.devices], _named_in(part, named)) for part in parts]
+    k = len(named)
+    mean = [part.mean[good][:, of] for part, good, of in some]
+    covariance = [part.covariance[good][:, of[:, None], of] for part, good, of in some]
+    return np.concatenate([np.zeros((0, k)), *mean]), np.concatenate(
+        [np.zeros((0, k, k)), *covariance]
+    )
+
+
+def put_to(
+    parts: Sequence[BatchPart],
+    ok: np.ndarray,
+    named: Named,
+    mean: np.ndarray,
+    covariance: np.ndarray,
+) -> list[BatchPart]:
+    """The parts, where the named coefficients of trusted devices, part by part, have a new mean and covariance."""
     changed, begin = [], 0
-    for part, g, i in zip(parts, good, own, strict=True):
-        some = slice(begin, begin + int(g.sum()))
+    for part in parts:
+        good, of = ok[part.devices], _named_in(part, named)
+        some = slice(begin, begin + int(good.sum()))
         begin = some.stop
         new_mean, new_covariance = part.mean.copy(), part.covariance.copy()
-        moved = _follow(part, g, i, learned.mean[some], learned.covariance[some])
-        new_mean[g], new_covariance[g] = moved
+        new_mean[good], new_covariance[good] = _follow(part, good, of, mean[some], covariance[some])
         changed.append(replace(part, mean=new_mean, covariance=new_covariance))
-    return changed, learned.population
+    return changed
 
 
 def _named_in(part: BatchPart, named: Named) -> np.ndarray:

@@ -72,11 +72,8 @@ def split_devices(
     blocks: list[DeviceBlock] = []
     refused: dict[str, str] = {}
     for path in given:
-        table = _open(path, max_bytes, decimal)
-        problems = Problems(table.problems)
-        unused_units([table], options, problems)
-        problems.refuse()
-        found = _split(table, path, instrument, options, needs)
+        table = open_readings(path, options, max_bytes)
+        found = split_table(table, path.stem, instrument, options, needs)
         if twice := set(found.names) & set(names):
             raise InputError(
                 f"{path.name!r} holds device {sorted(twice)[0]!r}, which a file before it holds too: put the "
@@ -88,17 +85,35 @@ def split_devices(
     return Devices(tuple(names), tuple(blocks), refused)
 
 
-def _open(path: Path, max_bytes: int, decimal: str) -> Table:
+def open_readings(path: Path, options: ReadOptions, max_bytes: int = MAX_BYTES) -> Table:
+    """A file of readings as a table; of a log, the channels that the options name.
+
+    Raises:
+        InputError: it cannot be read, or is larger than it may be.
+    """
     if path.is_file() and path.stat().st_size > max_bytes:
         raise InputError(
             f"{path.name!r} is larger than {max_bytes} bytes: split it, or raise max_bytes"
         )
-    return open_table(path, path.name, max_bytes, decimal)
+    asked = tuple(options.columns.values())
+    return open_table(path, path.name, max_bytes, options.decimal, asked)
 
 
-def _split(
-    table: Table, path: Path, instrument: InstrumentLike, options: ReadOptions, needs: Sequence[str]
+def split_table(
+    table: Table,
+    stem: str,
+    instrument: InstrumentLike,
+    options: ReadOptions,
+    needs: Sequence[str] = (),
 ) -> Devices:
+    """The devices of one table; without a column `device` it is a device called `stem`.
+
+    Raises:
+        InputError: as `split_devices`.
+    """
+    problems = Problems(table.problems)
+    unused_units([table], options, problems)
+    problems.refuse()
     expects = _Wider(instrument, _further(table, instrument, options, needs))
     table = understood(table, expects, options)
     places = match(table, expected_columns(expects), options, problems := Problems())
@@ -109,7 +124,7 @@ def _split(
         # The labels are at hand: as a column they would be read, and checked level by level, once more.
         table, options = _less(table, places[DEVICE]), _without_device_column(options)
     else:
-        labels = np.full(table.rows, path.stem, dtype=object)
+        labels = np.full(table.rows, stem, dtype=object)
     codes, levels = pd.factorize(labels)
     if "" in levels:
         where = table.place(int(np.argmax(labels == "")))

@@ -31,14 +31,14 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         schema, rows = opened.schema_arrow, opened.metadata.num_rows
     refuse_large(file, rows, len(schema), max_bytes)
     fields = [schema.field(position) for position in range(len(schema))]
-    headers = tuple(Header.parse(f.name, _field_unit(f)) for f in fields)
+    headers = tuple(Header.parse(f.name, field_unit(f)) for f in fields)
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
         found = {}
         with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
             for position, number in wanted.items():
                 name = fields[position].name
-                found[position] = _arrow_cells(opened.read(columns=[name]).column(name), number)
+                found[position] = arrow_cells(opened.read(columns=[name]).column(name), number)
         pa.default_memory_pool().release_unused()  # what it unpacked, as much again as the numbers
         return found
 
@@ -58,11 +58,11 @@ def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordB
         done = 0
         for batch in opened.iter_batches(batch_size=rows):
             fields = [batch.schema.field(position) for position in range(len(batch.schema))]
-            headers = tuple(Header.parse(f.name, _field_unit(f)) for f in fields)
+            headers = tuple(Header.parse(f.name, field_unit(f)) for f in fields)
 
             def load(wanted: Mapping[int, bool], batch=batch) -> dict[int, Cells]:
                 columns = {p: pa.chunked_array([batch.column(p)]) for p in wanted}
-                return {p: _arrow_cells(columns[p], number) for p, number in wanted.items()}
+                return {p: arrow_cells(columns[p], number) for p, number in wanted.items()}
 
             if batch.num_rows:
                 table = Table(
@@ -77,12 +77,14 @@ def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordB
             done += batch.num_rows
 
 
-def _field_unit(field: pa.Field) -> str | None:
+def field_unit(field: pa.Field) -> str | None:
+    """The unit that a field's metadata states, if any."""
     unit = (field.metadata or {}).get(b"units")
     return None if unit is None else unit.decode("utf-8", "replace")
 
 
-def _arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
+def arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
+    """A column's cells: numbers as they are, anything else as text."""
     kind = column.type
     if number and (
         pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)

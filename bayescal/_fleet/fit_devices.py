@@ -1,10 +1,6 @@
-"""One verb for many devices of one type: `fit_batch`."""
+"""Many devices of one type, fitted each by itself in this process."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,11 +10,9 @@ from bayescal._engine.linear_model import sized
 from bayescal._fleet import fit_stack
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.device_result import BatchPart
-from bayescal._fleet.devices import DeviceBlock, Devices, gathered
+from bayescal._fleet.devices import DeviceBlock, Devices
 from bayescal._fleet.fit_stack import StackFit
 from bayescal._fleet.partial_pooling import pooled
-from bayescal._fleet.population import Named, Spread, chosen
-from bayescal._fleet.split_devices import split_devices
 from bayescal._fleet.stacks import DeviceStack, Refusal, stacks
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
@@ -26,83 +20,52 @@ from bayescal._inference.method import Method
 from bayescal._model.frame import Reference, build_frame, reference_name, reference_of
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
+from bayescal._population.population import Named
 from bayescal._readings.measurements import Measurements
 
 CHUNK = 4096  # devices in one compiled program at most
 
-Readings = (
-    Devices
-    | Sequence[Measurements]
-    | Mapping[str, Measurements]
-    | str
-    | Path
-    | Sequence[str | Path]
-)
 
-
-def fit_batch(
+def fit_devices(
     model: Model,
-    readings: Readings,
+    devices: Devices,
+    method: LeastSquares | Marginal,
     *,
-    method: Method | None = None,
-    population: bool | Sequence[str] | Mapping[str, Spread] = False,
+    named: Named | None = None,
     seed: int = 0,
     chunk: int = CHUNK,
     reference: Reference | None = None,
+    each: bool = False,
 ) -> BatchResult:
-    """Fit one model to many devices of one type, each by itself, in a few compiled programs.
-
-        result = bc.fit_batch(mems_gyro.INSTRUMENT.baseline(), "lot.parquet", population=True)
-        result.table()          # device, coefficient, mean, sd, unit, ok, reason
-        result["A17"]           # one device
-        result.save("lot_result.parquet")
-
-    Estimates and uncertainties are those of `fit` with the same method. A device whose readings cannot be used (no
-    number in a cell, too few rows, a missing column, one temperature) or whose fit does not converge gets a reason
-    and changes nothing for the others. Devices with the same number of readings share a compiled program; where
-    there are many different numbers, they are padded to a common one with readings of no weight.
-
-    **Population.** Names a coefficient of which each device has its own: they are then taken as drawn from a normal
-    distribution over the devices, whose mean and standard deviation are learned, and every device's estimates move
-    toward it by as much as its own readings leave open (partial pooling). A coefficient's own prior becomes that of
-    the population's mean. It is a second step on the devices' Gaussian marginals: exact for a model linear in its
-    coefficients with Gaussian noise that is known; else approximate, for each device is then represented by its mean
-    and covariance, and its noise stays at its own estimate. Unlike coefficients that are `per="device"` in one joint
-    fit, noise is not shared between devices.
+    """Fit every device by itself in a few compiled programs: see `fit_batch`.
 
     Args:
-        model: an instrument, effects, a noise law.
-        readings: `split_devices(…)`, or paths of files with a column `device`, or measurements, one for each device
-            (a mapping names them).
-        method: `LeastSquares()` if not given; or `Marginal()`, by importance sampling alone.
-        population: True for all coefficients that a device has one of, or names, or names with the priors of
-            their spreads; a half-Cauchy of the coefficient's plausible size is the default.
+        model: what is fitted.
+        devices: whose readings.
+        method: of every fit.
+        named: coefficients of a population, if any.
         seed: of every random number.
-        chunk: devices fitted at once at most, which bounds memory; fewer where they have very many readings.
-        reference: constants of the bases, such as {"T0": 0.0}, in place of each device's own. A population of
-            offsets needs a common T0: it is set to that of all readings where none is given.
+        chunk: devices fitted at once at most.
+        reference: constants of the bases, in place of each device's own.
+        each: whether a reason that all devices share refuses each of them, and not the whole.
 
     Raises:
-        InputError: files that cannot be read, no device at all, or none that can be used.
-        ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
+        InputError: no device at all, or, unless `each`, none that can be used.
     """
     spare_memory_maps()
-    mapped = _mappable(model, LeastSquares() if method is None else method)
-    named = chosen(model, population)
-    devices = _devices(model, readings)
     if chunk < 1:
         raise InputError(f"chunk is {chunk}: give at least 1")
-    if not len(devices):
+    if not len(devices) and not each:
         raise InputError("there is no device to fit: give at least one")
     reference = dict(reference or {})
     if named:
-        reference = {**_common(devices), **reference}
-    run = _BatchRun(model, mapped, seed=seed, chunk=chunk, reference=reference)
-    run.fit(devices)
-    return run.result(devices.names, named)
+        reference = {**common_reference(devices), **reference}
+    run = _BatchRun(model, method, seed=seed, chunk=chunk, reference=reference)
+    run.fit(devices, each)
+    return run.result(devices.names, named or {}, each)
 
 
-def _mappable(model: Model, method: Method) -> LeastSquares | Marginal:
+def mappable(model: Model, method: Method) -> LeastSquares | Marginal:
     """The method, if it can be mapped over devices.
 
     Raises:
@@ -123,27 +86,7 @@ def _mappable(model: Model, method: Method) -> LeastSquares | Marginal:
     return method
 
 
-def _devices(model: Model, readings: Readings) -> Devices:
-    if isinstance(readings, Devices):
-        return readings
-    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-    if isinstance(readings, str | Path):
-        return split_devices(readings, model.instrument, needs=needs)
-    if isinstance(readings, Mapping):
-        return gathered(readings)
-    given: list[Any] = list(readings)
-    if given and all(isinstance(one, str | Path) for one in given):
-        return split_devices(given, model.instrument, needs=needs)
-    for i, one in enumerate(given):
-        if not isinstance(one, Measurements):
-            raise InputError(
-                f"fit_batch: entry {i + 1} of the readings is of type {type(one).__name__}; measurements were "
-                "expected, or paths"
-            )
-    return gathered(given)
-
-
-def _common(devices: Devices) -> dict[str, float | dict[str, float]]:
+def common_reference(devices: Devices) -> dict[str, float | dict[str, float]]:
     """T0 and its like over all devices, so that offsets mean the same for each."""
     sums: dict[str, list[np.ndarray]] = {}
     for block in devices.blocks:
@@ -154,6 +97,14 @@ def _common(devices: Devices) -> dict[str, float | dict[str, float]]:
         reference_name(name): float(np.round(np.mean(np.concatenate(values))))
         for name, values in sums.items()
     }
+
+
+def sized_for(model: Model, readings: Measurements, reference: Reference) -> Model:
+    """Plausible amplitudes of what no named effect describes, where they are open: one device's, for all."""
+    if not any(e.open for e in model.effects):
+        return model
+    frame = build_frame(readings, {**reference_of(readings), **reference})
+    return sized(model, readings, frame)
 
 
 class _BatchRun:
@@ -176,30 +127,24 @@ class _BatchRun:
         self.ways: dict[str, bool] = {}
         self.found: dict[tuple[tuple[str, str], ...], list[tuple]] = {}
 
-    def fit(self, devices: Devices) -> None:
+    def fit(self, devices: Devices, each: bool) -> None:
         """Fit every device that can be fitted.
 
         Raises:
-            BayescalError: no block can be used; what is said of the first.
+            BayescalError: no block can be used, and not `each`; what is said of the first.
         """
         self.refused |= devices.refused
         wrong: list[BayescalError] = []
         for block in devices.blocks:
             try:
                 self.model.require(block.measurements(0))
-                self._size(block.measurements(0))
+                self.model = sized_for(self.model, block.measurements(0), self.reference)
                 self._add(block)
             except BayescalError as error:  # a column is missing, of all its devices
                 wrong.append(error)
                 self.refused = dict.fromkeys(block.names, str(error)) | self.refused
-        if wrong and len(wrong) == len(devices.blocks):
+        if wrong and len(wrong) == len(devices.blocks) and not each:
             raise wrong[0]
-
-    def _size(self, readings: Measurements) -> None:
-        """Plausible amplitudes of what no named effect describes, where they are open: the first device's, for all."""
-        if any(e.open for e in self.model.effects):
-            frame = build_frame(readings, {**reference_of(readings), **self.reference})
-            self.model = sized(self.model, readings, frame)
 
     def _add(self, block: DeviceBlock) -> None:
         masked = self._masked(block)
@@ -239,7 +184,7 @@ class _BatchRun:
             )
             self.reasons |= dict(zip(names, (made.reasons[i] for i in members), strict=True))
 
-    def result(self, devices: tuple[str, ...], named: Named) -> BatchResult:
+    def result(self, devices: tuple[str, ...], named: Named, each: bool) -> BatchResult:
         """Everything that was found, in the order of the devices; pooled over those of `named`, if any."""
         refused = self.refused
         places = {name: i for i, name in enumerate(devices)}
@@ -255,13 +200,13 @@ class _BatchRun:
                     devices=at[order], names=names, units=units, mean=mean, covariance=covariance
                 )
             )
-        if not parts and refused:
+        if not parts and refused and not each:
             first = next(iter(refused.items()))
             raise InputError(
                 f"none of the {len(devices)} devices can be used; {first[0]}: {first[1]}"
             )
         reasons = [refused.get(name) or self.reasons.get(name, "") for name in devices]
-        ok = np.array([not reason for reason in reasons])
+        ok = np.array([not reason for reason in reasons], dtype=bool)
         population = None
         if named:
             parts, population = pooled(parts, ok, named, self.seed)

@@ -1,0 +1,75 @@
+"""Each device's missing effects searched on a cluster: devices per core-second, what was found of what was hidden."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+import bayescal as bc
+from bayescal._cluster.open_cluster import open_cluster
+from bayescal_models import mems_gyro
+
+DEVICES, EVERY, SEED = 24, 5, 4000  # every fifth reading of a campaign of 330
+HIDDEN = {"bias.thermal_lag": (0.05, 0.3)}  # size, °/s per °C, and in what share of the fleet
+MODEL = mems_gyro.INSTRUMENT.baseline()
+
+
+def measured(work: Path) -> dict[str, Any]:
+    """A fleet of simulated campaigns, some with an effect; shares, false effects, speed."""
+    folder, out = work / "find", work / "find_out"
+    shutil.rmtree(out, ignore_errors=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    rng, truth = np.random.default_rng(SEED), {}
+    for i in range(DEVICES):
+        hidden = {n: size for n, (size, share) in HIDDEN.items() if rng.random() < share}
+        made = mems_gyro.simulate(hidden, seed=SEED + i)
+        made.select(np.arange(0, len(made), EVERY)).write(folder / f"unit-{i:04d}.csv")
+        truth[f"unit-{i:04d}"] = set(hidden)
+    with open_cluster(2) as client:
+        found = bc.fit_batch(MODEL, folder, out=out, find=True, client=client, partition_rows=1000)
+    rows = found.rows()
+    own = set(MODEL.names) | {"noise.white"}
+    added = {
+        name: {_effect(c) for c in part.coefficient if _effect(c) not in own and _is_effect(c)}
+        for name, part in rows[rows.coefficient.notna()].groupby("device")
+    }
+    false = sum(bool(added.get(name, set()) - hidden) for name, hidden in truth.items())
+    effects = []
+    for name, (size, share) in HIDDEN.items():
+        held = sum(name in hidden for hidden in truth.values())
+        seen = sum(name in added.get(device, set()) for device in truth)
+        low, high = stats.binomtest(seen, DEVICES).proportion_ci(0.95, method="exact")
+        effects.append(
+            {
+                "effect": name,
+                "size": size,
+                "share": share,
+                "hidden": held,
+                "found": seen,
+                "low": float(low),
+                "high": float(high),
+            }
+        )
+    return {
+        "devices": DEVICES,
+        "readings": found.readings // DEVICES,
+        "trusted": found.trusted,
+        "processor_s": found.about["processor_seconds"],
+        "devices_per_core_second": found.devices / found.about["processor_seconds"],
+        "effects": effects,
+        "false": false,
+        "table": found.effects.head(6).to_dict("records"),
+    }
+
+
+def _is_effect(coefficient: str) -> bool:
+    return not coefficient.startswith("noise.")
+
+
+def _effect(coefficient: str) -> str:
+    """The effect that a coefficient or a shape belongs to: slot.cause."""
+    return ".".join(coefficient.partition("[")[0].split(".")[:2])

@@ -1,0 +1,68 @@
+"""On the workers of a Dask cluster a fleet has the same numbers, bit for bit."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import pandas as pd
+import pytest
+
+import bayescal as bc
+from bayescal._core.errors import InputError
+from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.made_up.gyro_lot import MODEL
+
+SMALL = 100
+
+
+def test_workers_give_the_same_numbers(client, lot_folder, tmp_path) -> None:
+    given = {"partition_rows": SMALL, "population": True}
+    here = bc.fit_batch(MODEL, lot_folder, out=tmp_path / "here", **given)
+    there = bc.fit_batch(MODEL, lot_folder, out=tmp_path / "there", client=client, **given)
+    pd.testing.assert_frame_equal(there.rows(), here.rows(), check_exact=True)
+    pd.testing.assert_frame_equal(there.table, here.table, check_exact=True)
+    assert here.population is not None and there.population is not None
+    pd.testing.assert_frame_equal(there.population.table, here.population.table, check_exact=True)
+    again = bc.fit_batch(MODEL, lot_folder, out=tmp_path / "there", client=client, **given)
+    assert again.about["found_done"] == 5
+
+
+def test_a_client_writes_to_a_folder_and_reads_files(client, readings) -> None:
+    with pytest.raises(InputError, match="give out="):
+        bc.fit_batch(MODEL, readings, client=client)  # pyright: ignore
+    with pytest.raises(InputError, match="give paths, not readings"):
+        bc.fit_batch(MODEL, readings, client=client, out="out")  # pyright: ignore
+
+
+@needs_installation
+def test_the_command_takes_a_scheduler(client, lot_folder, tmp_path) -> None:
+    address = client.scheduler.address
+    ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out", "--scheduler", address)
+    assert ran.status == 0, ran.err
+    assert "24 devices, 24 to be trusted" in ran.out
+
+
+@needs_installation
+def test_wrong_clusters_are_refused(lot_folder, tmp_path, monkeypatch) -> None:
+    command = ("batch", lot_folder, *GYRO, "-o", tmp_path / "out")
+    ran = run(*command, "--workers", 2, "--scheduler", "tcp://127.0.0.1:1")
+    assert ran.status == 2 and "give one of them" in ran.err
+    monkeypatch.setattr("bayescal._cluster.open_cluster.ANSWER", 0.5)
+    ran = run(*command, "--scheduler", "tcp://127.0.0.1:1")
+    assert ran.status == 2 and "no scheduler answers at 'tcp://127.0.0.1:1'" in ran.err
+    find = importlib.util.find_spec
+
+    def without(name, *rest):
+        return None if name == "distributed" else find(name, *rest)
+
+    monkeypatch.setattr(importlib.util, "find_spec", without)
+    ran = run(*command, "--workers", 2)
+    assert ran.status == 2 and "pip install 'bayescal[fleet]'" in ran.err
+
+
+@needs_installation
+@pytest.mark.slow
+def test_the_command_starts_workers(lot_folder, tmp_path) -> None:
+    ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out", "--workers", 2)
+    assert ran.status == 0, ran.err
+    assert "24 devices, 24 to be trusted" in ran.out

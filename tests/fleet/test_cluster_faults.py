@@ -1,0 +1,128 @@
+"""Workers and schedulers killed at any moment: the same command ends with the same numbers, bit for bit."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+import bayescal as bc
+from bayescal._core.errors import InputError
+from tests.support.made_up.gyro_lot import MODEL, table
+
+pytest.importorskip("distributed", reason="needs Dask: pip install 'bayescal[fleet]'")
+pytestmark = pytest.mark.slow
+COPIES = 30  # partitions, each of some readings
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    made = tmp_path_factory.mktemp("many")
+    for i in range(COPIES):
+        own = table(seed=i)
+        own.assign(device=f"P{i:02d}-" + own.device).to_parquet(made / f"lot-{i:02d}.parquet")
+    return made
+
+
+@pytest.fixture(scope="module")
+def expected(folder, tmp_path_factory) -> pd.DataFrame:
+    out = tmp_path_factory.mktemp("expected") / "out"
+    return bc.fit_batch(MODEL, folder, out=out, partition_rows=600).rows()
+
+
+def fit(folder: Path, out: Path, client) -> bc.FleetResult:
+    return bc.fit_batch(MODEL, folder, out=out, partition_rows=600, client=client)
+
+
+def done(out: Path) -> int:
+    return len(list((out / "devices").glob("part-*.parquet")))
+
+
+def when(out: Path, count: int, act) -> threading.Thread:
+    """Do something once so many partitions are written."""
+
+    def wait() -> None:
+        while done(out) < count:
+            time.sleep(0.01)
+        act()
+
+    thread = threading.Thread(target=wait, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_killed_workers_change_nothing(folder, expected, tmp_path) -> None:
+    from bayescal._cluster.open_cluster import open_cluster
+
+    out = tmp_path / "out"
+    with open_cluster(2) as client:
+        own: Any = client.run(os.getpid)
+
+        def kill() -> None:
+            for process in own.values():
+                os.kill(process, signal.SIGKILL)
+
+        killer = when(out, 3, kill)
+        found = fit(folder, out, client)
+        killer.join(timeout=10)
+        now: Any = client.run(os.getpid)
+        assert not set(own.values()) & set(now.values())
+    assert found.missing == {}
+    pd.testing.assert_frame_equal(found.rows(), expected, check_exact=True)
+
+
+def test_a_killed_scheduler_is_said_and_gone_on_from(folder, expected, tmp_path) -> None:
+    from distributed import Client
+
+    out, port = tmp_path / "out", _free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    with _processes(port) as (scheduler, _), Client(address, timeout=60) as client:
+        client.wait_for_workers(2, timeout=120)
+        killer = when(out, 3, scheduler.kill)
+        with pytest.raises(InputError, match=r"is gone.*the same command goes on from there"):
+            fit(folder, out, client)
+        killer.join(timeout=10)
+        before = done(out)
+        assert 3 <= before < len(list(folder.iterdir()))
+    with _processes(port), Client(address, timeout=60) as client:
+        client.wait_for_workers(2, timeout=120)
+        found = fit(folder, out, client)
+    assert found.about["found_done"] >= before
+    pd.testing.assert_frame_equal(found.rows(), expected, check_exact=True)
+
+
+def _free_port() -> int:
+    with socket.socket() as held:
+        held.bind(("127.0.0.1", 0))
+        return held.getsockname()[1]
+
+
+@contextmanager
+def _processes(port: int) -> Iterator[tuple[subprocess.Popen, list[subprocess.Popen]]]:
+    """A scheduler and two workers, processes of their own."""
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1"]
+        + ["--port", str(port), "--no-dashboard"],
+        **quiet,
+    )
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", f"tcp://127.0.0.1:{port}"]
+    worker += ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "60"]
+    workers = [subprocess.Popen(worker, **quiet) for _ in range(2)]
+    try:
+        yield scheduler, workers
+    finally:
+        for process in (*workers, scheduler):
+            process.kill()
+            process.wait()

@@ -1,0 +1,71 @@
+"""Effects hidden in some devices of a fleet are found in these, and the fleet's table counts them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayescal as bc
+from bayescal._population.population import FEWEST
+from bayescal_models import mems_gyro
+from tests.support.made_up.gyro_lot import MODEL
+
+HIDDEN = {"bias.thermal_lag": 0.05}  # °/s per °C
+DEVICES, WITH = 6, (1, 4)
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory) -> Path:
+    """Simulated campaigns, thinned; two of them with a lag."""
+    folder = tmp_path_factory.mktemp("fleet")
+    for i in range(DEVICES):
+        made = mems_gyro.simulate(HIDDEN if i in WITH else {}, seed=i)
+        made.select(np.arange(0, len(made), 3)).write(folder / f"unit-{i}.csv")
+    return folder
+
+
+@pytest.mark.slow
+def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
+    found = bc.fit_batch(
+        MODEL, fleet, out=tmp_path / "out", find=True, population=True, partition_rows=600
+    )
+    partitions = found.about["partitions"]
+    assert 1 < partitions < DEVICES
+    table = found.effects.set_index("effect")
+    assert table.devices["bias.thermal_lag"] == len(WITH)
+    assert table.devices.sum() == len(WITH)  # nothing else in any
+    row = table.loc["bias.thermal_lag"]
+    assert row.low < len(WITH) / DEVICES < row.high
+    assert row.expected == pytest.approx(len(WITH), abs=0.3)
+    rows = found.rows()
+    lag = rows[rows.coefficient.eq("bias.thermal_lag")]
+    assert sorted(lag.device) == [f"unit-{i}" for i in WITH]
+    assert np.all(np.abs(lag["mean"] - 0.05) < 4 * lag.sd)
+    assert found.population is not None and found.population.devices == DEVICES >= FEWEST
+    assert "missing from the devices' models" in str(found)
+    again = bc.fit_batch(
+        MODEL, fleet, out=tmp_path / "out", find=True, population=True, partition_rows=600
+    )
+    assert again.about["found_done"] == partitions
+    pd.testing.assert_frame_equal(again.effects, found.effects)
+    assert str(bc.load_fleet(tmp_path / "out")) == str(found)
+
+
+def test_what_stands_out_from_a_population_is_named(tmp_path) -> None:
+    rng, rows = np.random.default_rng(3), []
+    for d in range(40):
+        temperature = rng.uniform(-40, 85, 30)
+        offset = 2.0 + rng.normal(0, 0.5) + 5.0 * (d == 17)
+        output = offset + 0.03 * (temperature - 20.0) + rng.normal(0, 0.2, 30)
+        named = {"device": f"D{d:02d}", "temperature [degC]": temperature}
+        rows.append(pd.DataFrame({**named, "output [deg/s]": output}))
+    pd.concat(rows).to_parquet(tmp_path / "lot.parquet")
+    found = bc.fit_batch(
+        MODEL, tmp_path / "lot.parquet", out=tmp_path / "out", population=["bias.constant"]
+    )
+    assert list(found.apart) == ["D17"]
+    assert found.apart["D17"] < 1e-4
+    assert "standing out from the population: D17" in str(found)

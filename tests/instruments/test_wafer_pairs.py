@@ -1,0 +1,59 @@
+"""The best pairs of many devices by bounds are those of the full table, and the certificate holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal_models.differential_pair.pairing.best_pair_probability import judge
+from bayescal_models.differential_pair.pairing.wafer import Wafer, best_pairs, expected_residual
+from benchmarks.fleet.wafer import drawn
+from tests.support.made_up.pairs import made_up
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_expected_residual_is_that_of_the_table(seed: int) -> None:
+    devices = made_up(seed)
+    full = judge(devices).expected
+    found = best_pairs(Wafer.of(devices), count=full.size)
+    ours = {(outer, inner): left for outer, inner, left, _ in found.pairs}
+    names, outer = devices.names, devices.outer
+    for i, j in np.ndindex(*full.shape):
+        assert ours[names[i], names[outer + j]] == pytest.approx(full[i, j], rel=1e-9)
+    assert found.pairs[0][2] == pytest.approx(full.min(), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_bounds_exclude_no_pair_of_the_best(seed: int) -> None:
+    wafer = drawn(160, seed)
+    found = best_pairs(wafer)
+    outer, inner = np.divmod(np.arange(80 * 80), 80)
+    every, ratio = expected_residual(wafer, outer, inner)
+    order = np.argsort(every, kind="stable")[:12]
+    expected = [
+        (wafer.names[outer[n]], wafer.names[80 + inner[n]], every[n], ratio[n]) for n in order
+    ]
+    for ours, theirs in zip(found.pairs, expected, strict=True):
+        assert ours[:2] == theirs[:2]
+        assert ours[2:] == pytest.approx(theirs[2:], rel=1e-12)
+    assert found.evaluated < 80 * 80 / 4  # bounds, not a table
+    assert found.least_excluded >= found.pairs[-1][2]
+    excluded = sum(c.pairs for c in found.classes if c.excluded)
+    assert excluded + found.bounded + found.evaluated == 80 * 80
+    for one in found.classes:  # the certificate: no pair of two classes is below their bound
+        held = (found.members[outer] == one.outer) & (found.members[80 + inner] == one.inner)
+        assert held.sum() == one.pairs
+        assert np.all(every[held] >= one.bound)
+        assert np.sum(every[held] < one.least) <= one.computed
+    assert sum(c.computed for c in found.classes) == found.evaluated
+
+
+def test_what_cannot_be_bounded_is_refused() -> None:
+    wafer = drawn(20, 1)
+    with pytest.raises(bc.InputError, match="positive scales and sensitivities"):
+        best_pairs(replace(wafer, sensitivity=-wafer.sensitivity))
+    with pytest.raises(bc.InputError, match="one outer and one inner"):
+        best_pairs(replace(wafer, outer=20))
