@@ -8,6 +8,7 @@ from ._calibration.predict import predict as predict
 from ._diagnostics.check import check as check
 from ._diagnostics.compare import compare as compare
 from ._discovery.discover import discover as discover
+from ._discovery.preview import preview as preview
 from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
@@ -65,6 +66,7 @@ from ._inference.method import Verdict as Verdict
 from ._diagnostics.check_result import Check as Check
 from ._diagnostics.compare import Comparison as Comparison
 from ._discovery.discover import Discovery as Discovery
+from ._discovery.preview import Preview as Preview
 from ._report.save_search import Trail as Trail  # with `save`, which save_search.py attaches
 from ._report.save_search import (
     Channels as Channels,
