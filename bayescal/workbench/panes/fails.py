@@ -1,0 +1,314 @@
+"""Where it fails: residuals against columns side by side, brushed together, the worst region shaded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import panel as pn
+from bokeh.events import Reset, SelectionGeometry
+from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Range1d, Span
+
+from bayescal.workbench.panes.decimate import drawn_rows, sentence
+from bayescal.workbench.panes.fails_data import AGAINST, Shown
+from bayescal.workbench.panes.pieces import choice, column, row, words
+from bayescal.workbench.style import (
+    INSIDE,
+    LIGHT,
+    ORANGE,
+    RED,
+    Palette,
+    dress,
+    fixed_range,
+    new_figure,
+    span,
+)
+
+TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
+AFTER, BEFORE, BOTH = "after", "before", "both"
+MOST = 4  # panels side by side
+SHORT = 48  # letters of a label
+
+
+class Fails:
+    """The middle of the page.
+
+    Attributes:
+        view: what Panel shows.
+        selected: rows that are brushed, of all readings.
+    """
+
+    def __init__(self, on_select: Callable[[np.ndarray], None] = lambda _: None) -> None:
+        self._on_select = on_select
+        self.shown: Shown | None = None
+        self.palette: Palette = LIGHT
+        self.selected = np.array([], int)
+        self.source = ColumnDataSource({})
+        self._curve: np.ndarray | None = None
+        self._views: dict[str, tuple[float, float]] = {}
+        self._figures: dict[str, Any] = {}
+        self._y = Range1d()
+        self._waiting = False
+        self.choice = pn.widgets.MultiChoice(
+            name="", options=[], max_items=MOST, stylesheets=[INSIDE], margin=0, delete_button=True,
+            sizing_mode="stretch_width", min_width=180, search_option_limit=40,
+        )  # fmt: skip
+        self.when = choice([AFTER, BEFORE, BOTH], AFTER, "Residuals and the last step")
+        self.said = words()
+        self.drawn = words("", "small")
+        self.brushed = words("", "small")
+        self.legend = row()
+        self.panels = pn.Column(
+            sizing_mode="stretch_both", css_classes=["panels"], stylesheets=[INSIDE], margin=0
+        )
+        self.view = column(
+            row(words("Where it fails", "title"), self.choice, self.when, flex_wrap="nowrap"),
+            self.said,
+            self.panels,
+            row(self.brushed, self.drawn),
+            kinds=("pane", "fails"),
+        )
+        self.choice.param.watch(lambda _: self._lay_out(), "value")
+        self.when.param.watch(lambda _: self._fill(), "value")
+        self.source.selected.on_change("indices", self._brushed_in_source)
+
+    def show(self, step: Any, before: Any | None) -> None:
+        """Show a state; `before` is the step of the one it came from."""
+        same = before is not None and len(before.check.residuals) == len(step.check.residuals)
+        self.shown = Shown(step, np.asarray(before.check.residuals, float) if same else None)
+        self._curve = None
+        self._views = {}
+        self.said.object = self.shown.sentence()
+        self.when.disabled = not same
+        if not same:
+            self.when.value = AFTER
+        names = list(self.shown.covariates)
+        kept = [n for n in self.choice.value if n in names]
+        self.choice.options = names
+        self.choice.value = kept or self.shown.start()
+        self._lay_out()
+
+    def preview(self, curve: np.ndarray | None) -> None:
+        """Lay an effect's curve over the residuals, output unit, (n,); None takes it away."""
+        self._curve = None if curve is None else np.asarray(curve, float)
+        if self.shown is not None:
+            rows = self.source.data["row"]
+            self.source.data["curve"] = self._curve_at(rows)
+            for made in self._figures.values():
+                for renderer in made.renderers:
+                    if renderer.name == "curve":
+                        renderer.visible = self._curve is not None
+
+    def wear(self, palette: Palette) -> None:
+        """Take the colours of a ground."""
+        self.palette = palette
+        if self.shown is not None:
+            self.source.data["colour"] = self.shown.colours(palette)[self.source.data["row"]]
+        for made in self._figures.values():
+            dress(made, palette)
+
+    def select(self, rows: np.ndarray) -> None:
+        """Brush rows, of all readings; in the panels those that are drawn light up."""
+        self.selected = np.asarray(rows, int)
+        drawn = self.source.data.get("row", np.array([], int))
+        self.source.selected.indices = np.flatnonzero(np.isin(drawn, self.selected)).tolist()
+        self._say_selected()
+
+    def _lay_out(self) -> None:
+        """Make the panels anew: other columns, or another state."""
+        if self.shown is None:
+            return
+        self._y = fixed_range(-1, 1)
+        names = [n for n in self.choice.value if n in self.shown.covariates]
+        self._fill_source(names)
+        self._figures = {name: self._panel(name, i == 0) for i, name in enumerate(names)}
+        self._fit_range()
+        for made in self._figures.values():
+            dress(made, self.palette)
+        self.panels[:] = [
+            pn.pane.Bokeh(made, sizing_mode="stretch_both", margin=0, min_height=0)
+            for made in self._figures.values()
+        ]
+
+    def _fill(self) -> None:
+        """The same panels with other residuals."""
+        if self.shown is not None:
+            self._fill_source(list(self._figures))
+            self._fit_range()
+
+    def _now(self) -> np.ndarray:
+        shown = self.shown
+        assert shown is not None
+        before = shown.before if self.when.value == BEFORE else None
+        return shown.residual if before is None else before
+
+    def _fill_source(self, names: list[str]) -> None:
+        shown = self.shown
+        assert shown is not None
+        residual = self._now()
+        covariates = {n: shown.covariates[n] for n in names}
+        rows = drawn_rows(covariates, residual, self._views) if names else np.array([], int)
+        data: dict[str, Any] = {f"x{i}": v[rows] for i, v in enumerate(covariates.values())}
+        both = self.when.value == BOTH and shown.before is not None
+        data |= {
+            "row": rows,
+            "reading": rows + 1,
+            "run": [shown.runs[0][k] for k in shown.runs[1][rows]],
+            "residual": residual[rows],
+            "measured": shown.measured[rows],
+            "before": shown.before[rows] if both and shown.before is not None else np.full(rows.size, np.nan),
+            "curve": self._curve_at(rows),
+            "colour": shown.colours(self.palette)[rows],
+            "marker": shown.markers()[rows],
+        }  # fmt: skip
+        chosen = self.selected
+        self.source.data = data
+        self.source.selected.indices = np.flatnonzero(np.isin(rows, chosen)).tolist()
+        self.drawn.object = sentence(rows.size, residual.size)
+
+    def _fit_range(self) -> None:
+        shown = self.shown
+        assert shown is not None
+        values = [self._now()]
+        if self.when.value == BOTH and shown.before is not None:
+            values.append(shown.before)
+        low, high = min(v.min() for v in values), max(v.max() for v in values)
+        ends = span(float(low), float(high))
+        self._y.update(**ends, reset_start=ends["start"], reset_end=ends["end"])
+
+    def _curve_at(self, rows: np.ndarray) -> np.ndarray:
+        return np.full(len(rows), np.nan) if self._curve is None else self._curve[rows]
+
+    def _panel(self, name: str, first: bool) -> Any:
+        shown, i = self.shown, list(self._names()).index(name)
+        assert shown is not None
+        values = shown.covariates[name]
+        unit = shown.units[name]
+        against = name == AGAINST
+        label = "predicted" if against else name[:SHORT]
+        made = new_figure(
+            f"{label} [{unit or '1'}]" if name not in shown.levels else label,
+            f"measured [{shown.unit}]" if against else f"residual [{shown.unit}]",
+            tools=TOOLS,
+            active_drag="box_select",
+            active_scroll="xwheel_zoom",
+            x_range=fixed_range(float(values.min()), float(values.max())),
+            output_backend="canvas",
+        )
+        made.name = f"panel {name}"
+        if against:
+            made.y_range = fixed_range(float(shown.measured.min()), float(shown.measured.max()))
+            made.line(
+                [values.min(), values.max()], [values.min(), values.max()], color="#7a7a7a", line_dash="dashed"
+            )  # fmt: skip
+        else:
+            made.y_range = self._y
+            self._ground(made, name)
+        self._points(made, f"x{i}", "measured" if against else "residual", against)
+        levels = shown.levels.get(name)
+        if levels:
+            made.xaxis.ticker = list(range(len(levels)))
+            made.xaxis.major_label_overrides = {k: v[:12] for k, v in enumerate(levels)}
+        made.on_event(SelectionGeometry, lambda event: self._brushed_in_panel(name, event))
+        made.on_event(Reset, lambda _: self.select(np.array([], int)))
+        for end in ("start", "end"):
+            made.x_range.on_change(end, lambda *_: self._moved(name, made.x_range))
+        return made
+
+    def _names(self) -> list[str]:
+        assert self.shown is not None
+        return [n for n in self.choice.value if n in self.shown.covariates]
+
+    def _ground(self, made: Any, name: str) -> None:
+        """The noise, zero, and the worst region."""
+        shown = self.shown
+        assert shown is not None
+        noise, entry = shown.check.noise, shown.entry(name)
+        made.add_layout(
+            BoxAnnotation(bottom=-noise, top=noise, fill_color="#8a939b", fill_alpha=0.16, line_alpha=0)
+        )  # fmt: skip
+        made.add_layout(
+            Span(location=0, dimension="width", line_color="#8a939b", line_width=1)
+        )
+        if entry is not None and entry.log_bayes_factor > 0:
+            low, high = entry.worst.low, entry.worst.high
+            if entry.by_group:
+                low = high = float(shown.levels[name].index(str(entry.worst.group)))
+            wide = 0.02 * float(np.ptp(shown.covariates[name])) if low == high else 0.0
+            made.add_layout(
+                BoxAnnotation(left=low - wide, right=high + wide, fill_color=RED, fill_alpha=0.14, line_color=RED,
+                              line_alpha=0.5)
+            )  # fmt: skip
+
+    def _points(self, made: Any, x: str, y: str, against: bool) -> None:
+        few = len(self.source.data["row"]) <= 600
+        if not against:
+            made.scatter(
+                x, "before", source=self.source, size=4, fill_color=None, line_color="#8a939b", line_alpha=0.7,
+                nonselection_line_alpha=0.2,
+            )  # fmt: skip
+        points = made.scatter(
+            x, y, source=self.source, size=5 if few else 3.5, marker="marker", fill_color="colour",
+            line_color=None, fill_alpha=0.75, nonselection_fill_alpha=0.12, selection_fill_alpha=1.0,
+        )  # fmt: skip
+        made.add_tools(
+            HoverTool(
+                renderers=[points],
+                tooltips=[("reading", "@reading"), ("run", "@run"), (y, f"@{y}{{0.0000 a}}")],
+                point_policy="follow_mouse",
+                limit=1,
+            )
+        )
+        if not against:
+            made.scatter(
+                x, "curve", source=self.source, size=4, color=ORANGE, line_color="#000000", line_alpha=0.35,
+                name="curve", visible=self._curve is not None, nonselection_fill_alpha=0.9,
+            )  # fmt: skip
+
+    def _moved(self, name: str, view: Range1d) -> None:
+        """A panel was zoomed: of many readings, others are drawn; once, when it rests."""
+        shown = self.shown
+        if shown is None or shown.residual.size == len(self.source.data["row"]) and not self._views:
+            return
+        self._views[name] = (float(view.start), float(view.end))  # type: ignore[arg-type]
+        document = self.source.document
+        if document is None or self._waiting:
+            return
+        self._waiting = True
+
+        def rested() -> None:
+            self._waiting = False
+            self._fill_source(list(self._figures))
+
+        document.add_timeout_callback(rested, 120)
+
+    def _brushed_in_panel(self, name: str, event: Any) -> None:
+        """Of many readings those that are not drawn belong to a region too."""
+        shown, place = self.shown, event.geometry
+        if shown is None or not event.final or place.get("type") != "rect":
+            return
+        if shown.residual.size == len(self.source.data["row"]):
+            return  # the browser's own selection has them all
+        x, y = shown.covariates[name], shown.measured if name == AGAINST else self._now()
+        low, high = sorted((place["x0"], place["x1"]))
+        bottom, top = sorted((place["y0"], place["y1"]))
+        self.selected = np.flatnonzero((x >= low) & (x <= high) & (y >= bottom) & (y <= top))
+        self._say_selected()
+
+    def _brushed_in_source(self, _: str, __: Any, indices: list[int]) -> None:
+        rows = self.source.data["row"]
+        if self.shown is None or (len(rows) != self.shown.residual.size and indices):
+            return
+        self.selected = np.asarray(rows)[np.asarray(indices, int)]
+        self._say_selected()
+
+    def _say_selected(self) -> None:
+        rows = self.selected
+        if rows.size and self.shown is not None:
+            own = self._now()[rows]
+            mean = f"mean residual {own.mean():+.3g} {self.shown.unit}".replace("-", "−")
+            self.brushed.object = f"{rows.size:,} readings selected, {mean}"
+        else:
+            self.brushed.object = "Drag over a panel to select readings; they light up in the others."
+        self._on_select(rows)

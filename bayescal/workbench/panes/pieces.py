@@ -1,0 +1,67 @@
+"""What the page is pieced together from: text (always text, never HTML, whatever a file or an effect is called),
+buttons, choices, rows and columns.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import panel as pn
+
+from bayescal.workbench.style import INSIDE
+
+PLAIN = """
+pre { font: var(--size, 13px)/1.4 var(--letters); white-space: pre-wrap; overflow-wrap: anywhere; margin: 0;
+  background: transparent; color: inherit; border: 0; padding: 0; }
+:host(.title) { --size: 14px; } :host(.title) pre { font-weight: 650; }
+:host(.small) { --size: 12px; } :host(.small) pre { color: var(--quiet); }
+:host(.table) pre { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 12px; white-space: pre; }
+:host(.refused) pre { color: var(--red); }
+"""
+
+RADIO = """
+.bk-input-group { display: flex; flex-wrap: wrap; gap: 4px; }
+.bk-input-group.bk-inline > label { margin: 0; }
+label { cursor: pointer; position: relative; }
+label input { position: absolute; opacity: 0; margin: 0; }
+label span { display: inline-block; margin: 0; padding: 3px 10px; border: 1px solid var(--line); border-radius: 4px;
+  color: var(--ink); background: var(--ground); font: 12.5px/1.3 var(--letters); white-space: nowrap; }
+label:hover span { border-color: var(--mark); }
+label input:checked + span { background: var(--mark); border-color: var(--mark); color: var(--ground); }
+label input:focus-visible + span { outline: 2px solid var(--mark); outline-offset: 2px; }
+label input:disabled + span { opacity: 0.5; cursor: default; }
+"""
+
+
+def words(text: str = "", *kinds: str, **settings: Any) -> pn.pane.Str:
+    """A text; `kinds`: "title", "small" (quiet), "table" (a printed one), "refused"."""
+    settings = {"margin": 0, "css_classes": list(kinds), "stylesheets": [PLAIN], **settings}
+    return pn.pane.Str(text, **settings)
+
+
+def button(label: str, press: Any, **settings: Any) -> pn.widgets.Button:
+    """A button in the page's style; `press` is called with the event."""
+    made = pn.widgets.Button(
+        name=label, **{"stylesheets": [INSIDE], "margin": 0, "align": "center", **settings}
+    )
+    made.on_click(press)
+    return made
+
+
+def row(*children: Any, kinds: tuple[str, ...] = (), **settings: Any) -> pn.FlexBox:
+    """Children beside each other, wrapped where there is no room."""
+    settings = {"margin": 0, "css_classes": ["line", *kinds], "stylesheets": [INSIDE], **settings}
+    return pn.FlexBox(*children, **{"justify_content": "flex-start", "align_items": "center", **settings})
+
+
+def column(*children: Any, kinds: tuple[str, ...] = ("bare",), **settings: Any) -> pn.Column:
+    """Children below each other."""
+    settings = {"sizing_mode": "stretch_both", "margin": 0, **settings}
+    return pn.Column(*children, css_classes=list(kinds), stylesheets=[INSIDE], **settings)
+
+
+def choice(options: list[str], value: str, label: str) -> pn.widgets.RadioBoxGroup:
+    """One of a few: radio buttons, which the keyboard reaches as Bokeh's tabs and button groups are not reached."""
+    return pn.widgets.RadioBoxGroup(
+        options=options, value=value, inline=True, margin=0, name=label, stylesheets=[INSIDE, RADIO]
+    )
