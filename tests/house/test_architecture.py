@@ -27,8 +27,8 @@ ROOMS = {
     "_core": "version errors atomic_file formatting jax_setup progress parallel jit gaussian_algebra "
     "levenberg_marquardt null_space importance_weights",
     "_logs": "recorded px4_ulog ardupilot_bin ros_bag open_log",
-    "_tables": "problems dates cells raw_table encoding csv_scan csv_reader binary_format parquet_netcdf spreadsheets "
-    "write open_table",
+    "_tables": "problems dates cells raw_table encoding csv_scan csv_reader parquet_netcdf spreadsheets write "
+    "open_table mapping_file",
     "_readings": "unit_parsing unit_conversion header_reading column dataset_checks averaging column_matching "
     "header_matching column_reader column_conversion measurements read",
     "_recording": "time_in_runs rounding spikes set_aside allan_terms allan_fit allan_deviation",
@@ -45,7 +45,7 @@ ROOMS = {
     "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_in_time "
     "covariate_evidence part worst_region check_result check leave_group_out compare",
     "_search": "noise_laws plausible_sizes departures structures library scores walk posterior",
-    "_discovery": "candidate discover preview next_experiment false_reports draft_effect search_path gate calibrate",
+    "_discovery": "candidate discover preview next_experiment false_reports draft_effect own_files search_path gate calibrate",
     "_channels": "shared_shape channels calibrate_channels",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
     "compensation_program code_writer compensator compensate_file budget",
