@@ -55,8 +55,9 @@ ROOMS = {
     "_plots": "style residuals allan search posterior",
     "_report": "result_json whole_folder under_way save_search section certificate d_si dcc figures tables sentences "
     "report",
-    "workbench": "state session",
-    "workbench.panes": "rows",
+    "workbench.parts": "style work decimate pieces rows",
+    "workbench.panes": "fails_data fails model missing error experiment allan take_away file describe tabs",
+    "workbench": "state session app",
     "_cli": "options column_options console request saved output catalogue fitting calibrate deliverables "
     "batch main",
 }

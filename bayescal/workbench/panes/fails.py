@@ -10,10 +10,10 @@ import panel as pn
 from bokeh.events import Reset, SelectionGeometry
 from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Range1d, Span
 
-from bayescal.workbench.panes.decimate import drawn_rows, sentence
 from bayescal.workbench.panes.fails_data import AGAINST, Shown
-from bayescal.workbench.panes.pieces import choice, column, row, words
-from bayescal.workbench.style import (
+from bayescal.workbench.parts.decimate import drawn_rows, sentence
+from bayescal.workbench.parts.pieces import choice, column, row, several, words
+from bayescal.workbench.parts.style import (
     INSIDE,
     LIGHT,
     ORANGE,
@@ -27,7 +27,9 @@ from bayescal.workbench.style import (
 
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
 AFTER, BEFORE, BOTH = "after", "before", "both"
-MOST = 4  # panels side by side
+MOST = 4  # panels side by side, at most
+LEGEND = 6  # runs that are named beside their colour
+SIGNS = "●■▲◆▼⬢"  # as MARKERS
 SHORT = 48  # letters of a label
 
 
@@ -49,11 +51,8 @@ class Fails:
         self._views: dict[str, tuple[float, float]] = {}
         self._figures: dict[str, Any] = {}
         self._y = Range1d()
-        self._waiting = False
-        self.choice = pn.widgets.MultiChoice(
-            name="", options=[], max_items=MOST, stylesheets=[INSIDE], margin=0, delete_button=True,
-            sizing_mode="stretch_width", min_width=180, search_option_limit=40,
-        )  # fmt: skip
+        self._waiting = self._showing = False
+        self.choice = several([], [], "Columns that residuals are laid against")
         self.when = choice([AFTER, BEFORE, BOTH], AFTER, "Residuals and the last step")
         self.said = words()
         self.drawn = words("", "small")
@@ -63,14 +62,14 @@ class Fails:
             sizing_mode="stretch_both", css_classes=["panels"], stylesheets=[INSIDE], margin=0
         )
         self.view = column(
-            row(words("Where it fails", "title"), self.choice, self.when, flex_wrap="nowrap"),
+            row(words("Where it fails", "title"), self.choice, self.when, kinds=("spread",)),
             self.said,
             self.panels,
-            row(self.brushed, self.drawn),
+            row(self.legend, self.brushed, self.drawn),
             kinds=("pane", "fails"),
         )
-        self.choice.param.watch(lambda _: self._lay_out(), "value")
-        self.when.param.watch(lambda _: self._fill(), "value")
+        self.choice.param.watch(self._chosen, "value")
+        self.when.param.watch(lambda _: self._showing or self._fill(), "value")
         self.source.selected.on_change("indices", self._brushed_in_source)
 
     def show(self, step: Any, before: Any | None) -> None:
@@ -80,13 +79,12 @@ class Fails:
         self._curve = None
         self._views = {}
         self.said.object = self.shown.sentence()
-        self.when.disabled = not same
-        if not same:
-            self.when.value = AFTER
         names = list(self.shown.covariates)
         kept = [n for n in self.choice.value if n in names]
-        self.choice.options = names
-        self.choice.value = kept or self.shown.start()
+        self._showing = True
+        self.when.param.update(disabled=not same, value=self.when.value if same else AFTER)
+        self.choice.param.update(options=names, value=kept or self.shown.start())
+        self._showing = False
         self._lay_out()
 
     def preview(self, curve: np.ndarray | None) -> None:
@@ -105,6 +103,7 @@ class Fails:
         self.palette = palette
         if self.shown is not None:
             self.source.data["colour"] = self.shown.colours(palette)[self.source.data["row"]]
+            self._say_runs()
         for made in self._figures.values():
             dress(made, palette)
 
@@ -115,6 +114,26 @@ class Fails:
         self.source.selected.indices = np.flatnonzero(np.isin(drawn, self.selected)).tolist()
         self._say_selected()
 
+    def _chosen(self, event: Any) -> None:
+        """Other columns; of too many, those chosen first go."""
+        if self._showing:
+            return
+        new = [n for n in event.new if n not in event.old]
+        kept = [n for n in event.old if n in event.new][-(MOST - len(new)) :]
+        if len(event.new) > MOST:
+            self.choice.value = [*kept, *new]
+        else:
+            self._lay_out()
+
+    def columns(self) -> dict[str, tuple[np.ndarray, str, tuple[str, ...]]]:
+        """Values (n,), unit and, of a group, members of every column that a region can be given in."""
+        shown = self.shown
+        if shown is None:
+            return {}
+        return {
+            n: (v, shown.units[n], shown.levels.get(n, ())) for n, v in shown.covariates.items()
+        }
+
     def _lay_out(self) -> None:
         """Make the panels anew: other columns, or another state."""
         if self.shown is None:
@@ -122,6 +141,7 @@ class Fails:
         self._y = fixed_range(-1, 1)
         names = [n for n in self.choice.value if n in self.shown.covariates]
         self._fill_source(names)
+        self._say_runs()
         self._figures = {name: self._panel(name, i == 0) for i, name in enumerate(names)}
         self._fit_range()
         for made in self._figures.values():
@@ -157,11 +177,13 @@ class Fails:
             "run": [shown.runs[0][k] for k in shown.runs[1][rows]],
             "residual": residual[rows],
             "measured": shown.measured[rows],
-            "before": shown.before[rows] if both and shown.before is not None else np.full(rows.size, np.nan),
+            "before": shown.before[rows]
+            if both and shown.before is not None
+            else np.full(rows.size, np.nan),
             "curve": self._curve_at(rows),
             "colour": shown.colours(self.palette)[rows],
             "marker": shown.markers()[rows],
-        }  # fmt: skip
+        }
         chosen = self.selected
         self.source.data = data
         self.source.selected.indices = np.flatnonzero(np.isin(rows, chosen)).tolist()
@@ -200,8 +222,11 @@ class Fails:
         if against:
             made.y_range = fixed_range(float(shown.measured.min()), float(shown.measured.max()))
             made.line(
-                [values.min(), values.max()], [values.min(), values.max()], color="#7a7a7a", line_dash="dashed"
-            )  # fmt: skip
+                [values.min(), values.max()],
+                [values.min(), values.max()],
+                color="#7a7a7a",
+                line_dash="dashed",
+            )
         else:
             made.y_range = self._y
             self._ground(made, name)
@@ -213,7 +238,7 @@ class Fails:
         made.on_event(SelectionGeometry, lambda event: self._brushed_in_panel(name, event))
         made.on_event(Reset, lambda _: self.select(np.array([], int)))
         for end in ("start", "end"):
-            made.x_range.on_change(end, lambda *_: self._moved(name, made.x_range))
+            made.x_range.on_change(end, lambda attr, old, new: self._moved(name, made.x_range))
         return made
 
     def _names(self) -> list[str]:
@@ -226,32 +251,52 @@ class Fails:
         assert shown is not None
         noise, entry = shown.check.noise, shown.entry(name)
         made.add_layout(
-            BoxAnnotation(bottom=-noise, top=noise, fill_color="#8a939b", fill_alpha=0.16, line_alpha=0)
-        )  # fmt: skip
-        made.add_layout(
-            Span(location=0, dimension="width", line_color="#8a939b", line_width=1)
+            BoxAnnotation(
+                bottom=-noise, top=noise, fill_color="#8a939b", fill_alpha=0.16, line_alpha=0
+            )
         )
+        made.add_layout(Span(location=0, dimension="width", line_color="#8a939b", line_width=1))
         if entry is not None and entry.log_bayes_factor > 0:
             low, high = entry.worst.low, entry.worst.high
             if entry.by_group:
                 low = high = float(shown.levels[name].index(str(entry.worst.group)))
             wide = 0.02 * float(np.ptp(shown.covariates[name])) if low == high else 0.0
             made.add_layout(
-                BoxAnnotation(left=low - wide, right=high + wide, fill_color=RED, fill_alpha=0.14, line_color=RED,
-                              line_alpha=0.5)
-            )  # fmt: skip
+                BoxAnnotation(
+                    left=low - wide,
+                    right=high + wide,
+                    fill_color=RED,
+                    fill_alpha=0.14,
+                    line_color=RED,
+                    line_alpha=0.5,
+                )
+            )
 
     def _points(self, made: Any, x: str, y: str, against: bool) -> None:
         few = len(self.source.data["row"]) <= 600
         if not against:
             made.scatter(
-                x, "before", source=self.source, size=4, fill_color=None, line_color="#8a939b", line_alpha=0.7,
+                x,
+                "before",
+                source=self.source,
+                size=4,
+                fill_color=None,
+                line_color="#8a939b",
+                line_alpha=0.7,
                 nonselection_line_alpha=0.2,
-            )  # fmt: skip
+            )
         points = made.scatter(
-            x, y, source=self.source, size=5 if few else 3.5, marker="marker", fill_color="colour",
-            line_color=None, fill_alpha=0.75, nonselection_fill_alpha=0.12, selection_fill_alpha=1.0,
-        )  # fmt: skip
+            x,
+            y,
+            source=self.source,
+            size=5 if few else 3.5,
+            marker="marker",
+            fill_color="colour",
+            line_color=None,
+            fill_alpha=0.75,
+            nonselection_fill_alpha=0.12,
+            selection_fill_alpha=1.0,
+        )
         made.add_tools(
             HoverTool(
                 renderers=[points],
@@ -262,14 +307,24 @@ class Fails:
         )
         if not against:
             made.scatter(
-                x, "curve", source=self.source, size=4, color=ORANGE, line_color="#000000", line_alpha=0.35,
-                name="curve", visible=self._curve is not None, nonselection_fill_alpha=0.9,
-            )  # fmt: skip
+                x,
+                "curve",
+                source=self.source,
+                size=4,
+                color=ORANGE,
+                line_color="#000000",
+                line_alpha=0.35,
+                name="curve",
+                visible=self._curve is not None,
+                nonselection_fill_alpha=0.9,
+            )
 
     def _moved(self, name: str, view: Range1d) -> None:
         """A panel was zoomed: of many readings, others are drawn; once, when it rests."""
         shown = self.shown
-        if shown is None or shown.residual.size == len(self.source.data["row"]) and not self._views:
+        if shown is None:
+            return
+        if shown.residual.size == len(self.source.data["row"]) and not self._views:
             return
         self._views[name] = (float(view.start), float(view.end))  # type: ignore[arg-type]
         document = self.source.document
@@ -303,6 +358,24 @@ class Fails:
         self.selected = np.asarray(rows)[np.asarray(indices, int)]
         self._say_selected()
 
+    def _say_runs(self) -> None:
+        """Which colour and shape is which run."""
+        assert self.shown is not None
+        levels = self.shown.runs[0]
+        if not 1 < len(levels) <= LEGEND:
+            many = f"{len(levels)} runs; colours and shapes repeat" if len(levels) > 1 else ""
+            self.legend[:] = [words(many, "small")]
+            return
+        cycle = self.palette.cycle
+        self.legend[:] = [
+            row(
+                words(SIGNS[k % len(SIGNS)], styles={"color": cycle[k % len(cycle)]}),
+                words(f"run {level[:16]}", "small"),
+                kinds=("tight",),
+            )
+            for k, level in enumerate(levels)
+        ]
+
     def _say_selected(self) -> None:
         rows = self.selected
         if rows.size and self.shown is not None:
@@ -310,5 +383,7 @@ class Fails:
             mean = f"mean residual {own.mean():+.3g} {self.shown.unit}".replace("-", "−")
             self.brushed.object = f"{rows.size:,} readings selected, {mean}"
         else:
-            self.brushed.object = "Drag over a panel to select readings; they light up in the others."
+            self.brushed.object = (
+                "Drag over a panel to select readings; they light up in the others."
+            )
         self._on_select(rows)

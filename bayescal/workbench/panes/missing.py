@@ -9,8 +9,8 @@ from bayescal._core.formatting import number, probability, with_error
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import Discovery
 from bayescal._readings.unit_conversion import unit_label
-from bayescal.workbench.panes.pieces import column, row, words
-from bayescal.workbench.panes.rows import Rows
+from bayescal.workbench.parts.pieces import column, row, words
+from bayescal.workbench.parts.rows import Rows
 
 NOT_VISIBLE = "Not detectable in this experiment"
 NOT_TESTABLE = "Not testable with these readings"
@@ -31,9 +31,14 @@ class Missing:
         self.complete = words("")
         self.told = words(HINT, "small", min_height=36)
         self.rows = Rows(
-            self._press, kind="pair", pointing=True, label="Candidates", margin=0,
-            sizing_mode="stretch_both", styles={"min-height": "0"},
-        )  # fmt: skip
+            self._press,
+            kind="pair",
+            pointing=True,
+            label="Candidates",
+            margin=0,
+            sizing_mode="stretch_both",
+            styles={"min-height": "0"},
+        )
         self.rows.param.watch(lambda event: point(event.new), "pointed")
         self.view = column(
             row(words("What is missing", "title")),
@@ -76,16 +81,26 @@ def candidate_rows(found: Discovery) -> list[dict[str, Any]]:
     for i, one in enumerate(found.sets):
         many = len(one.effects) > 1
         which = (
-            "One of these; these readings cannot tell which" if many else "Missing" if i == 0 else "Also missing"
-        )  # fmt: skip
+            "One of these; these readings cannot tell which"
+            if many
+            else "Missing"
+            if i == 0
+            else "Also missing"
+        )
         group = f"{which}: probability {probability(one.probability)}"
-        rows += [_row(by_name[name], group, "found") for name in one.effects if name in by_name and name not in placed]  # fmt: skip
+        rows += [
+            _row(by_name[name], group, "found")
+            for name in one.effects
+            if name in by_name and name not in placed
+        ]
         placed |= set(one.effects)
     rest = [c for c in found.candidates if c.effect not in placed]
     leads = [c for c in rest if c.kind == "lead"]
     rows += [_row(c, "Leads", "lead") for c in leads]
     other = "The others" if rows else "Nothing is found; the candidates"
-    rows += [_row(c, other, "") for c in rest if c.kind not in ("lead", "not visible", "not testable")]  # fmt: skip
+    rows += [
+        _row(c, other, "") for c in rest if c.kind not in ("lead", "not visible", "not testable")
+    ]
     rows += [_row(c, NOT_VISIBLE, "quiet") for c in rest if c.kind == "not visible"]
     rows += [_row(c, NOT_TESTABLE, "quiet") for c in rest if c.kind == "not testable"]
     return rows
@@ -94,7 +109,9 @@ def candidate_rows(found: Discovery) -> list[dict[str, Any]]:
 def _row(c: Candidate, group: str, kind: str) -> dict[str, Any]:
     cells: list[dict[str, Any]] = [{"text": c.effect, "kind": "name"}]
     if c.probability is not None:
-        size = "" if c.size is None else f"{with_error(c.size, c.size_sd or 0.0)} {unit_label(c.unit)}"
+        size = (
+            "" if c.size is None else f"{with_error(c.size, c.size_sd or 0.0)} {unit_label(c.unit)}"
+        )
         cells.append(
             {
                 "text": f"{probability(c.probability)}   {size}".rstrip(),
@@ -103,7 +120,7 @@ def _row(c: Candidate, group: str, kind: str) -> dict[str, Any]:
                 "title": f"probability {probability(c.probability)}; log Bayes factor {number(c.log_bayes_factor)} "
                 f"by {c.source}",
             }
-        )  # fmt: skip
+        )
     testable = c.kind != "not testable"
     add = {"id": "add", "label": "Add", "title": f"fit the model with {c.effect}"}
     note = c.reason

@@ -1,4 +1,4 @@
-"""The model: its equation in words, its effects with their coefficients, what may be changed, and what that would do."""
+"""The model: its equation in words, its effects with their coefficients, what may be changed, with what follows."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import panel as pn
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.formatting import probability, with_error
 from bayescal._readings.unit_conversion import unit_label
-from bayescal.workbench.panes.pieces import button, column, row, words
-from bayescal.workbench.panes.rows import Rows
-from bayescal.workbench.style import INSIDE
+from bayescal.workbench.parts.pieces import button, column, row, words
+from bayescal.workbench.parts.rows import Rows
+from bayescal.workbench.parts.style import INSIDE
 
 MOST = 6  # coefficients of one effect that stand in its row
 
@@ -21,7 +21,7 @@ class ModelPane:
     """The left of the page: what is believed, and what may be done to it."""
 
     def __init__(self, act: Callable[..., None], ask: Callable[..., None]) -> None:
-        """`act(name, *arguments)` does something to the session; `ask(done, name, *arguments)` asks what it would do."""
+        """`act(name, *arguments)` does something; `ask(done, name, *arguments)` asks what it would do."""
         self._act, self._ask = act, ask
         self._calibration: Any = None
         self._chosen = ""
@@ -167,12 +167,14 @@ def effect_rows(model: Any, told: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 {
                     "text": f"{short.rstrip(']')} {value}".strip(),
                     "kind": "value number",
-                    "bar": t["contraction"] if t["contraction"] is None else max(0.0, t["contraction"]),
+                    "bar": t["contraction"]
+                    if t["contraction"] is None
+                    else max(0.0, t["contraction"]),
                     "title": "no contraction: flat or learned prior"
                     if t["contraction"] is None
                     else f"contraction {t['contraction']:.3f}: how much narrower than the prior",
                 }
-            )  # fmt: skip
+            )
         if len(own) > MOST:
             cells.append({"text": f"… and {len(own) - MOST} more", "kind": "value"})
         held = [f"{n} = {v:g}" for n, v in model.fixed if n.startswith(effect.name)]
@@ -197,7 +199,11 @@ def noise_rows(state: Any) -> list[dict[str, Any]]:
     known = {law.law: law for law in laws}
     words = known[used.law].in_words if used.law in known else used.in_words
     rows = [_law_row(used.law, words, known.get(used.law), values, True)]
-    rows += [_law_row(w.law, w.in_words, w, [], False) for w in laws if w.law != used.law and w.probability >= 0.005]  # fmt: skip
+    rows += [
+        _law_row(w.law, w.in_words, w, [], False)
+        for w in laws
+        if w.law != used.law and w.probability >= 0.005
+    ]
     return rows
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import panel as pn
 
-from bayescal.workbench.style import INSIDE
+from bayescal.workbench.parts.style import INSIDE
 
 PLAIN = """
 pre { font: var(--size, 13px)/1.4 var(--letters); white-space: pre-wrap; overflow-wrap: anywhere; margin: 0;
@@ -29,6 +29,7 @@ label span { display: inline-block; margin: 0; padding: 3px 10px; border: 1px so
 label:hover span { border-color: var(--mark); }
 label input:checked + span { background: var(--mark); border-color: var(--mark); color: var(--ground); }
 label input:focus-visible + span { outline: 2px solid var(--mark); outline-offset: 2px; }
+:host(.several) { flex: 1 1 200px; min-width: 0; max-height: 62px; overflow-y: auto; padding: 2px; }
 label input:disabled + span { opacity: 0.5; cursor: default; }
 """
 
@@ -51,7 +52,9 @@ def button(label: str, press: Any, **settings: Any) -> pn.widgets.Button:
 def row(*children: Any, kinds: tuple[str, ...] = (), **settings: Any) -> pn.FlexBox:
     """Children beside each other, wrapped where there is no room."""
     settings = {"margin": 0, "css_classes": ["line", *kinds], "stylesheets": [INSIDE], **settings}
-    return pn.FlexBox(*children, **{"justify_content": "flex-start", "align_items": "center", **settings})
+    return pn.FlexBox(
+        *children, **{"justify_content": "flex-start", "align_items": "center", **settings}
+    )
 
 
 def column(*children: Any, kinds: tuple[str, ...] = ("bare",), **settings: Any) -> pn.Column:
@@ -64,4 +67,17 @@ def choice(options: list[str], value: str, label: str) -> pn.widgets.RadioBoxGro
     """One of a few: radio buttons, which the keyboard reaches as Bokeh's tabs and button groups are not reached."""
     return pn.widgets.RadioBoxGroup(
         options=options, value=value, inline=True, margin=0, name=label, stylesheets=[INSIDE, RADIO]
+    )
+
+
+def several(options: list[str], value: list[str], label: str) -> pn.widgets.CheckBoxGroup:
+    """Some of many, as check boxes: their labels are text (those of `MultiChoice` are HTML)."""
+    return pn.widgets.CheckBoxGroup(
+        options=options,
+        value=value,
+        inline=True,
+        margin=0,
+        name=label,
+        stylesheets=[INSIDE, RADIO],
+        css_classes=["several"],
     )

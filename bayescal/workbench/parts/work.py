@@ -24,6 +24,7 @@ class Work:
         self._tell = tell
         self._document = pn.state.curdoc
         self._jobs = ThreadPoolExecutor(1, thread_name_prefix="workbench job")
+        self._looks = ThreadPoolExecutor(1, thread_name_prefix="workbench look")
         self._previews = ThreadPoolExecutor(1, thread_name_prefix="workbench preview")
         self._lock, self._wanted = Lock(), 0
         self.on_busy: list[Callable[[bool], None]] = []
@@ -37,8 +38,14 @@ class Work:
         else:
             call()
 
-    def begin(self, words: str, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
-        """Begin a job, unless one is under way; `then(result)` follows on the page."""
+    def begin(
+        self,
+        words: str,
+        job: Callable[[], Any],
+        then: Callable[[Any], None],
+        failed: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Begin a job, unless one is under way; `then(result)`, or `failed()`, follows on the page."""
         if self.busy:
             self._tell("One moment: something is being computed. Stop it, or wait.", True)
             return
@@ -50,12 +57,25 @@ class Work:
             self._tell("" if error is None else _in_words(error), error is not None)
             if error is None:
                 then(result)
+            else:
+                failed()
 
         def run() -> None:
             result, error = _outcome(job)
             self.on_page(lambda: done(result, error))
 
         self._jobs.submit(run)
+
+    def look(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
+        """Look for something beside everything else; what is pressed meanwhile is not refused."""
+
+        def run() -> None:
+            result, error = _outcome(job)
+            self.on_page(
+                lambda: then(result) if error is None else self._tell(_in_words(error), True)
+            )
+
+        self._looks.submit(run)
 
     def preview(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Compute a preview; one that another has overtaken is dropped."""
@@ -82,6 +102,7 @@ class Work:
     def close(self) -> None:
         """Take no further work."""
         self._jobs.shutdown(wait=False, cancel_futures=True)
+        self._looks.shutdown(wait=False, cancel_futures=True)
         self._previews.shutdown(wait=False, cancel_futures=True)
 
     def _set_busy(self, busy: bool) -> None:

@@ -50,4 +50,6 @@ def sentence(drawn: int, of: int) -> str:
     """What is drawn, where it is not all; else empty."""
     if drawn == of:
         return ""
-    return f"{drawn:,} of {of:,} readings drawn: the lowest and the highest in every column of pixels"
+    return (
+        f"{drawn:,} of {of:,} readings drawn: the lowest and the highest in every column of pixels"
+    )
