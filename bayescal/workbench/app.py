@@ -61,7 +61,7 @@ class Workbench:
 
     def _page(self, framed: bool) -> pn.Column:
         self.told = words(readings_in_words(self.session), "small")
-        self.status = words("", "small", styles={"flex": "1 1 auto"})
+        self.status = words("", "small", "status")
         self.ground = Ground(margin=0, width=0, height=0)
         self.light = choice(["light", "dark"], "light", "Ground")
         self.light.param.watch(lambda event: self._wear(event.new == "dark"), "value")
@@ -74,7 +74,6 @@ class Workbench:
             self.light,
             self.ground,
             kinds=("top",),
-            flex_wrap="nowrap",
         )
         return pn.Column(
             top,
@@ -197,7 +196,7 @@ class Workbench:
 
     def _tell(self, told: str, refused: bool) -> None:
         self.status.object = told
-        self.status.css_classes = ["refused" if refused else "small"]
+        self.status.css_classes = ["small", "status", *(["refused"] if refused else [])]
 
     def _prefer(self) -> None:
         if self.ground.seen and self.ground.dark:

@@ -80,7 +80,9 @@ class DescribePane:
         """Another state: the region stays, the draft does not."""
         self._found = self._covariates()
         names = [n for n, (_, _, levels) in self._found.items() if not levels]
-        self.by.options = names
+        self.by.param.update(
+            options=names, value=self.by.value if self.by.value in names else names[0]
+        )
         self._ends()
         self.told.object, self.code.value, self.sure.value = "", "", False
 

@@ -16,7 +16,6 @@ from bayescal.workbench.parts.pieces import choice, column, row, several, words
 from bayescal.workbench.parts.style import (
     INSIDE,
     LIGHT,
-    ORANGE,
     RED,
     Palette,
     dress,
@@ -57,12 +56,13 @@ class Fails:
         self.said = words()
         self.drawn = words("", "small")
         self.brushed = words("", "small")
-        self.legend = row()
+        self.legend = row(kinds=("tight",))
         self.panels = pn.Column(
             sizing_mode="stretch_both", css_classes=["panels"], stylesheets=[INSIDE], margin=0
         )
         self.view = column(
-            row(words("Where it fails", "title"), self.choice, self.when, kinds=("spread",)),
+            row(words("Where it fails", "title"), self.when, kinds=("spread",)),
+            self.choice,
             self.said,
             self.panels,
             row(self.legend, self.brushed, self.drawn),
@@ -86,6 +86,7 @@ class Fails:
         self.choice.param.update(options=names, value=kept or self.shown.start())
         self._showing = False
         self._lay_out()
+        self._say_selected()
 
     def preview(self, curve: np.ndarray | None) -> None:
         """Lay an effect's curve over the residuals, output unit, (n,); None takes it away."""
@@ -106,6 +107,9 @@ class Fails:
             self._say_runs()
         for made in self._figures.values():
             dress(made, palette)
+            for renderer in made.renderers:
+                if renderer.name == "curve":
+                    renderer.glyph.fill_color = palette.ink
 
     def select(self, rows: np.ndarray) -> None:
         """Brush rows, of all readings; in the panels those that are drawn light up."""
@@ -252,7 +256,12 @@ class Fails:
         noise, entry = shown.check.noise, shown.entry(name)
         made.add_layout(
             BoxAnnotation(
-                bottom=-noise, top=noise, fill_color="#8a939b", fill_alpha=0.16, line_alpha=0
+                bottom=-noise,
+                top=noise,
+                fill_color="#8a939b",
+                fill_alpha=0.16,
+                line_alpha=0,
+                level="underlay",
             )
         )
         made.add_layout(Span(location=0, dimension="width", line_color="#8a939b", line_width=1))
@@ -269,6 +278,7 @@ class Fails:
                     fill_alpha=0.14,
                     line_color=RED,
                     line_alpha=0.5,
+                    level="underlay",
                 )
             )
 
@@ -310,10 +320,9 @@ class Fails:
                 x,
                 "curve",
                 source=self.source,
-                size=4,
-                color=ORANGE,
-                line_color="#000000",
-                line_alpha=0.35,
+                size=3.5,
+                fill_color=self.palette.ink,
+                line_color=None,
                 name="curve",
                 visible=self._curve is not None,
                 nonselection_fill_alpha=0.9,

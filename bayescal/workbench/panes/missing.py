@@ -114,7 +114,7 @@ def _row(c: Candidate, group: str, kind: str) -> dict[str, Any]:
         )
         cells.append(
             {
-                "text": f"{probability(c.probability)}   {size}".rstrip(),
+                "text": " · ".join(filter(None, (probability(c.probability), size))),
                 "bar": c.probability,
                 "kind": "value number",
                 "title": f"probability {probability(c.probability)}; log Bayes factor {number(c.log_bayes_factor)} "

@@ -26,8 +26,8 @@ class ModelPane:
         self._calibration: Any = None
         self._chosen = ""
         self.equation = words("", "small")
-        self.effects = Rows(self._choose, kind="pair", label="Effects of the model", margin=0)
-        self.noise = Rows(self._take_law, kind="pair", label="Noise law", margin=0)
+        self.effects = Rows(self._choose, kind="pair", label="Effects of the model", **_ROWS)
+        self.noise = Rows(self._take_law, kind="pair", label="Noise law", **_ROWS)
         self.verdict = words("", "small")
         self.title = words("", "title")
         self.consequences = words("", "small")
@@ -56,9 +56,11 @@ class ModelPane:
         ]
         out, fix, resize, close = self.buttons
         return pn.Column(
-            row(self.title, out, close),
+            self.title,
             self.consequences,
-            row(self.coefficient, self.value, fix),
+            row(out, close),
+            self.coefficient,
+            row(self.value, fix),
             row(self.size, resize),
             visible=False,
             css_classes=["form"],
@@ -127,6 +129,7 @@ class ModelPane:
         self._act("noise", law)
 
 
+_ROWS: dict[str, Any] = {"margin": 0, "sizing_mode": "stretch_width"}
 _FIELD: dict[str, Any] = {
     "stylesheets": [INSIDE],
     "margin": 0,

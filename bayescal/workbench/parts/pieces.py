@@ -16,20 +16,21 @@ pre { font: var(--size, 13px)/1.4 var(--letters); white-space: pre-wrap; overflo
 :host(.title) { --size: 14px; } :host(.title) pre { font-weight: 650; }
 :host(.small) { --size: 12px; } :host(.small) pre { color: var(--quiet); }
 :host(.table) pre { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 12px; white-space: pre; }
+:host(.status) { flex: 1 1 0; min-width: 0; max-height: 34px; overflow-y: auto; }
 :host(.refused) pre { color: var(--red); }
 """
 
 RADIO = """
-.bk-input-group { display: flex; flex-wrap: wrap; gap: 4px; }
-.bk-input-group.bk-inline > label { margin: 0; }
-label { cursor: pointer; position: relative; }
+.bk-input-group { display: flex !important; flex-wrap: wrap; gap: 4px; margin: 0 !important; }
+label, .bk-input-group > * { margin: 0 !important; }
+label { cursor: pointer; position: relative; display: inline-flex !important; }
 label input { position: absolute; opacity: 0; margin: 0; }
-label span { display: inline-block; margin: 0; padding: 3px 10px; border: 1px solid var(--line); border-radius: 4px;
+label span { display: inline-block; margin: 0 !important; padding: 2px 9px; border: 1px solid var(--line); border-radius: 4px;
   color: var(--ink); background: var(--ground); font: 12.5px/1.3 var(--letters); white-space: nowrap; }
 label:hover span { border-color: var(--mark); }
 label input:checked + span { background: var(--mark); border-color: var(--mark); color: var(--ground); }
 label input:focus-visible + span { outline: 2px solid var(--mark); outline-offset: 2px; }
-:host(.several) { flex: 1 1 200px; min-width: 0; max-height: 62px; overflow-y: auto; padding: 2px; }
+:host(.several) { width: 100%; min-width: 0; max-height: 58px; overflow-y: auto; flex: 0 0 auto; padding: 2px; }
 label input:disabled + span { opacity: 0.5; cursor: default; }
 """
 
@@ -49,12 +50,10 @@ def button(label: str, press: Any, **settings: Any) -> pn.widgets.Button:
     return made
 
 
-def row(*children: Any, kinds: tuple[str, ...] = (), **settings: Any) -> pn.FlexBox:
+def row(*children: Any, kinds: tuple[str, ...] = (), **settings: Any) -> pn.Row:
     """Children beside each other, wrapped where there is no room."""
-    settings = {"margin": 0, "css_classes": ["line", *kinds], "stylesheets": [INSIDE], **settings}
-    return pn.FlexBox(
-        *children, **{"justify_content": "flex-start", "align_items": "center", **settings}
-    )
+    kinds = ("line", *kinds)
+    return pn.Row(*children, css_classes=list(kinds), stylesheets=[INSIDE], margin=0, **settings)
 
 
 def column(*children: Any, kinds: tuple[str, ...] = ("bare",), **settings: Any) -> pn.Column:

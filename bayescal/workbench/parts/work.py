@@ -87,9 +87,11 @@ class Work:
             if ticket != self._wanted:
                 return
             result, error = _outcome(job)
+            if ticket != self._wanted:
+                return
             if error is not None:
                 self.on_page(lambda: self._tell(_in_words(error), True))
-            elif ticket == self._wanted:
+            else:
                 self.on_page(lambda: then(result))
 
         self._previews.submit(run)
