@@ -21,15 +21,17 @@ from bayescal.workbench.parts.work import Work
 
 
 class Ground(JSComponent):
-    """Whether the browser prefers a dark ground; seen once, when the page opens."""
+    """Whether the browser prefers a dark ground, and has room; seen once, when the page opens."""
 
     dark = param.Boolean(default=False)
+    wide = param.Boolean(default=False)
     seen = param.Boolean(default=False)
 
     _esm = """
     export function render({ model, el }) {
       document.body.style.margin = "0";
       model.dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+      model.wide = window.innerWidth >= 1700;
       model.seen = true;
       return document.createElement("span");
     }
@@ -60,7 +62,7 @@ class Workbench:
         self.look()
 
     def _page(self, framed: bool) -> pn.Column:
-        self.told = words(readings_in_words(self.session), "small")
+        self.told = words(readings_in_words(self.session), "small", "about")
         self.status = words("", "small", "status")
         self.ground = Ground(margin=0, width=0, height=0)
         self.light = choice(["light", "dark"], "light", "Ground")
@@ -199,6 +201,7 @@ class Workbench:
         self.status.css_classes = ["small", "status", *(["refused"] if refused else [])]
 
     def _prefer(self) -> None:
+        self.fails.widen(self.ground.wide)
         if self.ground.seen and self.ground.dark:
             self.light.value = "dark"
         elif self.ground.seen:

@@ -88,6 +88,11 @@ class Fails:
         self._lay_out()
         self._say_selected()
 
+    def widen(self, wide: bool) -> None:
+        """Begin with a third panel where there is room."""
+        if wide and self.shown is not None and self.choice.value == self.shown.start():
+            self.choice.value = self.shown.start(3)
+
     def preview(self, curve: np.ndarray | None) -> None:
         """Lay an effect's curve over the residuals, output unit, (n,); None takes it away."""
         self._curve = None if curve is None else np.asarray(curve, float)

@@ -15,7 +15,6 @@ from bayescal._readings.unit_conversion import unit_label
 from bayescal.workbench.parts.style import MARKERS, Palette
 
 AGAINST = "measured against predicted"
-ROW = "order"
 
 
 @dataclass(frozen=True)
@@ -79,11 +78,11 @@ class Shown:
         """A shape a reading, by run: colour is never the only thing that tells them apart."""
         return np.array(MARKERS)[self.runs[1] % len(MARKERS)]
 
-    def start(self) -> list[str]:
-        """What is shown first: the two continuous covariates with the strongest evidence, time before others alike."""
+    def start(self, count: int = 2) -> list[str]:
+        """What is shown first: the continuous covariates with the strongest evidence, in the order of the columns."""
         ranked = [e.against for e in self.check.entries if not e.by_group]
-        names = ranked[:2] or [n for n in self.covariates if n != AGAINST][:2]
-        return sorted(names, key=lambda n: n not in ("time", ROW)) or [AGAINST]
+        chosen = ranked[:count] or [n for n in self.covariates if n != AGAINST][:count]
+        return [n for n in self.covariates if n in chosen] or [AGAINST]
 
     def sentence(self) -> str:
         """The worst region of the strongest covariate, in a sentence."""

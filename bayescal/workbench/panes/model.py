@@ -59,7 +59,7 @@ class ModelPane:
             self.title,
             self.consequences,
             row(out, close),
-            self.coefficient,
+            row(self.coefficient),
             row(self.value, fix),
             row(self.size, resize),
             visible=False,
@@ -135,7 +135,6 @@ _FIELD: dict[str, Any] = {
     "margin": 0,
     "sizing_mode": "stretch_width",
     "min_width": 90,
-    "styles": {"flex": "1 1 90px"},
 }
 
 

@@ -14,7 +14,7 @@ from bayescal._core.errors import BayescalError
 
 
 class Work:
-    """One page's work: at most one job at a time, and beside it at most one preview, the one asked for last.
+    """One page's work: jobs one after the other, beside them a look, and at most one preview, the one asked for last.
 
     Results, and refusals in words, come back to the page's own thread.
     """
@@ -28,7 +28,7 @@ class Work:
         self._previews = ThreadPoolExecutor(1, thread_name_prefix="workbench preview")
         self._lock, self._wanted = Lock(), 0
         self.on_busy: list[Callable[[bool], None]] = []
-        self.busy = False
+        self._under_way = 0
 
     def on_page(self, call: Callable[[], None]) -> None:
         """Call something in the page's own thread, soon; from any thread."""
@@ -45,15 +45,12 @@ class Work:
         then: Callable[[Any], None],
         failed: Callable[[], None] = lambda: None,
     ) -> None:
-        """Begin a job, unless one is under way; `then(result)`, or `failed()`, follows on the page."""
-        if self.busy:
-            self._tell("One moment: something is being computed. Stop it, or wait.", True)
-            return
-        self._set_busy(True)
+        """Begin a job, after those that are under way; `then(result)`, or `failed()`, follows on the page."""
+        self._count(1)
         self._tell(words, False)
 
         def done(result: Any, error: BaseException | None) -> None:
-            self._set_busy(False)
+            self._count(-1)
             self._tell("" if error is None else _in_words(error), error is not None)
             if error is None:
                 then(result)
@@ -107,10 +104,11 @@ class Work:
         self._looks.shutdown(wait=False, cancel_futures=True)
         self._previews.shutdown(wait=False, cancel_futures=True)
 
-    def _set_busy(self, busy: bool) -> None:
-        self.busy = busy
-        for call in self.on_busy:
-            call(busy)
+    def _count(self, more: int) -> None:
+        before, self._under_way = self._under_way, self._under_way + more
+        if bool(before) != bool(self._under_way):
+            for call in self.on_busy:
+                call(bool(self._under_way))
 
 
 def _outcome(job: Callable[[], Any]) -> tuple[Any, BaseException | None]:
