@@ -19,6 +19,7 @@ from ._discovery.draft_effect import shape_of as shape_of
 from ._discovery.draft_effect import template as template
 
 # a sensor's noise, as data sheets give it
+from ._recording.set_aside import set_aside as set_aside
 from ._recording.allan_deviation import allan_deviation as allan_deviation
 from ._recording.allan_deviation import AllanDeviation as AllanDeviation
 

@@ -57,7 +57,7 @@ ROOMS = {
     "report",
     "workbench.parts": "style work decimate pieces rows",
     "workbench.panes": "fails_data fails model missing error experiment allan take_away file describe tabs",
-    "workbench": "state session app",
+    "workbench": "state origin script kept tree change describe search take_away session app",
     "_cli": "options column_options console request saved output catalogue fitting calibrate deliverables "
     "batch main",
 }
