@@ -107,10 +107,9 @@ class Workbench:
 
     def begin_with(self, readings: Any) -> None:
         """Begin anew with other readings: a session of its own, in the place of this one."""
-        first = self.session.states[0].step.calibration.model
         self.run(
             "Fitting the new readings …",
-            lambda: self.session.with_readings(readings, first),
+            lambda: self.session.with_readings(readings),
             self._begun,
         )
 
@@ -174,7 +173,7 @@ class Workbench:
         self.error.searching(True, "searching …")
 
         def follow(trail: Any) -> None:
-            self.work.on_page(lambda: self.error.searching(True, progress_in_words(trail)))
+            self.work.on_page(lambda: self._searched(trail))
 
         def ended(_: Any) -> None:
             self.error.searching(False, "")
@@ -186,6 +185,11 @@ class Workbench:
             ended,
             failed=lambda: self.error.searching(False, ""),
         )
+
+    def _searched(self, trail: Any) -> None:
+        self.error.searching(True, progress_in_words(trail))
+        if len(self.session.states) > len(self.error.rows.rows):
+            self.error.show(self.session.states, self.session.current.number)
 
     def _stop(self) -> None:
         self.session.stop()

@@ -70,7 +70,6 @@ class Fails:
         )
         self.choice.param.watch(self._chosen, "value")
         self.when.param.watch(lambda _: self._showing or self._fill(), "value")
-        self.source.selected.on_change("indices", self._brushed_in_source)
 
     def show(self, step: Any, before: Any | None) -> None:
         """Show a state; `before` is the step of the one it came from."""
@@ -149,12 +148,17 @@ class Fails:
             return
         self._y = fixed_range(-1, 1)
         names = [n for n in self.choice.value if n in self.shown.covariates]
+        self.source = ColumnDataSource(
+            {}
+        )  # panels that go keep theirs, with the columns that they draw
         self._fill_source(names)
+        self.source.selected.on_change("indices", self._brushed_in_source)
         self._say_runs()
         self._figures = {name: self._panel(name, i == 0) for i, name in enumerate(names)}
         self._fit_range()
         for made in self._figures.values():
             dress(made, self.palette)
+        self.panels.css_classes = ["panels", f"of{len(names)}"]
         self.panels[:] = [
             pn.pane.Bokeh(made, sizing_mode="stretch_both", margin=0, min_height=0)
             for made in self._figures.values()

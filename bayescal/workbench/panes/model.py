@@ -24,7 +24,7 @@ class ModelPane:
         """`act(name, *arguments)` does something; `ask(done, name, *arguments)` asks what it would do."""
         self._act, self._ask = act, ask
         self._calibration: Any = None
-        self._chosen = ""
+        self._chosen, self._shut = "", False
         self.equation = words("", "small")
         self.effects = Rows(self._choose, kind="pair", label="Effects of the model", **_ROWS)
         self.noise = Rows(self._take_law, kind="pair", label="Noise law", **_ROWS)
@@ -51,16 +51,17 @@ class ModelPane:
         self.buttons = [
             button("Take out", lambda _: self._do("take_out", self._chosen)),
             button("Fix", lambda _: self._do("fix", self.coefficient.value, self.value.value)),
+            button("Free", lambda _: self._do("free", self.coefficient.value)),
             button("Resize", lambda _: self._do("resize", self._chosen, self.size.value)),
             button("Close", lambda _: self._open("")),
         ]
-        out, fix, resize, close = self.buttons
+        out, fix, free, resize, close = self.buttons
         return pn.Column(
             self.title,
             self.consequences,
             row(out, close),
             row(self.coefficient),
-            row(self.value, fix),
+            row(self.value, fix, free),
             row(self.size, resize),
             visible=False,
             css_classes=["form"],
@@ -87,8 +88,16 @@ class ModelPane:
     def busy(self, busy: bool) -> None:
         """Shut or open what changes the model."""
         self.effects.busy = self.noise.busy = busy
-        for one in self.buttons[:3]:
-            one.disabled = busy
+        self._shut = busy
+        self._open_buttons()
+
+    def _open_buttons(self) -> None:
+        """*Free* is open where the chosen unknown is held."""
+        held = self._calibration is not None and self.coefficient.value in dict(
+            self._calibration.model.fixed
+        )
+        for one in self.buttons[:-1]:
+            one.disabled = self._shut or (one.name == "Free" and not held)
 
     def _choose(self, effect: str, _: str) -> None:
         self._open(effect)
@@ -118,6 +127,8 @@ class ModelPane:
         coefficients, others = summary(self._calibration)
         means = {r["name"]: (r["mean"], r["unit"]) for r in (*coefficients, *others)}
         mean, unit = means.get(self.coefficient.value, (None, ""))
+        mean = dict(self._calibration.model.fixed).get(self.coefficient.value, mean)
+        self._open_buttons()
         self.value.value = None if mean is None else float(f"{mean:.6g}")
         self.value.name = f"held at [{unit_label(unit) or '1'}]"
 

@@ -15,10 +15,11 @@ def drawn_rows(
     residual: np.ndarray,
     views: Mapping[str, tuple[float, float]] | None = None,
 ) -> np.ndarray:
-    """Rows to draw: all; or, of many, those with the lowest and the highest residual in each column of pixels.
+    """Rows to draw: all; or, of many, those with the lowest and the highest residual in each column of pixels, and
+    evenly spaced ones between them.
 
     The same rows are drawn in every panel, so that what is brushed in one lights up in the others: the union over the
-    panels. Extremes are never lost; the density between them is.
+    panels. Extremes are never lost; of what lies between them, an even share is drawn.
 
     Args:
         covariates: (n,) each, by panel.
@@ -30,10 +31,12 @@ def drawn_rows(
     """
     if residual.size <= MANY:
         return np.arange(residual.size)
-    chosen = np.zeros(residual.size, bool)
+    chosen, seen = np.zeros(residual.size, bool), np.ones(residual.size, bool)
     for name, values in covariates.items():
         low, high = (views or {}).get(name, (float(values.min()), float(values.max())))
-        inside = np.flatnonzero((values >= low) & (values <= high))
+        in_view = (values >= low) & (values <= high)
+        seen &= in_view if name in (views or {}) else True
+        inside = np.flatnonzero(in_view)
         if inside.size <= MANY // len(covariates):
             chosen[inside] = True
             continue
@@ -43,6 +46,10 @@ def drawn_rows(
         edges = np.flatnonzero(np.diff(np.sort(pixel))) + 1
         chosen[order[np.r_[0, edges]]] = True  # the lowest of each column
         chosen[order[np.r_[edges - 1, order.size - 1]]] = True  # and the highest
+    between = np.flatnonzero(seen & ~chosen)
+    chosen[between[:: max(1, -(-between.size // (MANY - min(int(chosen.sum()), MANY // 2))))]] = (
+        True
+    )
     return np.flatnonzero(chosen)
 
 
@@ -50,6 +57,4 @@ def sentence(drawn: int, of: int) -> str:
     """What is drawn, where it is not all; else empty."""
     if drawn == of:
         return ""
-    return (
-        f"{drawn:,} of {of:,} readings drawn: the lowest and the highest in every column of pixels"
-    )
+    return f"{drawn:,} of {of:,} readings drawn: lowest and highest of every column of pixels, an even share between"

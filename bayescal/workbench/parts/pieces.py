@@ -4,6 +4,7 @@ buttons, choices, rows and columns.
 
 from __future__ import annotations
 
+from html import escape
 from typing import Any
 
 import panel as pn
@@ -27,7 +28,8 @@ label, .bk-input-group > * { margin: 0 !important; }
 label { cursor: pointer; position: relative; display: inline-flex !important; }
 label input { position: absolute; opacity: 0; margin: 0; }
 label span { display: inline-block; margin: 0 !important; padding: 2px 9px; border: 1px solid var(--line);
-  border-radius: 4px; color: var(--ink); background: var(--ground); font: 12.5px/1.3 var(--letters); white-space: nowrap; }
+  border-radius: 4px; color: var(--ink); background: var(--ground); font: 12.5px/1.3 var(--letters);
+  white-space: nowrap; }
 label:hover span { border-color: var(--mark); }
 label input:checked + span { background: var(--mark); border-color: var(--mark); color: var(--ground); }
 label input:focus-visible + span { outline: 2px solid var(--mark); outline-offset: 2px; }
@@ -36,10 +38,17 @@ label input:disabled + span { opacity: 0.5; cursor: default; }
 """
 
 
-def words(text: str = "", *kinds: str, **settings: Any) -> pn.pane.Str:
+class Text(pn.pane.Str):
+    """Panel's pane of text, which shows `<b>` in bold: here it stays text."""
+
+    def _transform_object(self, obj: Any) -> dict[str, Any]:
+        return super()._transform_object(escape(str(obj)) if obj else "")
+
+
+def words(text: str = "", *kinds: str, **settings: Any) -> Text:
     """A text; `kinds`: "title", "small" (quiet), "table" (a printed one), "refused"."""
     settings = {"margin": 0, "css_classes": list(kinds), "stylesheets": [PLAIN], **settings}
-    return pn.pane.Str(text, **settings)
+    return Text(text, **settings)
 
 
 def button(label: str, press: Any, **settings: Any) -> pn.widgets.Button:
