@@ -17,6 +17,7 @@ from ._discovery.next_experiment import next_experiment as next_experiment
 from ._discovery.false_reports import false_reports as false_reports
 from ._discovery.draft_effect import shape_of as shape_of
 from ._discovery.draft_effect import template as template
+from ._discovery.describe import describe as describe
 
 # a sensor's noise, as data sheets give it
 from ._recording.set_aside import set_aside as set_aside
@@ -30,6 +31,7 @@ from ._compensation.budget import budget as budget
 from ._firmware.parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot
+from .workbench.start import workbench as workbench  # in a notebook; needs bayescal[workbench]
 
 # what a model is made of
 from ._model.model import Instrument as Instrument  # with `baseline`, which model.py attaches

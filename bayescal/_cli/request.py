@@ -110,6 +110,20 @@ def _opened(asked: Asked, **more: Any) -> tuple[Instrument, Any]:
     return general, read(files, general, **how)
 
 
+def read_early(asked: Asked, **more: Any) -> tuple[Any, FileColumns | None]:
+    """What `read` gives before the instrument loads, and by which columns; None where that cannot be, or takes long.
+
+    Raises:
+        InputError: a file cannot be used, or no instrument is of that name.
+    """
+    files, how = list(asked.files), {**asked.columns.for_read(), **more}
+    holds = (
+        None if in_a_file(asked.instrument) else file_columns(known_instrument(asked.instrument))
+    )
+    short = sum(path.stat().st_size for path in files if path.is_file()) <= LONG
+    return (read(files, holds, **how) if holds and short else None), holds
+
+
 def open_kept(
     files: Sequence[Path] | None, instrument: Instrument, asked: Asked
 ) -> Measurements | None:

@@ -43,6 +43,8 @@ def keep_state(folder: Path, name: str, state: State, script: str) -> None:
         InputError: it cannot be written.
     """
     own = folder / name
+    if (own / MANIFEST).is_file():
+        raise InputError(f"{own} was made meanwhile: another workbench goes on in {folder}. End one")
     try:
         own.mkdir(exist_ok=True)
     except OSError as error:

@@ -13,6 +13,7 @@ import numpy as np
 
 from bayescal._core.errors import BayescalError
 from bayescal._discovery.calibrate import Loop
+from bayescal._discovery.describe import Draft, describe
 from bayescal._discovery.discover import Discovery, discover
 from bayescal._discovery.own_files import user_effects
 from bayescal._discovery.preview import Preview, Previews
@@ -26,7 +27,6 @@ from bayescal._search.noise_laws import laws_over
 from bayescal._search.posterior import Shown
 from bayescal.workbench import kept, take_away
 from bayescal.workbench.change import Change, changed
-from bayescal.workbench.describe import Draft, describe
 from bayescal.workbench.origin import Origin, Settings
 from bayescal.workbench.search import Search
 from bayescal.workbench.state import State
@@ -94,17 +94,20 @@ class Session:
         return session
 
     @classmethod
-    def resume(cls, folder: str | Path, effects: Sequence[Effect] = ()) -> Session:
+    def resume(
+        cls, folder: str | Path, effects: Sequence[Effect] = (), of: Origin | None = None
+    ) -> Session:
         """A session as its folder has it: every state that was made, whatever ended it.
 
         Args:
             folder: that was given to `begin`.
             effects: of the user's own that were given there as Python objects; those in files are run again.
+            of: what it must be of; None: anything.
 
         Raises:
-            InputError: it holds no session, or something in it was changed.
+            InputError: it holds no session, one of something else, or something in it was changed.
         """
-        tree, own, holdout = Tree.resume(Path(folder), {e.name: e for e in effects})
+        tree, own, holdout = Tree.resume(Path(folder), {e.name: e for e in effects}, of)
         return cls(tree.states[0].calibration.readings, holdout, tree, own)
 
     def with_readings(self, readings: Measurements, model: Model | None = None) -> Session:
@@ -230,7 +233,8 @@ class Session:
         """
         state = self.current
         with self._beside:
-            return describe(state.calibration, np.asarray(rows), self._previews_of(state), against)
+            previews = self._previews_of(state)
+            return describe(state.calibration, rows, against, previews=previews)
 
     def load_draft(self, code: str) -> tuple[str, ...]:
         """Run code that defines effects, as --effects does, and have them among the candidates; their names.

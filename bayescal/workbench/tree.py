@@ -18,7 +18,7 @@ from bayescal._model.effect import Effect
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.set_aside import set_aside
 from bayescal.workbench import kept
-from bayescal.workbench.origin import Origin, Settings
+from bayescal.workbench.origin import Origin, Settings, refuse_other
 from bayescal.workbench.script import folder_name, script
 from bayescal.workbench.state import State
 
@@ -60,18 +60,21 @@ class Tree:
 
     @classmethod
     def resume(
-        cls, folder: Path, effects: Mapping[str, Effect]
+        cls, folder: Path, effects: Mapping[str, Effect], of: Origin | None = None
     ) -> tuple[Tree, dict[str, Effect], Measurements | None]:
         """The tree in a folder, effects of the user's own, and the hold-out data.
 
         Args:
             folder: of a session.
             effects: that are in no file.
+            of: what it must be of.
 
         Raises:
             InputError: it holds no session, or something in it was changed.
         """
         told = kept.session_in(folder)
+        if of is not None:
+            refuse_other(told["origin"], of, folder)
         tree = cls(folder, Settings.from_data(told["settings"]), told["origin"])
         instrument, spikes = tree.origin.open_instrument(), tree.settings.keep_spikes
         own = {**effects, **tree.origin.open_effects()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,20 +50,25 @@ class Draft:
 
 
 def describe(
-    calibration: Calibration, rows: Int[np.ndarray, "k"], previews: Previews, against: str = ""
+    calibration: Calibration,
+    rows: Sequence[int] | Int[np.ndarray, "k"],
+    against: str = "",
+    *,
+    previews: Previews | None = None,
 ) -> Draft:
-    """What some readings show that the model does not have.
+    """What some readings show that the model does not have, with the draft of an effect.
 
     Args:
         calibration: the model.
-        rows: numbers of the selected readings.
-        previews: over this calibration.
+        rows: numbers of the selected readings, from 0.
+        previews: over this calibration, where there are some.
         against: name of the covariate that the region was selected along; empty: whichever explains it best.
 
     Raises:
         InputError: no reading is selected, or one that is not there.
     """
     rows = np.unique(np.asarray(rows, dtype=np.intp))
+    previews = previews or Previews(calibration)
     if not rows.size or rows[0] < 0 or rows[-1] >= len(calibration.readings):
         count = len(calibration.readings)
         raise InputError(f"select readings to describe, of rows 0 to {count - 1}")
