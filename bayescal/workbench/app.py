@@ -60,6 +60,9 @@ class Workbench:
         self._wear(False)
         self.refresh()
         self.look()
+        document = pn.state.curdoc
+        if document is not None and document.session_context is not None:
+            document.on_session_destroyed(lambda _: self.work.close())
 
     def _page(self, framed: bool) -> pn.Column:
         self.told = words(readings_in_words(self.session), "small", "about")
@@ -144,6 +147,7 @@ class Workbench:
                 self.missing.show(now.discovery)
                 self.model.show(now)
                 self.error.show(self.session.states, now.number)
+                self.tabs.looked(now)
 
         self.work.look(self.session.look, found)
 

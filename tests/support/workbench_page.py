@@ -40,7 +40,7 @@ class Bench:
     """`bayescal workbench` with these arguments, until `close`."""
 
     def __init__(self, *arguments: str | Path) -> None:
-        command = [sys.executable, "-c", MAIN, "workbench", *map(str, arguments), "--no-browser"]
+        command = [sys.executable, "-c", MAIN, "workbench", *map(str, arguments), "--no-open"]
         path = f"{ROOT}{os.pathsep}{ROOT / 'models'}"
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT,

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import panel as pn
+import panel.models.file_dropper  # its scripts come with the page
 
 from bayescal._core.errors import InputError
 from bayescal._readings.column_matching import expected_columns

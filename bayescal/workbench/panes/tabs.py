@@ -54,6 +54,12 @@ class Tabs:
         self._state, self._stale = state, set(self._panes) - {"File"}
         self._freshen()
 
+    def looked(self, state: Any) -> None:
+        """What is missing from the state is known now."""
+        self._state = state
+        self._stale.add("Next experiment")
+        self._freshen()
+
     def selected(self, rows: np.ndarray) -> None:
         """Rows were brushed."""
         self.describe.selected(rows)
