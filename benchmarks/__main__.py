@@ -24,6 +24,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "gauntlet": "spoilt_records.measurement",
     "start_up": "speed.start_up",
     "scaling": "speed.scaling.rows",
+    "workbench": "speed.workbench",
 }
 
 

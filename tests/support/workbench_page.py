@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bayescal_models import mems_gyro
@@ -25,14 +26,20 @@ ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "-
 QUIET = ("--disable-background-networking", "--disable-component-update", "--disable-sync")
 
 
-def write_campaign(folder: Path, **names: str) -> tuple[Path, Path]:
-    """A gyroscope's test with two hidden effects, and a second one kept apart, as files."""
+def write_campaign(folder: Path, also: str = "") -> tuple[Path, Path]:
+    """A gyroscope's test with two hidden effects, and a second one kept apart, as files.
+
+    `also` is the header of a further column, of no effect.
+    """
     paths = folder / "test.csv", folder / "later.csv"
     for seed, path in enumerate(paths, start=1):
         readings = mems_gyro.simulate(HIDDEN, seed=seed)
         table = readings.to_pandas()
         units = {c: f"{c} [{readings.unit(c)}]" for c in table.columns if readings.unit(c)}
-        table.rename(columns=units).rename(columns=names).to_csv(path, index=False)
+        table = table.rename(columns=units)
+        if also:
+            table[also] = 20 + np.sin(np.arange(len(table)))
+        table.to_csv(path, index=False)
     return paths
 
 
@@ -48,7 +55,8 @@ class Bench:
         )  # fmt: skip
         self.said: list[str] = []
         self.url = self._address()
-        threading.Thread(target=self._read, daemon=True).start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
 
     def _address(self) -> str:
         assert self.process.stdout is not None
@@ -56,6 +64,8 @@ class Bench:
             self.said.append(line)
             if found := re.search(r"http://127\.0\.0\.1:\S+", line):
                 return found[0]
+        self.process.wait(30)
+        self.process.stdout.close()
         raise AssertionError(f"the workbench did not begin: {''.join(self.said)}")
 
     def _read(self) -> None:
@@ -65,11 +75,17 @@ class Bench:
     def kill(self) -> None:
         """As a power cut does it."""
         self.process.kill()
-        self.process.wait(30)
+        self._end()
 
     def close(self) -> None:
         self.process.terminate()
+        self._end()
+
+    def _end(self) -> None:
         self.process.wait(30)
+        self._reader.join(30)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
 
 
 @contextmanager
@@ -97,9 +113,13 @@ class Seen:
         self.wrong: list[str] = []
         page.set_default_timeout(LONG)
         page.route("**/*", self._only_here)
-        page.on("console", lambda m: self.wrong.append(m.text) if m.type == "error" else None)
+        page.on("console", lambda m: self._said(m.text) if m.type == "error" else None)
         page.on("pageerror", lambda e: self.wrong.append(str(e)))
         page.on("dialog", lambda d: (self.wrong.append(f"dialog: {d.message}"), d.dismiss()))
+
+    def _said(self, text: str) -> None:
+        if "ERR_CONNECTION_REFUSED" not in text:  # the page that stands while the workbench loads asks again
+            self.wrong.append(text)
 
     def _only_here(self, route: Any) -> None:
         here = re.match(r"(https?://127\.0\.0\.1[:/]|data:|blob:)", route.request.url)

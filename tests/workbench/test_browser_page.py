@@ -17,7 +17,8 @@ FOCUSED = """() => {
   let at = document.activeElement;
   while (at && at.shadowRoot && at.shadowRoot.activeElement) at = at.shadowRoot.activeElement;
   const row = at && at.dataset && at.dataset.row ? `row ${at.dataset.row}` : "";
-  return row || at.getAttribute("aria-label") || at.textContent.trim() || at.value || at.tagName;
+  const label = at.labels && at.labels.length ? at.labels[0].textContent.trim() : "";
+  return row || label || at.getAttribute("aria-label") || (at.tagName === "BUTTON" ? at.textContent : at.tagName);
 }"""
 
 
@@ -26,11 +27,10 @@ def begun(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     chromium()
     pytest.importorskip("playwright.sync_api", reason="Playwright for Python is not here")
     folder = tmp_path_factory.mktemp("workbench")
-    test, later = write_campaign(folder, board_temperature=f"{NAME} [degC]")
+    test, later = write_campaign(folder, also=f"{NAME} [degC]")
     text = test.read_text("utf-8").replace("\n3,", "\n<b>third</b>,")
     test.write_text(text, "utf-8")
-    columns = ("--columns", f"board_temperature={NAME}")
-    with bench(test, *GYRO, "--holdout", later, *columns, "--out", folder / "kept") as running:
+    with bench(test, *GYRO, "--holdout", later, "--out", folder / "kept") as running:
         yield running
 
 

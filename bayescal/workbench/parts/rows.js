@@ -32,11 +32,13 @@ function cellOf(cell, tag) {
 
 export function render({ model, el }) {
   const table = element(model.table ? "table" : "div", "rows " + model.kind);
-  let timer = null, last = "";
+  let timer = null, waiting = "", last = "";
 
   function point(id, wait) {
+    if (waiting === id && timer) return;
     clearTimeout(timer);
-    timer = setTimeout(() => { if (last !== id) { last = id; model.pointed = id; } }, wait);
+    waiting = id;
+    timer = setTimeout(() => { timer = null; if (last !== id) { last = id; model.pointed = id; } }, wait);
   }
   function press(row, action) { model.send_msg({ row, action }); }
 
@@ -46,7 +48,9 @@ export function render({ model, el }) {
     if (!model.table) made.setAttribute("role", "listitem");
     if (model.pointing) {
       made.tabIndex = 0;
-      made.addEventListener("mouseenter", () => point(row.id, MOMENT));
+      made.addEventListener("mousemove", (event) => {  // moved, not: rows that scroll under a resting pointer
+        if (event.movementX || event.movementY) point(row.id, MOMENT);
+      });
       made.addEventListener("focusin", () => point(row.id, 0));
       made.addEventListener("click", () => point(row.id, 0));
     }
@@ -106,7 +110,7 @@ export function render({ model, el }) {
     for (const row of table.querySelectorAll("[data-row]"))
       row.classList.toggle("pointed", row.dataset.row === model.pointed);
   }
-  table.addEventListener("mouseleave", () => clearTimeout(timer));
+  table.addEventListener("mouseleave", () => { clearTimeout(timer); timer = null; });
   table.addEventListener("keydown", (event) => {
     const rows = [...table.querySelectorAll("[data-row]")];
     const at = rows.findIndex((row) => row.contains(table.getRootNode().activeElement));
