@@ -100,7 +100,7 @@ def test_adding_lowers_the_error_and_a_step_can_be_gone_back_to(seen: Seen) -> N
 
 
 def test_a_dropped_file_is_judged_as_calibrate_judges_it(seen: Seen, tmp_path: Path) -> None:
-    bad = tmp_path / "wrong units.csv"
+    bad = tmp_path / "<img src=x onerror=alert(3)> wrong units.csv"
     bad.write_text(f"time [s],temperature [m],<script>alert(2)</script>,{NAME}\n0,1,2,3\n", "utf-8")
     seen.tab("File")
     seen.page.locator("input[type=file]").set_input_files(bad)

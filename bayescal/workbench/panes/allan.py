@@ -83,7 +83,9 @@ def allan_figure(found: AllanCheck, palette: Palette) -> Any:
     made.scatter(
         "tau", "deviation", source=source, size=7, color=palette.blue, legend_label="residuals"
     )
-    whisker = Whisker(base="tau", upper="high", lower="low", source=source, line_color=palette.blue)
+    whisker: Any = Whisker(
+        base="tau", upper="high", lower="low", source=source, line_color=palette.blue
+    )
     whisker.upper_head.size = whisker.lower_head.size = 6
     whisker.upper_head.line_color = whisker.lower_head.line_color = palette.blue
     made.add_layout(whisker)

@@ -54,9 +54,8 @@ class ErrorPane:
         self.find = button("Find all", lambda _: find_all(), button_type="primary")
         self.halt = button("Stop", lambda _: stop(), disabled=True)
         self.progress = words("", "small")
-        self.source = ColumnDataSource(
-            {name: [] for name, _, _ in SERIES} | {"step": [], "floor": []}
-        )
+        empty: dict[str, Any] = {name: [] for name in (*(s[0] for s in SERIES), "step", "floor")}
+        self.source: Any = ColumnDataSource(empty)
         self.figure = self._figure()
         self.view = column(
             row(self.find, self.halt, self.progress),
@@ -110,7 +109,6 @@ class ErrorPane:
                 orientation="horizontal",
                 label_text_font_size="11px",
                 margin=0,
-                padding=0,
                 spacing=8,
                 glyph_width=16,
                 border_line_alpha=0,

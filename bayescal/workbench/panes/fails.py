@@ -8,28 +8,18 @@ from typing import Any
 import numpy as np
 import panel as pn
 from bokeh.events import Reset, SelectionGeometry
-from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Range1d, Span
+from bokeh.models import ColumnDataSource, Range1d
 
 from bayescal.workbench.panes.fails_data import AGAINST, Shown
+from bayescal.workbench.panes.fails_panel import dress_panel, residual_panel, show_curve
 from bayescal.workbench.parts.decimate import drawn_rows, sentence
 from bayescal.workbench.parts.pieces import choice, column, row, several, words
-from bayescal.workbench.parts.style import (
-    INSIDE,
-    LIGHT,
-    RED,
-    Palette,
-    dress,
-    fixed_range,
-    new_figure,
-    span,
-)
+from bayescal.workbench.parts.style import INSIDE, LIGHT, Palette, fixed_range, span
 
-TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
 AFTER, BEFORE, BOTH = "after", "before", "both"
 MOST = 4  # panels side by side, at most
 LEGEND = 6  # runs that are named beside their colour
 SIGNS = "●■▲◆▼⬢"  # as MARKERS
-SHORT = 48  # letters of a label
 
 
 class Fails:
@@ -45,7 +35,7 @@ class Fails:
         self.shown: Shown | None = None
         self.palette: Palette = LIGHT
         self.selected = np.array([], int)
-        self.source = ColumnDataSource({})
+        self.source: Any = ColumnDataSource({})
         self._curve: np.ndarray | None = None
         self._views: dict[str, tuple[float, float]] = {}
         self._figures: dict[str, Any] = {}
@@ -73,8 +63,9 @@ class Fails:
 
     def show(self, step: Any, before: Any | None) -> None:
         """Show a state; `before` is the step of the one it came from."""
-        same = before is not None and len(before.check.residuals) == len(step.check.residuals)
-        self.shown = Shown(step, np.asarray(before.check.residuals, float) if same else None)
+        earlier = None if before is None else np.asarray(before.check.residuals, float)
+        same = earlier is not None and earlier.size == len(step.check.residuals)
+        self.shown = Shown(step, earlier if same else None)
         self._curve = None
         self._views = {}
         self.said.object = self.shown.sentence()
@@ -99,9 +90,7 @@ class Fails:
             rows = self.source.data["row"]
             self.source.data["curve"] = self._curve_at(rows)
             for made in self._figures.values():
-                for renderer in made.renderers:
-                    if renderer.name == "curve":
-                        renderer.visible = self._curve is not None
+                show_curve(made, self._curve is not None)
 
     def wear(self, palette: Palette) -> None:
         """Take the colours of a ground."""
@@ -110,10 +99,7 @@ class Fails:
             self.source.data["colour"] = self.shown.colours(palette)[self.source.data["row"]]
             self._say_runs()
         for made in self._figures.values():
-            dress(made, palette)
-            for renderer in made.renderers:
-                if renderer.name == "curve":
-                    renderer.glyph.fill_color = palette.ink
+            dress_panel(made, palette)
 
     def select(self, rows: np.ndarray) -> None:
         """Brush rows, of all readings; in the panels those that are drawn light up."""
@@ -154,10 +140,10 @@ class Fails:
         self._fill_source(names)
         self.source.selected.on_change("indices", self._brushed_in_source)
         self._say_runs()
-        self._figures = {name: self._panel(name, i == 0) for i, name in enumerate(names)}
+        self._figures = {name: self._panel(name) for name in names}
         self._fit_range()
         for made in self._figures.values():
-            dress(made, self.palette)
+            dress_panel(made, self.palette)
         self.panels.css_classes = ["panels", f"of{len(names)}"]
         self.panels[:] = [
             pn.pane.Bokeh(made, sizing_mode="stretch_both", margin=0, min_height=0)
@@ -215,39 +201,11 @@ class Fails:
     def _curve_at(self, rows: np.ndarray) -> np.ndarray:
         return np.full(len(rows), np.nan) if self._curve is None else self._curve[rows]
 
-    def _panel(self, name: str, first: bool) -> Any:
-        shown, i = self.shown, list(self._names()).index(name)
+    def _panel(self, name: str) -> Any:
+        shown, x = self.shown, f"x{self._names().index(name)}"
         assert shown is not None
-        values = shown.covariates[name]
-        unit = shown.units[name]
-        against = name == AGAINST
-        label = "predicted" if against else name[:SHORT]
-        made = new_figure(
-            f"{label} [{unit or '1'}]" if name not in shown.levels else label,
-            f"measured [{shown.unit}]" if against else f"residual [{shown.unit}]",
-            tools=TOOLS,
-            active_drag="box_select",
-            active_scroll="xwheel_zoom",
-            x_range=fixed_range(float(values.min()), float(values.max())),
-            output_backend="canvas",
-        )
-        made.name = f"panel {name}"
-        if against:
-            made.y_range = fixed_range(float(shown.measured.min()), float(shown.measured.max()))
-            made.line(
-                [values.min(), values.max()],
-                [values.min(), values.max()],
-                color="#7a7a7a",
-                line_dash="dashed",
-            )
-        else:
-            made.y_range = self._y
-            self._ground(made, name)
-        self._points(made, f"x{i}", "measured" if against else "residual", against)
-        levels = shown.levels.get(name)
-        if levels:
-            made.xaxis.ticker = list(range(len(levels)))
-            made.xaxis.major_label_overrides = {k: v[:12] for k, v in enumerate(levels)}
+        made = residual_panel(shown, name, x, self.source, self._y)
+        show_curve(made, self._curve is not None)
         made.on_event(SelectionGeometry, lambda event: self._brushed_in_panel(name, event))
         made.on_event(Reset, lambda _: self.select(np.array([], int)))
         for end in ("start", "end"):
@@ -258,93 +216,14 @@ class Fails:
         assert self.shown is not None
         return [n for n in self.choice.value if n in self.shown.covariates]
 
-    def _ground(self, made: Any, name: str) -> None:
-        """The noise, zero, and the worst region."""
-        shown = self.shown
-        assert shown is not None
-        noise, entry = shown.check.noise, shown.entry(name)
-        made.add_layout(
-            BoxAnnotation(
-                bottom=-noise,
-                top=noise,
-                fill_color="#8a939b",
-                fill_alpha=0.16,
-                line_alpha=0,
-                level="underlay",
-            )
-        )
-        made.add_layout(Span(location=0, dimension="width", line_color="#8a939b", line_width=1))
-        if entry is not None and entry.log_bayes_factor > 0:
-            low, high = entry.worst.low, entry.worst.high
-            if entry.by_group:
-                low = high = float(shown.levels[name].index(str(entry.worst.group)))
-            wide = 0.02 * float(np.ptp(shown.covariates[name])) if low == high else 0.0
-            made.add_layout(
-                BoxAnnotation(
-                    left=low - wide,
-                    right=high + wide,
-                    fill_color=RED,
-                    fill_alpha=0.14,
-                    line_color=RED,
-                    line_alpha=0.5,
-                    level="underlay",
-                )
-            )
-
-    def _points(self, made: Any, x: str, y: str, against: bool) -> None:
-        few = len(self.source.data["row"]) <= 600
-        if not against:
-            made.scatter(
-                x,
-                "before",
-                source=self.source,
-                size=4,
-                fill_color=None,
-                line_color="#8a939b",
-                line_alpha=0.7,
-                nonselection_line_alpha=0.2,
-            )
-        points = made.scatter(
-            x,
-            y,
-            source=self.source,
-            size=5 if few else 3.5,
-            marker="marker",
-            fill_color="colour",
-            line_color=None,
-            fill_alpha=0.75,
-            nonselection_fill_alpha=0.12,
-            selection_fill_alpha=1.0,
-        )
-        made.add_tools(
-            HoverTool(
-                renderers=[points],
-                tooltips=[("reading", "@reading"), ("run", "@run"), (y, f"@{y}{{0.0000 a}}")],
-                point_policy="follow_mouse",
-                limit=1,
-            )
-        )
-        if not against:
-            made.scatter(
-                x,
-                "curve",
-                source=self.source,
-                size=3.5,
-                fill_color=self.palette.ink,
-                line_color=None,
-                name="curve",
-                visible=self._curve is not None,
-                nonselection_fill_alpha=0.9,
-            )
-
-    def _moved(self, name: str, view: Range1d) -> None:
+    def _moved(self, name: str, view: Any) -> None:
         """A panel was zoomed: of many readings, others are drawn; once, when it rests."""
         shown = self.shown
         if shown is None:
             return
         if shown.residual.size == len(self.source.data["row"]) and not self._views:
             return
-        self._views[name] = (float(view.start), float(view.end))  # type: ignore[arg-type]
+        self._views[name] = (float(view.start), float(view.end))
         document = self.source.document
         if document is None or self._waiting:
             return

@@ -186,7 +186,7 @@ class FilePane:
             cells += [which, unit, pn.Spacer(width=1)]
         self.form[:] = cells
 
-    def given(self) -> dict[str, dict[str, str]]:
+    def given(self) -> dict[str, Any]:
         """What the form says, as arguments of `read`."""
         columns = {
             n: w.value for n, (w, _) in self._fields.items() if w.value not in ("", AS_FOUND, None)

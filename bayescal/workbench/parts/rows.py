@@ -57,6 +57,6 @@ class Rows(JSComponent):
         for row in self.rows:
             if row["id"] == data.get("row"):
                 open_now = {a["id"] for a in row.get("actions", ()) if not a.get("off")}
-                if data.get("action") in open_now:
-                    self._on_press(row["id"], data["action"])
+                if (action := str(data.get("action"))) in open_now:
+                    self._on_press(row["id"], action)
                 return

@@ -5,7 +5,6 @@ Colours that carry a meaning: Okabe and Ito, "Color universal design" (2008).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +42,9 @@ MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex"
 __all__ = ["CSS", "DARK", "GREEN", "INSIDE", "LIGHT", "MARKERS", "ORANGE", "RED", "Palette"]
 
 
-def new_figure(x_label: str, y_label: str, **settings: Any) -> figure:
+def new_figure(x_label: str, y_label: str, **settings: Any) -> Any:
     """An empty Bokeh figure that fills its room, with the tools of all."""
-    made = figure(
+    made: Any = figure(
         **{
             "sizing_mode": "stretch_both",
             "min_width": 120,
@@ -70,7 +69,7 @@ def new_figure(x_label: str, y_label: str, **settings: Any) -> figure:
     return made
 
 
-def dress(made: figure, palette: Palette) -> None:
+def dress(made: Any, palette: Palette) -> None:
     """A figure in the colours of its ground."""
     for axis in made.axis:
         axis.axis_label_text_color = palette.ink
@@ -86,7 +85,7 @@ def dress(made: figure, palette: Palette) -> None:
         legend.background_fill_alpha = legend.border_line_alpha = 0
 
 
-def span(low: float, high: float, margin: float = 0.06) -> Mapping[str, float]:
+def span(low: float, high: float, margin: float = 0.06) -> dict[str, Any]:
     """Start and end of a range with a little room at either end."""
     room = margin * (high - low) or abs(high) or 1.0
     return {"start": low - room, "end": high + room}
