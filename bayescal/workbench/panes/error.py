@@ -187,8 +187,8 @@ def in_order(states: Mapping[int, Any]) -> list[tuple[int, int]]:
         found.append((n, depth))
         own = children.get(n, [])
         first, others = own[:1], own[1:]
-        waiting += [(c, depth) for c in first]
         waiting += [(c, depth + 1) for c in reversed(others)]
+        waiting += [(c, depth) for c in first]  # on top: it comes next
     return found
 
 
