@@ -17,6 +17,7 @@ from ._discovery.next_experiment import next_experiment as next_experiment
 from ._discovery.false_reports import false_reports as false_reports
 from ._discovery.draft_effect import shape_of as shape_of
 from ._discovery.draft_effect import template as template
+from ._discovery.describe import Draft as Draft
 from ._discovery.describe import describe as describe
 
 # a sensor's noise, as data sheets give it

@@ -147,7 +147,7 @@ def test_a_bad_file_is_refused_before_anything_opens(tmp_path: Path) -> None:
     file = tmp_path / "bad.csv"
     file.write_text("temperature [furlong],output [deg/s]\n20,1\n21,2\n")
     done = run("workbench", file, *GYRO, "--no-open", "--out", tmp_path / "out")
-    assert done.status == 2 and "furlong" in done.said
+    assert done.status == 2 and "furlong" in done.err
     assert not (tmp_path / "out").exists()
 
 
