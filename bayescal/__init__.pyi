@@ -32,7 +32,7 @@ from ._compensation.budget import budget as budget
 from ._firmware.parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot
-from .workbench.start import workbench as workbench  # in a notebook; needs bayescal[workbench]
+from ._workbench.start import workbench as workbench  # in a notebook; needs bayescal[workbench]
 
 # what a model is made of
 from ._model.model import Instrument as Instrument  # with `baseline`, which model.py attaches

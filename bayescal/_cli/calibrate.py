@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from bayescal._cli.request import Asked
     from bayescal._model.effect import Effect
     from bayescal._readings.measurements import Measurements
-    from bayescal.workbench.serve import Sessions
-    from bayescal.workbench.start import Waiting
+    from bayescal._workbench.serve import Sessions
+    from bayescal._workbench.start import Waiting
 
 commands = typer.Typer()
 
@@ -100,7 +100,7 @@ def workbench(
     It is served to this computer alone, under an address that nobody guesses.
     """
     from bayescal._cli import request
-    from bayescal.workbench import start
+    from bayescal._workbench import start
 
     start.refuse_without_panel()
     asked = request.Asked(instrument, files, columns, choice, average, keep_spikes)
@@ -128,7 +128,7 @@ def workbench(
             sessions = _sessions(asked, holdout, folder, name, settings, waiting)
         finally:
             waiting.close()
-        from bayescal.workbench.serve import serve
+        from bayescal._workbench.serve import serve
 
         serve(sessions, address)
     print("bayescal workbench: ended", flush=True)
@@ -152,9 +152,9 @@ def _sessions(
     own = request.user_effects(own_file)
     settings["reference"] = request.reference_of(asked.choice.reference, readings) or None
     waiting.doing = "Loading the page …"
-    from bayescal.workbench.origin import Origin
-    from bayescal.workbench.serve import Sessions
-    from bayescal.workbench.session import Session
+    from bayescal._workbench.origin import Origin
+    from bayescal._workbench.serve import Sessions
+    from bayescal._workbench.session import Session
 
     origin = Origin.of(
         asked.instrument,

@@ -56,9 +56,9 @@ ROOMS = {
     "_plots": "style residuals allan search posterior",
     "_report": "result_json whole_folder under_way save_search section certificate d_si dcc figures tables sentences "
     "report",
-    "workbench.parts": "style work decimate pieces rows",
-    "workbench.panes": "fails_data fails_panel fails model missing error experiment allan take_away file describe tabs",
-    "workbench": "state origin script kept tree change search take_away session app start serve",
+    "_workbench.parts": "style work decimate pieces rows",
+    "_workbench.panes": "fails_data fails_panel fails model missing error experiment allan take_away file describe tabs",
+    "_workbench": "state origin script kept tree change search take_away session app start serve",
     "_cli": "options column_options console request saved output catalogue fitting calibrate deliverables "
     "batch main",
 }

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import pytest
 
 import bayescal as bc
-from bayescal.workbench.origin import Origin
-from bayescal.workbench.session import Session
+from bayescal._workbench.origin import Origin
+from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 
 HIDDEN = {"bias.thermal_lag": 0.05, "bias.warm_up": 0.3}

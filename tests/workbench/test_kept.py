@@ -13,8 +13,8 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.description import identity
-from bayescal.workbench.origin import Origin
-from bayescal.workbench.session import Session
+from bayescal._workbench.origin import Origin
+from bayescal._workbench.session import Session
 from tests.support.command_line import needs_installation, run
 from tests.workbench.conftest import Campaign
 from tests.workbench.test_session import OWN
@@ -26,8 +26,8 @@ from pathlib import Path
 from tests.support.spoilt_runs import killed_at
 import bayescal as bc
 from bayescal._calibration.description import identity
-from bayescal.workbench.origin import Origin
-from bayescal.workbench.session import Session
+from bayescal._workbench.origin import Origin
+from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 
 file, out, *counts = sys.argv[1:]

@@ -10,12 +10,12 @@ import pytest
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import Discovery
 from bayescal._search.posterior import Found
-from bayescal.workbench.panes.error import in_order, path_to
-from bayescal.workbench.panes.file import safe_name
-from bayescal.workbench.panes.missing import candidate_rows
-from bayescal.workbench.parts.decimate import MANY, PIXELS, drawn_rows, sentence
-from bayescal.workbench.parts.pieces import words
-from bayescal.workbench.parts.rows import Rows
+from bayescal._workbench.panes.error import in_order, path_to
+from bayescal._workbench.panes.file import safe_name
+from bayescal._workbench.panes.missing import candidate_rows
+from bayescal._workbench.parts.decimate import MANY, PIXELS, drawn_rows, sentence
+from bayescal._workbench.parts.pieces import words
+from bayescal._workbench.parts.rows import Rows
 
 COUNT = 100_000
 

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import bayescal as bc
-from bayescal.workbench.origin import Origin
-from bayescal.workbench.session import Session
+from bayescal._workbench.origin import Origin
+from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation
 from tests.workbench.conftest import Campaign

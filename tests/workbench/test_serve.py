@@ -18,8 +18,8 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal.workbench import start
-from bayescal.workbench.session import Session
+from bayescal._workbench import start
+from bayescal._workbench.session import Session
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.workbench.conftest import Campaign
 
@@ -115,6 +115,8 @@ def test_a_websocket_needs_the_address_and_comes_from_it(server: Server) -> None
         except HTTPClientError as error:
             return error.code
         connection.close()
+        while await connection.read_message() is not None:
+            pass
         return 101
 
     own = f"http://127.0.0.1:{server.port}"
@@ -174,7 +176,7 @@ def test_the_waiting_page_is_of_one_address_and_escapes(tmp_path: Path) -> None:
 
 def test_sessions_of_a_server(session: Session, tmp_path: Path) -> None:
     """A tab without a name begins one; a name gives the same again; two at once begin two."""
-    from bayescal.workbench.serve import Sessions
+    from bayescal._workbench.serve import Sessions
 
     def begin(folder: Path) -> Session:
         return Session.begin(session.current.model, session.readings, folder=folder)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal.workbench.session import Session
+from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.workbench.conftest import HIDDEN, Campaign
 

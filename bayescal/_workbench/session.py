@@ -25,12 +25,12 @@ from bayescal._readings.measurements import Measurements
 from bayescal._recording.set_aside import set_aside
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.posterior import Shown
-from bayescal.workbench import kept, take_away
-from bayescal.workbench.change import Change, changed
-from bayescal.workbench.origin import Origin, Settings
-from bayescal.workbench.search import Search
-from bayescal.workbench.state import State
-from bayescal.workbench.tree import Tree
+from bayescal._workbench import kept, take_away
+from bayescal._workbench.change import Change, changed
+from bayescal._workbench.origin import Origin, Settings
+from bayescal._workbench.search import Search
+from bayescal._workbench.state import State
+from bayescal._workbench.tree import Tree
 
 
 @dataclass(eq=False)

@@ -10,8 +10,8 @@ from bokeh.models import ColumnDataSource, Whisker
 
 from bayescal._diagnostics.noise_in_time import AllanCheck
 from bayescal._readings.unit_conversion import unit_label
-from bayescal.workbench.parts.pieces import column, words
-from bayescal.workbench.parts.style import INSIDE, LIGHT, RED, Palette, dress, new_figure
+from bayescal._workbench.parts.pieces import column, words
+from bayescal._workbench.parts.style import INSIDE, LIGHT, RED, Palette, dress, new_figure
 
 NONE = (
     "No Allan deviation: it needs a column time, and runs of 30 readings or more, evenly spaced in time "

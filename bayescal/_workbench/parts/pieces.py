@@ -9,7 +9,7 @@ from typing import Any
 
 import panel as pn
 
-from bayescal.workbench.parts.style import INSIDE
+from bayescal._workbench.parts.style import INSIDE
 
 PLAIN = """
 pre { font: var(--size, 13px)/1.4 var(--letters); white-space: pre-wrap; overflow-wrap: anywhere; margin: 0;

@@ -27,8 +27,8 @@ from bayescal._core.errors import InputError
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.whole_folder import MANIFEST, bring_back, refuse_mixed, whole_folder
-from bayescal.workbench.origin import Origin
-from bayescal.workbench.state import State
+from bayescal._workbench.origin import Origin
+from bayescal._workbench.state import State
 
 SESSION, STATE, CALIBRATION, SCRIPT = "session.json", "state.json", "calibration.nc", "script.py"
 SCHEMA = "bayescal.workbench/1"
@@ -44,7 +44,9 @@ def keep_state(folder: Path, name: str, state: State, script: str) -> None:
     """
     own = folder / name
     if (own / MANIFEST).is_file():
-        raise InputError(f"{own} was made meanwhile: another workbench goes on in {folder}. End one")
+        raise InputError(
+            f"{own} was made meanwhile: another workbench goes on in {folder}. End one"
+        )
     try:
         own.mkdir(exist_ok=True)
     except OSError as error:

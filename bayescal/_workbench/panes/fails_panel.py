@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Range1d, Span
 
-from bayescal.workbench.panes.fails_data import AGAINST, Shown
-from bayescal.workbench.parts.style import RED, Palette, dress, fixed_range, new_figure
+from bayescal._workbench.panes.fails_data import AGAINST, Shown
+from bayescal._workbench.parts.style import RED, Palette, dress, fixed_range, new_figure
 
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
 SHORT = 48  # letters of a label

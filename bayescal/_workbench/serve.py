@@ -18,10 +18,10 @@ from bokeh.document import Document
 from panel.io.state import set_curdoc
 
 from bayescal._core.errors import BayescalError, InputError
-from bayescal.workbench import kept
-from bayescal.workbench.app import page
-from bayescal.workbench.session import Session
-from bayescal.workbench.start import LOOPBACK, Address, kept_sessions
+from bayescal._workbench import kept
+from bayescal._workbench.app import page
+from bayescal._workbench.session import Session
+from bayescal._workbench.start import LOOPBACK, Address, kept_sessions
 
 MOST = 64 * 2**20  # bytes of one message of a browser's; files come in pieces that are far smaller
 

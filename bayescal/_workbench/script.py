@@ -16,8 +16,8 @@ from bayescal._discovery.calibrate import QUICK
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_laws import Noise
-from bayescal.workbench.origin import Origin
-from bayescal.workbench.state import State
+from bayescal._workbench.origin import Origin
+from bayescal._workbench.state import State
 
 HEAD = '''"""What was done in the bayescal workbench, up to step {number}. It needs bayescal {version} or later."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from bayescal._diagnostics.check import covariates_of
 from bayescal._diagnostics.check_result import Check, Entry, place_in_words
 from bayescal._readings.unit_conversion import unit_label
-from bayescal.workbench.parts.style import MARKERS, Palette
+from bayescal._workbench.parts.style import MARKERS, Palette
 
 AGAINST = "measured against predicted"
 

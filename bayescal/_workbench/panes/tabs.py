@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import panel as pn
 
-from bayescal.workbench.panes.allan import AllanPane
-from bayescal.workbench.panes.describe import DescribePane
-from bayescal.workbench.panes.experiment import ExperimentPane
-from bayescal.workbench.panes.file import FilePane
-from bayescal.workbench.panes.take_away import ExportPane, PythonPane, ReportPane
-from bayescal.workbench.parts.pieces import choice, column
-from bayescal.workbench.parts.style import Palette
+from bayescal._workbench.panes.allan import AllanPane
+from bayescal._workbench.panes.describe import DescribePane
+from bayescal._workbench.panes.experiment import ExperimentPane
+from bayescal._workbench.panes.file import FilePane
+from bayescal._workbench.panes.take_away import ExportPane, PythonPane, ReportPane
+from bayescal._workbench.parts.pieces import choice, column
+from bayescal._workbench.parts.style import Palette
 
 ERROR = "The error"
 

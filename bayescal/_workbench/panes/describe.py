@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import panel as pn
 
-from bayescal.workbench.parts.pieces import button, column, row, words
-from bayescal.workbench.parts.style import INSIDE
+from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.style import INSIDE
 
 RUNS = (
     "Loading runs this code on this computer, with your rights. Read it first; then tick the box."

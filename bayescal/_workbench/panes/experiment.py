@@ -7,8 +7,8 @@ from typing import Any
 
 from bayescal._diagnostics.evidence_scale import VERY_STRONG
 from bayescal._discovery.next_experiment import NextExperiment, next_experiment
-from bayescal.workbench.parts.pieces import button, column, row, words
-from bayescal.workbench.parts.rows import Rows
+from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.rows import Rows
 
 HEAD = ["experiment", "least expected log Bayes factor", "for", ""]
 

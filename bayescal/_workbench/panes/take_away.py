@@ -9,8 +9,8 @@ from typing import Any
 
 import panel as pn
 
-from bayescal.workbench.parts.pieces import button, column, row, words
-from bayescal.workbench.parts.style import INSIDE
+from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.style import INSIDE
 
 EXPORTS = {
     "C header": ("c", "Compensation as a C99 header."),

@@ -20,8 +20,8 @@ from bayescal._report.dcc import dcc_text
 from bayescal._report.report import report
 from bayescal._report.save_search import save_search
 from bayescal._report.section import of_folder
-from bayescal.workbench.origin import Origin
-from bayescal.workbench.state import State
+from bayescal._workbench.origin import Origin
+from bayescal._workbench.state import State
 
 SUFFIXES = {"c": "h", "json": "json", "python": "py"}
 FORMATS = (*SUFFIXES, *AUTOPILOTS, "dcc")

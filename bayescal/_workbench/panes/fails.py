@@ -10,11 +10,11 @@ import panel as pn
 from bokeh.events import Reset, SelectionGeometry
 from bokeh.models import ColumnDataSource, Range1d
 
-from bayescal.workbench.panes.fails_data import AGAINST, Shown
-from bayescal.workbench.panes.fails_panel import dress_panel, residual_panel, show_curve
-from bayescal.workbench.parts.decimate import drawn_rows, sentence
-from bayescal.workbench.parts.pieces import choice, column, row, several, words
-from bayescal.workbench.parts.style import INSIDE, LIGHT, Palette, fixed_range, span
+from bayescal._workbench.panes.fails_data import AGAINST, Shown
+from bayescal._workbench.panes.fails_panel import dress_panel, residual_panel, show_curve
+from bayescal._workbench.parts.decimate import drawn_rows, sentence
+from bayescal._workbench.parts.pieces import choice, column, row, several, words
+from bayescal._workbench.parts.style import INSIDE, LIGHT, Palette, fixed_range, span
 
 AFTER, BEFORE, BOTH = "after", "before", "both"
 MOST = 4  # panels side by side, at most

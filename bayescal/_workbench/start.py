@@ -177,8 +177,8 @@ def workbench(
     import panel  # here and below, because all this is heavy
 
     from bayescal._model.model import Model
-    from bayescal.workbench.app import page
-    from bayescal.workbench.session import Session
+    from bayescal._workbench.app import page
+    from bayescal._workbench.session import Session
 
     panel.extension(inline=True)
     given = instrument

@@ -21,8 +21,8 @@ from bayescal._readings.read import read
 from bayescal._tables.mapping_file import save_mapping
 from bayescal._tables.open_table import TEXT, open_table
 from bayescal._tables.raw_table import bytes_text
-from bayescal.workbench.parts.pieces import button, column, row, words
-from bayescal.workbench.parts.style import INSIDE
+from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.style import INSIDE
 
 MOST = 200_000_000  # bytes of one file; larger ones are given on the command line
 OFFERED = 300  # columns of a file that a list offers; others are typed

@@ -10,9 +10,9 @@ from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormat
 
 from bayescal._core.formatting import number, probability
 from bayescal._readings.unit_conversion import unit_label
-from bayescal.workbench.parts.pieces import button, column, row, words
-from bayescal.workbench.parts.rows import Rows
-from bayescal.workbench.parts.style import (
+from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.rows import Rows
+from bayescal._workbench.parts.style import (
     GREEN,
     INSIDE,
     LIGHT,

@@ -10,14 +10,14 @@ import param
 from panel.custom import JSComponent
 
 from bayescal._readings.unit_conversion import unit_label
-from bayescal.workbench.panes.error import ErrorPane
-from bayescal.workbench.panes.fails import Fails
-from bayescal.workbench.panes.missing import Missing
-from bayescal.workbench.panes.model import ModelPane
-from bayescal.workbench.panes.tabs import Tabs
-from bayescal.workbench.parts.pieces import choice, row, words
-from bayescal.workbench.parts.style import CSS, DARK, INSIDE, LIGHT
-from bayescal.workbench.parts.work import Work
+from bayescal._workbench.panes.error import ErrorPane
+from bayescal._workbench.panes.fails import Fails
+from bayescal._workbench.panes.missing import Missing
+from bayescal._workbench.panes.model import ModelPane
+from bayescal._workbench.panes.tabs import Tabs
+from bayescal._workbench.parts.pieces import choice, row, words
+from bayescal._workbench.parts.style import CSS, DARK, INSIDE, LIGHT
+from bayescal._workbench.parts.work import Work
 
 
 class Ground(JSComponent):

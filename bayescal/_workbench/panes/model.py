@@ -10,9 +10,9 @@ import panel as pn
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.formatting import probability, with_error
 from bayescal._readings.unit_conversion import unit_label
-from bayescal.workbench.parts.pieces import button, column, row, words
-from bayescal.workbench.parts.rows import Rows
-from bayescal.workbench.parts.style import INSIDE
+from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.rows import Rows
+from bayescal._workbench.parts.style import INSIDE
 
 MOST = 6  # coefficients of one effect that stand in its row
 

@@ -9,8 +9,8 @@ from bayescal._core.formatting import number, probability, with_error
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import Discovery
 from bayescal._readings.unit_conversion import unit_label
-from bayescal.workbench.parts.pieces import column, row, words
-from bayescal.workbench.parts.rows import Rows
+from bayescal._workbench.parts.pieces import column, row, words
+from bayescal._workbench.parts.rows import Rows
 
 NOT_VISIBLE = "Not detectable in this experiment"
 NOT_TESTABLE = "Not testable with these readings"

@@ -17,10 +17,10 @@ from bayescal._discovery.search_path import Step
 from bayescal._model.effect import Effect
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.set_aside import set_aside
-from bayescal.workbench import kept
-from bayescal.workbench.origin import Origin, Settings, refuse_other
-from bayescal.workbench.script import folder_name, script
-from bayescal.workbench.state import State
+from bayescal._workbench import kept
+from bayescal._workbench.origin import Origin, Settings, refuse_other
+from bayescal._workbench.script import folder_name, script
+from bayescal._workbench.state import State
 
 NOWHERE = Origin("", ())
 
