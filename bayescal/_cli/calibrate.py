@@ -116,18 +116,15 @@ def workbench(
     with result_folder(out) as folder:
         assert folder is not None
         address, name = start.Address.new(), ["session_1", *start.kept_sessions(folder)][-1]
-        told = ", ".join(path.name for path in files)
-        waiting = start.Waiting(address, told, "Loading the instrument …")
-        print(
-            f"bayescal workbench of {told}: {address.of(name)}\n(Ctrl-C ends it; kept in {folder})",
-            flush=True,
+        told = ", ".join(p.name for p in files)
+        said = (
+            f"bayescal workbench of {told}: {address.of(name)}\n(Ctrl-C ends it; kept in {folder})"
         )
-        if not no_open:
-            webbrowser.open(address.of(name))
-        try:
+        with start.Waiting(address, told, "Loading the instrument …") as waiting:
+            print(said, flush=True)
+            if not no_open:
+                webbrowser.open(address.of(name))
             sessions = _sessions(asked, holdout, folder, name, settings, waiting)
-        finally:
-            waiting.close()
         from bayescal._workbench.serve import serve
 
         serve(sessions, address)

@@ -140,7 +140,10 @@ class Waiting:
     def _page(self, readings: str) -> str:
         return PAGE.format(readings=html.escape(readings), doing=html.escape(self.doing))
 
-    def close(self) -> None:
+    def __enter__(self) -> Waiting:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         """Leave the port to the workbench."""
         self._server.shutdown()
         self._server.server_close()

@@ -45,8 +45,8 @@ ROOMS = {
     "_diagnostics": "evidence_scale group_bayes_factor efficient_score prior_influence noise_in_time "
     "covariate_evidence part worst_region check_result check leave_group_out compare",
     "_search": "noise_laws plausible_sizes departures structures library scores walk posterior",
-    "_discovery": "candidate discover preview next_experiment false_reports draft_effect own_files search_path gate calibrate "
-    "describe",
+    "_discovery": "candidate discover preview next_experiment false_reports draft_effect own_files search_path gate "
+    "calibrate describe",
     "_channels": "shared_shape channels calibrate_channels",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
     "compensation_program code_writer compensator compensate_file budget",
@@ -57,7 +57,8 @@ ROOMS = {
     "_report": "result_json whole_folder under_way save_search section certificate d_si dcc figures tables sentences "
     "report",
     "_workbench.parts": "style work decimate pieces rows",
-    "_workbench.panes": "fails_data fails_panel fails model missing error experiment allan take_away file describe tabs",
+    "_workbench.panes": "fails_data fails_panel fails model missing error experiment allan take_away file describe "
+    "tabs",
     "_workbench": "state origin script kept tree change search take_away session app start serve",
     "_cli": "options column_options console request saved output catalogue fitting calibrate deliverables "
     "batch main",

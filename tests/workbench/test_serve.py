@@ -161,15 +161,12 @@ def test_without_panel_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) 
 
 def test_the_waiting_page_is_of_one_address_and_escapes(tmp_path: Path) -> None:
     address = start.Address.new()
-    waiting = start.Waiting(address, "<script>alert(1)</script>.csv", "Reading …")
-    try:
+    with start.Waiting(address, "<script>alert(1)</script>.csv", "Reading …"):
         status, page = get(address.of("session_1"))
         assert status == 200 and "&lt;script&gt;alert(1)&lt;/script&gt;.csv" in page
         assert "<script>alert" not in page and "Reading …" in page
         assert get(f"http://127.0.0.1:{address.port}/")[0] == 404
         assert get(f"http://127.0.0.1:{address.port}{address.path[:-1]}")[0] == 404
-    finally:
-        waiting.close()
     with pytest.raises(urllib.error.URLError):
         get(address.of("session_1"))
 
