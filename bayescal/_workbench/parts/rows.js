@@ -32,7 +32,7 @@ function cellOf(cell, tag) {
 
 export function render({ model, el }) {
   const table = element(model.table ? "table" : "div", "rows " + model.kind);
-  let timer = null, waiting = "", last = "";
+  let timer = null, waiting = "", last = "", rested = "";
 
   function point(id, wait) {
     if (waiting === id && timer) return;
@@ -49,7 +49,9 @@ export function render({ model, el }) {
     if (model.pointing) {
       made.tabIndex = 0;
       made.addEventListener("mousemove", (event) => {  // moved, not: rows that scroll under a resting pointer
-        if (event.movementX || event.movementY) point(row.id, MOMENT);
+        const at = `${event.screenX} ${event.screenY}`;
+        if (at !== rested) point(row.id, MOMENT);
+        rested = at;
       });
       made.addEventListener("focusin", () => point(row.id, 0));
       made.addEventListener("click", () => point(row.id, 0));
