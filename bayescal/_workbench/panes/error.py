@@ -70,7 +70,9 @@ class ErrorPane:
         )
 
     def _figure(self) -> Any:
-        made = new_figure("step of the path", "rms error", y_range=(0.0, 1.0), tools="")
+        made = new_figure(
+            "step of the path", "rms error", x_range=(-0.3, 1.3), y_range=(0.0, 1.0), tools=""
+        )
         made.name = "the error"
         made.xaxis.ticker.desired_num_ticks = 8
         made.xaxis.ticker.mantissas = [1, 2, 5]

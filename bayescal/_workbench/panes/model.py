@@ -174,11 +174,15 @@ def effect_rows(model: Any, told: list[dict[str, Any]]) -> list[dict[str, Any]]:
             {"text": effect.name, "kind": "name", "title": effect.equation}
         ]
         for t in own[:MOST]:
-            short = t["name"].removeprefix(effect.name).lstrip(".:[") if len(own) > 1 else ""
+            short = (
+                t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
+                if len(own) > 1
+                else ""
+            )
             value = f"{with_error(t['mean'], t['sd'])} {unit_label(t['unit'])}".rstrip()
             cells.append(
                 {
-                    "text": f"{short.rstrip(']')} {value}".strip(),
+                    "text": f"{short} {value}".strip(),
                     "kind": "value number",
                     "bar": t["contraction"]
                     if t["contraction"] is None
