@@ -14,7 +14,7 @@ VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d.%d" % sys.version_info
 READY   := $(VENV)/.ready-$(VERSION)
 PYTEST  := $(IN_VENV)/python -m pytest -n $(WORKERS) --dist loadfile
 
-.PHONY: help demo test test-all lint bench docs clean
+.PHONY: help demo workbench test test-all lint bench docs clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -22,6 +22,13 @@ help:  ## this list
 
 demo: $(READY)  ## calibrate the simulated gyroscope; results in demo_output/
 	$(IN_VENV)/bayescal demo --out demo_output $(ARGS)
+
+workbench: $(READY)-workbench  ## the loop in a browser, on the demonstration's campaign
+	mkdir -p demo_output
+	$(IN_VENV)/bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 --seed 1 --out demo_output/campaign.csv
+	$(IN_VENV)/bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 --seed 2 --out demo_output/later.csv
+	$(IN_VENV)/bayescal workbench demo_output/campaign.csv --instrument mems_gyro \
+	  --holdout demo_output/later.csv --out demo_output/workbench $(ARGS)
 
 test: $(READY)-test  ## the tests without the slow ones
 	$(PYTEST) $(ARGS)
@@ -48,13 +55,13 @@ clean:  ## remove what these targets made
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # One stamp per interpreter and set of extras: .ready-3.11.7, .ready-3.11.7-test, .ready-3.11.7-test-lint.
-$(READY) $(READY)-test $(READY)-test-lint $(READY)-test-bench $(READY)-docs: pyproject.toml
+$(READY) $(READY)-workbench $(READY)-test $(READY)-test-lint $(READY)-test-bench $(READY)-docs: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null || { \
 	  echo "bayescal needs Python 3.11, 3.12 or 3.13; '$(PYTHON)' is $(or $(VERSION),not a command here)." >&2; \
 	  echo "Name another one: make $(MAKECMDGOALS) PYTHON=python3.13" >&2; exit 1; }
 	@[ "$$($(IN_VENV)/python -c 'import platform; print(platform.python_version())' 2>/dev/null)" = "$(VERSION)" ] \
 	  || { echo "making $(VENV) with Python $(VERSION)"; $(PYTHON) -m venv --clear $(VENV); }
-	$(IN_VENV)/python -m pip install --quiet -e '.$(if $(findstring -test,$@),[test$(if $(findstring -lint,$@),$(comma)lint)$(if $(findstring -bench,$@),$(comma)bench)])$(if $(findstring -docs,$@),[docs])'
+	$(IN_VENV)/python -m pip install --quiet -e '.$(if $(findstring -test,$@),[test$(if $(findstring -lint,$@),$(comma)lint)$(if $(findstring -bench,$@),$(comma)bench)])$(if $(findstring -docs,$@),[docs])$(if $(findstring -workbench,$@),[workbench])'
 	@touch $@
 
 comma := ,

@@ -8,6 +8,7 @@ from ._calibration.predict import predict as predict
 from ._diagnostics.check import check as check
 from ._diagnostics.compare import compare as compare
 from ._discovery.discover import discover as discover
+from ._discovery.preview import preview as preview
 from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
@@ -16,8 +17,11 @@ from ._discovery.next_experiment import next_experiment as next_experiment
 from ._discovery.false_reports import false_reports as false_reports
 from ._discovery.draft_effect import shape_of as shape_of
 from ._discovery.draft_effect import template as template
+from ._discovery.describe import Draft as Draft
+from ._discovery.describe import describe as describe
 
 # a sensor's noise, as data sheets give it
+from ._recording.set_aside import set_aside as set_aside
 from ._recording.allan_deviation import allan_deviation as allan_deviation
 from ._recording.allan_deviation import AllanDeviation as AllanDeviation
 
@@ -28,6 +32,7 @@ from ._compensation.budget import budget as budget
 from ._firmware.parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot
+from ._workbench.start import workbench as workbench  # in a notebook; needs bayescal[workbench]
 
 # what a model is made of
 from ._model.model import Instrument as Instrument  # with `baseline`, which model.py attaches
@@ -65,6 +70,7 @@ from ._inference.method import Verdict as Verdict
 from ._diagnostics.check_result import Check as Check
 from ._diagnostics.compare import Comparison as Comparison
 from ._discovery.discover import Discovery as Discovery
+from ._discovery.preview import Preview as Preview
 from ._report.save_search import Trail as Trail  # with `save`, which save_search.py attaches
 from ._report.save_search import (
     Channels as Channels,

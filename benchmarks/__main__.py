@@ -25,6 +25,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "start_up": "speed.start_up",
     "scaling": "speed.scaling.rows",
     "fleet": "fleet.measurement",
+    "workbench": "speed.workbench",
 }
 
 

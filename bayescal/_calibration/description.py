@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,7 @@ def description(c: Fitted) -> dict[str, Any]:
         "ranges": {
             e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in c.model.effects if e.shapes
         },
+        **({"sizes": sizes} if (sizes := _resized(c.model)) else {}),
         "fixed": dict(c.model.fixed),
         "noise": _noise_words(c.model.noise),
         "promoted": list(c.layout.promoted),
@@ -92,6 +93,22 @@ def description(c: Fitted) -> dict[str, Any]:
         "sources": [asdict(s) for s in c.readings.sources],
         "flags": list(c.readings.flags),
     }
+
+
+def _resized(model: Model) -> dict[str, float]:
+    """Plausible sizes, by effect, that are not those of the instrument's own effect of that name."""
+    own = {e.name: e.coefficients[0] for e in _catalogue(model.instrument).values()}
+    return {
+        e.name: e.coefficients[0].size
+        for e in model.effects
+        if e.name in own and not e.is_placeholder and e.coefficients[0].size != own[e.name].size
+    }
+
+
+def _catalogue(instrument: Instrument) -> dict[str, Effect]:
+    """Every effect that an instrument offers, by name."""
+    structural = [e for _, make in instrument.structures for e in make().effects]
+    return {e.name: e for e in (*structural, *instrument.effects, *instrument.candidates)}
 
 
 def stated(effect: Effect) -> str:
@@ -151,10 +168,7 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
             f"{', '.join(known)}). Install the package that offers it"
         )
     instrument = _tailored(path, known[name], described["settings"], readings)
-    structural = [e for _, make in instrument.structures for e in make().effects]
-    catalogue = {
-        e.name: e for e in (*structural, *instrument.effects, *instrument.candidates, *effects)
-    }
+    catalogue = {**_catalogue(instrument), **{e.name: e for e in effects}}
     for n in described["effects"]:
         if n not in catalogue and (covariate := covariate_in(n)):
             catalogue[n] = instrument.unknown(covariate)
@@ -170,7 +184,10 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
         )
     ranges = described["ranges"]
     chosen = tuple(catalogue[n].ranging(ranges.get(n, {})) for n in described["effects"])
-    for effect in chosen:
+    model = Model(instrument, chosen, noise_from(described["noise"]), ())
+    for n, size in described.get("sizes", {}).items():
+        model = model.resize(n, size)
+    for effect in model.effects:
         then, now = described["unknowns"][effect.name], stated(effect)
         if then != now:
             raise InputError(
@@ -178,5 +195,4 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
                 f"now {now}. Give the one it was fitted with: --effects my_effects.py (in Python: "
                 "load(path, effects=[…]))"
             )
-    fixed = tuple(described["fixed"].items())
-    return Model(instrument, chosen, noise_from(described["noise"]), fixed)
+    return replace(model, fixed=tuple(described["fixed"].items()))

@@ -1,10 +1,11 @@
-"""The whole loop as a command: `calibrate`, of one output or of several channels of one unit."""
+"""The whole loop as a command: `calibrate`, of one output or of several channels of one unit; `workbench`, by hand."""
 
 from __future__ import annotations
 
+import webbrowser
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from bayescal._cli.request import Asked
     from bayescal._model.effect import Effect
     from bayescal._readings.measurements import Measurements
+    from bayescal._workbench.serve import Sessions
+    from bayescal._workbench.start import Waiting
 
 commands = typer.Typer()
 
@@ -64,6 +67,114 @@ def calibrate(
         _one(asked, holdout, method, out, json_, settings)
     else:
         _several(options.channel_names(channels), asked, holdout, method, out, json_, settings)
+
+
+@commands.command(epilog="Example: bayescal workbench readings.csv --instrument mems_gyro")
+@with_groups
+def workbench(
+    *,
+    files: options.Files,
+    instrument: options.Name,
+    holdout: options.Holdout = None,
+    columns: ColumnOptions,
+    choice: ModelOptions,
+    average: options.Average = None,
+    method: options.MethodName = "marginal",
+    max_effects: options.MostEffects = 5,
+    time_limit: options.TimeLimit = None,
+    keep_spikes: options.KeepSpikes = False,
+    accept_conflict: options.AcceptConflict = None,
+    seed: options.Seed = 0,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", help="Folder that keeps every step; one that holds some is gone on with."
+        ),
+    ] = Path("workbench_output"),
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Print the address, and open no browser.")
+    ] = False,
+) -> None:
+    """The same loop in a browser, step by step: look, add, compare, go back. Ctrl-C ends it.
+
+    It is served to this computer alone, under an address that nobody guesses.
+    """
+    from bayescal._cli import request
+    from bayescal._workbench import start
+
+    start.refuse_without_panel()
+    asked = request.Asked(instrument, files, columns, choice, average, keep_spikes)
+    request.read_early(asked)  # a file that cannot be used is refused before a browser opens
+    settings = {
+        "method": None if method == "marginal" else request.method_named(method),
+        "keep_spikes": keep_spikes,
+        "max_effects": max_effects,
+        "time_limit": time_limit,
+        "accept_conflicts": accept_conflict or (),
+        "seed": seed,
+    }
+    with result_folder(out) as folder:
+        assert folder is not None
+        address, name = start.Address.new(), ["session_1", *start.kept_sessions(folder)][-1]
+        told = ", ".join(p.name for p in files)
+        said = (
+            f"bayescal workbench of {told}: {address.of(name)}\n(Ctrl-C ends it; kept in {folder})"
+        )
+        with start.Waiting(address, told, "Loading the instrument …") as waiting:
+            print(said, flush=True)
+            if not no_open:
+                webbrowser.open(address.of(name))
+            sessions = _sessions(asked, holdout, folder, name, settings, waiting)
+        from bayescal._workbench.serve import serve
+
+        serve(sessions, address)
+    print("bayescal workbench: ended", flush=True)
+
+
+def _sessions(
+    asked: Asked,
+    holdout: Sequence[Path] | None,
+    folder: Path,
+    name: str,
+    settings: dict[str, Any],
+    waiting: Waiting,
+) -> Sessions:
+    """The sessions of a server, the first of them open."""
+    from bayescal._cli import request
+
+    chosen, model, readings = request.open_request(asked)
+    kept = request.open_kept(holdout, chosen, asked)
+    print_notes(readings.flags)
+    own_file = asked.choice.effects_file
+    own = request.user_effects(own_file)
+    settings["reference"] = request.reference_of(asked.choice.reference, readings) or None
+    waiting.doing = "Loading the page …"
+    from bayescal._workbench.origin import Origin
+    from bayescal._workbench.serve import Sessions
+    from bayescal._workbench.session import Session
+
+    origin = Origin.of(
+        asked.instrument,
+        asked.files,
+        holdout,
+        asked.columns.for_read(),
+        [] if own_file is None else [own_file],
+        average=asked.average,
+        keep_spikes=asked.keep_spikes,
+    )
+
+    def begin(folder: Path) -> Session:
+        return Session.begin(
+            model, readings, holdout=kept, effects=own, folder=folder, origin=origin, **settings
+        )
+
+    def resume(folder: Path) -> Session:
+        return Session.resume(folder, of=origin)
+
+    sessions = Sessions(folder, begin, resume)
+    waiting.doing = "Fitting the first model …"
+    sessions.first(name)
+    return sessions
 
 
 def _one(

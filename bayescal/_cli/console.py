@@ -10,16 +10,12 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from traceback import walk_tb
 from typing import Any
 
 import typer
 
 from bayescal._core.errors import InputError
 from bayescal._report.whole_folder import bring_back
-
-OWN_FILES: set[str] = set()
-"""Files of the user's own (effects, instruments) that this command has run."""
 
 
 def print_result(result: Any) -> None:
@@ -44,27 +40,6 @@ def exit_unless(reliable: bool, why: str) -> None:
     if not reliable:
         print(f"bayescal: not to be trusted as it is: {why}", file=sys.stderr)
         raise typer.Exit(1)
-
-
-def own_file_line(error: BaseException) -> str:
-    """Where in a file of the user's own that this command has run an error arose; empty if in none.
-
-    For a syntax error the line that it names, else the last line in such a file before it.
-    """
-    if isinstance(error, SyntaxError) and error.filename in OWN_FILES and error.lineno:
-        return f"{error.filename}, line {error.lineno}"
-    lines = [
-        f"{frame.f_code.co_filename}, line {line}"
-        for frame, line in walk_tb(error.__traceback__)
-        if frame.f_code.co_filename in OWN_FILES
-    ]
-    return lines[-1] if lines else ""
-
-
-def in_one_line(error: BaseException) -> str:
-    """An error of a user's own file: its kind and what it says."""
-    said = error.msg if isinstance(error, SyntaxError) else str(error)
-    return f"{type(error).__name__}{': ' if said else ''}{said}"
 
 
 @contextmanager

@@ -17,8 +17,8 @@ from typing import NoReturn
 import typer
 
 from bayescal._cli import batch, calibrate, catalogue, deliverables, fitting
-from bayescal._cli.console import in_one_line, own_file_line
 from bayescal._core.errors import BayescalError, NotConverged
+from bayescal._discovery.own_files import in_one_line, own_file_line
 
 app = typer.Typer(
     name="bayescal",

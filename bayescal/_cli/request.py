@@ -5,28 +5,26 @@ A bad file is refused first, before the instrument loads, and JAX with it; no sa
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import bayescal as bc
 from bayescal._cli.column_options import ColumnOptions
-from bayescal._cli.console import OWN_FILES, in_one_line, own_file_line, print_notes
+from bayescal._cli.console import print_notes
 from bayescal._cli.options import METHODS, ModelOptions, named_numbers
 from bayescal._core.errors import InputError
-from bayescal._model.installed import (
-    FileColumns,
-    file_columns,
-    installed_instrument,
-    installed_names,
+from bayescal._discovery.own_files import (
+    in_a_file,
+    instrument_named,
+    known_instrument,
+    user_effects,
 )
+from bayescal._model.installed import FileColumns, file_columns
 from bayescal._readings.read import read
 
 if TYPE_CHECKING:
@@ -101,13 +99,29 @@ def open_channels(
 def _opened(asked: Asked, **more: Any) -> tuple[Instrument, Any]:
     """The instrument, and what `read` gives; a file that cannot be used is refused before the instrument loads."""
     files, how = list(asked.files), {**asked.columns.for_read(), **more}
-    holds = None if _is_file(asked.instrument) else file_columns(_known(asked.instrument))
+    holds = (
+        None if in_a_file(asked.instrument) else file_columns(known_instrument(asked.instrument))
+    )
     short = sum(path.stat().st_size for path in files if path.is_file()) <= LONG
     early = read(files, holds, **how) if holds and short else None
     general = instrument_named(asked.instrument)
     if early is not None and holds == FileColumns.of(general):
         return general, early
     return general, read(files, general, **how)
+
+
+def read_early(asked: Asked, **more: Any) -> tuple[Any, FileColumns | None]:
+    """What `read` gives before the instrument loads, and by which columns; None where that cannot be, or takes long.
+
+    Raises:
+        InputError: a file cannot be used, or no instrument is of that name.
+    """
+    files, how = list(asked.files), {**asked.columns.for_read(), **more}
+    holds = (
+        None if in_a_file(asked.instrument) else file_columns(known_instrument(asked.instrument))
+    )
+    short = sum(path.stat().st_size for path in files if path.is_file()) <= LONG
+    return (read(files, holds, **how) if holds and short else None), holds
 
 
 def open_kept(
@@ -167,45 +181,6 @@ def compose(instrument: Instrument, choice: ModelOptions, own: Mapping[str, Effe
     return model.fix(named_numbers(choice.fix, "--fix"))
 
 
-def instrument_named(name: str) -> Instrument:
-    """An installed instrument, or one in a file: my.py:INSTRUMENT.
-
-    Raises:
-        InputError: there is none.
-    """
-    if _is_file(name):
-        from bayescal._model.instrument import Instrument
-
-        file, _, attribute = name.rpartition(":")
-        instrument = getattr(_run_file(Path(file)), attribute, None)
-        if not isinstance(instrument, Instrument):
-            raise InputError(
-                f"{file} defines no instrument called {attribute!r}: give FILE.py:NAME"
-            )
-        return instrument
-    return installed_instrument(_known(name))
-
-
-def _is_file(name: str) -> bool:
-    """Whether an instrument is one in a file: my.py:INSTRUMENT."""
-    return name.rpartition(":")[0].endswith(".py")
-
-
-def _known(name: str) -> str:
-    """The name of an instrument that is installed.
-
-    Raises:
-        InputError: none is of that name.
-    """
-    known = installed_names()
-    if name not in known:
-        raise InputError(
-            f"no instrument is called {name!r}; installed: {', '.join(known) or 'none'}. "
-            "For one of your own give my.py:INSTRUMENT"
-        )
-    return name
-
-
 def structure_named(instrument: Instrument, name: str) -> Model:
     """A model structure of an instrument.
 
@@ -228,48 +203,6 @@ def structure_with(instrument: Instrument, text: str, own: Sequence[Effect]) -> 
     for name in added:
         model = model + known.get(name, name)
     return model
-
-
-def user_effects(path: Path | None) -> tuple[Effect, ...]:
-    """The effects that a user's file defines: its EFFECTS, or every Effect in it.
-
-    Raises:
-        InputError: no such file, it fails, or it defines none.
-    """
-    if path is None:
-        return ()
-    from bayescal._model.effect import Effect
-
-    module = _run_file(path)
-    effects = getattr(module, "EFFECTS", None)
-    if effects is None:
-        effects = tuple(v for v in vars(module).values() if isinstance(v, Effect))
-    if isinstance(effects, Effect):
-        effects = (effects,)
-    if not effects or not all(isinstance(e, Effect) for e in effects):
-        raise InputError(f"{path} defines no effect: write EFFECTS = (bayescal.Effect(…),)")
-    return tuple(effects)
-
-
-def _run_file(path: Path) -> ModuleType:
-    """A user's Python file, run.
-
-    Raises:
-        InputError: it is not there, or fails, or would end the program; says in which line.
-    """
-    if not path.is_file():
-        raise InputError(f"there is no file {path}")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules.setdefault(path.stem, module)
-    OWN_FILES.add(str(spec.origin))
-    try:
-        spec.loader.exec_module(module)
-    except BaseException as error:  # SystemExit too: what a user's file does wrong is said in words
-        where = own_file_line(error).removeprefix(str(spec.origin))
-        raise InputError(f"{path}{where} could not be run: {in_one_line(error)}") from None
-    return module
 
 
 def method_named(name: str) -> Method:

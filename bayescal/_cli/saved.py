@@ -8,9 +8,9 @@ from pathlib import Path
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import load
 from bayescal._cli.options import OwnParts, named_values
-from bayescal._cli.request import instrument_named, user_effects
 from bayescal._compensation.compensator import Compensator, compensator, load_compensator
 from bayescal._core.errors import InputError
+from bayescal._discovery.own_files import instrument_named, user_effects
 from bayescal._firmware.autopilots import AUTOPILOTS
 from bayescal._firmware.parameters import FirmwareParameters, axis_of, firmware_parameters
 from bayescal._model.instrument import Instrument

@@ -133,7 +133,7 @@ def check_text(check: Check) -> str:
             f"{e.log_bayes_factor:z.1f}",
             f"{e.worst.size:+.3g} {unit}",
             f"{e.worst.z:+.1f}",
-            f"{e.against} {e.worst.group}" if e.by_group else _where(e.against, e.worst),
+            place_in_words(e),
         ]
         for e in check.entries
     ]
@@ -179,7 +179,11 @@ def _allan_lines(check: Check) -> list[str]:
     return lines
 
 
-def _where(against: str, region: Region) -> str:
+def place_in_words(entry: Entry) -> str:
+    """Where the worst region of a covariate is: "48.7 to 79.74 °C in run 2", "run 2", "rows 3 to 8"."""
+    against, region = entry.against, entry.worst
+    if entry.by_group:
+        return f"{against} {region.group}"
     if against == "order":
         rows = f"{region.low:.0f} to {region.high:.0f}"
         return f"row {region.low:.0f}" if region.low == region.high else f"rows {rows}"

@@ -230,14 +230,14 @@ class Loop:
             strict=False,
             reference=self.reference,
         )
-        added, noise_changed = None, ""
+        added, changed = None, ""
         if before is not None and at is not None:
             added = next(iter(at.effects - before.effects), None)
             if at.noise != before.noise:
-                noise_changed = f"noise widened: {model.noise.in_words}"
+                changed = f"noise widened: {model.noise.in_words}"
         with stage("checking"):
             found = step_of(calibration, self.holdout, self.accepted)
-        return replace(found, added=added, noise_changed=noise_changed)
+        return replace(found, added=added, changed=changed)
 
     def trail(
         self, steps: Sequence[Step], structures: Structures, *, complete: bool, stopped: str = ""

@@ -25,8 +25,8 @@ class Step:
 
     Attributes:
         calibration: the fit.
-        added: effect that this step added; None for the first and where only the noise law changed.
-        noise_changed: what was done to the noise law, in words; empty if nothing.
+        added: effect that this step added; None for the first and where something else was changed.
+        changed: what was done to the model beside or in place of that, in words; empty if nothing.
         dropped: effects that the addition made superfluous.
         rmse: of the fitted readings, group deviations at zero (what an unseen group would see).
         rmse_fitted: the same with group deviations as fitted.
@@ -49,7 +49,7 @@ class Step:
     noise_floor: float
     check: Check
     discovery: Discovery | None
-    noise_changed: str = ""
+    changed: str = ""
     holdout_sd: float | None = None
     against: tuple[str, ...] = ()
 
@@ -62,7 +62,7 @@ class Step:
     def title(self) -> str:
         """The step in a few words."""
         if self.added is None:
-            return self.noise_changed or "baseline"
+            return self.changed or "baseline"
         dropped = f" (drops {', '.join(self.dropped)})" if self.dropped else ""
         return f"+ {self.added}{dropped}"
 

@@ -79,7 +79,7 @@ class LeastSquares(Method):
             )
         return Outcome(
             layout=layout,
-            draws=_gaussian_draws(layout, found, self.draws, seed),
+            draws=gaussian_draws(layout, found, self.draws, seed),
             mode=found.mode,
             verdict=Verdict(not reasons, tuple(reasons), tuple(notes), "least squares"),
             log_evidence=None if layout.improper else (float(found.mode.log_evidence), None),
@@ -89,8 +89,13 @@ class LeastSquares(Method):
         hessian = self.curvature == "hessian"
         if layout.model.noise.independent or by_engine(layout):
             assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
-            return Solution(*refinement.refine(assembly, find_mode(assembly), hessian))
+            return solution_on(assembly, hessian)
         return jax.tree.map(np.asarray, compiled(solve)(layout, frame, y, hessian))
+
+
+def solution_on(assembly: Assembly, hessian: bool = False) -> Solution:
+    """The fit of a structure whose noise the engine whitens by, on a record that others may share."""
+    return Solution(*refinement.refine(assembly, find_mode(assembly), hessian))
 
 
 def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:
@@ -257,7 +262,8 @@ class _Refinement(NamedTuple):
         return jax.hessian(negative_log)(theta)
 
 
-def _gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Draws:
+def gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Draws:
+    """Draws of the Gaussian approximation about a solution."""
     _, places = split_hypers(layout)
     random = np.random.default_rng(seed)
     covariance = np.where(np.isfinite(found.covariance), found.covariance, 0.0)

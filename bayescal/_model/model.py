@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
 
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import Printed, number, table
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument, slot_of
 from bayescal._model.noise_laws import Noise
@@ -162,6 +163,25 @@ class Model(Printed, eqx.Module):
         kept = tuple((n, v) for n, v in self.fixed if names and n not in names)
         return Model(self.instrument, self.effects, self.noise, kept)
 
+    def resize(self, name: str, size: float) -> Model:
+        """The model with another plausible size of an effect's first coefficient, in its unit; others in proportion.
+
+        Raises:
+            ModelError: the effect is not in the model, states no plausible size, or this one is not positive.
+        """
+        effect, first = self.effect(name), self.effect(name).coefficients[0]
+        if effect.is_placeholder or first.flat or not 0 < size < math.inf:
+            stated = "; its own is taken from the readings, or flat" * (size > 0)
+            raise ModelError(f"{name!r} cannot be given the plausible size {size}{stated}")
+        # rounded, so that a saved size makes the same priors again
+        shares = [float(f"{c.size / first.size:.12g}") for c in effect.coefficients]
+        sized = [
+            _of_size(c, share * size) for c, share in zip(effect.coefficients, shares, strict=True)
+        ]
+        made = replace(effect, coefficients=tuple(sized))
+        effects = tuple(made if e is effect else e for e in self.effects)
+        return Model(self.instrument, effects, self.noise, self.fixed)
+
     @property
     def unknowns(self) -> tuple[str, ...]:
         """Names of all coefficients, shapes and noise parameters."""
@@ -252,6 +272,12 @@ def _spreads(effect: Effect) -> list[str]:
 
 def _positive(effect: Effect) -> list[str]:
     return [*_spreads(effect), *(effect.shape_name(s) for s in effect.shapes if s.scale == "log")]
+
+
+def _of_size(c: Coefficient, size: float) -> Coefficient:
+    if c.spread is not None:
+        return replace(c, spread=replace(c.spread, scale=size))
+    return c if c.flat else replace(c, prior=Normal(c.mean, size))
 
 
 def testable(effect: Effect, readings: Measurements) -> str | None:

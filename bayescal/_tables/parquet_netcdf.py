@@ -11,9 +11,8 @@ import xarray as xr
 
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
-from bayescal._tables.binary_format import as_format, refuse_large, row_place
 from bayescal._tables.cells import Cells, cells_of
-from bayescal._tables.raw_table import ROW, Header, Table
+from bayescal._tables.raw_table import ROW, Header, Table, as_format, refuse_large, row_place
 
 
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:

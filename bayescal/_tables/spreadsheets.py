@@ -10,9 +10,8 @@ import numpy as np
 
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
-from bayescal._tables.binary_format import as_format, refuse_large, row_place
 from bayescal._tables.cells import Cells, cells_of
-from bayescal._tables.raw_table import Header, Table
+from bayescal._tables.raw_table import Header, Table, as_format, refuse_large, row_place
 
 
 def open_excel(path: Path, file: str, max_bytes: int) -> Table:

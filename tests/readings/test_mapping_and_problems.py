@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayescal._cli.column_options import ColumnOptions, load_mapping, save_mapping
+from bayescal._cli.column_options import ColumnOptions
 from bayescal._core.errors import InputError
+from bayescal._tables.mapping_file import load_mapping, save_mapping
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
 from tests.support.lab_files import HEAD, RATE, TEMPERATURE, TIME, text, with_cell
 

@@ -1,0 +1,262 @@
+"""The page: its panes, laid out on one screen, and what happens when something on it is pressed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import panel as pn
+import param
+from panel.custom import JSComponent
+
+from bayescal._readings.unit_conversion import unit_label
+from bayescal._workbench.panes.error import ErrorPane
+from bayescal._workbench.panes.fails import Fails
+from bayescal._workbench.panes.missing import Missing
+from bayescal._workbench.panes.model import ModelPane
+from bayescal._workbench.panes.tabs import Tabs
+from bayescal._workbench.parts.pieces import choice, row, words
+from bayescal._workbench.parts.style import CSS, DARK, INSIDE, LIGHT
+from bayescal._workbench.parts.work import Work
+
+
+class Ground(JSComponent):
+    """Whether the browser prefers a dark ground, and has room; seen once, when the page opens."""
+
+    dark = param.Boolean(default=False)
+    wide = param.Boolean(default=False)
+    seen = param.Boolean(default=False)
+
+    _esm = """
+    export function render({ model, el }) {
+      document.body.style.margin = "0";
+      model.dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+      model.wide = window.innerWidth >= 1700;
+      model.seen = true;
+      return document.createElement("span");
+    }
+    """
+
+
+class Workbench:
+    """One person's page over one session.
+
+    Attributes:
+        session: what it shows and acts on.
+        view: what Panel serves, or shows in a notebook.
+    """
+
+    def __init__(self, session: Any, *, framed: bool = False) -> None:
+        """`framed`: part of another page, such as a notebook; else it takes the whole screen."""
+        self.session = session
+        self.work = Work(self._tell)
+        self.work.on_busy.append(self._busy)
+        self.fails = Fails(lambda rows: self.tabs.selected(rows))
+        self.model = ModelPane(self.act, self._ask)
+        self.missing = Missing(lambda e: self.act("add", e), self._point, self.look)
+        self.error = ErrorPane(lambda n: self.act("go_to", n), self._find_all, self._stop)
+        self.tabs = Tabs(self, self.error.view)
+        self.view = self._page(framed)
+        self._wear(False)
+        self.refresh()
+        self.look()
+        document = pn.state.curdoc
+        if document is not None and document.session_context is not None:
+            document.on_session_destroyed(lambda _: self.work.close())
+
+    def _page(self, framed: bool) -> pn.Column:
+        self.told = words(readings_in_words(self.session), "small", "about")
+        self.status = words("", "small", "status")
+        self.ground = Ground(margin=0, width=0, height=0)
+        self.light = choice(["light", "dark"], "light", "Ground")
+        self.light.param.watch(lambda event: self._wear(event.new == "dark"), "value")
+        self.ground.param.watch(lambda _: self._prefer(), "seen")
+        title = pn.pane.HTML("<h1>bayescal workbench</h1>", stylesheets=[INSIDE], margin=0)
+        top = row(
+            title,
+            self.told,
+            self.status,
+            self.light,
+            self.ground,
+            kinds=("top",),
+        )
+        return pn.Column(
+            top,
+            self.model.view,
+            self.fails.view,
+            self.missing.view,
+            self.tabs.view,
+            css_classes=["unsaid", *(["framed"] if framed else [])],
+            stylesheets=[CSS],
+            sizing_mode="stretch_both",
+            margin=0,
+        )
+
+    def refresh(self, *_: Any) -> None:
+        """Show the session's current state."""
+        states, state = self.session.states, self.session.current
+        before = None if state.parent is None else states[state.parent].step
+        self.model.show(state)
+        self.fails.show(state.step, before)
+        self.missing.show(state.discovery)
+        self.error.show(states, state.number)
+        self.tabs.show(state)
+
+    def act(self, name: str, *arguments: Any) -> None:
+        """Do something to the session beside the page, then show the state that it led to."""
+        self.work.forget_preview()
+        told = f"{_DOING.get(name, name)} {' '.join(map(str, arguments))} …"
+        self.work.begin(told, lambda: getattr(self.session, name)(*arguments), self._done)
+
+    def begin_with(self, readings: Any) -> None:
+        """Begin anew with other readings: a session of its own, in the place of this one."""
+        self.run(
+            "Fitting the new readings …",
+            lambda: self.session.with_readings(readings),
+            self._begun,
+        )
+
+    def _begun(self, session: Any) -> None:
+        self.session = session
+        self.told.object = readings_in_words(session)
+        self.tabs.open("The error")
+        self._done(None)
+
+    def draft_loaded(self, _: Any) -> None:
+        """An effect of the user's own is among the candidates: look again."""
+        self._done(None)
+
+    def run(self, told: str, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
+        """Other work beside the page."""
+        self.work.begin(told, job, then)
+
+    def look(self) -> None:
+        """Look for what is missing from the current state, unless that is known."""
+        state = self.session.current
+        if state.discovery is not None:
+            return
+        reason = ""
+        if not state.step.calibration.verdict.ok:
+            reason = "Result not reliable: nothing is looked for until the fit has converged."
+            self.missing.show(None, looking=False, reason=reason)
+            return
+
+        def found(_: Any) -> None:
+            if self.session.current.number == state.number:
+                now = self.session.current
+                self.missing.show(now.discovery)
+                self.model.show(now)
+                self.error.show(self.session.states, now.number)
+                self.tabs.looked(now)
+
+        self.work.look(self.session.look, found)
+
+    def _done(self, _: Any) -> None:
+        self.refresh()
+        self.look()
+
+    def _ask(self, done: Callable[[Any], None], *action: Any) -> None:
+        self.work.preview(lambda: self.session.consequences(*action), done)
+
+    def _point(self, effect: str) -> None:
+        """Lay a candidate's curve over the residuals."""
+        if not effect:
+            self.work.forget_preview()
+            self.fails.preview(None)
+            return
+        shown = self.session.current.number
+
+        def drawn(found: Any) -> None:
+            if self.missing.rows.pointed == effect and self.session.current.number == shown:
+                self.fails.preview(found.curve)
+                self.missing.preview(preview_in_words(found))
+
+        self.work.preview(lambda: self.session.preview(effect), drawn)
+
+    def _find_all(self) -> None:
+        self.error.searching(True, "searching …")
+
+        def follow(trail: Any) -> None:
+            self.work.on_page(lambda: self._searched(trail))
+
+        def ended(_: Any) -> None:
+            self.error.searching(False, "")
+            self._done(None)
+
+        self.work.begin(
+            "Finding all …",
+            lambda: self.session.find_all(follow),
+            ended,
+            failed=lambda: self.error.searching(False, ""),
+        )
+
+    def _searched(self, trail: Any) -> None:
+        self.error.searching(True, progress_in_words(trail))
+        if len(self.session.states) > len(self.error.rows.rows):
+            self.error.show(self.session.states, self.session.current.number)
+
+    def _stop(self) -> None:
+        self.session.stop()
+        self.error.searching(True, "stopping …")
+
+    def _busy(self, busy: bool) -> None:
+        self.model.busy(busy)
+        self.missing.busy(busy)
+        self.error.busy(busy)
+
+    def _tell(self, told: str, refused: bool) -> None:
+        self.status.object = told
+        self.status.css_classes = ["small", "status", *(["refused"] if refused else [])]
+
+    def _prefer(self) -> None:
+        self.fails.widen(self.ground.wide)
+        if self.ground.seen and self.ground.dark:
+            self.light.value = "dark"
+        elif self.ground.seen:
+            self._wear(False)
+
+    def _wear(self, dark: bool) -> None:
+        """Take a light or a dark ground."""
+        seen = self.ground.seen or dark
+        kept = [c for c in self.view.css_classes if c not in ("dark", "light", "unsaid")]
+        self.view.css_classes = [*kept, ("dark" if dark else "light") if seen else "unsaid"]
+        palette = DARK if dark else LIGHT
+        self.fails.wear(palette)
+        self.error.wear(palette)
+        self.tabs.wear(palette)
+
+
+_DOING = {
+    "add": "Fitting with",
+    "take_out": "Fitting without",
+    "fix": "Holding",
+    "resize": "Resizing",
+    "noise": "Fitting with noise",
+    "go_to": "Going back to step",
+}
+
+
+def readings_in_words(session: Any) -> str:
+    """What a session is about."""
+    readings, kept = session.readings, session.holdout
+    told = f"{len(readings):,} readings of {readings.file}"
+    return told + (f"; hold-out data: {len(kept):,} of {kept.file}" if kept is not None else "")
+
+
+def preview_in_words(found: Any) -> str:
+    """What a candidate would do."""
+    return str(found)
+
+
+def progress_in_words(trail: Any) -> str:
+    """How far a search is."""
+    search = trail.search
+    weighed = "" if search is None else f"{search.weighed:,} models weighed, "
+    last = trail.steps[-1]
+    unit = unit_label(last.calibration.unit)
+    return f"{weighed}{len(trail.steps) - 1} steps, error {last.rmse_fitted:.3g} {unit}"
+
+
+def page(session: Any, **settings: Any) -> Any:
+    """The page over a session, for `pn.serve` or a notebook."""
+    return Workbench(session, **settings).view

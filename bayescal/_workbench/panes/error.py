@@ -1,0 +1,231 @@
+"""The error: the path so far, every step to go back to, and the whole search with its progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import panel as pn
+from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormatter, Span
+
+from bayescal._core.formatting import number, probability
+from bayescal._readings.unit_conversion import unit_label
+from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.rows import Rows
+from bayescal._workbench.parts.style import (
+    GREEN,
+    INSIDE,
+    LIGHT,
+    ORANGE,
+    RED,
+    Palette,
+    dress,
+    new_figure,
+)
+
+SERIES = (  # of a step's errors: name, marker, colour (None: the ground's blue)
+    ("as fitted", "circle", None),
+    ("new run", "square", ORANGE),
+    ("held out", "triangle", GREEN),
+)
+
+
+class ErrorPane:
+    """The bottom of the page.
+
+    Attributes:
+        view: what Panel shows.
+    """
+
+    def __init__(
+        self, go_to: Callable[[int], None], find_all: Callable[[], None], stop: Callable[[], None]
+    ) -> None:
+        self._go_to = go_to
+        self.palette: Palette = LIGHT
+        self.rows = Rows(
+            lambda state, _: self._go_to(int(state)),
+            table=True,
+            kind="table",
+            label="Steps",
+            margin=0,
+            sizing_mode="stretch_both",
+            styles={"min-height": "0"},
+        )
+        self.find = button("Find all", lambda _: find_all(), button_type="primary")
+        self.halt = button("Stop", lambda _: stop(), disabled=True)
+        self.progress = words("", "small")
+        empty: dict[str, Any] = {name: [] for name in (*(s[0] for s in SERIES), "step", "floor")}
+        self.source: Any = ColumnDataSource(empty)
+        self.figure = self._figure()
+        self.view = column(
+            row(self.find, self.halt, self.progress),
+            pn.Column(
+                pn.pane.Bokeh(self.figure, sizing_mode="stretch_both", margin=0),
+                self.rows,
+                css_classes=["halves"],
+                stylesheets=[INSIDE],
+                sizing_mode="stretch_both",
+                margin=0,
+            ),
+        )
+
+    def _figure(self) -> Any:
+        made = new_figure(
+            "step of the path", "rms error", x_range=(-0.3, 1.3), y_range=(0.0, 1.0), tools=""
+        )
+        made.name = "the error"
+        made.xaxis.ticker.desired_num_ticks = 8
+        made.xaxis.ticker.mantissas = [1, 2, 5]
+        made.xaxis.ticker.min_interval = 1
+        made.xaxis.formatter = NumeralTickFormatter(format="0")
+        items = []
+        for name, marker, colour in SERIES:
+            drawn = [
+                made.line(
+                    "step",
+                    name,
+                    source=self.source,
+                    line_width=2,
+                    color=colour or self.palette.blue,
+                ),
+                made.scatter(
+                    "step",
+                    name,
+                    source=self.source,
+                    size=8,
+                    marker=marker,
+                    color=colour or self.palette.blue,
+                ),
+            ]
+            items.append(LegendItem(label=name, renderers=drawn))
+        self._blue = items[0].renderers
+        self._floor = Span(
+            location=0, dimension="width", line_color=RED, line_dash="dashed", line_width=1.5
+        )
+        made.add_layout(self._floor)
+        line = made.line("step", "floor", source=self.source, color=RED, line_dash="dashed")
+        items.append(LegendItem(label="floor", renderers=[line]))
+        made.add_layout(
+            Legend(
+                items=items,
+                orientation="horizontal",
+                label_text_font_size="11px",
+                margin=0,
+                spacing=8,
+                glyph_width=16,
+                border_line_alpha=0,
+                background_fill_alpha=0,
+            ),
+            "above",
+        )
+        return made
+
+    def show(self, states: Mapping[int, Any], current: int) -> None:
+        """Show the tree of states; the figure has the path to the current one."""
+        path = path_to(states, current)
+        errors = [states[n].step.errors() for n in path]
+        unit = unit_label(errors[-1]["unit"])
+        held_out = [e["holdout_rmse"] for e in errors]
+        values = {
+            "as fitted": [e["rmse_fitted"] for e in errors],
+            "new run": [e["rmse"] for e in errors],
+            "held out": [float("nan") if v is None else v for v in held_out],
+        }
+        floor = errors[-1]["noise_floor"]
+        self.source.data = {"step": list(range(len(path))), "floor": [floor] * len(path), **values}
+        largest = max(v for series in values.values() for v in series if v == v)
+        self.figure.y_range.end = 1.1 * max(largest, floor)
+        self.figure.x_range.start, self.figure.x_range.end = -0.3, max(1, len(path) - 1) + 0.3
+        self.figure.yaxis.axis_label = f"rms error [{unit}]"
+        self._floor.location = floor
+        kept_apart = any(v is not None for v in held_out)
+        for item in self.figure.select_one(Legend).items:
+            item.visible = item.label.value != "held out" or kept_apart
+        self.rows.head = [
+            "step",
+            f"as fitted [{unit}]",
+            "new run",
+            *(["held out"] if kept_apart else []),
+            "floor",
+            "complete",
+            "",
+        ]
+        self.rows.rows = step_rows(states, current, kept_apart, largest)
+
+    def wear(self, palette: Palette) -> None:
+        """Take the colours of a ground."""
+        self.palette = palette
+        dress(self.figure, palette)
+        self._blue[0].glyph.line_color = palette.blue
+        self._blue[1].glyph.fill_color = self._blue[1].glyph.line_color = palette.blue
+
+    def busy(self, busy: bool) -> None:
+        """Shut or open what begins work."""
+        self.rows.busy = self.find.disabled = busy
+
+    def searching(self, on: bool, told: str = "") -> None:
+        """Whether the whole search is under way, and how far it is."""
+        self.halt.disabled = not on
+        self.progress.object = told
+
+
+def path_to(states: Mapping[int, Any], number: int) -> list[int]:
+    """Numbers of the states from the first to one."""
+    path = [number]
+    while (parent := states[path[0]].parent) is not None:
+        path.insert(0, parent)
+    return path
+
+
+def in_order(states: Mapping[int, Any]) -> list[tuple[int, int]]:
+    """(number, branchings before it), each state after its parent: a first child stays at its parent's depth."""
+    children: dict[int | None, list[int]] = {}
+    for n in sorted(states):
+        children.setdefault(states[n].parent, []).append(n)
+    found: list[tuple[int, int]] = []
+    waiting = [(n, 0) for n in reversed(children.get(None, []))]
+    while waiting:
+        n, depth = waiting.pop()
+        found.append((n, depth))
+        own = children.get(n, [])
+        first, others = own[:1], own[1:]
+        waiting += [(c, depth + 1) for c in reversed(others)]
+        waiting += [(c, depth) for c in first]  # on top: it comes next
+    return found
+
+
+def step_rows(
+    states: Mapping[int, Any], current: int, kept_apart: bool, largest: float
+) -> list[dict[str, Any]]:
+    """A row a state: its errors, and the way back to it."""
+    rows = []
+    for n, depth in in_order(states):
+        state = states[n]
+        e = state.step.errors()
+        indent = "  " * depth + ("└ " if depth else "")
+        cells: list[dict[str, Any]] = [
+            {"text": f"{indent}{n}  {state.title}"},
+            {"text": number(e["rmse_fitted"]), "kind": "number"},
+            {"text": number(e["rmse"]), "kind": "number"},
+        ]
+        if kept_apart:
+            cells.append({"text": number(e["holdout_rmse"]), "kind": "number"})
+        complete = None if state.discovery is None else state.discovery.nothing_missing
+        cells += [
+            {"text": number(e["noise_floor"]), "kind": "number"},
+            {
+                "text": probability(complete),
+                "kind": "number",
+                "title": "probability that the model is complete",
+            },
+        ]
+        here = {"id": "go", "label": "Go back", "title": "what is done next branches off here"}
+        rows.append(
+            {
+                "id": str(n),
+                "cells": cells,
+                "actions": [] if n == current else [here],
+                "current": n == current,
+            }
+        )
+    return rows

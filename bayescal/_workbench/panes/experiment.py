@@ -1,0 +1,72 @@
+"""Next experiment: which test would tell apart what these readings cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from bayescal._diagnostics.evidence_scale import VERY_STRONG
+from bayescal._discovery.next_experiment import NextExperiment, next_experiment
+from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.rows import Rows
+
+HEAD = ["experiment", "least expected log Bayes factor", "for", ""]
+
+
+class ExperimentPane:
+    """Feasible experiments, the most telling first."""
+
+    def __init__(self, run: Callable[..., None]) -> None:
+        """`run(words, job, then)` does work beside the page."""
+        self._run, self._state = run, None
+        self.rank = button("Rank the experiments", lambda _: self._begin(), button_type="primary")
+        self.told = words("", "small")
+        self.rows = Rows(
+            table=True,
+            kind="table",
+            head=HEAD,
+            label="Experiments",
+            margin=0,
+            sizing_mode="stretch_both",
+            visible=False,
+        )
+        self.view = column(row(self.rank, self.told), self.rows)
+
+    def show(self, state: Any) -> None:
+        """Say what is to be told apart in a state."""
+        self._state = state
+        self.rows.visible, self.rows.rows = False, []
+        found = state.discovery
+        names = [] if found is None else [e.name for e in found.rivals]
+        self.rank.disabled = len(names) < 2
+        if found is None:
+            self.told.object = "What is missing has not been looked for yet."
+        elif len(names) < 2:
+            self.told.object = "Nothing is confounded here: there are no two effects to tell apart."
+        else:
+            self.told.object = f"To tell apart: {', '.join(names)}"
+
+    def _begin(self) -> None:
+        state = self._state
+        assert state is not None
+        job = lambda: next_experiment(state.step.calibration, state.discovery.rivals)  # noqa: E731
+        self._run("Ranking experiments …", job, lambda found: self._shown(state, found))
+
+    def _shown(self, state: Any, found: NextExperiment) -> None:
+        if state is self._state:
+            self.rows.rows, self.rows.visible = experiment_rows(found), True
+
+
+def experiment_rows(found: NextExperiment) -> list[dict[str, Any]]:
+    """A row an experiment; green where it is expected to tell."""
+    rows = []
+    for e in found.experiments:
+        (truth, rival), least = min(e.expected.items(), key=lambda item: item[1])
+        kind = "number best" if least >= VERY_STRONG else "number"
+        cells = [
+            {"text": e.name},
+            {"text": f"{least:.1f}", "kind": kind},
+            {"text": f"{truth} against {rival}", "kind": "left"},
+        ]
+        rows.append({"id": e.name, "cells": cells})
+    return rows

@@ -1,0 +1,286 @@
+"""Where it fails: residuals against columns side by side, brushed together, the worst region shaded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import panel as pn
+from bokeh.events import Reset, SelectionGeometry
+from bokeh.models import ColumnDataSource, Range1d
+
+from bayescal._workbench.panes.fails_data import AGAINST, Shown
+from bayescal._workbench.panes.fails_panel import dress_panel, residual_panel, show_curve
+from bayescal._workbench.parts.decimate import drawn_rows, sentence
+from bayescal._workbench.parts.pieces import choice, column, row, several, words
+from bayescal._workbench.parts.style import INSIDE, LIGHT, Palette, fixed_range, span
+
+AFTER, BEFORE, BOTH = "after", "before", "both"
+MOST = 4  # panels side by side, at most
+LEGEND = 6  # runs that are named beside their colour
+SIGNS = "●■▲◆▼⬢"  # as MARKERS
+
+
+class Fails:
+    """The middle of the page.
+
+    Attributes:
+        view: what Panel shows.
+        selected: rows that are brushed, of all readings.
+    """
+
+    def __init__(self, on_select: Callable[[np.ndarray], None] = lambda _: None) -> None:
+        self._on_select = on_select
+        self.shown: Shown | None = None
+        self.palette: Palette = LIGHT
+        self.selected = np.array([], int)
+        self.source: Any = ColumnDataSource({})
+        self._curve: np.ndarray | None = None
+        self._views: dict[str, tuple[float, float]] = {}
+        self._figures: dict[str, Any] = {}
+        self._y = Range1d()
+        self._waiting = self._showing = False
+        self.choice = several([], [], "Columns that residuals are laid against")
+        self.when = choice([AFTER, BEFORE, BOTH], AFTER, "Residuals and the last step")
+        self.said = words()
+        self.drawn = words("", "small")
+        self.brushed = words("", "small")
+        self.legend = row(kinds=("tight",))
+        self.panels = pn.Column(
+            sizing_mode="stretch_both", css_classes=["panels"], stylesheets=[INSIDE], margin=0
+        )
+        self.view = column(
+            row(words("Where it fails", "title"), self.when, kinds=("spread",)),
+            self.choice,
+            self.said,
+            self.panels,
+            row(self.legend, self.brushed, self.drawn),
+            kinds=("pane", "fails"),
+        )
+        self.choice.param.watch(self._chosen, "value")
+        self.when.param.watch(lambda _: self._showing or self._fill(), "value")
+
+    def show(self, step: Any, before: Any | None) -> None:
+        """Show a state; `before` is the step of the one it came from."""
+        earlier = None if before is None else np.asarray(before.check.residuals, float)
+        same = earlier is not None and earlier.size == len(step.check.residuals)
+        self.shown = Shown(step, earlier if same else None)
+        self._curve = None
+        self._views = {}
+        self.said.object = self.shown.sentence()
+        names = list(self.shown.covariates)
+        kept = [n for n in self.choice.value if n in names]
+        self._showing = True
+        self.when.param.update(disabled=not same, value=self.when.value if same else AFTER)
+        self.choice.param.update(options=names, value=kept or self.shown.start())
+        self._showing = False
+        self._lay_out()
+        self._say_selected()
+
+    def widen(self, wide: bool) -> None:
+        """Begin with a third panel where there is room."""
+        if wide and self.shown is not None and self.choice.value == self.shown.start():
+            self.choice.value = self.shown.start(3)
+
+    def preview(self, curve: np.ndarray | None) -> None:
+        """Lay an effect's curve over the residuals, output unit, (n,); None takes it away."""
+        self._curve = None if curve is None else np.asarray(curve, float)
+        if self.shown is not None:
+            rows = self.source.data["row"]
+            self.source.data["curve"] = self._curve_at(rows)
+            for made in self._figures.values():
+                show_curve(made, self._curve is not None)
+
+    def wear(self, palette: Palette) -> None:
+        """Take the colours of a ground."""
+        self.palette = palette
+        if self.shown is not None:
+            self.source.data["colour"] = self.shown.colours(palette)[self.source.data["row"]]
+            self._say_runs()
+        for made in self._figures.values():
+            dress_panel(made, palette)
+
+    def select(self, rows: np.ndarray) -> None:
+        """Brush rows, of all readings; in the panels those that are drawn light up."""
+        self.selected = np.asarray(rows, int)
+        drawn = self.source.data.get("row", np.array([], int))
+        self.source.selected.indices = np.flatnonzero(np.isin(drawn, self.selected)).tolist()
+        self._say_selected()
+
+    def _chosen(self, event: Any) -> None:
+        """Other columns; of too many, those chosen first go."""
+        if self._showing:
+            return
+        new = [n for n in event.new if n not in event.old]
+        kept = [n for n in event.old if n in event.new][-(MOST - len(new)) :]
+        if len(event.new) > MOST:
+            self.choice.value = [*kept, *new]
+        else:
+            self._lay_out()
+
+    def columns(self) -> dict[str, tuple[np.ndarray, str, tuple[str, ...]]]:
+        """Values (n,), unit and, of a group, members of every column that a region can be given in."""
+        shown = self.shown
+        if shown is None:
+            return {}
+        return {
+            n: (v, shown.units[n], shown.levels.get(n, ())) for n, v in shown.covariates.items()
+        }
+
+    def _lay_out(self) -> None:
+        """Make the panels anew: other columns, or another state."""
+        if self.shown is None:
+            return
+        self._y = fixed_range(-1, 1)
+        names = [n for n in self.choice.value if n in self.shown.covariates]
+        self.source = ColumnDataSource(
+            {}
+        )  # panels that go keep theirs, with the columns that they draw
+        self._fill_source(names)
+        self.source.selected.on_change("indices", self._brushed_in_source)
+        self._say_runs()
+        self._figures = {name: self._panel(name) for name in names}
+        self._fit_range()
+        for made in self._figures.values():
+            dress_panel(made, self.palette)
+        self.panels.css_classes = ["panels", f"of{len(names)}"]
+        self.panels[:] = [
+            pn.pane.Bokeh(made, sizing_mode="stretch_both", margin=0, min_height=0)
+            for made in self._figures.values()
+        ]
+
+    def _fill(self) -> None:
+        """The same panels with other residuals."""
+        if self.shown is not None:
+            self._fill_source(list(self._figures))
+            self._fit_range()
+
+    def _now(self) -> np.ndarray:
+        shown = self.shown
+        assert shown is not None
+        before = shown.before if self.when.value == BEFORE else None
+        return shown.residual if before is None else before
+
+    def _fill_source(self, names: list[str]) -> None:
+        shown = self.shown
+        assert shown is not None
+        residual = self._now()
+        covariates = {n: shown.covariates[n] for n in names}
+        rows = drawn_rows(covariates, residual, self._views) if names else np.array([], int)
+        data: dict[str, Any] = {f"x{i}": v[rows] for i, v in enumerate(covariates.values())}
+        both = self.when.value == BOTH and shown.before is not None
+        data |= {
+            "row": rows,
+            "reading": rows + 1,
+            "run": [shown.runs[0][k] for k in shown.runs[1][rows]],
+            "residual": residual[rows],
+            "measured": shown.measured[rows],
+            "before": shown.before[rows]
+            if both and shown.before is not None
+            else np.full(rows.size, np.nan),
+            "curve": self._curve_at(rows),
+            "colour": shown.colours(self.palette)[rows],
+            "marker": shown.markers()[rows],
+        }
+        chosen = self.selected
+        self.source.data = data
+        self.source.selected.indices = np.flatnonzero(np.isin(rows, chosen)).tolist()
+        self.drawn.object = sentence(rows.size, residual.size)
+
+    def _fit_range(self) -> None:
+        shown = self.shown
+        assert shown is not None
+        values = [self._now()]
+        if self.when.value == BOTH and shown.before is not None:
+            values.append(shown.before)
+        low, high = min(v.min() for v in values), max(v.max() for v in values)
+        ends = span(float(low), float(high))
+        self._y.update(**ends, reset_start=ends["start"], reset_end=ends["end"])
+
+    def _curve_at(self, rows: np.ndarray) -> np.ndarray:
+        return np.full(len(rows), np.nan) if self._curve is None else self._curve[rows]
+
+    def _panel(self, name: str) -> Any:
+        shown, x = self.shown, f"x{self._names().index(name)}"
+        assert shown is not None
+        made = residual_panel(shown, name, x, self.source, self._y)
+        show_curve(made, self._curve is not None)
+        made.on_event(SelectionGeometry, lambda event: self._brushed_in_panel(name, event))
+        made.on_event(Reset, lambda _: self.select(np.array([], int)))
+        for end in ("start", "end"):
+            made.x_range.on_change(end, lambda attr, old, new: self._moved(name, made.x_range))
+        return made
+
+    def _names(self) -> list[str]:
+        assert self.shown is not None
+        return [n for n in self.choice.value if n in self.shown.covariates]
+
+    def _moved(self, name: str, view: Any) -> None:
+        """A panel was zoomed: of many readings, others are drawn; once, when it rests."""
+        shown = self.shown
+        if shown is None:
+            return
+        if shown.residual.size == len(self.source.data["row"]) and not self._views:
+            return
+        self._views[name] = (float(view.start), float(view.end))
+        document = self.source.document
+        if document is None or self._waiting:
+            return
+        self._waiting = True
+
+        def rested() -> None:
+            self._waiting = False
+            self._fill_source(list(self._figures))
+
+        document.add_timeout_callback(rested, 120)
+
+    def _brushed_in_panel(self, name: str, event: Any) -> None:
+        """Of many readings those that are not drawn belong to a region too."""
+        shown, place = self.shown, event.geometry
+        if shown is None or not event.final or place.get("type") != "rect":
+            return
+        if shown.residual.size == len(self.source.data["row"]):
+            return  # the browser's own selection has them all
+        x, y = shown.covariates[name], shown.measured if name == AGAINST else self._now()
+        low, high = sorted((place["x0"], place["x1"]))
+        bottom, top = sorted((place["y0"], place["y1"]))
+        self.selected = np.flatnonzero((x >= low) & (x <= high) & (y >= bottom) & (y <= top))
+        self._say_selected()
+
+    def _brushed_in_source(self, _: str, __: Any, indices: list[int]) -> None:
+        rows = self.source.data["row"]
+        if self.shown is None or (len(rows) != self.shown.residual.size and indices):
+            return
+        self.selected = np.asarray(rows)[np.asarray(indices, int)]
+        self._say_selected()
+
+    def _say_runs(self) -> None:
+        """Which colour and shape is which run."""
+        assert self.shown is not None
+        levels = self.shown.runs[0]
+        if not 1 < len(levels) <= LEGEND:
+            many = f"{len(levels)} runs; colours and shapes repeat" if len(levels) > 1 else ""
+            self.legend[:] = [words(many, "small")]
+            return
+        cycle = self.palette.cycle
+        self.legend[:] = [
+            row(
+                words(SIGNS[k % len(SIGNS)], styles={"color": cycle[k % len(cycle)]}),
+                words(f"run {level[:16]}", "small"),
+                kinds=("tight",),
+            )
+            for k, level in enumerate(levels)
+        ]
+
+    def _say_selected(self) -> None:
+        rows = self.selected
+        if rows.size and self.shown is not None:
+            own = self._now()[rows]
+            mean = f"mean residual {own.mean():+.3g} {self.shown.unit}".replace("-", "−")
+            self.brushed.object = f"{rows.size:,} readings selected, {mean}"
+        else:
+            self.brushed.object = (
+                "Drag over a panel to select readings; they light up in the others."
+            )
+        self._on_select(rows)

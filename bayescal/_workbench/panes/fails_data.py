@@ -1,0 +1,100 @@
+"""What the panels of "where it fails" draw, as plain arrays: one source of rows for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from bayescal._diagnostics.check import covariates_of
+from bayescal._diagnostics.check_result import Check, Entry, place_in_words
+from bayescal._readings.unit_conversion import unit_label
+from bayescal._workbench.parts.style import MARKERS, Palette
+
+AGAINST = "measured against predicted"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A state's residuals with everything that they can be laid against.
+
+    Attributes:
+        step: the state's fit with its check.
+        before: residuals before the last step, output unit, (n,); None at the first.
+    """
+
+    step: Any
+    before: np.ndarray | None
+
+    @property
+    def check(self) -> Check:
+        return self.step.check
+
+    @cached_property
+    def residual(self) -> np.ndarray:
+        return np.asarray(self.check.residuals, float)
+
+    @cached_property
+    def unit(self) -> str:
+        return unit_label(self.check.unit)
+
+    @cached_property
+    def measured(self) -> np.ndarray:
+        readings = self.step.calibration.readings
+        return np.asarray(readings[readings.output], float)
+
+    @cached_property
+    def covariates(self) -> Mapping[str, np.ndarray]:
+        """(n,) each, by name; a group's members as numbers 0, 1, …; at last what the model predicts."""
+        found = {c.name: np.asarray(c.values, float) for c in covariates_of(self.step.calibration)}
+        return {**found, AGAINST: self.measured - self.residual}
+
+    @cached_property
+    def units(self) -> Mapping[str, str]:
+        found = {c.name: unit_label(c.unit or "") for c in covariates_of(self.step.calibration)}
+        return {**found, AGAINST: self.unit}
+
+    @cached_property
+    def levels(self) -> Mapping[str, tuple[str, ...]]:
+        """Members of the groups among them."""
+        return {c.name: c.levels for c in covariates_of(self.step.calibration) if c.levels}
+
+    def entry(self, name: str) -> Entry | None:
+        return next((e for e in self.check.entries if e.against == name), None)
+
+    @cached_property
+    def runs(self) -> tuple[tuple[str, ...], np.ndarray]:
+        return self.step.calibration.readings.groups("run")
+
+    def colours(self, palette: Palette) -> np.ndarray:
+        """A colour a reading, by run."""
+        cycle = np.array(palette.cycle)
+        return cycle[self.runs[1] % len(cycle)]
+
+    def markers(self) -> np.ndarray:
+        """A shape a reading, by run: colour is never the only thing that tells them apart."""
+        return np.array(MARKERS)[self.runs[1] % len(MARKERS)]
+
+    def start(self, count: int = 2) -> list[str]:
+        """What is shown first: the continuous covariates with the strongest evidence, in the order of the columns."""
+        ranked = [e.against for e in self.check.entries if not e.by_group]
+        chosen = ranked[:count] or [n for n in self.covariates if n != AGAINST][:count]
+        return [n for n in self.covariates if n in chosen] or [AGAINST]
+
+    def sentence(self) -> str:
+        """The worst region of the strongest covariate, in a sentence."""
+        worst = max(self.check.entries, key=lambda e: e.log_bayes_factor, default=None)
+        if worst is None:
+            return "No column varies: there is nothing to lay the residuals against."
+        rms = f"Residuals {self.check.rms:.3g} {self.unit} rms, noise {self.check.noise:.3g} {self.unit}. "
+        if worst.log_bayes_factor < 0:
+            return rms + "No column says anything of them: no log Bayes factor is above zero."
+        side = "positive" if worst.worst.size > 0 else "negative"
+        return (
+            f"{rms}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} on "
+            f"average, {place_in_words(worst)} (z = {worst.worst.z:+.1f}; log Bayes factor "
+            f"{worst.log_bayes_factor:.1f})."
+        ).replace("-", "−")

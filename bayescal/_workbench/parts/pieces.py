@@ -1,0 +1,92 @@
+"""What the page is pieced together from: text (always text, never HTML, whatever a file or an effect is called),
+buttons, choices, rows and columns.
+"""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+import panel as pn
+
+from bayescal._workbench.parts.style import INSIDE
+
+PLAIN = """
+pre { font: var(--size, 13px)/1.4 var(--letters); white-space: pre-wrap; overflow-wrap: anywhere; margin: 0;
+  background: transparent; color: inherit; border: 0; padding: 0; }
+:host(.title) { --size: 14px; } :host(.title) pre { font-weight: 650; }
+:host(.small) { --size: 12px; } :host(.small) pre { color: var(--quiet); }
+:host(.table) pre { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 12px; white-space: pre; }
+:host(.about) { flex: 0 1 auto; min-width: 0; }
+:host(.status) { flex: 1 1 0; min-width: 0; max-height: 34px; overflow-y: auto; }
+:host(.refused) pre { color: var(--red); }
+"""
+
+RADIO = """
+.bk-input-group { display: flex !important; flex-wrap: wrap; gap: 4px; margin: 0 !important; }
+label, .bk-input-group > * { margin: 0 !important; }
+label { cursor: pointer; position: relative; display: inline-flex !important; }
+label input { position: absolute; opacity: 0; margin: 0; }
+label span { display: inline-block; margin: 0 !important; padding: 2px 9px; border: 1px solid var(--line);
+  border-radius: 4px; color: var(--ink); background: var(--ground); font: 12.5px/1.3 var(--letters);
+  white-space: nowrap; }
+label:hover span { border-color: var(--mark); }
+label input:checked + span { background: var(--mark); border-color: var(--mark); color: var(--ground); }
+label input:focus-visible + span { outline: 2px solid var(--mark); outline-offset: 2px; }
+:host(.several) { width: 100%; min-width: 0; max-height: 58px; overflow-y: auto; flex: 0 0 auto; padding: 2px; }
+label input:disabled + span { opacity: 0.5; cursor: default; }
+"""
+
+
+class Text(pn.pane.Str):
+    """Panel's pane of text, which shows `<b>` in bold: here it stays text."""
+
+    def _transform_object(self, obj: Any) -> dict[str, Any]:
+        return super()._transform_object(escape(str(obj)) if obj else "")
+
+
+def words(text: str = "", *kinds: str, **settings: Any) -> Text:
+    """A text; `kinds`: "title", "small" (quiet), "table" (a printed one), "refused"."""
+    settings = {"margin": 0, "css_classes": list(kinds), "stylesheets": [PLAIN], **settings}
+    return Text(text, **settings)
+
+
+def button(label: str, press: Any, **settings: Any) -> pn.widgets.Button:
+    """A button in the page's style; `press` is called with the event."""
+    made = pn.widgets.Button(
+        name=label, **{"stylesheets": [INSIDE], "margin": 0, "align": "center", **settings}
+    )
+    made.on_click(press)
+    return made
+
+
+def row(*children: Any, kinds: tuple[str, ...] = (), **settings: Any) -> pn.Row:
+    """Children beside each other, wrapped where there is no room."""
+    kinds = ("line", *kinds)
+    return pn.Row(*children, css_classes=list(kinds), stylesheets=[INSIDE], margin=0, **settings)
+
+
+def column(*children: Any, kinds: tuple[str, ...] = ("bare",), **settings: Any) -> pn.Column:
+    """Children below each other."""
+    settings = {"sizing_mode": "stretch_both", "margin": 0, **settings}
+    return pn.Column(*children, css_classes=list(kinds), stylesheets=[INSIDE], **settings)
+
+
+def choice(options: list[str], value: str, label: str) -> pn.widgets.RadioBoxGroup:
+    """One of a few: radio buttons, which the keyboard reaches as Bokeh's tabs and button groups are not reached."""
+    return pn.widgets.RadioBoxGroup(
+        options=options, value=value, inline=True, margin=0, name=label, stylesheets=[INSIDE, RADIO]
+    )
+
+
+def several(options: list[str], value: list[str], label: str) -> pn.widgets.CheckBoxGroup:
+    """Some of many, as check boxes: their labels are text (those of `MultiChoice` are HTML)."""
+    return pn.widgets.CheckBoxGroup(
+        options=options,
+        value=value,
+        inline=True,
+        margin=0,
+        name=label,
+        stylesheets=[INSIDE, RADIO],
+        css_classes=["several"],
+    )

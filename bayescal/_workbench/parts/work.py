@@ -1,0 +1,124 @@
+"""Work beside the page: what takes longer than a frame runs in a thread, and the page goes on."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
+from typing import Any
+
+import panel as pn
+
+from bayescal._core.errors import BayescalError
+
+
+class Work:
+    """One page's work: jobs one after the other, beside them a look, and at most one preview, the one asked for last.
+
+    Results, and refusals in words, come back to the page's own thread.
+    """
+
+    def __init__(self, tell: Callable[[str, bool], None]) -> None:
+        """`tell(words, refused)` says what is being done, "" when it is done, or why it could not be."""
+        self._tell = tell
+        self._document = pn.state.curdoc
+        self._jobs = ThreadPoolExecutor(1, thread_name_prefix="workbench job")
+        self._looks = ThreadPoolExecutor(1, thread_name_prefix="workbench look")
+        self._previews = ThreadPoolExecutor(1, thread_name_prefix="workbench preview")
+        self._lock, self._wanted = Lock(), 0
+        self.on_busy: list[Callable[[bool], None]] = []
+        self._under_way = 0
+
+    def on_page(self, call: Callable[[], None]) -> None:
+        """Call something in the page's own thread, soon; from any thread."""
+        document = self._document
+        if document is not None and document.session_context is not None:
+            document.add_next_tick_callback(call)
+        else:
+            call()
+
+    def begin(
+        self,
+        words: str,
+        job: Callable[[], Any],
+        then: Callable[[Any], None],
+        failed: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Begin a job, after those that are under way; `then(result)`, or `failed()`, follows on the page."""
+        self._count(1)
+        self._tell(words, False)
+
+        def done(result: Any, error: BaseException | None) -> None:
+            self._count(-1)
+            self._tell("" if error is None else _in_words(error), error is not None)
+            if error is None:
+                then(result)
+            else:
+                failed()
+
+        def run() -> None:
+            result, error = _outcome(job)
+            self.on_page(lambda: done(result, error))
+
+        self._jobs.submit(run)
+
+    def look(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
+        """Look for something beside everything else; what is pressed meanwhile is not refused."""
+
+        def run() -> None:
+            result, error = _outcome(job)
+            self.on_page(
+                lambda: then(result) if error is None else self._tell(_in_words(error), True)
+            )
+
+        self._looks.submit(run)
+
+    def preview(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
+        """Compute a preview; one that another has overtaken is dropped."""
+        with self._lock:
+            self._wanted += 1
+            ticket = self._wanted
+
+        def run() -> None:
+            if ticket != self._wanted:
+                return
+            result, error = _outcome(job)
+            if ticket != self._wanted:
+                return
+            if error is not None:
+                self.on_page(lambda: self._tell(_in_words(error), True))
+            else:
+                self.on_page(lambda: then(result))
+
+        self._previews.submit(run)
+
+    def forget_preview(self) -> None:
+        """Drop the preview that is under way."""
+        with self._lock:
+            self._wanted += 1
+
+    def close(self) -> None:
+        """Take no further work."""
+        self._jobs.shutdown(wait=False, cancel_futures=True)
+        self._looks.shutdown(wait=False, cancel_futures=True)
+        self._previews.shutdown(wait=False, cancel_futures=True)
+
+    def _count(self, more: int) -> None:
+        before, self._under_way = self._under_way, self._under_way + more
+        if bool(before) != bool(self._under_way):
+            for call in self.on_busy:
+                call(bool(self._under_way))
+
+
+def _outcome(job: Callable[[], Any]) -> tuple[Any, BaseException | None]:
+    try:
+        return job(), None
+    except Exception as error:  # a thread's error would be lost: the page says it
+        if not isinstance(error, BayescalError):
+            logging.getLogger("bayescal").exception("in the workbench")
+        return None, error
+
+
+def _in_words(error: BaseException) -> str:
+    return str(error) if isinstance(error, BayescalError) else f"{type(error).__name__}: {error}"

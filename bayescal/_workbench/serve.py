@@ -1,0 +1,158 @@
+"""The workbench in a browser: on the loopback interface alone, under an address that holds a secret.
+
+Every path that is served, and the websocket, stands under that secret (`prefix` of Bokeh's server), so that neither
+another user of this computer nor a page from elsewhere can reach it; a websocket is taken from this address alone.
+Nothing is fetched from anywhere else: Panel serves its own scripts.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import panel as pn
+from bokeh.document import Document
+from panel.io.state import set_curdoc
+
+from bayescal._core.errors import BayescalError, InputError
+from bayescal._workbench import kept
+from bayescal._workbench.app import page
+from bayescal._workbench.session import Session
+from bayescal._workbench.start import LOOPBACK, Address, kept_sessions
+
+MOST = 64 * 2**20  # bytes of one message of a browser's; files come in pieces that are far smaller
+
+
+class Sessions:
+    """The sessions of one server, each in a folder of its own; a tab is a session, a tab that is loaded again the same.
+
+    Attributes:
+        folder: that holds theirs.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        begin: Callable[[Path], Session],
+        resume: Callable[[Path], Session] = Session.resume,
+    ) -> None:
+        """`begin(folder)` makes a new session, `resume(folder)` goes on with one."""
+        self.folder, self._begin, self._resume = folder, begin, resume
+        self._open: dict[str, Session] = {}
+        self._locks: dict[str, threading.Lock] = {}
+        self._lock = threading.Lock()
+
+    def open(self, name: str = "") -> Session:
+        """The session of a name, resumed if need be; a new one if it has none.
+
+        Raises:
+            InputError: there is none of that name, or it cannot be resumed.
+        """
+        if not name:
+            session = self._begin(kept.fresh_folder(self.folder))
+            self._open[session.folder.name] = session
+            return session
+        with self._lock:
+            lock = self._locks.setdefault(name, threading.Lock())
+        with lock:
+            if name not in self._open:
+                if name not in kept_sessions(self.folder):
+                    raise InputError(
+                        f"there is no session {name!r} here: open the address without it"
+                    )
+                self._open[name] = self._resume(self.folder / name)
+            return self._open[name]
+
+    def first(self, name: str) -> Session:
+        """The session of the first tab: resumed if the folder has it, else begun under that name."""
+        if name not in kept_sessions(self.folder):
+            self._open[name] = self._begin(self.folder / name)
+        return self.open(name)
+
+    def there(self, name: str) -> Session | None:
+        """The session of a name, if it is open."""
+        return self._open.get(name)
+
+    def stop(self) -> None:
+        """End the searches that are under way."""
+        for session in self._open.values():
+            session.stop()
+
+
+def application(sessions: Sessions) -> Callable[[], Any]:
+    """What a tab is given: the page of its session, or a word until that is ready."""
+
+    def tab() -> Any:
+        document, location = pn.state.curdoc, pn.state.location
+        assert document is not None
+        asked = pn.state.session_args.get("session", [b""])[0].decode("utf-8", "replace")
+        place = pn.Column(sizing_mode="stretch_both", margin=0)
+        document.title = "bayescal workbench"
+
+        def show(session: Session) -> None:
+            with set_curdoc(document):
+                if location is not None:
+                    location.update_query(session=session.folder.name)
+                place[:] = [page(session)]
+
+        if (session := sessions.there(asked)) is not None:
+            show(session)
+            return place
+        place[:] = [pn.pane.Str("Fitting the first model …", margin=20)]
+        work = threading.Thread(
+            target=_open, args=(sessions, asked, document, place, show), daemon=True
+        )
+        pn.state.onload(work.start)  # a page that nobody looks at begins no session
+        return place
+
+    return tab
+
+
+def _open(
+    sessions: Sessions,
+    asked: str,
+    document: Document,
+    place: pn.Column,
+    show: Callable[[Session], None],
+) -> None:
+    """Open a session beside the page, then show it there; or say why not."""
+
+    def refused(words: str) -> None:
+        with set_curdoc(document):
+            place[:] = [pn.pane.Str(words, margin=20)]
+
+    try:
+        session = sessions.open(asked)
+    except BayescalError as error:
+        words = str(error)
+        document.add_next_tick_callback(lambda: refused(words))
+    except Exception as error:  # a thread's error would be lost: the page says it
+        logging.getLogger("bayescal").exception("in the workbench")
+        words = f"{type(error).__name__}: {error}"
+        document.add_next_tick_callback(lambda: refused(words))
+    else:
+        document.add_next_tick_callback(lambda: show(session))
+
+
+def serve(sessions: Sessions, address: Address) -> None:
+    """Serve the workbench until Ctrl-C."""
+    server = pn.io.server.get_server(
+        {"/": application(sessions)},
+        port=address.port,
+        address=LOOPBACK,
+        websocket_origin=[f"{LOOPBACK}:{address.port}", f"localhost:{address.port}"],
+        prefix=address.path,
+        ico_path="none",
+        websocket_max_message_size=MOST,
+        keep_alive_milliseconds=10_000,
+        title="bayescal workbench",
+    )
+    server.start()
+    try:
+        server.io_loop.start()
+    finally:
+        sessions.stop()
+        server.stop()

@@ -1,0 +1,194 @@
+"""The start of a server, before anything heavy is loaded: its address, and a page that stands meanwhile.
+
+Python's own server shows that page from the first half second on; Panel's takes over its port.
+"""
+
+from __future__ import annotations
+
+import html
+import importlib.util
+import secrets
+import socket
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayescal._core.errors import InputError
+
+if TYPE_CHECKING:
+    from bayescal._model.effect import Effect
+    from bayescal._model.instrument import Instrument
+    from bayescal._model.model import Model
+    from bayescal._readings.measurements import Measurements
+
+LOOPBACK = "127.0.0.1"
+SESSION = "session.json"
+
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>bayescal workbench</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>
+:root {{ color-scheme: light dark; }}
+body {{ font: 16px/1.5 system-ui, sans-serif; margin: 12vh auto; max-width: 36rem; padding: 0 1rem; }}
+h1 {{ font-size: 1.3rem; }}
+</style></head>
+<body><h1>bayescal workbench</h1><p>{readings}</p><p role="status" aria-live="polite">{doing}</p>
+<script>
+const look = async () => {{
+  try {{
+    const there = await fetch(location.href, {{ cache: "no-store" }});
+    if (!there.headers.has("X-Bayescal-Waiting")) return location.reload();
+    const told = new DOMParser().parseFromString(await there.text(), "text/html");
+    document.querySelector("[role=status]").textContent = told.querySelector("[role=status]").textContent;
+    window.missed = 0;
+  }} catch {{
+    window.missed = (window.missed || 0) + 1;
+    if (window.missed > 30) document.querySelector("[role=status]").textContent =
+      "The workbench has ended; the terminal says why.";
+  }}
+  setTimeout(look, 250);
+}};
+setTimeout(look, 250);
+</script></body></html>"""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where the workbench stands: on the loopback interface, under a path that nobody guesses.
+
+    Attributes:
+        port: that nothing used when it was chosen.
+        path: the secret, as "/…".
+    """
+
+    port: int
+    path: str
+
+    @classmethod
+    def new(cls) -> Address:
+        """A free port, and 256 random bits."""
+        with socket.socket() as one:
+            one.bind((LOOPBACK, 0))
+            return cls(one.getsockname()[1], f"/{secrets.token_urlsafe(32)}")
+
+    def of(self, session: str) -> str:
+        """The address of a session, for a browser."""
+        return f"http://{LOOPBACK}:{self.port}{self.path}/?session={session}"
+
+
+def refuse_without_panel() -> None:
+    """Refuse to go on where Panel is not installed.
+
+    Raises:
+        InputError: it is not.
+    """
+    if importlib.util.find_spec("panel") is None:
+        raise InputError(
+            "the workbench needs Panel, which is not installed: pip install 'bayescal[workbench]'"
+        )
+
+
+def kept_sessions(folder: Path) -> list[str]:
+    """Names of the sessions that a folder holds, session_1 and so on, the latest last."""
+    there = [path.parent.name for path in folder.glob(f"session_*/{SESSION}")]
+    numbers = (name.removeprefix("session_") for name in there)
+    return [f"session_{n}" for n in sorted(int(n) for n in numbers if n.isdecimal())]
+
+
+class Waiting:
+    """The page while it stands.
+
+    Attributes:
+        doing: what is being done, a sentence; may be changed at any time.
+    """
+
+    def __init__(self, address: Address, readings: str, doing: str) -> None:
+        """Args:
+        address: whose path alone is served.
+        readings: what the workbench is about, in words.
+        doing: see above.
+        """
+        self.doing = doing
+        waiting = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                known = self.path.partition("?")[0].rstrip("/") == address.path
+                said = waiting._page(readings).encode() if known else b"not found"
+                self.send_response(200 if known else 404)
+                self.send_header("Content-Type", "text/html; charset=utf-8")
+                self.send_header("Content-Length", str(len(said)))
+                self.send_header("Cache-Control", "no-store")
+                if known:
+                    self.send_header("X-Bayescal-Waiting", "1")
+                self.end_headers()
+                self.wfile.write(said)
+
+            def log_message(self, format: str, *args: Any) -> None:
+                """Nothing: the terminal is the user's."""
+
+        self._server = ThreadingHTTPServer((LOOPBACK, address.port), Handler)
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(0.05,), daemon=True
+        )
+        self._thread.start()
+
+    def _page(self, readings: str) -> str:
+        return PAGE.format(readings=html.escape(readings), doing=html.escape(self.doing))
+
+    def __enter__(self) -> Waiting:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the port to the workbench."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+def workbench(
+    readings: Measurements,
+    instrument: Instrument | Model,
+    *,
+    holdout: Measurements | None = None,
+    effects: Sequence[Effect] = (),
+    folder: str | Path | None = None,
+    **settings: Any,
+) -> Any:
+    """The workbench in a notebook; in a browser it is the command `bayescal workbench`.
+
+    Args:
+        readings: to calibrate with.
+        instrument: whose baseline is the first model; or the first model itself.
+        holdout, effects: as of `calibrate`.
+        folder: where every state is kept; a temporary one if not given. One that holds a session is gone on with.
+        settings: of `calibrate`: method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit,
+            accept_conflicts.
+
+    Returns:
+        What Panel shows, where it is the last value of a cell.
+
+    Raises:
+        InputError: the folder cannot be written to, or Panel is not installed.
+        ModelError: the readings lack what the model needs.
+    """
+    refuse_without_panel()
+    import panel  # here and below, because all this is heavy
+
+    from bayescal._model.model import Model
+    from bayescal._workbench.app import page
+    from bayescal._workbench.session import Session
+
+    panel.extension(inline=True)
+    given = instrument
+    model = given if isinstance(given, Model) else given.for_readings(readings).baseline()
+    if folder is not None and (Path(folder) / SESSION).is_file():
+        return page(Session.resume(folder, effects), framed=True)
+    session = Session.begin(
+        model, readings, holdout=holdout, effects=effects, folder=folder, **settings
+    )
+    return page(session, framed=True)

@@ -1,0 +1,40 @@
+"""A state: one model with its fit, where it came from, and what is missing from it. States form a tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._discovery.discover import Discovery
+from bayescal._discovery.search_path import Step
+from bayescal._model.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """One model of the tree. Nothing in it changes; a look gives the same state with its discovery.
+
+    Attributes:
+        number: of the state, from 0.
+        parent: number of the state that it was made from; None for the first.
+        title: what was done, in a few words: "baseline", "+ bias.thermal_lag".
+        step: its fit by least squares, where it fails, its errors.
+        at: when it was made.
+        discovery: what is missing from it; None until it was looked for.
+    """
+
+    number: int
+    parent: int | None
+    title: str
+    step: Step
+    at: datetime
+    discovery: Discovery | None = None
+
+    @property
+    def calibration(self) -> Calibration:
+        return self.step.calibration
+
+    @property
+    def model(self) -> Model:
+        return self.step.calibration.model

@@ -1,0 +1,92 @@
+"""What leaves a session: the report and exports, made of one folder as the command line makes them of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from bayescal._compensation.compensator import compensator
+from bayescal._core.atomic_file import write_text
+from bayescal._core.errors import InputError
+from bayescal._discovery.calibrate import Loop
+from bayescal._discovery.gate import gate
+from bayescal._discovery.search_path import Trail
+from bayescal._firmware.autopilots import AUTOPILOTS
+from bayescal._firmware.parameters import axis_of, firmware_parameters
+from bayescal._model.effect import Effect
+from bayescal._readings.unit_parsing import STANDARD_GRAVITY
+from bayescal._report.dcc import dcc_text
+from bayescal._report.report import report
+from bayescal._report.save_search import save_search
+from bayescal._report.section import of_folder
+from bayescal._workbench.origin import Origin
+from bayescal._workbench.state import State
+
+SUFFIXES = {"c": "h", "json": "json", "python": "py"}
+FORMATS = (*SUFFIXES, *AUTOPILOTS, "dcc")
+
+
+def trail_of(path: list[State], loop: Loop) -> Trail:
+    """The way to a state as `calibrate` leaves one: its last model fitted by the method that was asked for."""
+    last = path[-1]
+    final = loop.step(last.model, method=loop.method)
+    final = replace(final, added=last.step.added, changed=last.step.changed)
+    steps = [replace(s.step, discovery=s.discovery) for s in path[:-1]]
+    steps.append(replace(final, discovery=last.discovery))
+    return Trail(tuple(steps), gate(steps), loop.holdout)
+
+
+def write_report(
+    folder: Path, origin: Origin, own: Mapping[str, Effect], certificate: str | Path | None = None
+) -> Path:
+    """The report of a folder that a trail was saved to: what `bayescal report FOLDER` writes."""
+    instrument, effects = origin.open_instrument(), tuple(own.values())
+    given = () if instrument is None else (instrument,)
+    chapter = of_folder(folder, effects, given)
+    return report([chapter], folder / "report.html", effects=effects, certificate=certificate)
+
+
+def refuse_unknown(what: str) -> None:
+    """Refuse a format that is none.
+
+    Raises:
+        InputError: it is so.
+    """
+    if what not in FORMATS:
+        raise InputError(f"{what!r} is not one of {', '.join(FORMATS)}")
+
+
+def write_export(
+    folder: Path, trail: Trail, what: str, certificate: str | Path | None = None
+) -> Path:
+    """One export of the trail's calibration: what `bayescal export FOLDER/calibration.nc --format WHAT` writes.
+
+    Raises:
+        InputError: what the export itself refuses.
+    """
+    refuse_unknown(what)
+    made = compensator(trail.final.calibration)
+    if what in SUFFIXES:
+        return made.export(folder / f"compensation.{SUFFIXES[what]}", what)
+    if what == "dcc":
+        if certificate is None:
+            raise InputError(
+                "a digital calibration certificate needs the TOML file of what a certificate states"
+            )
+        text = dcc_text(trail.final.calibration, certificate, STANDARD_GRAVITY)
+        return write_text(text, folder / "certificate.xml")
+    axis = axis_of(trail.final.calibration)
+    if axis is None:
+        raise InputError(
+            "these readings do not say of which axis they are, and an autopilot's parameters need it: export the "
+            f"calibration with bayescal export --format {what} --axis gyro_x=FILE"
+        )
+    return firmware_parameters({axis: made}, what).write(folder / f"{what}.txt")
+
+
+def saved(folder: Path, trail: Trail) -> Path:
+    """The trail in a folder, as `bayescal calibrate --out` leaves it."""
+    folder.mkdir(exist_ok=True)
+    save_search(trail, folder)
+    return folder

@@ -1,0 +1,199 @@
+"""A workbench as a user has it: a server in a process of its own, and its page in a real Chromium without a network."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bayescal_models import mems_gyro
+from tests.support.browser import chromium
+
+ROOT = Path(__file__).resolve().parents[2]
+MAIN = "from bayescal._cli.main import main; main()"
+HIDDEN = {"bias.thermal_lag": 0.05, "bias.drift": 1.0}  # °/s per °C, °/s over the record
+LONG = 120_000  # ms
+ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run")
+QUIET = ("--disable-background-networking", "--disable-component-update", "--disable-sync")
+
+
+def write_campaign(folder: Path, also: str = "") -> tuple[Path, Path]:
+    """A gyroscope's test with two hidden effects, and a second one kept apart, as files.
+
+    `also` is the header of a further column, of no effect.
+    """
+    paths = folder / "test.csv", folder / "later.csv"
+    for seed, path in enumerate(paths, start=1):
+        readings = mems_gyro.simulate(HIDDEN, seed=seed)
+        table = readings.to_pandas()
+        units = {c: f"{c} [{readings.unit(c)}]" for c in table.columns if readings.unit(c)}
+        table = table.rename(columns=units)
+        if also:
+            table[also] = 20 + np.sin(np.arange(len(table)))
+        table.to_csv(path, index=False)
+    return paths
+
+
+class Bench:
+    """`bayescal workbench` with these arguments, until `close`."""
+
+    def __init__(self, *arguments: str | Path) -> None:
+        command = [sys.executable, "-c", MAIN, "workbench", *map(str, arguments), "--no-open"]
+        path = f"{ROOT}{os.pathsep}{ROOT / 'models'}"
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"},
+        )  # fmt: skip
+        self.said: list[str] = []
+        self.url = self._address()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _address(self) -> str:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.said.append(line)
+            if found := re.search(r"http://127\.0\.0\.1:\S+", line):
+                return found[0]
+        self.process.wait(30)
+        self.process.stdout.close()
+        raise AssertionError(f"the workbench did not begin: {''.join(self.said)}")
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        self.said.extend(self.process.stdout)
+
+    def kill(self) -> None:
+        """As a power cut does it."""
+        self.process.kill()
+        self._end()
+
+    def close(self) -> None:
+        self.process.terminate()
+        self._end()
+
+    def _end(self) -> None:
+        self.process.wait(30)
+        self._reader.join(30)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+@contextmanager
+def bench(*arguments: str | Path) -> Iterator[Bench]:
+    """A workbench for the length of a block."""
+    begun = Bench(*arguments)
+    try:
+        yield begun
+    finally:
+        begun.close()
+
+
+class Seen:
+    """A page of the workbench: what is on it, what may be done to it, and what it must not do.
+
+    Attributes:
+        page: Playwright's.
+        outside: addresses off this machine that it asked for.
+        wrong: errors on its console, and dialogs.
+    """
+
+    def __init__(self, page: Any) -> None:
+        self.page = page
+        self.outside: list[str] = []
+        self.wrong: list[str] = []
+        page.set_default_timeout(LONG)
+        page.route("**/*", self._only_here)
+        page.on("console", lambda m: self._said(m.text) if m.type == "error" else None)
+        page.on("pageerror", lambda e: self.wrong.append(str(e)))
+        page.on("dialog", lambda d: (self.wrong.append(f"dialog: {d.message}"), d.dismiss()))
+
+    def _said(self, text: str) -> None:
+        if "ERR_CONNECTION_REFUSED" not in text:  # the page that stands while the workbench loads asks again
+            self.wrong.append(text)
+
+    def _only_here(self, route: Any) -> None:
+        here = re.match(r"(https?://127\.0\.0\.1[:/]|data:|blob:)", route.request.url)
+        if here:
+            route.continue_()
+        else:
+            self.outside.append(route.request.url)
+            route.abort()
+
+    def open(self, url: str) -> Seen:
+        self.page.goto(url)
+        self.page.get_by_text("Where it fails").wait_for()
+        return self
+
+    def looked(self) -> Seen:
+        """Wait until it is known what is missing."""
+        self.page.get_by_text("Probability that the model is complete").wait_for()
+        return self
+
+    def point(self, effect: str) -> str:
+        """Point at a candidate; what the page says of it."""
+        self.page.locator(f'[data-row="{effect}"]').hover()
+        told = self.page.get_by_text(f"{effect} would be")
+        told.wait_for()
+        return told.inner_text()
+
+    def add(self, effect: str) -> Seen:
+        """Add a candidate, and wait for the state with it."""
+        before = len(self.steps())
+        self.page.get_by_role("button", name=f"Add {effect}", exact=True).click()
+        self.page.wait_for_function(
+            "n => window.document && n >= 0", arg=before
+        )  # the page is not frozen
+        self.page.locator(f'tr[data-row="{before}"]').wait_for()
+        return self
+
+    def steps(self) -> list[list[str]]:
+        """The table of steps: a row's cells as text."""
+        rows = self.page.locator("tr[data-row]").all()
+        return [row.locator("td").all_inner_texts() for row in rows]
+
+    def tab(self, name: str) -> Seen:
+        self.page.get_by_text(name, exact=True).click()
+        return self
+
+    def press(self, name: str) -> Seen:
+        self.page.get_by_role("button", name=name, exact=True).click()
+        return self
+
+    def download(self, name: str) -> Path:
+        """Press a link, and what came of it."""
+        with self.page.expect_download(timeout=LONG) as waiting:
+            self.page.get_by_role("button", name=name).click()
+        return Path(waiting.value.path())
+
+    def clean(self) -> None:
+        """Nothing was asked for elsewhere, and nothing went wrong."""
+        assert not self.outside, self.outside
+        assert not self.wrong, self.wrong
+
+
+@contextmanager
+def opened(url: str, *, width: int = 1280, height: int = 800, dark: bool = False) -> Iterator[Seen]:
+    """A page of the workbench in a headless Chromium that reaches this machine alone."""
+    path = chromium()
+    api = pytest.importorskip("playwright.sync_api", reason="Playwright for Python is not here")
+    with api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=[*ARGUMENTS, *QUIET])
+        context = browser.new_context(
+            viewport={"width": width, "height": height},
+            color_scheme="dark" if dark else "light",
+            accept_downloads=True,
+        )
+        try:
+            yield Seen(context.new_page()).open(url)
+        finally:
+            browser.close()

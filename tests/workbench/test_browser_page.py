@@ -1,0 +1,122 @@
+"""The workbench's page in a real browser: what it shows, what the pointer and the keyboard do, what it must not do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.browser import chromium
+from tests.support.command_line import GYRO, needs_installation
+from tests.support.workbench_page import Bench, Seen, bench, opened, write_campaign
+
+pytestmark = needs_installation
+NAME = "<img src=x onerror=alert(1)>"  # of a column
+FOCUSED = """() => {
+  let at = document.activeElement;
+  while (at && at.shadowRoot && at.shadowRoot.activeElement) at = at.shadowRoot.activeElement;
+  const row = at && at.dataset && at.dataset.row ? `row ${at.dataset.row}` : "";
+  const label = at.labels && at.labels.length ? at.labels[0].textContent.trim() : "";
+  return row || label || at.getAttribute("aria-label") || (at.tagName === "BUTTON" ? at.textContent : at.tagName);
+}"""
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    chromium()
+    pytest.importorskip("playwright.sync_api", reason="Playwright for Python is not here")
+    folder = tmp_path_factory.mktemp("workbench")
+    test, later = write_campaign(folder, also=f"{NAME} [degC]")
+    text = test.read_text("utf-8").replace("\n3,", "\n<b>third</b>,")
+    test.write_text(text, "utf-8")
+    with bench(test, *GYRO, "--holdout", later, "--out", folder / "kept") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def seen(begun: Bench) -> Iterator[Seen]:
+    with opened(begun.url) as page:
+        yield page.looked()
+
+
+def test_the_page_says_where_the_model_fails_and_what_is_missing(seen: Seen) -> None:
+    assert "systematically" in seen.page.get_by_text("log Bayes factor").first.inner_text()
+    found = seen.page.locator('[data-row="bias.drift"]')
+    assert "> 0.99" in found.inner_text()
+    greyed = seen.page.locator('[data-row="scale.constant"]')
+    assert "needs the column rate_input" in greyed.inner_text()
+    assert greyed.get_by_role("button").count() == 0, "what cannot be tested cannot be added"
+
+
+def test_pointing_at_a_candidate_says_what_it_would_leave(seen: Seen) -> None:
+    told = seen.point("bias.drift")
+    assert "rms" in told and "log Bayes factor" in told
+
+
+def test_one_screen_without_scrolling_at_1280(seen: Seen) -> None:
+    sizes = seen.page.evaluate(
+        "() => [document.documentElement.scrollHeight, document.documentElement.scrollWidth]"
+    )
+    assert sizes[0] <= 800 and sizes[1] <= 1280
+
+
+def test_the_keyboard_reaches_everything(seen: Seen) -> None:
+    page, reached = seen.page, []
+    page.evaluate("() => document.activeElement && document.activeElement.blur()")
+    for _ in range(90):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate(FOCUSED))
+    for wanted in (
+        "row bias.drift",
+        "Add bias.drift",
+        "Change … bias.constant",
+        "Find all",
+        "The error",
+        "time",
+    ):
+        assert wanted in reached, f"{wanted!r} is not reached by Tab: {reached}"  # fmt: skip
+    page.locator('[data-row="bias.thermal_lag"]').focus()
+    page.get_by_text("bias.thermal_lag would be").wait_for()
+    page.keyboard.press("ArrowUp")
+    page.wait_for_timeout(300)
+    assert page.evaluate(FOCUSED).startswith("row "), "the arrows go from row to row"
+
+
+def test_names_from_files_are_text(seen: Seen) -> None:
+    assert seen.page.get_by_text("run <b>third", exact=False).count() == 1
+    assert seen.page.locator("img").count() == 0
+    seen.clean()
+
+
+def test_adding_lowers_the_error_and_a_step_can_be_gone_back_to(seen: Seen) -> None:
+    seen.add("bias.drift")
+    before, after = seen.steps()
+    assert float(after[3]) < 0.7 * float(before[3]), "the hold-out data's error falls"
+    assert "bias.drift" in seen.page.locator('[data-row="bias.drift"]').first.inner_text()
+    seen.page.get_by_role("button", name="Go back 0").click()
+    seen.page.locator('tr[data-row="0"][aria-current]').wait_for()
+    seen.clean()
+
+
+def test_a_dropped_file_is_judged_as_calibrate_judges_it(seen: Seen, tmp_path: Path) -> None:
+    bad = tmp_path / "<img src=x onerror=alert(3)> wrong units.csv"
+    bad.write_text(f"time [s],temperature [m],<script>alert(2)</script>,{NAME}\n0,1,2,3\n", "utf-8")
+    seen.tab("File")
+    seen.page.locator("input[type=file]").set_input_files(bad)
+    seen.page.get_by_text("temperature", exact=False).last.wait_for()
+    told = seen.page.get_by_text("[m]").first
+    told.wait_for()
+    assert seen.page.get_by_role("button", name="Begin with these readings").count() == 0
+    assert seen.page.locator("script", has_text="alert(2)").count() == 0
+    seen.clean()
+
+
+def test_very_many_columns_do_not_stop_the_page(seen: Seen, tmp_path: Path) -> None:
+    wide = tmp_path / "wide.csv"
+    wide.write_text(",".join(f"c{i}" for i in range(100_000)) + "\n", "utf-8")
+    seen.page.locator("input[type=file]").set_input_files(wide)
+    seen.page.get_by_text("wide.csv", exact=False).first.wait_for()
+    seen.tab("The error")
+    seen.page.locator('tr[data-row="0"]').wait_for()
+    seen.clean()

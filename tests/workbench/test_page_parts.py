@@ -1,0 +1,116 @@
+"""What the page is made of, without a browser: readings that are drawn, text, the tree of steps, names of files."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bayescal._discovery.candidate import Candidate
+from bayescal._discovery.discover import Discovery
+from bayescal._search.posterior import Found
+from bayescal._workbench.panes.error import in_order, path_to
+from bayescal._workbench.panes.file import safe_name
+from bayescal._workbench.panes.missing import candidate_rows
+from bayescal._workbench.parts.decimate import MANY, PIXELS, drawn_rows, sentence
+from bayescal._workbench.parts.pieces import words
+from bayescal._workbench.parts.rows import Rows
+
+COUNT = 100_000
+
+
+@pytest.fixture
+def many() -> tuple[dict[str, np.ndarray], np.ndarray]:
+    rng = np.random.default_rng(1)
+    columns = {"time": np.arange(float(COUNT)), "temperature": rng.uniform(-20, 60, COUNT)}
+    residual = rng.standard_normal(COUNT)
+    residual[41_234] = 40.0  # one reading far off, which no thinning may lose
+    return columns, residual
+
+
+def test_extremes_of_every_column_of_pixels_are_drawn(many) -> None:
+    columns, residual = many
+    rows = drawn_rows(columns, residual)
+    assert rows.size <= MANY + len(columns) * 2 * PIXELS
+    assert 41_234 in rows
+    for values in columns.values():
+        place = (values - values.min()) / np.ptp(values)
+        pixel = np.minimum((place * PIXELS).astype(int), PIXELS - 1)
+        for which in (0, 150, PIXELS - 1):
+            inside = np.flatnonzero(pixel == which)
+            assert inside[np.argmin(residual[inside])] in rows
+            assert inside[np.argmax(residual[inside])] in rows
+    assert f"{rows.size:,} of 100,000" in sentence(rows.size, COUNT)
+
+
+def test_of_few_readings_all_are_drawn(many) -> None:
+    columns, residual = many
+    few = {name: values[:MANY] for name, values in columns.items()}
+    assert drawn_rows(few, residual[:MANY]).size == MANY
+    assert sentence(MANY, MANY) == ""
+
+
+def test_a_view_of_a_part_draws_more_of_it(many) -> None:
+    columns, residual = many
+    near = drawn_rows(columns, residual, {"time": (1000.0, 1500.0)})
+    inside = (columns["time"][near] >= 1000) & (columns["time"][near] <= 1500)
+    assert inside.sum() == 501, "all readings in view are drawn where they are few"
+
+
+def test_text_is_never_markup() -> None:
+    shown = words("<b>run</b>")._transform_object("<b>run</b>")["object"]
+    assert "<b>" not in shown and "&amp;lt;b" in shown
+
+
+def test_a_press_that_the_page_does_not_offer_is_not_taken() -> None:
+    pressed: list[tuple[str, str]] = []
+    shown = {"id": "a", "cells": [], "actions": [{"id": "add"}, {"id": "shut", "off": True}]}
+    rows = Rows(lambda *press: pressed.append(press), rows=[shown])
+    for message in ({"row": "b", "action": "add"}, {"row": "a", "action": "shut"}, "add", {}):
+        rows._handle_msg(message)
+    rows.busy = True
+    rows._handle_msg({"row": "a", "action": "add"})
+    rows.busy = False
+    rows._handle_msg({"row": "a", "action": "add"})
+    assert pressed == [("a", "add")]
+
+
+def test_steps_stand_after_their_parents_and_branches_are_set_in() -> None:
+    parents = {0: None, 1: 0, 2: 1, 3: 0, 4: 3, 5: 1}
+    states = {n: SimpleNamespace(parent=parent) for n, parent in parents.items()}
+    assert in_order(states) == [(0, 0), (1, 0), (2, 0), (5, 1), (3, 1), (4, 1)]
+    assert path_to(states, 5) == [0, 1, 5]
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("../../etc/passwd", "readings-passwd"),
+        ("C:\\data\\run 1.csv", "run 1.csv"),
+        ("<img src=x>.csv", "_img src_x_.csv"),
+        ("..", "readings-without-name"),
+        ("", "readings-without-name"),
+    ],
+)
+def test_a_dropped_file_keeps_a_harmless_name(name: str, kept: str) -> None:
+    assert safe_name(name) == kept
+
+
+def test_substitutes_stand_together_and_what_cannot_be_tested_last() -> None:
+    found = Discovery(
+        nothing_missing=0.01,
+        sets=(Found(("bias.lag", "bias.rate"), 0.97),),
+        candidates=(
+            Candidate("scale", kind="not testable", reason="needs the column rate"),
+            Candidate("bias.rate", 0.5, kind="finding"),
+            Candidate("bias.cubic", 0.02),
+            Candidate("bias.lag", 0.47, kind="finding"),
+        ),
+        best=(),
+    )
+    rows = candidate_rows(found)
+    assert [r["id"] for r in rows] == ["bias.lag", "bias.rate", "bias.cubic", "scale"]
+    assert rows[0]["group"] == rows[1]["group"]
+    assert rows[0]["group"].startswith("One of these")
+    assert not rows[-1]["actions"] and rows[-1]["note"] == "needs the column rate"

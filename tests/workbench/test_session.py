@@ -1,0 +1,175 @@
+"""A session: the loop by hand, step by step, back and aside; each step is what the public functions give."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._workbench.session import Session
+from bayescal_models import mems_gyro
+from tests.workbench.conftest import HIDDEN, Campaign
+
+OWN = """
+import bayescal as bc
+
+EFFECTS = (
+    bc.Effect("bias.steps", "bias", lambda r: r["board_temperature"] ** 2 / 1e3,
+              (bc.Coefficient("deg/s", bc.Normal(0.0, 0.1)),), columns=("board_temperature",)),
+)
+"""
+
+
+def test_the_loop_by_hand(session: Session) -> None:
+    """What is found and added brings the hold-out error down to the floor; a step back begins a branch."""
+    found = session.look()
+    assert {name for s in found.sets for name in s.effects} == set(HIDDEN)
+    assert session.current.discovery is found
+    before = session.current.step
+    for name in HIDDEN:
+        promised = session.preview(name)
+        state = session.add(name)
+        assert state.step.rmse_fitted == pytest.approx(promised.rms, rel=1e-6)
+        left = session.states[state.parent or 0].step.check.residuals - promised.curve
+        np.testing.assert_allclose(state.step.check.residuals, left, atol=1e-6)
+    last = session.current.step
+    assert last.holdout_rmse is not None and before.holdout_rmse is not None
+    assert last.holdout_rmse < 1.15 * last.noise_floor < before.holdout_rmse
+    assert [s.title for s in session.path()] == ["baseline", *(f"+ {n}" for n in HIDDEN)]
+    session.go_to(1)
+    branch = session.add("bias.drift")
+    assert (branch.number, branch.parent, session.current) == (3, 1, branch)
+    assert sorted(session.states) == [0, 1, 2, 3]
+
+
+def test_a_step_is_what_fit_gives(session: Session, campaign: Campaign) -> None:
+    state = session.add("bias.thermal_lag")
+    model = mems_gyro.INSTRUMENT.baseline() + "bias.thermal_lag"
+    alone = bc.fit(model, campaign.readings, bc.LeastSquares(draws=500), strict=False)
+    np.testing.assert_array_equal(state.calibration.joint.x, alone.joint.x)
+    kept = bc.predict(alone, campaign.holdout)
+    assert state.step.holdout_rmse == kept.rmse
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "title"),
+    [
+        ("take_out", ("bias.temperature",), "− bias.temperature"),
+        ("fix", ("bias.temperature", 0.05), "bias.temperature = 0.05 fixed"),
+        ("resize", ("bias.temperature", 0.2), "bias.temperature of plausible size 0.2 °/s/°C"),
+        ("noise", ("student_t",), "noise: Student-t"),
+    ],
+)
+def test_consequences_come_before_the_change(
+    session: Session, kind: str, arguments: tuple, title: str
+) -> None:
+    told = session.consequences(kind, *arguments)
+    assert len(session.states) == 1
+    state = session.act(kind, *arguments)
+    assert state.title == title
+    assert state.step.rmse_fitted == pytest.approx(told.rms, rel=1e-3)
+
+
+def test_what_was_fixed_is_set_free(session: Session) -> None:
+    session.fix("bias.temperature", 0.05)
+    assert session.free("bias.temperature").step.rmse_fitted == session.states[0].step.rmse_fitted
+
+
+def test_refusals_are_sentences(session: Session) -> None:
+    with pytest.raises(bc.ModelError, match="in the model already"):
+        session.add("bias.constant")
+    with pytest.raises(bc.ModelError, match="no noise law is called 'pink'"):
+        session.noise("pink")
+    with pytest.raises(bc.InputError, match="'paint' with 1 argument"):
+        session.act("paint", "red")
+    with pytest.raises(bc.InputError, match="there is no step 7"):
+        session.go_to(7)
+    with pytest.raises(bc.InputError, match="'dvd' is not one of"):
+        session.export("dvd")
+    assert len(session.states) == 1
+
+
+def test_find_all_is_what_calibrate_finds(session: Session, campaign: Campaign) -> None:
+    told: list[int] = []
+    session.find_all(lambda trail: told.append(trail.search.weighed if trail.search else 0))
+    trail = bc.calibrate(
+        mems_gyro.INSTRUMENT.baseline(),
+        campaign.readings,
+        holdout=campaign.holdout,
+        method=bc.LeastSquares(draws=500),
+    )
+    assert [s.title for s in session.path()] == [s.title for s in trail.steps]
+    assert session.current.step.errors() == trail.final.errors()
+    assert session.current.discovery is not None and trail.final.discovery is not None
+    assert str(session.current.discovery) == str(trail.final.discovery)
+    assert told == sorted(told)
+
+
+def test_a_search_is_stopped_and_gone_on_with(session: Session) -> None:
+    begun = threading.Event()
+
+    def follow(_: bc.Trail) -> None:
+        begun.set()
+        session.stop()
+
+    session.find_all(follow)
+    assert begun.is_set()
+    first = session.states[0].discovery
+    assert first is not None and "interrupted" in first.stopped
+    session.go_to(0)
+    session.find_all()
+    assert set(HIDDEN) <= set(session.current.model.names)
+    assert session.states[0].discovery is not None and not session.states[0].discovery.stopped
+
+
+def test_a_region_is_described_and_its_draft_tried(session: Session, campaign: Campaign) -> None:
+    rows = np.flatnonzero(campaign.readings["board_temperature"] > 60)
+    draft = session.describe(rows, "board_temperature")
+    assert draft.effect == "unknown(board_temperature)"
+    assert f"In the {len(rows)} selected readings (" in str(draft) and "rms" in str(draft)
+    code = draft.code.replace("bias.board_temperature", "bias.mine")
+    (name,) = session.load_draft(code)
+    assert session.preview(name).rms < session.current.step.rmse_fitted
+    assert session.add(name).model.names[-1] == name
+    with pytest.raises(bc.InputError, match="select readings"):
+        session.describe([])
+
+
+def test_a_draft_runs_only_when_it_is_loaded_and_fails_in_words(session: Session) -> None:
+    told = session.load_draft(OWN)
+    assert told == ("bias.steps",)
+    assert session.look().candidates and "bias.steps" in {
+        c.effect for c in session.look().candidates
+    }
+    with pytest.raises(bc.InputError, match="line 2 could not be run: ZeroDivisionError"):
+        session.load_draft("a = 1\nb = 1 / 0\n")
+    with pytest.raises(bc.InputError, match="defines no effect"):
+        session.load_draft("a = 1\n")
+    assert [p.name for p in sorted((session.folder / "drafts").iterdir())] == ["draft_1.py"]
+
+
+def test_two_sessions_know_nothing_of_each_other(campaign: Campaign, tmp_path: Path) -> None:
+    both = [
+        Session.begin(mems_gyro.INSTRUMENT.baseline(), campaign.readings, folder=tmp_path / name)
+        for name in ("a", "b")
+    ]
+    work = [
+        threading.Thread(target=one.add, args=(name,))
+        for one, name in zip(both, HIDDEN, strict=True)
+    ]
+    for one in work:
+        one.start()
+    for one in work:
+        one.join()
+    for one, name in zip(both, HIDDEN, strict=True):
+        assert one.current.model.names[-1] == name
+        assert len(one.states) == 2
+
+
+def test_other_readings_begin_a_session_beside(session: Session) -> None:
+    other = session.with_readings(mems_gyro.INSTRUMENT.simulate({}, seed=9))
+    assert other.folder != session.folder and other.folder.parent == session.folder.parent
+    assert len(other.states) == len(session.states) == 1
