@@ -15,10 +15,9 @@ import pyarrow.parquet as pq
 
 from bayescal._core.errors import InputError
 from bayescal._partitions.partitions import Piece
-from bayescal._tables.binary_format import as_format, refuse_large, row_place
 from bayescal._tables.cells import Cells
 from bayescal._tables.parquet_netcdf import arrow_cells, field_unit
-from bayescal._tables.raw_table import Header, Table
+from bayescal._tables.raw_table import Header, Table, as_format, refuse_large, row_place
 
 
 def open_row_groups(piece: Piece, device: str, max_bytes: int) -> Table | None:
