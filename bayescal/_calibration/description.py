@@ -96,12 +96,14 @@ def description(c: Fitted) -> dict[str, Any]:
 
 
 def _resized(model: Model) -> dict[str, float]:
-    """Plausible sizes, by effect, that are not those of the instrument's own effect of that name."""
-    own = {e.name: e.coefficients[0] for e in _catalogue(model.instrument).values()}
+    """Plausible sizes, by effect, of the instrument's own effects where they are others than its own."""
+    own = _catalogue(model.instrument)
     return {
         e.name: e.coefficients[0].size
         for e in model.effects
-        if e.name in own and not e.is_placeholder and e.coefficients[0].size != own[e.name].size
+        if e.name in own
+        and e.coefficients != own[e.name].coefficients
+        and replace(e, coefficients=own[e.name].coefficients) == own[e.name]
     }
 
 

@@ -199,3 +199,22 @@ def test_everything_can_be_fixed_the_noise_too() -> None:
     exact = np.sum(-0.5 * (residual / 0.1) ** 2 - np.log(0.1) - 0.5 * np.log(2 * np.pi))
     assert found.log_evidence[0] == pytest.approx(exact, abs=1e-9)
     np.testing.assert_allclose(bc.predict(found).sd, 0.1)
+
+
+def test_another_plausible_size_scales_all_coefficients_and_is_saved(tmp_path) -> None:
+    """The first has it exactly, the others keep their proportion; the group's is that of its spread."""
+    readings = INSTRUMENT.simulate({}, seed=1)
+    model = INSTRUMENT.baseline() + "bias.thermal_lag" + "bias.run"
+    before = [c.size for c in model.effect("bias.thermal_lag").coefficients]
+    model = model.resize("bias.thermal_lag", 0.1234567).resize("bias.run", 0.3)
+    after = [c.size for c in model.effect("bias.thermal_lag").coefficients]
+    assert after[0] == 0.1234567
+    assert after[1] / before[1] == pytest.approx(after[0] / before[0])
+    assert model.effect("bias.run").coefficients[0].size == 0.3
+    model = model.resize("bias.thermal_lag", 0.7)
+    fitted = bc.fit(model, readings, bc.LeastSquares(draws=500), strict=False)
+    assert bc.load(fitted.save(tmp_path / "a.nc")).model == fitted.model
+    with pytest.raises(bc.ModelError, match="cannot be given the plausible size -1"):
+        model.resize("bias.run", -1.0)
+    with pytest.raises(bc.ModelError, match="taken from the readings"):
+        (model + "unknown(time)").resize("unknown(time)", 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -35,11 +36,7 @@ def run(script: str, tmp_path: Path) -> dict:
         capture_output=True,
         text=True,
         check=False,
-        env={
-            "PATH": "/usr/bin:/bin",
-            "PYTHONPATH": f"{ROOT}:{ROOT / 'models'}",
-            "HOME": str(tmp_path),
-        },
+        env={**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'models'}"},
     )
     assert done.returncode == 0, done.stderr[-3000:]
     return json.loads(done.stdout.splitlines()[-1])
