@@ -184,7 +184,7 @@ class Loop:
         path = structures.path(Posterior.of(structures).chosen)
         try:
             for before, at in pairwise(path):
-                model = structures.weigh(at).model
+                model = structures.weigh(at).sized_model
                 method = self.method if at == path[-1] else self.quick(model)
                 steps.append(self.step(model, before, at, method=method))
                 tell()

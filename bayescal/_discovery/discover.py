@@ -184,8 +184,8 @@ def told(
         )
         judged.append(kind_of(candidate, name in in_sets, _plausible(structures.candidates[name])))
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
-    chosen = posterior.chosen.effects - at.effects
-    best = [structures.candidates[n] for f in found for n in f.effects if n in chosen]
+    chosen, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
+    best = [made.sized_model.effect(n) for f in found for n in f.effects if n in chosen]
     departures = _departures(structures, posterior.chosen, here)
     rivals = _rivals(posterior, [c.effect for c in ranked if c.kind == "lead"])
     return Discovery(

@@ -78,6 +78,16 @@ class Weighed:
     def model(self) -> Model:
         return self.assembly.layout.model
 
+    @property
+    def sized_model(self) -> Model:
+        """The model with its effects' plausible sizes at the likeliest."""
+        found = self.model
+        for name, factor in (self.assembly.spread or {}).items():
+            first = found.effect(name).coefficients[0]
+            if factor != 1.0 and not first.flat:
+                found = found.resize(name, factor * first.size)
+        return found
+
     @cached_property
     def values(self) -> dict[str, float]:
         """Coordinates of φ by name."""
