@@ -35,8 +35,9 @@ def _throughput(r: dict[str, Any]) -> str:
     return f"""## {r["devices"]:,} devices by least squares
 
 A line in temperature for each of {r["devices"]:,} simulated gyroscopes, {r["readings"]:,} readings in
-{r["partitions"]} files, with two workers: {r["processor_s"]:.0f} s of the processor in the workers, reading, fitting,
-writing and checksums together, {r["clock_s"]:.0f} s by the clock of a machine that had other work.
+{r["partitions"]} files, with two workers: {r["processor_s"]:.0f} s of the processor
+in the workers, reading, fitting, writing and
+checksums together, {r["clock_s"]:.0f} s by the clock of a machine that had other work.
 At most {r["peak_memory_mb"]:.0f} MB in a process
 (goal 1 GiB). The peers fit arrays that are in memory already, one call a device, in the same run.
 
