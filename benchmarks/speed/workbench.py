@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.record import write
-from tests.support.workbench_page import Bench, Seen, opened
+from tests.workbench.real_page import Bench, Seen, opened
 
 ARGUMENTS = ("--instrument", "mems_gyro")
 GOALS = {"first paint": 3.0, "preview": 0.3, "add": 2.0, "redraw": 0.5}  # s

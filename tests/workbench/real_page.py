@@ -118,7 +118,9 @@ class Seen:
         page.on("dialog", lambda d: (self.wrong.append(f"dialog: {d.message}"), d.dismiss()))
 
     def _said(self, text: str) -> None:
-        if "ERR_CONNECTION_REFUSED" not in text:  # the page that stands while the workbench loads asks again
+        if (
+            "ERR_CONNECTION_REFUSED" not in text
+        ):  # the page that stands while the workbench loads asks again
             self.wrong.append(text)
 
     def _only_here(self, route: Any) -> None:
