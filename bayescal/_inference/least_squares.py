@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bayescal._core.jit import compiled
 from bayescal._core.levenberg_marquardt import least_squares
+from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._engine import refinement
 from bayescal._engine.assembly import Assembly
@@ -262,6 +263,7 @@ class _Refinement(NamedTuple):
         return jax.hessian(negative_log)(theta)
 
 
+@on_one_thread  # else the last digits would hang on how many cores there are
 def gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Draws:
     """Draws of the Gaussian approximation about a solution."""
     _, places = split_hypers(layout)

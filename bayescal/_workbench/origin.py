@@ -219,7 +219,8 @@ class Settings:
         method = told["method"]
         if method is not None:
             given = {k: tuple(v) if isinstance(v, list) else v for k, v in method.items()}
-            method = getattr(bayescal, given.pop("name"))(**given)
+            name = str(given.pop("name"))
+            method = getattr(bayescal, name)(**given)
         return cls(**{**told, "method": method})
 
     def loop(self, readings: Measurements, holdout: Measurements | None) -> Loop:

@@ -95,7 +95,7 @@ def application(sessions: Sessions) -> Callable[[], Any]:
         def show(session: Session) -> None:
             with set_curdoc(document):
                 if location is not None:
-                    location.update_query(session=session.folder.name)
+                    location.update_query(**{"session": session.folder.name})  # pyright: ignore[reportArgumentType]
                 place[:] = [page(session)]
 
         if (session := sessions.there(asked)) is not None:

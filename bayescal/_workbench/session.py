@@ -116,16 +116,16 @@ class Session:
         Raises:
             ModelError: the readings lack what the model needs.
         """
-        model = self.states[0].model if model is None else model
-        if model.instrument.tailor is not None:
-            model = model.instrument.for_readings(readings).baseline()
-        model.require(readings)
+        first: Model = self.states[0].model if model is None else model
+        if first.instrument.tailor is not None:
+            first = first.instrument.for_readings(readings).baseline()
+        first.require(readings)
         folder, settings = kept.fresh_folder(self.folder.parent), self.tree.settings
-        origin = Origin.kept(model.instrument, readings, None, folder, settings.keep_spikes)
+        origin = Origin.kept(first.instrument, readings, None, folder, settings.keep_spikes)
         origin = replace(origin, effect_files=self.tree.origin.effect_files)
         own = tuple(self.own.values())
         return Session.begin(
-            model, readings, effects=own, folder=folder, origin=origin, **vars(settings)
+            first, readings, effects=own, folder=folder, origin=origin, **vars(settings)
         )
 
     @property

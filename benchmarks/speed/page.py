@@ -48,7 +48,8 @@ WORKBENCH = """## The workbench
 In a headless Chromium, from the press to what it brings being on the page; beside it the processor's time of the server
 alone, since other work on the machine lengthens the clock's. First paint: from the command to the whole page, a
 process with its compiled code on the disk. Preview and *Add*: 2,000 readings, the median of four candidates, each
-pointed at for the first time. Redraw: a further panel of 10⁵ readings.
+pointed at for the first time. Redraw: a further panel of 10⁵ readings, while the search for what is missing goes on
+beside it, whose processor's time is in that row too.
 
 """
 WORKBENCH_ROWS = {
@@ -142,7 +143,8 @@ def _workbench(found: dict[str, Any]) -> str:
         for name, words in WORKBENCH_ROWS.items()
         if (r := found["rows"].get(name))
     ]
-    return table(["what", "clock, s", "server's processor, s", "goal, s"], rows)
+    shown = table(["what", "clock, s", "server's processor, s", "goal, s"], rows)
+    return f"{shown}\nOver the last quarter of an hour {found['load']:.0f} processes wanted these cores.\n"
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.browser import chromium
 from tests.support.command_line import GYRO, needs_installation
-from tests.support.workbench_page import MAIN, ROOT, Bench, bench, opened, write_campaign
+from tests.workbench.real_page import MAIN, ROOT, Bench, bench, opened, write_campaign
 
 pytestmark = [needs_installation, pytest.mark.slow]
 FLOOR = 0.05  # °/s: the noise of the readings

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.browser import chromium
 from tests.support.command_line import GYRO, needs_installation
-from tests.support.workbench_page import Bench, Seen, bench, opened, write_campaign
+from tests.workbench.real_page import Bench, Seen, bench, opened, write_campaign
 
 pytestmark = needs_installation
 NAME = "<img src=x onerror=alert(1)>"  # of a column
