@@ -79,7 +79,7 @@ def description(c: Fitted) -> dict[str, Any]:
         "ranges": {
             e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in c.model.effects if e.shapes
         },
-        "sizes": _sizes(c.model),
+        **({"sizes": sizes} if (sizes := _resized(c.model)) else {}),
         "fixed": dict(c.model.fixed),
         "noise": _noise_words(c.model.noise),
         "promoted": list(c.layout.promoted),
@@ -95,12 +95,16 @@ def description(c: Fitted) -> dict[str, Any]:
     }
 
 
-def _sizes(model: Model) -> dict[str, float]:
-    """Plausible sizes of all effects that state one, by the first coefficient: they may have been changed."""
+def _resized(model: Model) -> dict[str, float]:
+    """Plausible sizes, by effect, of the instrument's own effects where they are others than its own."""
+    own = _catalogue(model.instrument)
     return {
         e.name: e.coefficients[0].size
         for e in model.effects
-        if not e.is_placeholder and not e.coefficients[0].flat
+        if e.name in own
+        and e.coefficients != own[e.name].coefficients
+        and replace(e, coefficients=own[e.name].coefficients, shapes=own[e.name].shapes)
+        == own[e.name]
     }
 
 
@@ -184,9 +188,8 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
     ranges = described["ranges"]
     chosen = tuple(catalogue[n].ranging(ranges.get(n, {})) for n in described["effects"])
     model = Model(instrument, chosen, noise_from(described["noise"]), ())
-    for n, size in described["sizes"].items():
-        if model.effect(n).coefficients[0].size != size:
-            model = model.resize(n, size)
+    for n, size in described.get("sizes", {}).items():
+        model = model.resize(n, size)
     for effect in model.effects:
         then, now = described["unknowns"][effect.name], stated(effect)
         if then != now:

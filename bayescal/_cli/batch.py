@@ -12,9 +12,10 @@ import typer
 import bayescal as bc
 from bayescal._cli import options
 from bayescal._cli.column_options import ColumnOptions
-from bayescal._cli.console import OWN_FILES, exit_unless, print_result
+from bayescal._cli.console import exit_unless, print_result
 from bayescal._cli.options import ModelOptions, named_numbers, with_groups
 from bayescal._core.errors import InputError
+from bayescal._discovery.own_files import OWN_FILES
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -80,11 +80,11 @@ class Weighed:
 
     @property
     def sized_model(self) -> Model:
-        """The model with its effects' plausible sizes at the likeliest."""
-        found = self.model
+        """The model with the plausible sizes of the instrument's own effects at the likeliest."""
+        found, own = self.model, {e.name for e in self.model.instrument.candidates}
         for name, factor in (self.assembly.spread or {}).items():
             first = found.effect(name).coefficients[0]
-            if factor != 1.0 and not first.flat:
+            if factor != 1.0 and name in own and not first.flat:
                 found = found.resize(name, factor * first.size)
         return found
 
