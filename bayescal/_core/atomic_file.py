@@ -11,8 +11,9 @@ import glob
 import hashlib
 import os
 import re
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -123,9 +124,12 @@ def sha256_of(path: Path) -> str:
 def netcdf_bytes(data: Any, **options: Any) -> memoryview:
     """A Dataset or DataTree as the bytes of a NetCDF file.
 
-    In memory, because HDF5 ends the process where it writes to a full disk itself.
+    In memory, because HDF5 ends the process where it writes to a full disk itself; and in this process alone: where a
+    Dask cluster is open, xarray would ask it for a lock.
     """
-    return data.to_netcdf(engine="h5netcdf", **options)
+    dask: Any = sys.modules.get("dask")
+    with dask.config.set(scheduler="synchronous") if dask else nullcontext():
+        return data.to_netcdf(engine="h5netcdf", **options)
 
 
 def write_sealed(content: bytes | memoryview, path: Path) -> None:
