@@ -221,29 +221,23 @@ class Structures:
         return linear_model(base.assembly, base.mode)
 
     def _refitted(self, structure, departures, near, hints) -> Weighed:
-        model = self.model(structure, departures)
-        sizes = None if near is None else near.assembly.spread
-        assembly = Assembly(Layout(model, self.layout.counts), self.record, sizes)
+        assembly = self._assembled(structure, near, departures)
         if near is None:
             mode = find_mode(assembly, still=STILL, curved=False)
         else:
             starts, width = _starts(assembly, near, hints), _width(assembly, near)
             point = assembly.point_of(near.assembly, near.mode.point)
             mode = find_mode(assembly, starts, width, point, STILL, curved=False)
-        sized = [e for e in model.effects if e.name in structure.effects and has_size(e)]
+        sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         assembly, mode, log_evidence = averaged(assembly, mode, sized)
         log_prior = self.log_prior(structure)
         return Weighed(structure, log_evidence, log_prior, assembly, mode, departures)
 
     def roughly(self, structure: Structure, near: Weighed) -> float:
-        """The total of a structure under independent noise of one size, all else of φ as another one has it.
-
-        Infinite where there is more to it than this size: then only a refit tells.
-        """
+        """The total under independent noise of one size, all else of φ as another has it; infinite under others."""
         if structure in self.visited or not self.noise(structure).independent:
             return math.inf
-        layout = Layout(self.model(structure), self.layout.counts)
-        assembly = Assembly(layout, self.record, near.assembly.spread)
+        assembly = self._assembled(structure, near)
         if assembly.kinds.count("noise") != 1:
             return math.inf
         point, v = assembly.point_of(near.assembly, near.mode.point), _starts(assembly, near, ())[0]
@@ -253,6 +247,13 @@ class Structures:
             lambda size: -density.at(np.where(of_size, size, v))[0], bounds=WIDE, method="bounded"
         )
         return self.log_prior(structure) - float(found.fun)
+
+    def _assembled(self, structure, near: Weighed | None, departures=()) -> Assembly:
+        """A structure on the record, its effects' sizes as another structure has them."""
+        known = near.assembly.spread if near is not None else None
+        sizes = {n: factor for n, factor in (known or {}).items() if n in structure.effects}
+        layout = Layout(self.model(structure, departures), self.layout.counts)
+        return Assembly(layout, self.record, sizes)
 
     def expect(self, structure: Structure, total: float) -> None:
         """Keep what the score expects of a structure: it counts where that was not refitted."""

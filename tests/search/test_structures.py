@@ -284,3 +284,14 @@ def test_the_given_law_has_half_of_the_prior_and_the_other_kinds_share_the_rest(
         shares[law.law] += math.exp(made.log_prior(Structure(noise=name)))
     assert kinds == {"student_t", "ornstein_uhlenbeck", "heteroscedastic"}
     assert all(share == pytest.approx(1 / 3) for share in shares.values())
+
+
+def test_models_of_structures_hold_the_sizes_of_their_own_effects_alone() -> None:
+    """A structure that is weighed from one with an effect ten times its plausible size, and has it not."""
+    readings = mems_gyro.simulate({"bias.drift": 1.0}, seed=1)
+    made, _ = structures_over(mems_gyro.INSTRUMENT.baseline(), readings, reference_of(readings))
+    drift = made.weigh(Structure(frozenset({"bias.drift"})))
+    stated = made.candidates["bias.drift"].coefficients[0].size
+    assert drift.sized_model.effect("bias.drift").coefficients[0].size == pytest.approx(10 * stated)
+    other = made.weigh(Structure(frozenset({"bias.run"})), drift)
+    assert other.sized_model.names == (*made.base.names, "bias.run")
