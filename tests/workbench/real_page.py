@@ -20,7 +20,7 @@ from tests.support.browser import chromium
 
 ROOT = Path(__file__).resolve().parents[2]
 MAIN = "from bayescal._cli.main import main; main()"
-HIDDEN = {"bias.thermal_lag": 0.05, "bias.drift": 1.0}  # °/s per °C, °/s over the record
+HIDDEN = {"bias.thermal_lag": 0.05, "bias.drift": 0.3}  # °/s per °C, °/s over the record
 # The page that stands while the workbench loads asks again and again, also while the port changes hands.
 HANDED_OVER = re.compile(
     "ERR_(CONNECTION_REFUSED|CONNECTION_RESET|SOCKET_NOT_CONNECTED|EMPTY_RESPONSE)"
