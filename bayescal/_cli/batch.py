@@ -15,7 +15,7 @@ from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_result
 from bayescal._cli.options import ModelOptions, named_numbers, with_groups
 from bayescal._core.errors import InputError
-from bayescal._discovery.own_files import OWN_FILES
+from bayescal._discovery.own_files import in_a_file
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -93,20 +93,20 @@ def batch(
     apart = find or workers is not None or scheduler is not None
     apart = apart or any(path.is_dir() for path in files)
     _refuse_place(out, files, apart)
-    with _cluster(workers, scheduler) as client:
-        chosen = instrument_named(instrument)
-        own = {effect.name: effect for effect in user_effects(choice.effects_file)}
-        model = compose(chosen, choice, own)
-        asked: dict[str, Any] = {
-            "method": method_named(method),
-            "population": True if population == ["all"] else population or False,
-            "seed": seed,
-            "reference": {**named_numbers(choice.reference, "--reference")},
-        }
-        if apart or out.suffix != ".parquet":
-            asked["find"] = find and bc.Find(effects=tuple(own.values()))
+    chosen = instrument_named(instrument)
+    own = {effect.name: effect for effect in user_effects(choice.effects_file)}
+    model = compose(chosen, choice, own)
+    asked: dict[str, Any] = {
+        "method": method_named(method),
+        "population": True if population == ["all"] else population or False,
+        "seed": seed,
+        "reference": {**named_numbers(choice.reference, "--reference")},
+    }
+    if apart or out.suffix != ".parquet":
+        asked["find"] = find and bc.Find(effects=tuple(own.values()))
+        with _cluster(workers, scheduler, _own_files(instrument, choice)) as client:
             _by_partition(model, files, out, client, columns, asked, json_)
-            return
+        return
     _at_once(model, files, out, columns, asked, json_)
 
 
@@ -153,8 +153,10 @@ def _refuse_place(out: Path, files: list[Path], apart: bool) -> None:
 
 
 @contextmanager
-def _cluster(workers: int | None, scheduler: str | None) -> Iterator[Client | None]:
-    """The cluster that is asked for; None for this process.
+def _cluster(
+    workers: int | None, scheduler: str | None, own_files: list[Path]
+) -> Iterator[Client | None]:
+    """The cluster that is asked for, with the user's own files; None for this process.
 
     Raises:
         InputError: both kinds are, Dask is not installed, or nobody answers at the address.
@@ -167,7 +169,15 @@ def _cluster(workers: int | None, scheduler: str | None) -> Iterator[Client | No
     from bayescal._cluster.open_cluster import open_cluster
 
     with open_cluster(workers, scheduler) as client:
+        for own in own_files:
+            client.upload_file(str(own))
         yield client
+
+
+def _own_files(instrument: str, choice: ModelOptions) -> list[Path]:
+    """Python files of the user's own, which workers need too."""
+    own = [Path(instrument.rpartition(":")[0])] if in_a_file(instrument) else []
+    return own if choice.effects_file is None else [*own, choice.effects_file]
 
 
 def _by_partition(
@@ -179,9 +189,6 @@ def _by_partition(
     asked: dict[str, Any],
     json_: bool,
 ) -> None:
-    if client is not None:
-        for own in sorted(OWN_FILES):  # effects and instruments of the user's own
-            client.upload_file(own)
     fleet = bc.fit_batch(
         model, list(files), out=out, client=client, columns=columns.for_read(), **asked
     )

@@ -17,7 +17,7 @@ from bayescal._cli.options import ModelOptions, with_groups
 from bayescal._core.errors import InputError
 
 if TYPE_CHECKING:
-    from bayescal._cli.request import Asked
+    from bayescal._cli.request import Asked, Early
     from bayescal._model.effect import Effect
     from bayescal._readings.measurements import Measurements
     from bayescal._workbench.serve import Sessions
@@ -104,7 +104,8 @@ def workbench(
 
     start.refuse_without_panel()
     asked = request.Asked(instrument, files, columns, choice, average, keep_spikes)
-    request.read_early(asked)  # a file that cannot be used is refused before a browser opens
+    # A file that cannot be used is refused before a browser opens.
+    early = request.read_early(asked)
     settings = {
         "method": None if method == "marginal" else request.method_named(method),
         "keep_spikes": keep_spikes,
@@ -124,7 +125,7 @@ def workbench(
             print(said, flush=True)
             if not no_open:
                 webbrowser.open(address.of(name))
-            sessions = _sessions(asked, holdout, folder, name, settings, waiting)
+            sessions = _sessions(asked, early, holdout, folder, name, settings, waiting)
         from bayescal._workbench.serve import serve
 
         serve(sessions, address)
@@ -133,6 +134,7 @@ def workbench(
 
 def _sessions(
     asked: Asked,
+    early: Early,
     holdout: Sequence[Path] | None,
     folder: Path,
     name: str,
@@ -142,7 +144,7 @@ def _sessions(
     """The sessions of a server, the first of them open."""
     from bayescal._cli import request
 
-    chosen, model, readings = request.open_request(asked)
+    chosen, model, readings = request.open_request(asked, early)
     kept = request.open_kept(holdout, chosen, asked)
     print_notes(readings.flags)
     own_file = asked.choice.effects_file

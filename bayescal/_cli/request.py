@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from bayescal._model.model import Model
     from bayescal._readings.measurements import Measurements
 
+Early = tuple[Any, FileColumns | None]  # readings, or None; and by which columns they were read
 LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
 LONG = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
 
@@ -60,13 +61,19 @@ class Asked:
     keep_spikes: bool = False
 
 
-def open_request(asked: Asked) -> tuple[Instrument, Model, Measurements]:
+def open_request(
+    asked: Asked, early: Early | None = None
+) -> tuple[Instrument, Model, Measurements]:
     """Instrument, model and readings that are asked for; the instrument tailored to the readings.
+
+    Args:
+        asked: what is.
+        early: what `read_early` gave, where it was called already.
 
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
-    general, readings = _opened(asked)
+    general, readings = _opened(asked, early)
     own = {effect.name: effect for effect in user_effects(asked.choice.effects_file)}
     model = compose(general, asked.choice, own)
     asked.columns.keep()
@@ -96,21 +103,16 @@ def open_channels(
     return general, models, readings
 
 
-def _opened(asked: Asked, **more: Any) -> tuple[Instrument, Any]:
+def _opened(asked: Asked, early: Early | None = None, **more: Any) -> tuple[Instrument, Any]:
     """The instrument, and what `read` gives; a file that cannot be used is refused before the instrument loads."""
-    files, how = list(asked.files), {**asked.columns.for_read(), **more}
-    holds = (
-        None if in_a_file(asked.instrument) else file_columns(known_instrument(asked.instrument))
-    )
-    short = sum(path.stat().st_size for path in files if path.is_file()) <= LONG
-    early = read(files, holds, **how) if holds and short else None
+    found, holds = read_early(asked, **more) if early is None else early
     general = instrument_named(asked.instrument)
-    if early is not None and holds == FileColumns.of(general):
-        return general, early
-    return general, read(files, general, **how)
+    if found is not None and holds == FileColumns.of(general):
+        return general, found
+    return general, read(list(asked.files), general, **asked.columns.for_read(), **more)
 
 
-def read_early(asked: Asked, **more: Any) -> tuple[Any, FileColumns | None]:
+def read_early(asked: Asked, **more: Any) -> Early:
     """What `read` gives before the instrument loads, and by which columns; None where that cannot be, or takes long.
 
     Raises:

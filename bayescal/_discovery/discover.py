@@ -184,17 +184,17 @@ def told(
         )
         judged.append(kind_of(candidate, name in in_sets, _plausible(structures.candidates[name])))
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
-    chosen, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
-    best = [made.sized_model.effect(n) for f in found for n in f.effects if n in chosen]
+    new, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
+    best = [made.sized_model.effect(n) for f in found for n in f.effects if n in new]
     departures = _departures(structures, posterior.chosen, here)
-    rivals = _rivals(posterior, [c.effect for c in ranked if c.kind == "lead"])
+    leads = [c.effect for c in ranked if c.kind == "lead"]
     return Discovery(
         nothing_missing=posterior.nothing,
         sets=found,
         candidates=(*ranked, *shut),
         best=tuple(dict.fromkeys((*best, *departures))),
         departures=tuple(departures.values()),
-        rivals=tuple(structures.candidates[n] for n in rivals),
+        rivals=tuple(structures.candidates[n] for n in _rivals(posterior, leads)),
         noise=tuple(_laws(structures, posterior)),
         stopped=stopped,
         off_scale=too_small_or_large(library, points, here),

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._engine.assembly import NUDGE, Assembly, Values
-from bayescal._engine.whitening import Recursion, Whitening, variance_of
+from bayescal._engine.whitening import Recursion, Whitening, correlated_variance, variance_of
 from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION
 
 
@@ -62,7 +62,7 @@ def _of_correlated(
 ) -> dict[str, float]:
     """By the logarithm of each parameter."""
     tau = hyper[CORRELATION_TIME]
-    variance = 0.5 * hyper[DIFFUSION] ** 2 * tau
+    variance = correlated_variance(hyper)
     w = parts.factor.back(np.asfortranarray(whitened / white.sd[:, None]))
     inverse, inverse_beside = parts.factor.inverse()
     by_diagonal = 0.5 * (np.einsum("nm,nm->n", w, w) - inverse)

@@ -100,7 +100,7 @@ def variance_of(
     if isinstance(noise, (White, OrnsteinUhlenbeck, Heteroscedastic, StudentT)):
         own = _squared_scale(noise, values, record)
         if isinstance(noise, OrnsteinUhlenbeck):
-            own = own + _wandering(values)
+            own = own + correlated_variance(values)
         elif isinstance(noise, StudentT):
             freedom = np.maximum(values["noise.freedom"], LEAST_FREEDOM)
             own = own * freedom / (freedom - 2)
@@ -118,7 +118,7 @@ def _squared_scale(noise: Noise, values: Any, record: Record) -> Any:
     return own + known_variance(record)
 
 
-def _wandering(values: Values) -> float:
+def correlated_variance(values: Values) -> float:
     """Variance of the correlated part."""
     return 0.5 * values[DIFFUSION] ** 2 * values[CORRELATION_TIME]
 
@@ -189,7 +189,7 @@ def whitening(
     if not isinstance(noise, OrnsteinUhlenbeck):
         return Whitening(np.sqrt(variance_of(noise, values, record, extra)))
     white = np.broadcast_to(_squared_scale(noise, values, record) + extra, (record.size,))
-    recursion = Recursion.of(record, white, _wandering(values), values[CORRELATION_TIME])
+    recursion = Recursion.of(record, white, correlated_variance(values), values[CORRELATION_TIME])
     return Whitening(np.sqrt(recursion.factor.pivots), recursion)
 
 
