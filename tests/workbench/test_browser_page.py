@@ -93,7 +93,9 @@ def test_adding_lowers_the_error_and_a_step_can_be_gone_back_to(seen: Seen) -> N
     seen.add("bias.thermal_lag")
     before, after = seen.steps()
     assert float(after[3]) < 0.9 * float(before[3]), "the hold-out data's error falls"
-    assert "bias.thermal_lag" in seen.page.locator('[data-row="bias.thermal_lag"]').first.inner_text()
+    assert (
+        "bias.thermal_lag" in seen.page.locator('[data-row="bias.thermal_lag"]').first.inner_text()
+    )
     seen.page.get_by_role("button", name="Go back 0").click()
     seen.page.locator('tr[data-row="0"][aria-current]').wait_for()
     seen.clean()
