@@ -14,7 +14,7 @@ from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import Density
-from bayescal._engine.mode import find_mode, in_numpy, prior_draws
+from bayescal._engine.mode import across, find_mode, in_numpy, prior_draws
 from bayescal._model.correlated_noise import CORRELATION_TIME
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
@@ -128,7 +128,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
     """Why the Gaussian fit about a mode, on which the evidence stands, does not describe the posterior.
 
     The curvature is not positive definite; or shapes far from the mode's explain the readings nearly as well, which is
-    looked for from the best of some prior draws.
+    looked for from the best of some prior draws, and along shapes whose evidence has many maxima.
     """
     assembly, mode = calibration.assembly, in_numpy(calibration.mode)
     if not math.isfinite(mode.log_evidence):
@@ -145,7 +145,8 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
         return np.abs(v - mode.v)[shapes] > APART * sd[shapes]
 
     density = Density(assembly, mode.point, mode.flat)
-    starts = [v for v in prior_draws(assembly) if far(v).any()] if shapes else []
+    tried = np.concatenate([prior_draws(assembly), *across(assembly, mode.v)])
+    starts = [v for v in tried if far(v).any()] if shapes else []
     for start in sorted(starts, key=lambda v: -density.at(v)[0])[:TRIED]:
         other = find_mode(assembly, [start], None, mode.point, still=0.01)
         behind = mode.log_evidence - other.log_evidence

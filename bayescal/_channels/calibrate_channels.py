@@ -138,18 +138,15 @@ class _Channel:
         return found
 
     def hear(self, told: Mapping[str, FromOthers]) -> bool:
-        """Look again if the others say something else than before: it is the prior of what is weighed from now on."""
+        """Look again where what the others say leads elsewhere: it is the prior of what is weighed from now on."""
         before, shapes = self.structures, self.shared
-        aside = {n for n, now in told.items() if now.aside(self.heard[n], shapes[n])}
-        likelier = {n for n, now in told.items() if now.likelier(self.heard[n])}
-        if before is None or not aside | likelier:
+        news = {n for n, now in told.items() if self._learns(n, now)}
+        if before is None or not news:
             return False
         candidates = dict(before.candidates)
-        for name in aside:
+        for name in news:
             self.heard[name] = now = told[name]
             candidates[name] = candidates[name].ranging({shapes[name].name: (now.low, now.high)})
-        for name in likelier:
-            self.heard[name] = self.heard[name]._replace(log_odds=told[name].log_odds)
         after = replace(
             before,
             candidates=candidates,
@@ -160,12 +157,18 @@ class _Channel:
             forms={},
         )
         for structure, weighed in before.visited.items():
-            if structure.effects.isdisjoint(aside):
+            if structure.effects.isdisjoint(news):
                 log_prior = after.log_prior(structure)
                 after.visited[structure] = replace(weighed, log_prior=log_prior)
         leaders = sorted(before.visited.values(), key=lambda w: -w.total)[:BEAM]
         self._look(after, [w.structure for w in leaders])
         return True
+
+    def _learns(self, name: str, now: FromOthers) -> bool:
+        """Whether the channel concludes something else of an effect by what the others say now."""
+        said, shape = self.says[name], self.shared[name]
+        then = said.concluded(self.heard[name], shape)
+        return said.concluded(now, shape).differs(then)
 
     def _look(self, structures: Structures, again: Sequence[Structure] = ()) -> None:
         """Walk over structures, and find what the channel says of the shared shapes by them."""

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import expit
 
 from bayescal._model.effect import CENTRAL_95, Shape
 from bayescal._search.library import Library
@@ -25,7 +26,8 @@ SHARES = (np.arange(10) + 0.5)[:, None] / 10  # of the channels that show what t
 REACH, STEP = 3.5, 0.25  # of the shape's grid, prior standard deviations
 RAGGED_STEP = 0.02
 CLOSE = np.linspace(-4.0, 4.0, 25)  # about what a channel found, in its standard deviations
-MOVED = 0.5  # standard deviations of a shape, or log odds, by which a channel's prior moves before it is asked again
+LIKELIER = 0.05  # of an effect's probability in a channel, from which that concludes something else and is asked again
+ASIDE = 0.5  # standard deviations of a shape, likewise
 ASKED = 3  # most probable structures with the effect and without, of which a channel is asked
 
 
@@ -36,23 +38,39 @@ class FromOthers(NamedTuple):
     low: float
     high: float
 
-    def aside(self, then: FromOthers, shape: Shape) -> bool:
-        """Whether the range stands elsewhere than another one did, or has another width."""
-        now = [shape.prior.coordinate(end) for end in (self.low, self.high)]
-        before = [shape.prior.coordinate(end) for end in (then.low, then.high)]
-        narrower = min(now[1] - now[0], before[1] - before[0])
-        return max(abs(a - b) for a, b in zip(now, before, strict=True)) > MOVED * narrower / 4
-
-    def likelier(self, then: FromOthers) -> bool:
-        """Whether the effect is more or less probable than it was, by what counts."""
-        return abs(self.log_odds - then.log_odds) > MOVED
-
 
 class Said(NamedTuple):
     """What one channel says of a shape: log ratio of its evidence with the effect, at each v, to that without it."""
 
     v: Float[np.ndarray, "k"]
     log_ratio: Float[np.ndarray, "k"]
+
+    def concluded(self, others: FromOthers, shape: Shape) -> Conclusion:
+        """What the channel concludes of the effect where the others say this."""
+        low, high = (shape.prior.coordinate(end) for end in (others.low, others.high))
+        middle, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
+        v = _apart(np.concatenate([self.v, middle + sd * CLOSE]))
+        joint = np.interp(v, self.v, self.log_ratio) + log_mass(v, middle, sd)
+        log_ratio = float(np.logaddexp.reduce(joint))
+        weight = np.exp(joint - log_ratio)
+        mean = float(weight @ v)
+        spread = math.sqrt(float(weight @ (v - mean) ** 2))
+        return Conclusion(float(expit(others.log_odds + log_ratio)), mean, spread)
+
+
+class Conclusion(NamedTuple):
+    """Of one channel about an effect: how probable it is there, and its shape's coordinate with its uncertainty."""
+
+    probability: float
+    v: float
+    sd: float
+
+    def differs(self, then: Conclusion) -> bool:
+        """Whether it is another conclusion than one before, by what counts."""
+        if abs(self.probability - then.probability) > LIKELIER:
+            return True
+        probable = max(self.probability, then.probability) > LIKELIER
+        return probable and abs(self.v - then.v) > ASIDE * max(self.sd, then.sd)
 
 
 @dataclass(frozen=True, eq=False)

@@ -274,3 +274,9 @@ class Assembly:
     def affine(self) -> bool:
         """Whether the expected output is affine in x and in the per-reading coefficients."""
         return not self.corrected and self.record.affine is not None
+
+
+def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
+    """A scale for coefficients with a flat prior: the change that moves the output by one unit."""
+    norm = np.sqrt(np.mean(jacobian**2, axis=0))
+    return np.where(norm > 0, 1 / np.where(norm > 0, norm, 1.0), 1.0)

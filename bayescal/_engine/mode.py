@@ -6,7 +6,7 @@ The joint mode of coefficients and spreads would run to a spread of zero; the mo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,14 +14,16 @@ from jaxtyping import Float
 
 from bayescal._core.gaussian_algebra import LOG_2PI, Conditional, condition
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.assembly import Assembly, Point, column_scale
 from bayescal._engine.closed_form import NOWHERE, Density
 from bayescal._engine.whitening import variance_of
 
 STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ among which the start is chosen,
-RAGGED = 4  # times as many where a shape's evidence has many maxima
+AHEAD = np.arange(
+    -3.5, 3.5, 0.02
+)  # where along a shape a higher maximum is looked for, if it has many
 HALVINGS = 8  # of a Gauss–Newton step that makes the sum of squares larger
 CURVED = 1e-4  # step of a coordinate for the curvature
 LEAST_CURVATURE = 0.05  # a coordinate is known to a few units, where its prior takes over
@@ -54,12 +56,6 @@ def in_numpy(mode: Mode) -> Mode:
     )
 
 
-def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
-    """A scale for coefficients with a flat prior: the change that moves the output by one unit."""
-    norm = np.sqrt(np.mean(jacobian**2, axis=0))
-    return np.where(norm > 0, 1 / np.where(norm > 0, norm, 1.0), 1.0)
-
-
 @on_one_thread
 def find_mode(
     assembly: Assembly,
@@ -88,16 +84,27 @@ def find_mode(
     if starts is None and density.even and assembly.kinds == ["noise"]:  # one hill
         wanted = wanted[:5]
     v = max(wanted, key=lambda one: density.at(one)[0]) if dim else np.zeros(0)
-    found = _climbed(assembly, v, covariance, point, flat, still)
-    promoted = np.array([h.kind == "promoted" for h in assembly.hypers], dtype=bool)
-    if starts is None and promoted.any():  # of a product both factors may have the other sign
-        mirrored = np.where(promoted, -found.v, found.v)
-        other = _climbed(assembly, mirrored, covariance, point, flat, still)
-        found = max(found, other, key=lambda summit: summit.value)
+
+    def climbed(start: np.ndarray, point: Point) -> _Summit:
+        return _climbed(assembly, start, covariance, point, flat, still)
+
+    found = climbed(v, point)
+    if starts is None:
+        promoted = np.array([h.kind == "promoted" for h in assembly.hypers], dtype=bool)
+        if promoted.any():  # of a product both factors may have the other sign
+            found = max(found, climbed(np.where(promoted, -found.v, found.v), point), key=_value)
+        for along in across(assembly, found.v):  # and one of many maxima may be higher
+            there = Density(assembly, found.point, flat)
+            start = max(along, key=lambda v: there.at(v)[0])
+            found = max(found, climbed(start, found.point), key=_value)
     if not curved and found.value > NOWHERE:
         value = found.value
         return Mode(found.point, found.v, found.wide, value, value, found.change, flat, False)
     return at_mode(Density(assembly, found.point, flat), found.v, found.change)
+
+
+def _value(summit: _Summit) -> float:
+    return summit.value
 
 
 class _Summit(NamedTuple):
@@ -138,6 +145,17 @@ def _climbed(
         if change < still:
             break
     return _Summit(value, change, v, point, wide)
+
+
+def across(assembly: Assembly, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
+    """For each shape whose evidence has many maxima: coordinates along it, all else as it is."""
+    names, made = [h.name for h in assembly.hypers], []
+    shapes = ((e, s) for e in assembly.layout.model.effects for s in e.column_shapes if s.ragged)
+    for name in (e.shape_name(s) for e, s in shapes):
+        if name in names:
+            made.append(np.tile(v, (len(AHEAD), 1)))
+            made[-1][:, names.index(name)] = AHEAD
+    return made
 
 
 def climb(
@@ -183,9 +201,8 @@ def climb(
 
 def prior_draws(assembly: Assembly) -> list[np.ndarray]:
     """Where the mode may be looked for: the middle of φ's prior, and draws half as wide again. Deterministic."""
-    ragged = any(s.ragged for e in assembly.layout.model.effects for s in e.column_shapes)
-    count, dim = STARTS * (RAGGED if ragged else 1), len(assembly.hypers)
-    draws = 1.5 * np.random.default_rng(0).standard_normal((count, dim))
+    dim = len(assembly.hypers)
+    draws = 1.5 * np.random.default_rng(0).standard_normal((STARTS, dim))
     return [np.zeros(dim), *draws]
 
 
@@ -277,22 +294,3 @@ def gaussian_fit(density: Density, v: np.ndarray) -> tuple[np.ndarray, float, bo
 def _lost(point: Point, v: np.ndarray, flat: np.ndarray) -> Mode:
     nothing = np.full((len(v), len(v)), np.nan)
     return Mode(point, v, nothing, NOWHERE, -math.inf, math.inf, flat, True)
-
-
-def root_near(
-    slope: Callable[[np.ndarray], np.ndarray], at: np.ndarray, shift: float
-) -> np.ndarray:
-    """The root of a gradient by Newton's steps, taken while the gradient falls."""
-    here = slope(at)
-    for _ in range(6):
-        shifts = 10 * shift * np.eye(len(at))
-        curvature = np.array([(slope(at + s) - slope(at - s)) / (20 * shift) for s in shifts])
-        try:
-            trial = at - np.linalg.solve(0.5 * (curvature + curvature.T), here)
-        except np.linalg.LinAlgError:
-            break
-        there = slope(trial)
-        if not np.linalg.norm(there) < 0.5 * np.linalg.norm(here):
-            break
-        at, here = trial, there
-    return at

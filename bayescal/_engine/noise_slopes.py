@@ -71,7 +71,7 @@ def _of_correlated(
     by_white = by_diagonal.sum() + carry @ (by_diagonal[1:] * carry - by_beside)
     by_size = float(parts.fresh @ by_diagonal) * variance
     # A longer time carries more: B's entries, what is fresh (1 − carry²), what T has of the white noise before.
-    carried = np.einsum("nm,nm->n", w[1:], table[parts.order[:-1]])
+    carried = np.einsum("nm,nm->n", w[1:], table[parts.order][:-1])
     by_carry = carried - before * by_beside + 2 * carry * (before - variance) * by_diagonal[1:]
     longer = np.where(parts.step[1:] < 0, 0.0, carry * parts.step[1:] / tau)
     return {

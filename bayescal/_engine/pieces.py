@@ -17,12 +17,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
-from bayescal._core.jit import QUICK, known
+from bayescal._core.jit import ALWAYS, QUICK, known
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 
 STEP = 1.25  # from one padded length to the next
 SHORTEST = 32
+LONG = 2000  # readings from which a program is run often enough to be worth optimising: twice the time to compile
 
 
 def padded_length(size: int) -> int:
@@ -60,15 +61,16 @@ def _program(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function of something that is no array, of a frame, and of arrays, when it is first called."""
 
     @cache
-    def program() -> Callable[..., Any]:
+    def program(long: bool) -> Callable[..., Any]:
         def whole(what: Any, form: Any, arrays: tuple[Array, ...], *args: Any) -> Any:
             return function(what, jax.tree.unflatten(form, arrays), *args)
 
-        return jax.jit(whole, static_argnums=(0, 1), compiler_options=known(QUICK))
+        options = known(ALWAYS if long else QUICK)
+        return jax.jit(whole, static_argnums=(0, 1), compiler_options=options)
 
     @wraps(function)
     def call(what: Any, leaves: Leaves, *args: Any) -> Any:
-        return program()(what, leaves.form, leaves.arrays, *args)
+        return program(leaves.long)(what, leaves.form, leaves.arrays, *args)
 
     return call
 
@@ -86,11 +88,12 @@ class Leaves(NamedTuple):
 
     arrays: tuple[Array, ...]
     form: Any
+    long: bool
 
     @classmethod
     def of(cls, frame: Frame) -> Leaves:
         arrays, form = jax.tree.flatten(frame)
-        return cls(tuple(map(jnp.asarray, arrays)), form)
+        return cls(tuple(map(jnp.asarray, arrays)), form, frame.size >= LONG)
 
 
 @_program

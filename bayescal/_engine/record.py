@@ -21,7 +21,7 @@ from bayescal._model.instrument import Instrument
 
 KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
-TOGETHER = 48  # draws in one call of a program: as many as a shape has nodes, and those between
+TOGETHER = 48  # draws in one call of a program, or half of that: as many as a shape has nodes, and those between
 REACH = 4.0  # prior standard deviations of a shape, up to which columns are interpolated along it,
 NODES = REACH * np.cos((np.arange(40) + 0.5) * np.pi / 40)  # between Chebyshev's points,
 INTERPOLATED = 1e-9  # as good as this part of the largest number in a column, tried half way between some of them
@@ -153,8 +153,7 @@ class Record:
         if taken is None:
             at = tuple(v for _, v in of.at)
             taken = self.moved_columns(own, at, {})[0] if at else self._fixed_columns(of.own)
-            self._shaped[key] = taken
-            self._bytes += taken.nbytes
+            self._shaped[key], self._bytes = taken, self._bytes + taken.nbytes
         return self._fixed_columns(of.curves) - taken @ np.array(of.shares)
 
     def _fixed_columns(self, key: pieces.Basis) -> Float[np.ndarray, "n k"]:
@@ -280,9 +279,10 @@ class Record:
     def _stretches(
         self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]
     ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:
-        """Values for `count` draws, `TOGETHER` at once, readings padded; the last draw stands in for missing ones."""
-        for start in range(0, count, TOGETHER):
-            pick = np.minimum(np.arange(start, start + TOGETHER), count - 1)
+        """Values for `count` draws, some at once, readings padded; the last draw stands in for missing ones."""
+        together = TOGETHER // (1 if count > TOGETHER // 2 else 2)
+        for start in range(0, count, together):
+            pick = np.minimum(start + np.arange(together), count - 1)
             yield tuple(  # pyright: ignore[reportReturnType]
                 {
                     k: v[pick] if v.ndim == 1 else self._longer({k: v[pick]})[k]

@@ -7,18 +7,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs
-from scipy.optimize import minimize
+from scipy.optimize import minimize, root
 
 from bayescal._core.gaussian_algebra import LOG_2PI, Prior
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.assembly import Assembly, Line, Point
 from bayescal._engine.closed_form import Density
-from bayescal._engine.mode import Mode, root_near
+from bayescal._engine.mode import Mode
 from bayescal._engine.whitening import Whitening, whitening
 from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION
 
@@ -57,13 +58,9 @@ class _Factors(NamedTuple):
 
 
 def _factors(table: Float[np.ndarray, "m q1"]) -> _Factors:
-    upper, size = _triangle(table), table.shape[1] - 1
+    upper, size = np.triu(dgeqrf(table)[0][: table.shape[1]]), table.shape[1] - 1
     last = float(upper[size, size]) if len(upper) > size else 0.0
     return _Factors(upper[:size, :size], upper[:size, size], last)
-
-
-def _triangle(table: Float[np.ndarray, "m q"]) -> Float[np.ndarray, "k q"]:
-    return np.triu(dgeqrf(table)[0][: table.shape[1]])
 
 
 class _Given(NamedTuple):
@@ -93,9 +90,7 @@ def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
     theta, converged = np.concatenate([x, v[fit.places]]), False
     for _ in range(ROUNDS):
         theta, converged = fit.fit_theta(theta, v)
-        moved = v.copy()
-        moved[fit.places] = theta[assembly.size :]
-        moved = fit.fit_scales(theta, moved)
+        moved = fit.fit_scales(theta, _put(theta[assembly.size :], fit.places, v))
         change = float(np.max(np.abs(moved - v), initial=0.0))
         v = moved
         if not change > RESTS:
@@ -134,20 +129,18 @@ class _Refinement:
 
     def table(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray | float]:
         """Slopes by θ beside what the expected output leaves, and the variance that the rows add."""
-        size, at = self.assembly.size, v.copy()
-        at[self.places] = theta[size:]
+        size = self.assembly.size
         point = Point(theta[:size], self.mode.point.rows)
-        line = self.assembly.linearise(point, self.assembly.hyper(at))
-        slopes = [line.jacobian]
-        for i in self.places:
-            ends = []
-            for sign in (1, -1):
-                moved = at.copy()
-                moved[i] += sign * SHIFT
-                ends.append(self.assembly.linearise(point, self.assembly.hyper(moved)).mean)
-            slopes.append(((ends[0] - ends[1]) / (2 * SHIFT))[:, None])
+
+        def linearised(located: np.ndarray) -> Line:
+            return self.assembly.linearise(
+                point, self.assembly.hyper(_put(located, self.places, v))
+            )
+
+        line = linearised(theta[size:])
+        moved = _differences(lambda w: linearised(w).mean, theta[size:], SHIFT)
         rest = self.assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
-        return np.column_stack([*slopes, rest]), self.density.extra(line)
+        return np.column_stack([line.jacobian, *moved, rest]), self.density.extra(line)
 
     def whiten(self, v: np.ndarray, extra: np.ndarray | float, left: np.ndarray) -> Whitening:
         assembly = self.assembly
@@ -194,7 +187,8 @@ class _Refinement:
         """A function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
         table, extra = self.table(theta, v)
         size, even = len(table), self.density.even
-        upper, lost = _triangle(table) if even else table, np.full((theta.size, theta.size), np.nan)
+        upper = np.triu(dgeqrf(table)[0][: table.shape[1]]) if even else table
+        lost = np.full((theta.size, theta.size), np.nan)
         nowhere = _Given(-math.inf, np.full(theta.size, np.nan), lost, math.nan, math.nan)
 
         def given(v: np.ndarray) -> _Given:
@@ -236,28 +230,24 @@ class _Refinement:
         given, assembly = self.conditional(theta, v), self.assembly
         if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
-        told = [(i, h.prior) for i, h in enumerate(assembly.hypers) if h.name not in SCALES]
-        priors = [(i, prior.log_density) for i, prior in told if i in self.scales]
+        hypers = [(i, assembly.hypers[i]) for i in self.scales]
+        priors = [(i, h.prior.log_density) for i, h in hypers if h.name not in SCALES]
 
         def value(scales: np.ndarray) -> float:
-            moved = v.copy()
-            moved[self.scales] = scales
-            return given(moved).log_marginal + sum(float(d(moved[i])) for i, d in priors)
+            there = _put(scales, self.scales, v)
+            return given(there).log_marginal + sum(float(d(there[i])) for i, d in priors)
 
-        def slope(scales: np.ndarray) -> np.ndarray:
-            shifts = SHIFT * np.eye(len(scales))
-            return np.array([(value(scales + s) - value(scales - s)) / (2 * SHIFT) for s in shifts])
-
+        slope = partial(_differences, value, step=SHIFT)
+        curvature = partial(_differences, slope, step=10 * SHIFT)
         best = v[self.scales]
         if not math.isfinite(value(best)):
             return v
         if np.max(np.abs(slope(best))) > 1e-3:
             found = minimize(lambda s: -value(s), best, jac=lambda s: -slope(s))
             best = found.x if value(found.x) >= value(best) else best
-        best = root_near(slope, best, SHIFT)
-        moved = v.copy()
-        moved[self.scales] = best
-        return moved
+        sharper = root(slope, best, jac=curvature).x
+        best = min(best, sharper, key=lambda v: np.linalg.norm(slope(v)))
+        return _put(best, self.scales, v)
 
     def _noise(self, given: Callable[[np.ndarray], _Given], v: np.ndarray) -> np.ndarray:
         """The one standard deviation of independent noise: squares over the degrees of freedom left."""
@@ -269,8 +259,7 @@ class _Refinement:
                 return v
             variance = max(found.squares / left, least)
             step = 0.5 * math.log(variance) / self.assembly.value_slope(v, place)
-            v = v.copy()
-            v[place] += step
+            v = _put(v[place] + step, [place], v)
             if abs(step) < 1e-12:
                 break
         return v
@@ -285,9 +274,7 @@ class _Refinement:
             table = self.whiten(v, extra, table[:, -1])(table)
             return tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1]
 
-        steps = 1e-3 * np.diag(sd)
-        pairs = zip(steps, 1e-3 * sd, strict=True)
-        rows = np.array([(slope(theta + s) - slope(theta - s)) / (2 * h) for s, h in pairs])
+        rows = _differences(slope, theta, 1e-3 * sd)
         return 0.5 * (rows + rows.T)
 
 
@@ -298,3 +285,16 @@ def _damped(found: _Factors, damping: float) -> Float[np.ndarray, "q"]:
     weight = np.sqrt(np.sum(found.root**2, axis=0))
     rows = np.column_stack([np.diag(math.sqrt(damping) * weight), 0 * weight])
     return _factors(np.concatenate([np.column_stack([found.root, found.inside]), rows])).solution
+
+
+def _put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:
+    """v with other values in some places."""
+    found = v.copy()
+    found[places] = values
+    return found
+
+
+def _differences(f: Callable[[np.ndarray], Any], at: np.ndarray, step: Any) -> np.ndarray:
+    """Slopes of a function by each coordinate; one step, or one each."""
+    shifts = np.diag(np.broadcast_to(step, at.shape))
+    return np.array([(f(at + s) - f(at - s)) / (2 * s.sum()) for s in shifts])

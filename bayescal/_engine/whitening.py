@@ -26,7 +26,7 @@ class Recursion(NamedTuple):
     """What is new in each reading of correlated noise, y[i] − carry[i]·y[i−1]: correlated with its neighbours alone.
 
     Attributes:
-        order: of the readings: that of time within runs.
+        order: of the readings: that of time within runs, if it is another.
         step: s to the reading before; below zero at a run's first.
         carry: what passes from one reading to the next; 0 at a run's first.
         fresh: part of the correlated noise's variance that is new.
@@ -34,7 +34,7 @@ class Recursion(NamedTuple):
         factor: of the covariance of what is new.
     """
 
-    order: Integer[np.ndarray, "n"]
+    order: Integer[np.ndarray, "n"] | slice
     step: Float[np.ndarray, "n"]
     carry: Float[np.ndarray, "n"]
     fresh: Float[np.ndarray, "n"]
@@ -45,6 +45,8 @@ class Recursion(NamedTuple):
     def of(cls, record: Record, white: Float[np.ndarray, "n"], variance: float, tau: float):
         """Of white noise (n,) in the readings' order, and correlated noise of a variance and a time."""
         order, step = record.in_time
+        if np.all(np.diff(order) > 0):
+            order = slice(None)
         white = white[order]
         carry = np.where(step < 0, 0.0, np.exp(-step / tau))
         fresh = np.where(step < 0, 1.0, -np.expm1(-2 * step / tau))
@@ -68,7 +70,7 @@ class Whitening(NamedTuple):
     beyond: float = 0.0
 
     @property
-    def order(self) -> Integer[np.ndarray, "n"] | None:
+    def order(self) -> Integer[np.ndarray, "n"] | slice | None:
         """Of the rows of what is whitened; None for that of the readings."""
         return None if self.recursion is None else self.recursion.order
 
@@ -82,9 +84,12 @@ class Whitening(NamedTuple):
             return table / self.sd[:, None]
         if not table.shape[1]:
             return table
-        values = np.asfortranarray(table[self.recursion.order])
-        values[1:] -= self.recursion.carry[1:, None] * values[:-1]
-        return self.recursion.factor.forward(values) / self.sd[:, None]
+        table = table[self.recursion.order]
+        values = np.array(table, order="F")
+        values[1:] -= self.recursion.carry[1:, None] * table[:-1]
+        values = self.recursion.factor.forward(values)
+        values /= self.sd[:, None]
+        return values
 
 
 def known_variance(record: Record) -> Float[np.ndarray, "n"] | float:

@@ -16,7 +16,7 @@ from bayescal._core.progress import stage
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.mode import Mode, find_mode
 from bayescal._engine.record import Record
-from bayescal._engine.sampling import WeightedDraws, weighted_draws
+from bayescal._engine.sampling import PROPOSALS, WeightedDraws, weighted_draws
 from bayescal._inference import (
     checkpoint,
     importance_sampling,
@@ -72,14 +72,10 @@ class Marginal(Method):
         if not mode.log_evidence > -np.inf:
             return self._exact(layout, frame, y, key, mode, notes)
         with stage("sampling"):
-            found = self._weighted(layout, record, mode, seed)
-        weights, k_hat = smoothed(found.log_weight)
-        of_phi, k_phi = smoothed(found.log_weight_phi)
-        limit = trust.largest_k_hat(found.log_weight - found.log_weight_phi, of_phi)
-        why_not = trust.unevenness(weights, k_hat, limit=limit)
+            found, weights, k_hat, why_not = self._sampled(layout, record, mode, seed)
         if not why_not:
             return self._from_weights(layout, found, mode, weights, k_hat, notes, seed)
-        why = trust.unevenness(of_phi, k_phi)
+        why = trust.unevenness(*smoothed(found.log_weight_phi))
         if why and noise.gaussian:
             notes = (*notes, f"Importance weights of φ were uneven ({why}): NUTS on φ instead.")
             return self._nuts_on_phi(layout, frame, y, key, mode, notes)
@@ -94,20 +90,35 @@ class Marginal(Method):
         promoted, notes = checkpoint.noted("promotion", choose)
         return Layout(layout.model, layout.counts, tuple(promoted)), tuple(notes)
 
-    def _weighted(self, layout, record, mode, seed) -> WeightedDraws:
+    def _sampled(
+        self, layout, record, mode, seed
+    ) -> tuple[WeightedDraws, Float[np.ndarray, "s"], float, str]:
+        """Joint draws, their weights smoothed, Pareto's k̂, and why these are not to be trusted.
+
+        Where fewer proposals than usual do not suffice, twice as many are tried, up to the usual number.
+        """
+        found = self._weighted(layout, record, mode, seed, self.proposals)
+        judged, tried = _judged(found), len(found.log_weight)
+        while judged[-1] and self.proposals is None and tried < PROPOSALS:
+            tried = min(2 * tried, PROPOSALS)
+            found = self._weighted(layout, record, mode, seed, tried)
+            judged = _judged(found)
+        return found, *judged
+
+    def _weighted(self, layout, record, mode, seed, proposals) -> WeightedDraws:
         """Joint draws with their weights, from the fit's checkpoint where they are there."""
 
         def draws() -> WeightedDraws:
             if by_engine(layout):
                 assembly = Assembly(layout, record)
-                return weighted_draws(assembly, mode, seed, self.proposals, self.rounds)
-            key, count = jax.random.key(seed), self.proposals or 8192
+                return weighted_draws(assembly, mode, seed, proposals, self.rounds)
+            key, count = jax.random.key(seed), proposals or PROPOSALS
             made = importance_sampling.sample_jit(
                 layout, record.frame, jnp.asarray(record.y), mode, key, count, self.rounds
             )
             return WeightedDraws(*(getattr(made, name) for name in WeightedDraws._fields))
 
-        found = checkpoint.once("weighted draws", WEIGHTED, draws)
+        found = checkpoint.once(f"weighted draws {proposals}", WEIGHTED, draws)
         return jax.tree.map(np.asarray, found)
 
     def _from_weights(self, layout, found, mode, weights, k_hat, notes, seed) -> Outcome:
@@ -181,6 +192,14 @@ class Marginal(Method):
             verdict=trust.chain_verdict(ran, "NUTS on whitened unknowns", notes),
             log_evidence=(float(mode.log_evidence), None) if known else None,
         )
+
+
+def _judged(found: WeightedDraws) -> tuple[Float[np.ndarray, "s"], float, str]:
+    """Smoothed weights of joint draws, Pareto's k̂, and why they are not to be trusted; empty if they are."""
+    weights, k_hat = smoothed(found.log_weight)
+    of_phi, _ = smoothed(found.log_weight_phi)
+    limit = trust.largest_k_hat(found.log_weight - found.log_weight_phi, of_phi)
+    return weights, k_hat, trust.unevenness(weights, k_hat, limit=limit)
 
 
 def _by_chain(x, rows, v) -> Draws:

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bayescal._diagnostics.evidence_scale import STRONG
-from bayescal._engine.assembly import Assembly
+from bayescal._engine.assembly import Assembly, column_scale
 from bayescal._engine.closed_form import Density
 from bayescal._engine.linear_model import LinearModel, linear_model
-from bayescal._engine.mode import Mode, column_scale, find_mode
+from bayescal._engine.mode import Mode, find_mode
 from bayescal._engine.record import Record
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect

@@ -26,7 +26,7 @@ from bayescal._recording.set_aside import set_aside
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.posterior import Shown
 from bayescal._workbench import kept, take_away
-from bayescal._workbench.change import Change, changed
+from bayescal._workbench.change import Change, at_likeliest_size, changed
 from bayescal._workbench.origin import Origin, Settings
 from bayescal._workbench.search import Search
 from bayescal._workbench.state import State
@@ -177,7 +177,7 @@ class Session:
         """
         state = self.current
         wanted = changed(state.model, kind, arguments, self.own, self.laws)
-        return self._become(wanted, state.number)
+        return self._become(at_likeliest_size(wanted, self.readings, self.preview), state.number)
 
     add = partialmethod(act, "add")  # (effect)
     take_out = partialmethod(act, "take_out")  # (effect)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._channels.shared_shape import SHARES, SharedShape, log_mass, said
+from bayescal._channels.shared_shape import SHARES, FromOthers, Said, SharedShape, log_mass, said
 from bayescal._discovery.discover import structures_over
 from bayescal._model.frame import reference_of
 from bayescal._search.library import Library
@@ -53,6 +53,31 @@ def test_the_unit_has_it_as_enumeration_says() -> None:
     weight = sum(found.values())
     mean = weight @ shared.v / weight.sum()
     assert shared.shape.prior.coordinate(shared.posterior[0]) == pytest.approx(mean, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("channel", "learns"), [("clear", False), ("nothing", False), ("in doubt", True)]
+)
+def test_only_a_channel_in_doubt_concludes_something_else(channel: str, learns: bool) -> None:
+    shared = three_channels()
+    log_ratio, shape = shared.says[channel], shared.shape
+    log_ratio = log_ratio - 3.0 * (channel == "nothing")  # clearly nothing
+    alone = FromOthers(np.log(0.2 / 0.8), shape.low, shape.high)
+    one = Said(shared.v, log_ratio)
+    now = one.concluded(shared.from_others(channel), shape)
+    assert now.differs(one.concluded(alone, shape)) == learns
+
+
+def test_what_a_channel_concludes_alone_is_the_posterior_of_its_own_prior() -> None:
+    shared = three_channels()
+    log_ratio, shape = shared.says["in doubt"], shared.shape
+    found = Said(shared.v, log_ratio).concluded(FromOthers(0.0, shape.low, shape.high), shape)
+    weight = np.exp(log_ratio - 0.5 * shared.v**2)
+    ratio = weight.sum() * 0.1 / np.sqrt(2 * np.pi)
+    mean = weight @ shared.v / weight.sum()
+    assert found.probability == pytest.approx(ratio / (1 + ratio), rel=1e-3)
+    assert found.v == pytest.approx(mean, abs=1e-3)
+    assert found.sd**2 == pytest.approx(weight @ (shared.v - mean) ** 2 / weight.sum(), rel=1e-2)
 
 
 def test_what_the_others_say_and_the_own_evidence_are_the_whole_posterior() -> None:

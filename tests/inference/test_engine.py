@@ -10,10 +10,10 @@ import pytest
 
 import bayescal as bc
 from bayescal._engine import pieces
-from bayescal._engine.assembly import Assembly, Point
+from bayescal._engine.assembly import Assembly, Point, column_scale
 from bayescal._engine.closed_form import Density
 from bayescal._engine.linear_model import sized
-from bayescal._engine.mode import column_scale, find_mode
+from bayescal._engine.mode import across, find_mode
 from bayescal._engine.record import INTERPOLATED, Record
 from bayescal._engine.terms import ColumnsOf
 from bayescal._engine.whitening import whitening
@@ -149,6 +149,30 @@ def test_the_mode_is_that_of_the_traced_search() -> None:
     old = laplace.compiled_mode(a.layout, a.record.frame, jnp.asarray(a.record.y))
     assert mode.log_evidence == pytest.approx(float(old.log_evidence), abs=2e-3)
     np.testing.assert_allclose(mode.v, old.v, atol=1e-3)
+
+
+@pytest.mark.parametrize("place", [0.23, 0.61, 0.88])
+def test_of_many_maxima_the_highest_is_the_mode(place: float) -> None:
+    """The moment of a step that few prior draws come near, in a record of correlated noise."""
+    random, t = np.random.default_rng(7), 10.0 * np.arange(600)
+    wander = np.cumsum(0.02 * random.standard_normal(600))
+    output = wander + 0.5 * (t > place * t[-1]) + 0.05 * random.standard_normal(600)
+    readings = bc.Measurements.from_arrays(
+        still_sensor.INSTRUMENT,
+        units={"output": "dps"},
+        time=t,
+        temperature=25 + np.sin(t / 900),
+        output=output,
+    )
+    model = (still(readings) + "unknown(time, jump)").with_noise(WANDER)
+    frame = build_frame(readings, reference_of(readings))
+    layout = bind(sized(model, readings, frame), readings)[0]
+    a = Assembly(layout, Record(model.instrument, frame, readings["output"]))
+    mode = find_mode(a)
+    density = Density(a, mode.point, mode.flat)
+    (along,) = across(a, mode.v)
+    assert density.at(mode.v)[0] > max(density.at(v)[0] for v in along) - 1e-3
+    assert a.hyper(mode.v)["unknown(time, jump).place"] == pytest.approx(place, abs=0.01)
 
 
 def test_promoted_coefficients_stand_in_phi() -> None:
