@@ -138,15 +138,25 @@ class _Channel:
         return found
 
     def hear(self, told: Mapping[str, FromOthers]) -> bool:
-        """Look again where what the others say leads elsewhere: it is the prior of what is weighed from now on."""
+        """Take what the others say for a prior, where that leads elsewhere; whether it does.
+
+        Where an effect is more or less probable by it the channel is searched again; where only a shape moves, the most
+        probable structures are weighed again.
+        """
         before, shapes = self.structures, self.shared
-        news = {n for n, now in told.items() if self._learns(n, now)}
-        if before is None or not news:
+        if before is None:
+            return False
+        then = {n: self.says[n].concluded(self.heard[n], shapes[n]) for n in told}
+        now = {n: self.says[n].concluded(told[n], shapes[n]) for n in told}
+        searched = any(now[n].likelier(then[n]) for n in told)
+        news = {n for n in told if now[n].likelier(then[n]) or now[n].aside(then[n])}
+        if not news:
             return False
         candidates = dict(before.candidates)
         for name in news:
-            self.heard[name] = now = told[name]
-            candidates[name] = candidates[name].ranging({shapes[name].name: (now.low, now.high)})
+            self.heard[name] = heard = told[name]
+            range_ = {shapes[name].name: (heard.low, heard.high)}
+            candidates[name] = candidates[name].ranging(range_)
         after = replace(
             before,
             candidates=candidates,
@@ -156,23 +166,29 @@ class _Channel:
             expected={},
             forms={},
         )
+        known = before.expected | {s: w.total for s, w in before.visited.items()}
+        for structure, total in () if searched else known.items():
+            after.expect(
+                structure, total + after.log_prior(structure) - before.log_prior(structure)
+            )
         for structure, weighed in before.visited.items():
             if structure.effects.isdisjoint(news):
                 log_prior = after.log_prior(structure)
                 after.visited[structure] = replace(weighed, log_prior=log_prior)
         leaders = sorted(before.visited.values(), key=lambda w: -w.total)[:BEAM]
-        self._look(after, [w.structure for w in leaders])
+        self._look(after, [w.structure for w in leaders], searched)
         return True
 
-    def _learns(self, name: str, now: FromOthers) -> bool:
-        """Whether the channel concludes something else of an effect by what the others say now."""
-        said, shape = self.says[name], self.shared[name]
-        then = said.concluded(self.heard[name], shape)
-        return said.concluded(now, shape).differs(then)
-
-    def _look(self, structures: Structures, again: Sequence[Structure] = ()) -> None:
-        """Walk over structures, and find what the channel says of the shared shapes by them."""
-        self.structures, self.stopped = structures, self.loop.look(Library(structures), again)
+    def _look(
+        self, structures: Structures, again: Sequence[Structure] = (), searched: bool = True
+    ) -> None:
+        """Walk over structures, or weigh some again, and find what the channel says of the shared shapes by them."""
+        self.structures = structures
+        if searched:
+            self.stopped = self.loop.look(Library(structures), again)
+        else:
+            for structure in (Structure(), *again):
+                structures.weigh(structure)
         self.says = {n: said(structures, n, shape) for n, shape in self.shared.items()}
 
     def trail(self, follow: Callable[[str, Trail], None]) -> Trail:

@@ -26,8 +26,10 @@ SHARES = (np.arange(10) + 0.5)[:, None] / 10  # of the channels that show what t
 REACH, STEP = 3.5, 0.25  # of the shape's grid, prior standard deviations
 RAGGED_STEP = 0.02
 CLOSE = np.linspace(-4.0, 4.0, 25)  # about what a channel found, in its standard deviations
-LIKELIER = 0.05  # of an effect's probability in a channel, from which that concludes something else and is asked again
-ASIDE = 0.5  # standard deviations of a shape, likewise
+LIKELIER = (
+    0.1  # by which an effect's probability in a channel moves before the channel is searched again
+)
+ASIDE = 0.5  # standard deviations by which a shape moves before its structures are weighed again
 ASKED = 3  # most probable structures with the effect and without, of which a channel is asked
 
 
@@ -65,12 +67,14 @@ class Conclusion(NamedTuple):
     v: float
     sd: float
 
-    def differs(self, then: Conclusion) -> bool:
-        """Whether it is another conclusion than one before, by what counts."""
-        if abs(self.probability - then.probability) > LIKELIER:
-            return True
-        probable = max(self.probability, then.probability) > LIKELIER
-        return probable and abs(self.v - then.v) > ASIDE * max(self.sd, then.sd)
+    def likelier(self, then: Conclusion) -> bool:
+        """Whether the effect is more or less probable than it was, by what counts."""
+        return abs(self.probability - then.probability) > LIKELIER
+
+    def aside(self, then: Conclusion) -> bool:
+        """Whether the shape of an effect that may be there stands elsewhere."""
+        may_be = max(self.probability, then.probability) > LIKELIER
+        return may_be and abs(self.v - then.v) > ASIDE * max(self.sd, then.sd)
 
 
 @dataclass(frozen=True, eq=False)
