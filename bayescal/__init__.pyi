@@ -25,7 +25,7 @@ from ._recording.set_aside import set_aside as set_aside
 from ._recording.allan_deviation import allan_deviation as allan_deviation
 from ._recording.allan_deviation import AllanDeviation as AllanDeviation
 
-# what leaves: the compensation, its budget, pictures, the report to sign
+# what leaves: the compensation, its budget, pictures, the report for sign-off
 from ._compensation.compensator import compensator as compensator
 from ._compensation.compensator import load_compensator as load_compensator
 from ._compensation.budget import budget as budget

@@ -59,7 +59,7 @@ def of_the_search(trail: bc.Trail) -> list[Entry]:
         Entry(
             "trail",
             "bc.plot.trail(trail)",
-            "The error falls to the noise floor, on the fitted readings, on left-out runs and on readings kept apart.",
+            "The error falls to the noise floor, on the fitted readings, leave-one-run-out and on hold-out data.",
             lambda: bc.plot.trail(trail),
         ),
         Entry(

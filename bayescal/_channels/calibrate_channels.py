@@ -45,13 +45,13 @@ def calibrate_channels(
     """Calibrate the channels of one unit together: `calibrate` for each, one body for all.
 
     Each channel has its own effects, coefficients and noise. A shape that an instrument declares shared (the time of
-    a body's lag, the moment of a jump) is one for the unit: given it, the channels are independent, and what each says
+    a body's lag, the moment of a step) is one for the unit: given it, the channels are independent, and what each says
     of it is to the others a prior. The unit has such an effect or not; if it has, some share of its channels shows it.
 
     Args:
         models: of each channel, to begin with.
         readings: of each channel, as `read(…, outputs=[…])` gives them.
-        holdout: readings kept apart, of each channel.
+        holdout: hold-out data, of each channel.
         follow: called with a channel's name and its trail so far, whenever that grows.
         effects, method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit, accept_conflicts: as
             `calibrate` has them; the time limit is for one search of one channel.

@@ -29,7 +29,7 @@ class Channels(Printed):
 
     @property
     def ok(self) -> bool:
-        """Whether every channel may be trusted."""
+        """Whether every channel's result is reliable."""
         return all(trail.ok for trail in self.trails.values())
 
     if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class Channels(Printed):
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
         parts += [f"{n}: {t.search.stopped}" for n, t in self.trails.items() if _early(t)]
         parts += [
-            f"{n}: not to be trusted: {t.gate.reason}" for n, t in self.trails.items() if not t.ok
+            f"{n}: result not reliable: {t.gate.reason}" for n, t in self.trails.items() if not t.ok
         ]
         return "\n".join(parts)
 
@@ -102,7 +102,7 @@ class Channels(Printed):
 
 
 def _early(trail: Trail) -> bool:
-    """Whether a search ended before its end; one that could not begin is not to be trusted, which is said."""
+    """Whether a search ended before its end; one that could not begin is not reliable, which is said."""
     return trail.search is not None and not trail.search.complete
 
 

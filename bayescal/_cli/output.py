@@ -214,7 +214,7 @@ def loop_text(trail: Trail, own: Sequence[Effect] = (), begun: bool = False) -> 
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
-    """The readings with columns predicted, predicted_uncertainty and residual beside them, and the wander if told.
+    """The readings with columns predicted, predicted_uncertainty and residual; and the correlated noise if asked for.
 
     Raises:
         InputError: the file type is not known or the folder is not there.

@@ -63,7 +63,7 @@ def calibrate(
     Args:
         model: to begin with.
         readings: to fit.
-        holdout: readings kept apart: read after the last step, and never used to choose an effect.
+        holdout: hold-out data: read after the last step, and never used to choose an effect.
         effects: further candidates of the user's own.
         method: of the last fit; `Marginal()` if not given. Steps on the way are fitted by least squares.
         max_effects: most effects to add.
@@ -262,7 +262,7 @@ def step_of(
 
     Args:
         calibration: the fit.
-        holdout: readings kept apart.
+        holdout: hold-out data.
         accepted: coefficients or effects that may contradict their priors.
     """
     checked, floor = check(calibration), noise_floor(calibration)
@@ -284,7 +284,7 @@ def step_of(
 
 
 def _other_path(structures: Structures) -> OtherPath | None:
-    """The best end under another noise law, if it is another end and nearly as probable."""
+    """The runner-up model: the best under another noise law, if it differs and is nearly as probable."""
     best = structures.best
     ends = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
     other = max(ends, key=lambda w: w.total, default=None)

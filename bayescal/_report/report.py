@@ -1,4 +1,4 @@
-"""The report to sign: one HTML file that needs nothing else.
+"""The report for sign-off: one HTML file that needs nothing else.
 
 Everything that comes from files (names of files, devices, effects) is escaped; nothing in the page is run.
 """
@@ -36,7 +36,7 @@ def report(
     effects: Iterable[Effect] = (),
     certificate: str | Path | Certificate | None = None,
 ) -> Path:
-    """Write the report to sign.
+    """Write the report for sign-off.
 
     Args:
         given: a calibration or a trail, or several. Calibrations of the same readings become one chapter, in which the
@@ -206,7 +206,7 @@ def _candidate(c: dict[str, Any]) -> dict[str, Any]:
 def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
     """The budget at the middle of what was covered; or why there is none."""
     if not sentences.ok(chapter):
-        return None, "There is no budget of a fit that is not to be trusted."
+        return None, "There is no budget of a result that is not reliable."
     try:
         return budget(chapter.calibration, k=tables.K).shown(), ""
     except BayescalError as error:

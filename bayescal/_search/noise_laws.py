@@ -1,6 +1,6 @@
 """Noise laws that a record can tell, and what each is expected to gain: on residuals, coefficients held.
 
-As with effects, what is computed here says only which refit is worth its time.
+As with effects, what is computed here says only which refit to make.
 """
 
 from __future__ import annotations

@@ -260,7 +260,7 @@ class Session:
         return self.tree.script(self.path())
 
     def report(self, certificate: str | Path | None = None) -> Path:
-        """The report to sign, in the folder: what `bayescal report` writes of it."""
+        """The report for sign-off, in the folder: what `bayescal report` writes of it."""
         folder, _ = self._result()
         return take_away.write_report(folder, self.tree.origin, self.own, certificate)
 

@@ -71,7 +71,7 @@ def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.Trail) -> Non
 
 def test_their_shapes_are_drafted_as_what_they_are(jumped: bc.Trail, cycled: bc.Trail) -> None:
     jump = template(jumped.final.calibration, "unknown(time, jump)")
-    assert drafted(r"a jump at (\S+) of the range", jump) == pytest.approx(PLACE, abs=0.02)
+    assert drafted(r"a step at (\S+) of the range", jump) == pytest.approx(PLACE, abs=0.02)
     assert "jnp.where(x >" in jump
     wave = template(cycled.final.calibration, "unknown(time, cycle)")
     period = drafted(r"a sine of period (\S+) of the range", wave)
