@@ -150,7 +150,7 @@ def _empty(banks: Banks) -> str:
 
 def _spoilt(found: dict[str, Any]) -> str:
     rows = [
-        [name, how, row["added"], ", ".join(row["what"])]
+        [name, how.replace("wandering", "correlated"), row["added"], ", ".join(row["what"])]
         for name, kinds in found.items()
         for how, row in kinds.items()
     ]
