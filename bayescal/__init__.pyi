@@ -16,7 +16,7 @@ from ._report.save_search import calibrate_channels as calibrate_channels
 from ._discovery.next_experiment import next_experiment as next_experiment
 from ._discovery.false_reports import false_reports as false_reports
 from ._discovery.draft_effect import shape_of as shape_of
-from ._discovery.draft_effect import template as template
+from ._discovery.draft_effect import draft_effect as draft_effect
 from ._discovery.describe import Draft as Draft
 from ._discovery.describe import describe as describe
 

@@ -18,7 +18,7 @@ from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.compare import Comparison
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._discovery.calibrate import Trail
-from bayescal._discovery.draft_effect import template
+from bayescal._discovery.draft_effect import draft_effect
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.unknown_effect import covariate_in
@@ -199,7 +199,7 @@ def loop_text(trail: Trail, own: Sequence[Effect] = (), begun: bool = False) -> 
     parts += [unexplained] if unexplained else []
     unknown = (e.name for e in final.calibration.model.effects if covariate_in(e.name))
     for name in unknown:
-        draft = template(final.calibration, name)
+        draft = draft_effect(final.calibration, name)
         parts.append(
             f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"
         )

@@ -103,7 +103,7 @@ class _Ramp:
         return self.places
 
 
-def template(calibration: Calibration, name: str) -> str:
+def draft_effect(calibration: Calibration, name: str) -> str:
     """A user's own effect, drafted from the shape that was found; to be edited and given with --effects.
 
     Args, Raises: as `shape_of`.

@@ -60,7 +60,7 @@ A scheduler that is killed, and the same command run again, is a test: `tests/fl
 def _one_process(r: dict[str, Any]) -> str:
     return f"""## A population over partitions
 
-{r["devices"]:,} devices in {r["partitions"]} partitions against one process: means, between-device standard deviations and their uncertainties
+{r["devices"]:,} devices in {r["partitions"]} partitions against one process: means and standard deviations with their uncertainties
 differ by {r["largest_relative_difference"]:.1g} at most, relative (goal 1e-10).
 """
 
