@@ -52,13 +52,9 @@ class Coefficient(eqx.Module):
 
     def __check_init__(self) -> None:
         if self.spread is not None and self.per is None:
-            raise ValueError(
-                "a between-group standard deviation (`spread`) needs a group: give `per`"
-            )
+            raise ValueError("a `spread` between groups needs a group: give `per`")
         if self.per == "reading" and self.spread is not None:
-            raise ValueError(
-                "a standard deviation (`spread`) between single readings is noise: give it to the noise law"
-            )
+            raise ValueError("a `spread` of single readings is noise: give it to the noise law")
 
     @property
     def flat(self) -> bool:
