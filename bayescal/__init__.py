@@ -22,7 +22,10 @@ from bayescal._core.version import __version__ as __version__
 
 _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-_RENAMED = {"template": "draft_effect"}  # in 0.2.0; the old names go in 0.3.0
+_RENAMED = {
+    "Trail": "SearchPath",
+    "template": "draft_effect",
+}  # since 0.2.0; the old names go in 0.3.0
 
 
 def __getattr__(name: str):

@@ -71,7 +71,9 @@ from ._diagnostics.check_result import Check as Check
 from ._diagnostics.compare import Comparison as Comparison
 from ._discovery.discover import Discovery as Discovery
 from ._discovery.preview import Preview as Preview
-from ._report.save_search import Trail as Trail  # with `save`, which save_search.py attaches
+from ._report.save_search import (
+    SearchPath as SearchPath,
+)  # with `save`, which save_search.py attaches
 from ._report.save_search import (
     Channels as Channels,
 )  # with `save`, which save_search.py attaches

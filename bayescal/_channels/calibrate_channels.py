@@ -12,7 +12,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
 from bayescal._discovery.calibrate import Loop
 from bayescal._discovery.candidate import Candidate
-from bayescal._discovery.search_path import Step, Trail
+from bayescal._discovery.search_path import SearchPath, Step
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect, Shape
 from bayescal._model.frame import Reference
@@ -40,7 +40,7 @@ def calibrate_channels(
     reference: Reference | None = None,
     time_limit: float | None = None,
     accept_conflicts: Collection[str] = (),
-    follow: Callable[[str, Trail], None] = lambda _, __: None,
+    follow: Callable[[str, SearchPath], None] = lambda _, __: None,
 ) -> Channels:
     """Calibrate the channels of one unit together: `calibrate` for each, one body for all.
 
@@ -172,7 +172,7 @@ class _Channel:
         self.structures, self.stopped = structures, self.loop.look(Library(structures), again)
         self.says = {n: said(structures, n, shape) for n, shape in self.shared.items()}
 
-    def trail(self, follow: Callable[[str, Trail], None]) -> Trail:
+    def trail(self, follow: Callable[[str, SearchPath], None]) -> SearchPath:
         """The models on the way to the most probable structure."""
         if self.structures is None:
             return self.loop.not_looked(self.first)

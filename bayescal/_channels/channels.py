@@ -11,7 +11,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._channels.shared_shape import SharedShape
 from bayescal._core.formatting import Printed, number, probability, table, with_error
 from bayescal._diagnostics.evidence_scale import STRONG
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._readings.unit_conversion import unit_label
 
 
@@ -24,7 +24,7 @@ class Channels(Printed):
         shared: what the channels say of each effect whose shape they share.
     """
 
-    trails: Mapping[str, Trail]
+    trails: Mapping[str, SearchPath]
     shared: tuple[SharedShape, ...]
 
     @property
@@ -101,7 +101,7 @@ class Channels(Printed):
         return ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
 
 
-def _early(trail: Trail) -> bool:
+def _early(trail: SearchPath) -> bool:
     """Whether a search ended before its end; one that could not begin is not reliable, which is said."""
     return trail.search is not None and not trail.search.complete
 

@@ -91,7 +91,7 @@ class Gate:
 
 
 @dataclass(frozen=True, repr=False)
-class Trail(Printed):
+class SearchPath(Printed):
     """The sequence of models from the first to the chosen one, and whether to trust the last.
 
     Attributes:
@@ -161,7 +161,7 @@ class Trail(Printed):
         }
 
 
-def trail_text(trail: Trail) -> str:
+def trail_text(trail: SearchPath) -> str:
     """The error, step by step: as fitted, of a new run, held out, and the floor."""
     unit = unit_label(trail.final.calibration.unit)
     held_out = trail.holdout is not None

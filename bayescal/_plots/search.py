@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from bayescal._core.formatting import number
 from bayescal._diagnostics.leave_group_out import scheme
 from bayescal._discovery.discover import Discovery
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._plots.residuals import residual_panel
 from bayescal._plots.style import (
@@ -63,14 +63,14 @@ def _of_data(step: Mapping[str, Any]) -> _StepError:
     )
 
 
-def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
+def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     """The error of each step, with the fall from the step before, and the noise floor.
 
     Args:
         found: a trail, or what its result.json holds.
         ax: where to draw; a figure of its own if not given.
     """
-    told = [s.errors() for s in found.steps] if isinstance(found, Trail) else found["steps"]
+    told = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
     steps = [_of_data(step) for step in told]
     figure = new_figure(5.6, 0.75 + 1.0 * len(steps)) if ax is None else ax.figure
     ax = figure.subplots() if ax is None else ax
@@ -161,7 +161,7 @@ def is_quiet(c: Mapping[str, Any]) -> bool:
     return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
 
 
-def loop(found: Trail) -> Figure:
+def loop(found: SearchPath) -> Figure:
     """The loop in one picture: residuals before and after, what is missing, the error falling."""
     figure = new_figure(11.0, 7.4)
     axes = figure.subplots(2, 2)

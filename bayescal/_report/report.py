@@ -16,7 +16,7 @@ from bayescal._compensation.budget import Budget, budget
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError
 from bayescal._core.formatting import number, probability, with_error
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._plots.search import is_quiet
@@ -29,7 +29,7 @@ MANY = 60  # rows of a table of candidates or coefficients that are shown
 
 
 def report(
-    given: Calibration | Trail | Chapter | list[Any],
+    given: Calibration | SearchPath | Chapter | list[Any],
     path: str | Path,
     *,
     title: str = "",

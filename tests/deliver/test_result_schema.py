@@ -67,7 +67,7 @@ def _refuse(token: str) -> None:
     raise AssertionError(f"{token} is not JSON")
 
 
-def read_back(trail: bc.Trail, folder: Path) -> dict[str, Any]:
+def read_back(trail: bc.SearchPath, folder: Path) -> dict[str, Any]:
     write_json(result(trail), folder / "result.json")
     return json.loads((folder / "result.json").read_text("utf-8"), parse_constant=_refuse)
 
