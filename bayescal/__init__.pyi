@@ -16,7 +16,7 @@ from ._report.save_search import calibrate_channels as calibrate_channels
 from ._discovery.next_experiment import next_experiment as next_experiment
 from ._discovery.false_reports import false_reports as false_reports
 from ._discovery.draft_effect import shape_of as shape_of
-from ._discovery.draft_effect import template as template
+from ._discovery.draft_effect import draft_effect as draft_effect
 from ._discovery.describe import Draft as Draft
 from ._discovery.describe import describe as describe
 
@@ -25,7 +25,7 @@ from ._recording.set_aside import set_aside as set_aside
 from ._recording.allan_deviation import allan_deviation as allan_deviation
 from ._recording.allan_deviation import AllanDeviation as AllanDeviation
 
-# what leaves: the compensation, its budget, pictures, the report to sign
+# what leaves: the compensation, its budget, pictures, the report for sign-off
 from ._compensation.compensator import compensator as compensator
 from ._compensation.compensator import load_compensator as load_compensator
 from ._compensation.budget import budget as budget
@@ -71,7 +71,9 @@ from ._diagnostics.check_result import Check as Check
 from ._diagnostics.compare import Comparison as Comparison
 from ._discovery.discover import Discovery as Discovery
 from ._discovery.preview import Preview as Preview
-from ._report.save_search import Trail as Trail  # with `save`, which save_search.py attaches
+from ._report.save_search import (
+    SearchPath as SearchPath,
+)  # with `save`, which save_search.py attaches
 from ._report.save_search import (
     Channels as Channels,
 )  # with `save`, which save_search.py attaches

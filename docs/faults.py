@@ -86,14 +86,14 @@ def page(all_: dict[str, list[dict[str, Any]]]) -> str:
         "Drawn up by `python docs/faults.py`. Drawn up before a search weighed whole structures. Each effect alone "
         "was hidden in its instrument's standard campaign, at "
         "three times the size *needed* (the smallest that is found with 80 % power), and the baseline fitted. "
-        "*Residuals lean on*: covariates with the strongest evidence of structure (natural logarithm). *Taken for*: "
+        "*Residuals depend on*: covariates with the strongest evidence of structure (natural logarithm). *Taken for*: "
         "effects that this campaign cannot tell from it; `bayescal discover --next-experiment` says which campaign "
         "could.\n",
     ]
     for name, entries in all_.items():
         parts += [
             f"## {name}\n",
-            "| effect | plausible | needed | residuals lean on | neighbours | taken for |",
+            "| effect | plausible | needed | residuals depend on | neighbours | taken for |",
         ]
         parts.append("|---|---|---|---|---|---|")
         parts += [_line(entry) for entry in entries]
@@ -110,7 +110,7 @@ def _line(entry: dict[str, Any]) -> str:
         cells += [leans, f"{entry['autocorrelation']:.2f}"]
         cells.append(", ".join(f"`{n}`" for n in entry["confused_with"]) or "–")
     else:
-        cells += [entry["remark"] or "this experiment cannot see it", "", ""]
+        cells += [entry["remark"] or "not detectable in this experiment", "", ""]
     return "| " + " | ".join(cell.strip() for cell in cells) + " |"
 
 

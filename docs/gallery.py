@@ -26,17 +26,17 @@ class Entry(NamedTuple):
     draw: Callable[[], Figure]
 
 
-def campaign() -> bc.Trail:
+def campaign() -> bc.SearchPath:
     readings = mems_gyro.simulate(HIDDEN, seed=SEED)
     kept_apart = mems_gyro.simulate(HIDDEN, seed=SEED_KEPT_APART)
     return bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings, holdout=kept_apart)
 
 
-def entries(trail: bc.Trail) -> list[Entry]:
+def entries(trail: bc.SearchPath) -> list[Entry]:
     return [*of_the_search(trail), *of_the_posterior(trail.final.calibration)]
 
 
-def of_the_search(trail: bc.Trail) -> list[Entry]:
+def of_the_search(trail: bc.SearchPath) -> list[Entry]:
     """What the first model misses, and that the last one does not."""
     first, last = trail.steps[0], trail.final
     assert first.discovery is not None
@@ -59,7 +59,7 @@ def of_the_search(trail: bc.Trail) -> list[Entry]:
         Entry(
             "trail",
             "bc.plot.trail(trail)",
-            "The error falls to the noise floor, on the fitted readings, on left-out runs and on readings kept apart.",
+            "The error falls to the noise floor, on the fitted readings, leave-one-run-out and on hold-out data.",
             lambda: bc.plot.trail(trail),
         ),
         Entry(

@@ -37,7 +37,7 @@ RECORDS = 10.0  # records, beyond which no time can be told
 
 
 def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
-    """Why a fit is not to be trusted although it converged, each a sentence; empty for most.
+    """Why the result of a fit is not reliable although it converged, each a sentence; empty for most.
 
     Args:
         calibration: the fit.
@@ -171,7 +171,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
 def _against_priors(
     calibration: Fitted, stands: Mapping[str, tuple[float, float]], accepted: Collection[str]
 ) -> list[str]:
-    """Coefficients that stand far from their priors' means, each (where, give or take)."""
+    """Coefficients that stand far from their priors' means, each (where, standard deviation)."""
     found = []
     baseline = {e.name for e in calibration.model.instrument.effects}
     for b in calibration.layout.blocks:

@@ -28,8 +28,8 @@ class Prediction:
             has not seen, from their spread.
         sd: standard uncertainty of a reading: with noise.
         residual: output − mean.
-        wander: posterior mean of the wandering noise, for readings between those of the fit in the same record; NaN
-            beyond them, None where it was not asked for or the noise does not wander.
+        wander: posterior mean of the correlated (Ornstein–Uhlenbeck) noise, for readings between those of the
+            fit in the same record; NaN beyond them, None where it was not asked for or the noise is not correlated.
         wander_sd: its standard deviation.
     """
 
@@ -62,7 +62,7 @@ def predict(
             give or take its spread. False uses the deviations of members that the fit knows by name. An axis
             is part of its instrument: one that the fit knows is itself either way.
         same_record: the readings belong to the very record that was fitted, on its clock and with its labels: groups
-            are known, and between fitted readings `wander` is what these say of the noise that wanders.
+            are known, and between fitted readings `wander` is what these say of the correlated noise.
         draws: posterior draws to average over, at most.
 
     Raises:
@@ -96,7 +96,7 @@ def predict(
 
 
 def _wander(calibration: Calibration, readings: Measurements) -> tuple[np.ndarray, np.ndarray]:
-    """Of the fitted record's wander at these readings' times, at the mode; NaN beyond the fitted ones of their run."""
+    """The record's correlated noise at these readings' times, at the mode; NaN beyond the fitted ones of a run."""
     fitted, assembly = calibration.readings, calibration.assembly
     left = predict(calibration, new_groups=False).residual
     values = assembly.hyper(calibration.mode.v)
@@ -122,7 +122,7 @@ def wander_given(
     white: Float[np.ndarray, "n"],
     at: Float[np.ndarray, "m"],
 ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """Mean and variance of a wander at some times of a run, given what a model leaves of its readings.
+    """Mean and variance of correlated noise at some times of a run, given what a model leaves of its readings.
 
     Args:
         values: φ by name.
@@ -131,7 +131,7 @@ def wander_given(
         white: variance of each reading's own noise.
         at: where it is asked for, s.
 
-    Source: H. Rue and L. Held, Gaussian Markov Random Fields (2005), ch. 2: the wander's precision over sorted times
+    Source: H. Rue and L. Held, Gaussian Markov Random Fields (2005), ch. 2: its precision over sorted times
     has three diagonals.
     """
     grid = np.union1d(time, at)

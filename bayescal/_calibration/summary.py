@@ -176,8 +176,8 @@ def _exact_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
         words = f"{names[order[0]]}: these readings say nothing of it; its interval is the prior's (exactly)"
     else:
         words = (
-            f"{combination}: moved together so, these coefficients change no reading; only other "
-            "combinations of them are measured, this one keeps the prior's width (exactly)"
+            f"{combination}: this combination is not identifiable; only other combinations of these "
+            "coefficients are measured, this one keeps the prior's width (exactly)"
         )
     return {"combination": combination, "in_words": words}
 

@@ -12,7 +12,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
 from bayescal._discovery.calibrate import Loop
 from bayescal._discovery.candidate import Candidate
-from bayescal._discovery.search_path import Step, Trail
+from bayescal._discovery.search_path import SearchPath, Step
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect, Shape
 from bayescal._model.frame import Reference
@@ -40,18 +40,18 @@ def calibrate_channels(
     reference: Reference | None = None,
     time_limit: float | None = None,
     accept_conflicts: Collection[str] = (),
-    follow: Callable[[str, Trail], None] = lambda _, __: None,
+    follow: Callable[[str, SearchPath], None] = lambda _, __: None,
 ) -> Channels:
     """Calibrate the channels of one unit together: `calibrate` for each, one body for all.
 
     Each channel has its own effects, coefficients and noise. A shape that an instrument declares shared (the time of
-    a body's lag, the moment of a jump) is one for the unit: given it, the channels are independent, and what each says
+    a body's lag, the moment of a step) is one for the unit: given it, the channels are independent, and what each says
     of it is to the others a prior. The unit has such an effect or not; if it has, some share of its channels shows it.
 
     Args:
         models: of each channel, to begin with.
         readings: of each channel, as `read(…, outputs=[…])` gives them.
-        holdout: readings kept apart, of each channel.
+        holdout: hold-out data, of each channel.
         follow: called with a channel's name and its trail so far, whenever that grows.
         effects, method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit, accept_conflicts: as
             `calibrate` has them; the time limit is for one search of one channel.
@@ -191,7 +191,7 @@ class _Channel:
                 structures.weigh(structure)
         self.says = {n: said(structures, n, shape) for n, shape in self.shared.items()}
 
-    def trail(self, follow: Callable[[str, Trail], None]) -> Trail:
+    def trail(self, follow: Callable[[str, SearchPath], None]) -> SearchPath:
         """The models on the way to the most probable structure."""
         if self.structures is None:
             return self.loop.not_looked(self.first)

@@ -11,7 +11,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._channels.shared_shape import SharedShape
 from bayescal._core.formatting import Printed, number, probability, table, with_error
 from bayescal._diagnostics.evidence_scale import STRONG
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._readings.unit_conversion import unit_label
 
 
@@ -24,12 +24,12 @@ class Channels(Printed):
         shared: what the channels say of each effect whose shape they share.
     """
 
-    trails: Mapping[str, Trail]
+    trails: Mapping[str, SearchPath]
     shared: tuple[SharedShape, ...]
 
     @property
     def ok(self) -> bool:
-        """Whether every channel may be trusted."""
+        """Whether every channel's result is reliable."""
         return all(trail.ok for trail in self.trails.values())
 
     if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class Channels(Printed):
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
         parts += [f"{n}: {t.search.stopped}" for n, t in self.trails.items() if _early(t)]
         parts += [
-            f"{n}: not to be trusted: {t.gate.reason}" for n, t in self.trails.items() if not t.ok
+            f"{n}: result not reliable: {t.gate.reason}" for n, t in self.trails.items() if not t.ok
         ]
         return "\n".join(parts)
 
@@ -101,8 +101,8 @@ class Channels(Printed):
         return ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
 
 
-def _early(trail: Trail) -> bool:
-    """Whether a search ended before its end; one that could not begin is not to be trusted, which is said."""
+def _early(trail: SearchPath) -> bool:
+    """Whether a search ended before its end; one that could not begin is not reliable, which is said."""
     return trail.search is not None and not trail.search.complete
 
 

@@ -69,7 +69,7 @@ def batch(
         list[str] | None,
         typer.Option(
             "--population",
-            help="Coefficient whose mean and spread over the devices are learned; 'all', or repeat.",
+            help="Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat.",
         ),
     ] = None,
     workers: Annotated[

@@ -32,13 +32,13 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def exit_unless(reliable: bool, why: str) -> None:
-    """Leave with status 1 if what was printed is not to be trusted.
+    """Leave with status 1 if the result that was printed is not reliable.
 
     Raises:
         typer.Exit: it is not.
     """
     if not reliable:
-        print(f"bayescal: not to be trusted as it is: {why}", file=sys.stderr)
+        print(f"bayescal: result not reliable: {why}", file=sys.stderr)
         raise typer.Exit(1)
 
 

@@ -205,7 +205,7 @@ def report(
     own: OwnParts,
     json_: options.Json = False,
 ) -> None:
-    """Write the report to sign: one HTML file that needs nothing else."""
+    """Write the report for sign-off: a one-page summary with appendices, in one HTML file."""
     from bayescal._cli.saved import chapters_from
     from bayescal._report.certificate import read_certificate
 

@@ -130,7 +130,7 @@ def compare(
     seed: options.Seed = 0,
     json_: options.Json = False,
 ) -> None:
-    """Set model structures side by side: left-out groups, leave-one-out, evidence, weights."""
+    """Set model structures side by side: leave-one-group-out, leave-one-out, evidence, weights."""
     from bayescal._cli.request import (
         Asked,
         method_named,
@@ -178,8 +178,8 @@ def predict(
         bool,
         typer.Option(
             "--same-record",
-            help="The readings are of the record that was fitted, on its clock: between fitted readings the wander "
-            "that these show is told, in columns of its own.",
+            help="The readings are of the record that was fitted, on its clock: between fitted readings the correlated "
+            "noise that these show is given, in columns of its own.",
         ),
     ] = False,
     columns: ColumnOptions,

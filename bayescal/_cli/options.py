@@ -202,7 +202,7 @@ Channels = Annotated[
 Holdout = Annotated[
     list[Path] | None,
     typer.Option(
-        help="Readings kept apart, only read after the last step; repeat for more.",
+        help="Hold-out data, only read after the last step; repeat for more.",
         callback=refuse_missing,
     ),
 ]

@@ -17,8 +17,8 @@ from bayescal._core.progress import tell
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.compare import Comparison
 from bayescal._diagnostics.evidence_scale import STRONG
-from bayescal._discovery.calibrate import Trail
-from bayescal._discovery.draft_effect import template
+from bayescal._discovery.calibrate import SearchPath
+from bayescal._discovery.draft_effect import draft_effect
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.unknown_effect import covariate_in
@@ -140,12 +140,12 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
     return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
 
 
-def first_text(trail: Trail) -> str:
+def first_text(trail: SearchPath) -> str:
     """`calibrate` as soon as the first model stands."""
     return f"WHERE THE FIRST MODEL FAILS\n\n{trail.steps[0].check}"
 
 
-def progress_text(trail: Trail) -> str:
+def progress_text(trail: SearchPath) -> str:
     """How far a search is: time, structures weighed, the best so far; empty before the first is weighed."""
     search, unit = trail.search, unit_label(trail.final.calibration.unit)
     if search is None or not search.structures:
@@ -171,7 +171,7 @@ class Told:
         self.keep = None if folder is None else Keeper(folder)
         self.begun = json_
 
-    def __call__(self, trail: Trail) -> None:
+    def __call__(self, trail: SearchPath) -> None:
         if not self.begun:
             print(first_text(trail), flush=True)
             self.begun = True
@@ -181,7 +181,7 @@ class Told:
             self.keep(trail)
 
 
-def loop_text(trail: Trail, own: Sequence[Effect] = (), begun: bool = False) -> str:
+def loop_text(trail: SearchPath, own: Sequence[Effect] = (), begun: bool = False) -> str:
     """`calibrate` from its first model to its last.
 
     Args:
@@ -199,7 +199,7 @@ def loop_text(trail: Trail, own: Sequence[Effect] = (), begun: bool = False) -> 
     parts += [unexplained] if unexplained else []
     unknown = (e.name for e in final.calibration.model.effects if covariate_in(e.name))
     for name in unknown:
-        draft = template(final.calibration, name)
+        draft = draft_effect(final.calibration, name)
         parts.append(
             f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"
         )
@@ -214,7 +214,7 @@ def loop_text(trail: Trail, own: Sequence[Effect] = (), begun: bool = False) -> 
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
-    """The readings with columns predicted, predicted_uncertainty and residual beside them, and the wander if told.
+    """The readings with columns predicted, predicted_uncertainty and residual; and the correlated noise if asked for.
 
     Raises:
         InputError: the file type is not known or the folder is not there.

@@ -129,7 +129,7 @@ def read_early(asked: Asked, **more: Any) -> Early:
 def open_kept(
     files: Sequence[Path] | None, instrument: Instrument, asked: Asked
 ) -> Measurements | None:
-    """Readings kept apart, averaged as the others are; None where there are none."""
+    """Hold-out data, averaged as the others are; None where there are none."""
     if not files:
         return None
     readings = read(list(files), instrument, **asked.columns.for_read())

@@ -33,7 +33,7 @@ from bayescal._readings.column_matching import ReadOptions
 if TYPE_CHECKING:
     from distributed import Client
 
-DOUBTED = 100  # devices that are not to be trusted, of which the whole says why
+DOUBTED = 100  # devices whose result is not reliable, of which the whole says why
 
 
 def fit_fleet(

@@ -53,7 +53,7 @@ class PartitionDone:
     Attributes:
         number: of the partition.
         devices, trusted, readings: how many.
-        doubted: some devices that are not to be trusted, and why.
+        doubted: some devices whose result is not reliable, and why.
         unreadable: file → why it cannot be used.
         moments: (coefficient, unit) → over the devices that are trusted.
         effects: what was found missing, over the devices that were searched.

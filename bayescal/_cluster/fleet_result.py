@@ -31,7 +31,7 @@ class FleetResult:
     Attributes:
         folder: of the results.
         devices, trusted, readings: how many.
-        doubted: some devices that are not to be trusted, and why.
+        doubted: some devices whose result is not reliable, and why.
         missing: file → why its devices are not among the results; the same call goes on from there.
         table: one row a coefficient: mean over the devices that are trusted, standard deviation between them, typical
             (root mean square) standard uncertainty, unit.
@@ -117,7 +117,7 @@ class FleetResult:
         return write_text(text + "\n", self.folder / WHOLE)
 
     def __str__(self) -> str:
-        head = f"{self.devices} devices, {self.trusted} to be trusted ({self.about['method']})"
+        head = f"{self.devices} devices, {self.trusted} reliable ({self.about['method']})"
         lines = [head]
         lines += [f"  {name}: {why}" for name, why in list(self.doubted.items())[:SHOWN]]
         more = self.devices - self.trusted - min(SHOWN, len(self.doubted))

@@ -3,12 +3,13 @@
 Two tables split the same variance, correlations included:
 
 - *by coefficient*: sensitivity c = ∂value/∂θ, contribution |c|·u(θ), and the share c_i·Σ_j C_ij·c_j/u², which adds up
-  to one and may be negative where correlation takes away (JCGM 100, 5.2.2);
+  to one and may be negative where correlation reduces the variance (JCGM 100, 5.2.2);
 - *by source*: where the posterior's width comes from, linearised at the fit: the noise of the calibration's readings
   (Type A) and the priors (Type B), the nuisance angles among them, which do not act in use and yet set how well a
   bias is known.
 
-What the sampling of spreads and shapes adds to that linear split is its own row, "spreads, shapes, curvature".
+What the sampling of between-group standard deviations and shapes adds to that linear split is its own row,
+"between-group sd, shapes, curvature".
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from bayescal._readings.unit_conversion import (
     unit_label,
 )
 
-REST = "spreads, shapes, curvature"
+REST = "between-group sd, shapes, curvature"
 READINGS = "noise of the calibration's readings"
 
 
@@ -169,7 +170,7 @@ def budget_text(found: Budget) -> str:
             ["coefficient", "estimate", "sensitivity", *tail],
             [[*c.cells(), f"{100 * c.share:.1f} %"] for c in found.coefficients],
         ),
-        "Shares count correlations and add up to 100 %; one below zero takes away.",
+        "Shares count correlations and add up to 100 %; a negative share reduces the variance.",
         table(
             ["the same by where it comes from", "type", *tail],
             [

@@ -79,7 +79,7 @@ def _notes(
     new = [u.name for u in equation.unknowns() if u.kind == "new"]
     if new:
         notes.append(
-            f"Taken as new in use, with the spread that the calibration found: {', '.join(new)}."
+            f"Taken as new in use, with the between-group standard deviation of the calibration: {', '.join(new)}."
         )
     for lag in equation.lags:
         if lag.shape:

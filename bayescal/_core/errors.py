@@ -16,7 +16,7 @@ class BayescalError(Exception):
 
 
 class InputError(BayescalError):
-    """What came in at the door cannot be used; the message says where, what and what to do.
+    """What came in cannot be used; the message says where, what and what to do.
 
     Attributes:
         problems: of files, one by one (`bayescal._tables.problems.Problem`); empty for other refusals.

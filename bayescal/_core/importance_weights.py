@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy.optimize import minimize
 
 ALIKE = 0.01  # scatter of corrections, from which the posterior is the same without
-TRIED = 50  # draws' worth from which this is known
+TRIED = 50  # effective sample size from which this is known
 
 
 def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"], float]:

@@ -1,3 +1,3 @@
 """The version, said once; `pyproject.toml` repeats it for the build, and a test compares them."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -38,8 +38,8 @@ FAR = 0.1  # share of the readings that stand farthest from the model
 def check(calibration: Calibration) -> Check:
     """Where a fitted model fails.
 
-    A model with fixed coefficients is judged against the noise of the same model set free (and that is set beside
-    the noise known before any fit), not against a noise inflated to cover its misfit.
+    A model with fixed coefficients is judged against the noise of the same model with free coefficients (and that is
+    set beside the noise known before any fit), not against a noise inflated to cover its misfit.
     """
     judged, free_noise = _judged(calibration)
     residual, white, sd = efficient_score.residuals(judged)

@@ -15,7 +15,7 @@ from bayescal._diagnostics.worst_region import Region
 from bayescal._readings.unit_conversion import unit_label
 
 SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
-IN_TIME = ("time", "elapsed", "order", "run")  # what noise that wanders seems to follow
+IN_TIME = ("time", "elapsed", "order", "run")  # what correlated noise seems to follow
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two covariates: evidence that the residuals depend on them in a way that is no sum of one of each."""
+    """Two covariates: evidence of an interaction not explained by additive terms."""
 
     against: tuple[str, str]
     log_bayes_factor: float
@@ -42,7 +42,7 @@ class FixedComparison:
 
     Attributes:
         noise: standard deviation used as the measure.
-        free_fit: noise of the same model with its coefficients set free.
+        free_fit: noise of the same model with free coefficients.
         known: contributions known before any fit, by name.
         mean, low, high, rms: of the residuals.
         positive, count: residuals above zero, and all of them.
@@ -60,7 +60,7 @@ class FixedComparison:
 
     @property
     def wrong(self) -> bool:
-        """Whether the fixed coefficients leave clearly more than the noise of the same model set free."""
+        """Whether the fixed coefficients leave clearly more than the noise of the same model with free coefficients."""
         return self.rms > 2 * self.noise
 
 
@@ -144,7 +144,7 @@ def check_text(check: Check) -> str:
         lines += [_fixed_text(check), ""]
     lines.append(table(head, rows, fold=25) if rows else "no covariate varies")
     lines += [
-        f"{' and '.join(p.against)} together: no sum of one on each explains it (log Bayes factor "
+        f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "
         f"{p.log_bayes_factor:.1f})"
         for p in check.pairs[:2]
         if p.log_bayes_factor > max(STRONG, *(e.log_bayes_factor for e in check.entries))
@@ -201,7 +201,7 @@ def _fixed_text(check: Check) -> str:
     lines = [
         f"with the fixed coefficients: {f.positive} of {f.count} residuals are positive, "
         f"mean {f.mean:.2f} ({f.low:.2f} to {f.high:.2f}) {unit}, rms {f.rms:.2f}",
-        f"the same model set free leaves {f.free_fit:.3g} {unit}: "
+        f"the same model with free coefficients leaves {f.free_fit:.3g} {unit}: "
         f"the rms is {f.rms / f.noise:.1f} times that",
     ]
     if known > 0:

@@ -1,4 +1,4 @@
-"""Which model predicts better: left-out groups, pointwise leave-one-out, evidence, stacking weights.
+"""Which model predicts better: leave-one-group-out, pointwise leave-one-out, evidence, stacking weights.
 
 Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao et al., Bayesian Analysis 13 (2018)
 917 (stacking). PSIS-LOO is ArviZ's.
@@ -20,14 +20,15 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, Printed, number, table
 from bayescal._core.importance_weights import stacking
 from bayescal._diagnostics.evidence_scale import STRONG
-from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut, leave_one_group_out
+from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
 from bayescal._inference.trust import K_HAT
 from bayescal._readings.unit_conversion import unit_label
 
 FEWEST_GROUPS = (
     10  # that a standard error over groups needs: over three it is itself uncertain by half
 )
-BY_GROUPS, BY_EVIDENCE, BY_READINGS = "left-out groups", "log evidence", "pointwise leave-one-out"
+BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
+BY_READINGS = "pointwise leave-one-out"
 SAME_CURVE = (
     0.15  # largest difference, in noise standard deviations, of curves that count as the same
 )
@@ -41,7 +42,7 @@ class Row:
         name: given by the user.
         effects: canonical names, with commas between.
         rmse: of the readings with group deviations at zero, output unit.
-        group_score: sum of the joint log predictive densities of left-out groups.
+        group_score: sum of the joint log predictive densities, leave-one-group-out.
         group_difference, group_error: to the best, and its standard error over groups; None over fewer than ten.
         group_rmse: of readings predicted from the other groups, output unit.
         loo: expected log pointwise predictive density by PSIS-LOO; its difference and error; worst Pareto k.
@@ -72,7 +73,7 @@ class Comparison(Printed):
         rows: one each.
         group: what was left out, and of how many.
         groups: number of groups.
-        chosen_by: what ranks them: "left-out groups", "log evidence" or "pointwise leave-one-out".
+        chosen_by: what ranks them: "leave-one-group-out", "log evidence" or "pointwise leave-one-out".
         warnings: what the reader must know, each a sentence.
     """
 
@@ -99,7 +100,7 @@ def comparison_text(found: Comparison) -> str:
     unit = unit_label(found.unit)
     grouped = found.chosen_by != BY_READINGS
     head = ["model", f"rmse [{unit}]"]
-    head += [f"left-out {found.group}", "score", "difference"] if grouped else []
+    head += [scheme(found.group), "score", "difference"] if grouped else []
     head += ["LOO", "difference", "log evidence", "weight"]
     rows = []
     for r in found.rows:
@@ -124,8 +125,8 @@ def _gap(value: float | None, error: float | None) -> str:
 def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> Comparison:
     """Set fitted models side by side.
 
-    The best comes first: by the log scores of left-out groups where there are ten groups or more; by log evidence where
-    there are fewer, whose scatter says nothing; by pointwise leave-one-out where the noise is not Gaussian.
+    The best comes first: by the leave-one-group-out log scores where there are ten groups or more; by log evidence
+    where there are fewer, whose scatter says nothing; by pointwise leave-one-out where the noise is not Gaussian.
 
     Args:
         calibrations: name → fit, of the same readings; or the fits, named after what each adds to what all share.
@@ -233,7 +234,7 @@ def _warnings(rows: list[Row], by: str, fold: LeaveOneGroupOut | None) -> list[s
         gap, error = -second.group_difference, second.group_error
         if gap < 2 * error:
             said.append(
-                f"{names} differ by {gap:.1f} ± {error:.1f} in left-out score: it does not tell them apart."
+                f"{names} differ by {gap:.1f} ± {error:.1f} in leave-one-group-out score: it does not tell them apart."
             )
     for row in rows:
         if row.pareto_k > K_HAT:
@@ -245,7 +246,7 @@ def _warnings(rows: list[Row], by: str, fold: LeaveOneGroupOut | None) -> list[s
 
 
 def _by_evidence(rows: list[Row]) -> list[str]:
-    """Whether the evidence tells the first two apart, and where left-out groups would choose another first."""
+    """Whether the evidence tells the first two apart, and where leave-one-group-out would choose another first."""
     best, second = rows[:2]
     said, gap = [], (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
     if gap < STRONG:
@@ -254,7 +255,7 @@ def _by_evidence(rows: list[Row]) -> list[str]:
         )
     other = max(rows, key=lambda r: r.group_score or -np.inf)
     if other is not best:
-        said.append(f"By left-out groups {other.name!r} would come first.")
+        said.append(f"By leave-one-group-out {other.name!r} would come first.")
     return said
 
 

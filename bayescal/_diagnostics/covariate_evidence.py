@@ -63,7 +63,7 @@ def members(name: str, codes: np.ndarray, levels: tuple[str, ...]) -> Covariate:
 
 
 def together(first: Covariate, second: Covariate) -> Covariate:
-    """A dependence on two covariates at once that is no sum of one on each: products of long waves along them."""
+    """An interaction of two covariates, not explained by additive terms: products of long waves along them."""
     one, two = _waves(first.values), _waves(second.values)
     basis = (one[:, :, None] * two[:, None, :]).reshape(len(one), -1)
     scale = np.sqrt(np.mean(np.sum(basis**2, axis=1)))

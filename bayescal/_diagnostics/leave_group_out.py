@@ -48,6 +48,11 @@ class LeaveOneGroupOut:
         return len(self.members)
 
 
+def scheme(group: str) -> str:
+    """What the scheme is called where these are the groups: "leave-one-run-out"."""
+    return f"leave-one-{group.replace(' ', '-')}-out"
+
+
 def groups_of(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]:
     """What to leave out: device if there are two, else run, else cell, else blocks in time or in order."""
     for name in ("device", "run", "cell"):

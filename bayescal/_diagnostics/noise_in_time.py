@@ -170,7 +170,7 @@ def _drawn(
     """Allan variances under the law's parameters drawn from the posterior, or at the mode.
 
     White noise is known better than any of its averages, and stays at the mode. So does a law that was taken over from
-    the same model set free.
+    the same model with free coefficients.
     """
     varying = {DIFFUSION, CORRELATION_TIME, "noise.white"} & set(map(str, calibration.posterior))
     held = any(b.place == "fixed" for b in calibration.layout.blocks)

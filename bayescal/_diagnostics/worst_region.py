@@ -1,4 +1,4 @@
-"""The worst region of a covariate: the stretch where the residuals lean one way the most."""
+"""The worst region of a covariate: where the residuals are most systematically positive or negative."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FEWEST = 8  # readings that a run needs for a region of its own
 
 @dataclass(frozen=True)
 class Region:
-    """A stretch of a covariate where the residuals lean one way.
+    """A part of a covariate where the residuals are systematically positive or negative.
 
     Attributes:
         low, high: of the covariate, in `covariate_unit`.
@@ -46,9 +46,9 @@ class _Binned:
 def worst_regions(
     calibration: Calibration, covariates: list[covariate_evidence.Covariate], residual: np.ndarray
 ) -> list[Region]:
-    """For each covariate the stretch of neighbouring bins whose mean residual is worst against its uncertainty.
+    """For each covariate the range of neighbouring bins whose mean residual is worst against its uncertainty.
 
-    Means and uncertainties follow the noise law: under correlated noise a long stretch counts for less.
+    Means and uncertainties follow the noise law: under correlated noise a long range counts for less.
     """
     levels, codes = calibration.readings.groups("run")
     cuts: list[_Binned] = []

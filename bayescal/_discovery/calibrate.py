@@ -21,7 +21,7 @@ from bayescal._diagnostics.noise_in_time import noise_floor
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over, told
 from bayescal._discovery.gate import gate, wrong_question
-from bayescal._discovery.search_path import Step, Trail
+from bayescal._discovery.search_path import SearchPath, Step
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
@@ -53,8 +53,8 @@ def calibrate(
     time_limit: float | None = None,
     seeds: Sequence[Structure | Shown] = (),
     accept_conflicts: Collection[str] = (),
-    follow: Callable[[Trail], None] = lambda _: None,
-) -> Trail:
+    follow: Callable[[SearchPath], None] = lambda _: None,
+) -> SearchPath:
     """Fit, check, find what is missing, add it and fit again: the most probable structure, and the way to it.
 
     The structures weighed differ by the effects added and by the noise law. What has a
@@ -63,7 +63,7 @@ def calibrate(
     Args:
         model: to begin with.
         readings: to fit.
-        holdout: readings kept apart: read after the last step, and never used to choose an effect.
+        holdout: hold-out data: read after the last step, and never used to choose an effect.
         effects: further candidates of the user's own.
         method: of the last fit; `Marginal()` if not given. Steps on the way are fitted by least squares.
         max_effects: most effects to add.
@@ -134,10 +134,10 @@ class Loop:
         wrong = first.check.fixed is not None and first.check.fixed.wrong
         return not first.calibration.verdict.ok or wrong
 
-    def not_looked(self, first: Step) -> Trail:
+    def not_looked(self, first: Step) -> SearchPath:
         """What is left of the loop where nothing can be learnt from the first model."""
         search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(first.against)}")
-        return Trail((first,), gate((first,)), self.holdout, None, search)
+        return SearchPath((first,), gate((first,)), self.holdout, None, search)
 
     def search(
         self,
@@ -145,8 +145,8 @@ class Loop:
         library: Library,
         shut: Sequence[Candidate],
         seeds: Sequence[Structure | Shown],
-        follow: Callable[[Trail], None],
-    ) -> Trail:
+        follow: Callable[[SearchPath], None],
+    ) -> SearchPath:
         """Walk over the structures, and fit those on the way to the most probable one."""
 
         def tell() -> None:
@@ -173,8 +173,8 @@ class Loop:
         library: Library,
         shut: Sequence[Candidate],
         stopped: str,
-        follow: Callable[[Trail], None] = lambda _: None,
-    ) -> Trail:
+        follow: Callable[[SearchPath], None] = lambda _: None,
+    ) -> SearchPath:
         """Fit the models on the way to the most probable structure."""
         structures, steps = library.structures, [first]
 
@@ -241,7 +241,7 @@ class Loop:
 
     def trail(
         self, steps: Sequence[Step], structures: Structures, *, complete: bool, stopped: str = ""
-    ) -> Trail:
+    ) -> SearchPath:
         search = Search.of(
             structures,
             complete=complete,
@@ -250,7 +250,7 @@ class Loop:
             max_effects=self.max_effects,
         )
         other = _other_path(structures) if complete or stopped else None
-        return Trail(tuple(steps), gate(steps), self.holdout, other, search)
+        return SearchPath(tuple(steps), gate(steps), self.holdout, other, search)
 
 
 def step_of(
@@ -262,7 +262,7 @@ def step_of(
 
     Args:
         calibration: the fit.
-        holdout: readings kept apart.
+        holdout: hold-out data.
         accepted: coefficients or effects that may contradict their priors.
     """
     checked, floor = check(calibration), noise_floor(calibration)
@@ -284,7 +284,7 @@ def step_of(
 
 
 def _other_path(structures: Structures) -> OtherPath | None:
-    """The best end under another noise law, if it is another end and nearly as probable."""
+    """The runner-up model: the best under another noise law, if it differs and is nearly as probable."""
     best = structures.best
     ends = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
     other = max(ends, key=lambda w: w.total, default=None)

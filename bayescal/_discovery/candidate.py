@@ -20,10 +20,10 @@ from bayescal._search.structures import Weighed
 
 POWER = 0.80
 FINE = np.geomspace(1 / 30, 30, 61)  # amplitudes of a group, about the likeliest of its grid
-ALIKE = 0.95  # cosine of fitted contributions from which two candidates are hard to tell apart
+ALIKE = 0.95  # cosine of fitted contributions from which two candidates are confounded
 LEAD = 0.2  # probability from which what is not found is a lead
 VISIBLE = 0.01  # share of the information left after the nuisances, below which a plausible size must still be seen
-HOPELESS = 10.0  # plausible sizes that an effect would need to be found, above which this experiment cannot see it
+HOPELESS = 10.0  # plausible sizes that an effect would need, above which it is not detectable in this experiment
 
 
 @dataclass(frozen=True)
@@ -259,5 +259,5 @@ def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
     least = candidate.minimum_detectable
     hidden = (candidate.visibility or 0.0) < VISIBLE
     if least is None or least > HOPELESS * plausible or (hidden and least > plausible):
-        return replace(candidate, kind="not visible", reason="this experiment cannot see it")
+        return replace(candidate, kind="not visible", reason="not detectable in this experiment")
     return candidate

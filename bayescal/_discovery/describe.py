@@ -15,7 +15,7 @@ from bayescal._core.formatting import number
 from bayescal._diagnostics.efficient_score import projections, residuals
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._discovery.calibrate import QUICK
-from bayescal._discovery.draft_effect import Shape, shape_of, template
+from bayescal._discovery.draft_effect import Shape, draft_effect, shape_of
 from bayescal._discovery.preview import Preview, Previews
 from bayescal._model.frame import derived
 from bayescal._readings.unit_conversion import unit_label
@@ -84,7 +84,7 @@ def describe(
         strict=False,
         reference=calibration.reference,
     )
-    shape, code = shape_of(made, best.effect), template(made, best.effect)
+    shape, code = shape_of(made, best.effect), draft_effect(made, best.effect)
     looks = code.splitlines()[0].partition(": ")[2]
     said += (
         f" A dependence on {shape.covariate} explains it (log Bayes factor {best.log_bayes_factor:.1f}): over all "

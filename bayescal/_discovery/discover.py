@@ -31,7 +31,7 @@ from bayescal._search.scores import View
 from bayescal._search.structures import Structure, Structures, Weighed
 from bayescal._search.walk import walk
 
-SHOWN = 0.01  # probability from which a noise law is worth a word
+SHOWN = 0.01  # probability from which a noise law is printed
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 
 
@@ -76,7 +76,7 @@ class Discovery(Printed):
 
     @property
     def noise_wanders(self) -> float | None:
-        """Probability that the noise wanders; None where the readings cannot tell."""
+        """Probability of correlated (Ornstein–Uhlenbeck) noise; None where the readings cannot tell."""
         return next((n.probability for n in self.noise if n.law == OrnsteinUhlenbeck.law), None)
 
     def __str__(self) -> str:
@@ -151,7 +151,7 @@ def structures_over(
 
 
 def placeholders(model: Model, readings: Measurements) -> list[Effect]:
-    """An unknown smooth dependence on each covariate, a jump and a cycle in time, beside the catalogue's effects."""
+    """An unknown smooth dependence on each covariate, a step and a periodic form in time, beside the catalogue."""
     instrument = model.instrument
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
@@ -238,7 +238,7 @@ def discovery_text(found: Discovery) -> str:
         line = f"noise law (probability): {', '.join(map(str, shown))}"
         lines.append(textwrap.fill(line, WIDTH, subsequent_indent="  "))
     lines += [found.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in found.off_scale)]
-    quiet = (None, "not visible")  # an unknown dependence without evidence is not worth a line
+    quiet = (None, "not visible")  # an unknown dependence without evidence is not printed
     tested = [
         c
         for c in found.candidates
@@ -253,7 +253,7 @@ def discovery_text(found: Discovery) -> str:
 
 
 def _findings(found: Discovery) -> list[str]:
-    lines = [f"nothing is missing: probability {probability(found.nothing_missing)}"]
+    lines = [f"probability that the model is complete: {probability(found.nothing_missing)}"]
     for s in found.sets:
         names = " or ".join(s.effects)
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
@@ -262,7 +262,7 @@ def _findings(found: Discovery) -> list[str]:
 
 
 def _candidate_row(c: Candidate) -> list[str]:
-    remark = "this experiment cannot see it" if c.kind == "not visible" else c.kind or ""
+    remark = "not detectable in this experiment" if c.kind == "not visible" else c.kind or ""
     factor = "–" if c.log_bayes_factor is None else f"{c.log_bayes_factor:z.1f}"
     return [
         c.effect,
@@ -275,7 +275,7 @@ def _candidate_row(c: Candidate) -> list[str]:
 
 
 def _alike(found: Discovery) -> list[str]:
-    """One line for each group of candidates that these readings can hardly tell apart."""
+    """One line for each group of confounded candidates."""
     groups: dict[frozenset[str], str] = {}
     for c in found.candidates:
         if c.indistinguishable_from:
@@ -283,7 +283,7 @@ def _alike(found: Discovery) -> list[str]:
             if not any(frozenset(members) <= known for known in groups):
                 groups[frozenset(members)] = ", ".join(members)
     return [
-        textwrap.fill(f"hard to tell apart: {names}", WIDTH, subsequent_indent="  ")
+        textwrap.fill(f"confounded: {names}", WIDTH, subsequent_indent="  ")
         for names in groups.values()
     ]
 

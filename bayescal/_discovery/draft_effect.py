@@ -20,7 +20,7 @@ from bayescal._model.unknown_effect import FORMS
 ENOUGH = 0.97  # share of the shape's variance from which a simple curve will do
 POINTS = 101
 PERIODS = np.geomspace(0.06, 2.0, 1000)  # of a sine, in parts of the range
-PLACES = np.linspace(-0.485, 0.485, 98)  # of a jump, in parts of the range
+PLACES = np.linspace(-0.485, 0.485, 98)  # of a step, in parts of the range
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of an exponential, in parts of the range
 
 
@@ -103,7 +103,7 @@ class _Ramp:
         return self.places
 
 
-def template(calibration: Calibration, name: str) -> str:
+def draft_effect(calibration: Calibration, name: str) -> str:
     """A user's own effect, drafted from the shape that was found; to be edited and given with --effects.
 
     Args, Raises: as `shape_of`.
@@ -154,7 +154,7 @@ def _closest(shape: Shape) -> tuple[str, str, float]:
     ]
     forms += [
         (
-            f"a jump at {p + 0.5:.2g} of the range",
+            f"a step at {p + 0.5:.2g} of the range",
             f"jnp.where(x > {p:.3g}, 0.5, -0.5)",
             0.5 * np.sign(x - p),
         )

@@ -1,4 +1,4 @@
-"""How often the search reports an effect where nothing is missing, asked of the model at hand."""
+"""How often the search reports an effect where the model is complete, asked of the model at hand."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LEVEL = 0.95  # of the interval
 
 @dataclass(frozen=True)
 class FalseReports:
-    """Reports in campaigns in which nothing is missing.
+    """Reports in campaigns for which the model is complete.
 
     Attributes:
         campaigns: simulated.
@@ -42,8 +42,8 @@ class FalseReports:
         low, high = self.interval
         what = ", ".join(f"{name} ({count})" for name, count in self.effects.items())
         return (
-            f"false reports: {self.reported} of {self.campaigns} campaigns simulated from this model, in which "
-            f"nothing is missing (95 % interval {100 * low:.1f} to {100 * high:.1f} %; at most "
+            f"false reports: {self.reported} of {self.campaigns} campaigns simulated from this model, for which "
+            f"the model is complete (95 % interval {100 * low:.1f} to {100 * high:.1f} %; at most "
             f"{100 * (1 - FOUND):.0f} % were meant)" + (f": {what}" if what else "")
         )
 
@@ -75,7 +75,7 @@ def false_reports(
     model, readings = calibration.model, calibration.readings
     found: Counter[str] = Counter()
     reported = 0
-    with stage(f"searching {campaigns} campaigns in which nothing is missing"):
+    with stage(f"searching {campaigns} campaigns for which the model is complete"):
         outputs = _simulated(calibration, campaigns, seed)
     for output in outputs:
         again = fit(

@@ -11,6 +11,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._diagnostics.evidence_scale import VERY_STRONG
+from bayescal._diagnostics.leave_group_out import scheme
 from bayescal._discovery.search_path import Gate, Step
 from bayescal._model.unknown_effect import FORMS, covariate_in
 from bayescal._readings.unit_conversion import unit_label
@@ -22,7 +23,7 @@ FEWEST = int(AUTOCORRELATED**2) + 1  # readings, below which no correlation reac
 WORSE = 1.05  # error against that of an earlier step, above which an effect does harm
 RARE = 1e-5  # p-value of a test that asks once for each covariate
 WITHIN = 0.05  # of the squares of a step, that lie within runs where it is one between them
-EXPECTED = 2.0  # times the error that a model expects of readings kept apart
+EXPECTED = 2.0  # times the error that a model expects of hold-out data
 
 
 def gate(steps: Sequence[Step]) -> Gate:
@@ -63,7 +64,8 @@ def _of_noise(step: Step) -> list[str]:
     if step.check.fixed is not None and step.check.fixed.wrong:
         return [
             f"The fixed coefficients leave residuals of {step.check.fixed.rms:.3g} {step.check.unit} rms, "
-            f"{step.check.fixed.rms / step.check.fixed.noise:.1f} times the noise of the same model set free."
+            f"{step.check.fixed.rms / step.check.fixed.noise:.1f} times the noise of the same model with free "
+            "coefficients."
         ]
     found, evidence = [], step.calibration.log_evidence
     if evidence is not None and not math.isfinite(evidence[0]):
@@ -146,7 +148,7 @@ def _of_scatter(step: Step) -> list[str]:
 
 
 def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
-    """What an added effect made worse: the error as fitted, left-out groups, readings kept apart."""
+    """What an added effect made worse: the error as fitted, leave-one-group-out, of the hold-out data."""
     reasons, unit = [], unit_label(steps[-1].calibration.unit)
     for before, after in pairwise(steps):
         # Under another independent law readings weigh differently: their plain error may well be larger.
@@ -157,12 +159,13 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
                 f"{after.rmse_fitted:.3g} {unit}: do not use it."
             )
     first, last = steps[0], steps[-1]
+    group = last.left_out.group if last.left_out else "group"
     pairs = {
-        "left-out groups": (
+        f"each {group} from the others ({scheme(group)})": (
             first.left_out and first.left_out.rmse,
             last.left_out and last.left_out.rmse,
         ),
-        "the readings kept apart": (first.holdout_rmse, last.holdout_rmse),
+        "the hold-out data": (first.holdout_rmse, last.holdout_rmse),
     }
     for what, (early, late) in pairs.items():
         if early is not None and late is not None and late > WORSE * early:
@@ -173,7 +176,7 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
     expected = last.holdout_sd
     if expected is not None and (last.holdout_rmse or 0.0) > EXPECTED * expected:
         reasons.append(
-            "The last model predicts the readings kept apart worse than it claims: "
+            "The last model predicts the hold-out data worse than it claims: "
             f"{last.holdout_rmse:.3g} against {expected:.3g} {unit} expected. They are of another device or "
             "condition, or the model is wrong."
         )

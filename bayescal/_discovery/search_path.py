@@ -11,7 +11,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.guards import doubts_of_the_mode
 from bayescal._core.formatting import Printed, number, probability, table
 from bayescal._diagnostics.check_result import Check
-from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut
+from bayescal._diagnostics.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import Discovery
 from bayescal._readings.measurements import Measurements
@@ -30,7 +30,7 @@ class Step:
         dropped: effects that the addition made superfluous.
         rmse: of the fitted readings, group deviations at zero (what an unseen group would see).
         rmse_fitted: the same with group deviations as fitted.
-        holdout_rmse: of readings that were kept apart; None without them.
+        holdout_rmse: of the hold-out data; None without them.
         holdout_sd: that the model expects there, rms.
         against: why nothing can be learnt from this model, in words; empty for most.
         left_out: each group predicted from the others.
@@ -91,13 +91,13 @@ class Gate:
 
 
 @dataclass(frozen=True, repr=False)
-class Trail(Printed):
+class SearchPath(Printed):
     """The sequence of models from the first to the chosen one, and whether to trust the last.
 
     Attributes:
         steps: in order.
         gate: of the last model.
-        holdout: the readings kept apart.
+        holdout: the hold-out data.
         other_path: an end under another noise law that is nearly as probable; None where there is none.
         search: the structures weighed; None where none was asked for.
     """
@@ -161,19 +161,20 @@ class Trail(Printed):
         }
 
 
-def trail_text(trail: Trail) -> str:
+def trail_text(trail: SearchPath) -> str:
     """The error, step by step: as fitted, of a new run, held out, and the floor."""
     unit = unit_label(trail.final.calibration.unit)
     held_out = trail.holdout is not None
+    group = next((s.left_out.group for s in trail.steps if s.left_out), "group")
     head = [
         *(
             "step",
             f"as fitted [{unit}]",
             "new run",
-            "left-out",
+            scheme(group),
             *(["held-out"] if held_out else []),
         ),
-        *("floor", "log evidence", "nothing missing"),
+        *("floor", "log evidence", "P(complete)"),
     ]
     rows = []
     for i, s in enumerate(trail.steps):
@@ -203,7 +204,7 @@ def ending(found: Discovery | None, added: int, most: int | None, stopped: str) 
         stopped: why it ended early; empty where it did not.
     """
     if found is None:
-        return stopped or "Nothing was looked for: the fit is not to be trusted."
+        return stopped or "Nothing was looked for: the result of the fit is not reliable."
     said = [stopped] if stopped else []
     if not stopped and most is not None and added >= most > 0:
         said.append(

@@ -57,7 +57,7 @@ class Recursion(NamedTuple):
 
 
 class Whitening(NamedTuple):
-    """L⁻¹ of LLᵀ = Σ: a standard deviation for each reading, after a recursion where readings hang together.
+    """L⁻¹ of LLᵀ = Σ: a standard deviation for each reading, after a recursion where readings are correlated.
 
     Attributes:
         sd: of each reading given those before it, in the order of time within runs where there is a recursion.
@@ -79,7 +79,7 @@ class Whitening(NamedTuple):
         return 2.0 * float(np.sum(np.log(self.sd)))
 
     def __call__(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
-        """L⁻¹ times a table, in the order of the readings (in that of time, where they hang together)."""
+        """L⁻¹ times a table, in the order of the readings (in that of time, where they are correlated)."""
         if self.recursion is None:
             return table / self.sd[:, None]
         if not table.shape[1]:

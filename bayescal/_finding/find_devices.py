@@ -52,7 +52,7 @@ class DeviceStructure:
     Attributes:
         effects: of the structure to use.
         noise: its law; "" for that of the model given.
-        nothing: probability that nothing is missing.
+        nothing: probability that the model is complete.
         inclusion: effect → probability that it is, where that is not small.
         sets: of which one is missing each, with probability 0.95.
     """

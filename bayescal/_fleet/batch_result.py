@@ -34,7 +34,7 @@ class BatchResult:
 
     Attributes:
         devices: names, in the order in which they came.
-        ok: whether each can be trusted, (devices,).
+        ok: whether each result is reliable, (devices,).
         reasons: why not; empty where nothing stands against it.
         parts: the numbers, devices with the same unknowns together.
         population: what the devices have in common, if it was asked for.
@@ -161,9 +161,7 @@ class BatchResult:
 
     def __str__(self) -> str:
         bad = np.flatnonzero(~self.ok)
-        lines = [
-            f"{len(self)} devices, {len(self) - len(bad)} to be trusted ({self.about['method']})"
-        ]
+        lines = [f"{len(self)} devices, {len(self) - len(bad)} reliable ({self.about['method']})"]
         lines += [f"  {self.devices[i]}: {self.reasons[i]}" for i in bad[:SHOWN]]
         lines += [f"  … and {len(bad) - SHOWN} more"] if len(bad) > SHOWN else []
         for part in self.parts:

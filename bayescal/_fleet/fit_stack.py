@@ -162,8 +162,8 @@ def _ordinary(layout: Layout, stack: DeviceStack, method: LeastSquares) -> Stack
     for i in np.flatnonzero(~np.all(np.isfinite(own), axis=(1, 2)) | ~np.isfinite(mean).all(1)):
         reasons[i] = trust.SINGULAR
     notes = (
-        "Shapes have the standard uncertainty of their coordinate times its slope; noise and spreads are held at "
-        "their restricted-likelihood estimates.",
+        "Shapes have the standard uncertainty of their coordinate times its slope; noise and between-group "
+        "standard deviations are held at their restricted-likelihood estimates.",
     )
     return StackFit(layout, mean, covariance, reasons, notes=notes if places else ())
 

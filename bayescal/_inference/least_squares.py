@@ -70,8 +70,8 @@ class LeastSquares(Method):
         reasons += [] if np.all(np.isfinite(found.covariance)) else [trust.SINGULAR]
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
         notes = [
-            f"Covariance is the {kind} Laplace approximation; noise and spreads by restricted likelihood, "
-            "held at their estimate (so intervals do not carry the uncertainty of the noise)."
+            f"Covariance is the {kind} Laplace approximation; noise and between-group standard deviations by "
+            "restricted likelihood, held at their estimate (so intervals do not carry the uncertainty of the noise)."
         ]
         if not (layout.model.noise.gaussian or by_engine(layout)):
             notes.append(

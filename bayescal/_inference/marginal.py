@@ -29,7 +29,7 @@ from bayescal._inference.method import CHAINS, MODE, Draws, Method, Outcome, by_
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
-TOO_NONLINEAR = "The model bends too much for its linear form ({}): exact NUTS."
+TOO_NONLINEAR = "Nonlinearity too strong for the linearised posterior ({}): exact NUTS."
 TOO_HEAVY = "The posterior is not nearly Gaussian given φ ({}): exact NUTS."
 WEIGHTED = WeightedDraws._make(range(7))  # for its structure alone
 NEARLY_EVEN = (

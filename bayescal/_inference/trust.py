@@ -1,4 +1,4 @@
-"""When a sampler is to be trusted: the one policy, from diagnostics to the reasons of a verdict.
+"""When a sampler is reliable: the one policy, from diagnostics to the reasons of a verdict.
 
 Draws from importance weights are trusted by Pareto k̂ and their effective size, chains by R-hat, their effective size
 and divergences, an optimum by its last step and its curvature. Whoever fits asks here: methods, devices of a batch,
@@ -16,7 +16,7 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Verdict
 from bayescal._inference.nuts_chains import Chains
 
-K_HAT = 0.7  # above it, importance weights are not to be trusted (Vehtari et al. 2024)
+K_HAT = 0.7  # above it, importance weights are not reliable (Vehtari et al. 2024)
 # Where the model is nonlinear, coefficients are proposed with a Gaussian's tails, thinner than those that they may
 # have; k̂ then shows too little: at 0.6 to 0.7, standard deviations came out up to a third too small, below 0.5 right.
 K_HAT_NONLINEAR = 0.5
@@ -33,7 +33,7 @@ SINGULAR = "The curvature is singular: some direction is not determined by readi
 def unevenness(
     weights: Float[np.ndarray, "s"], k_hat: float, *, limit: float = K_HAT, enough: float = ENOUGH
 ) -> str:
-    """Why weighted draws are not to be trusted, in numbers; empty if they are.
+    """Why weighted draws are not reliable, in numbers; empty if they are.
 
     Args:
         weights: smoothed, summing to one.

@@ -46,7 +46,7 @@ class OrnsteinUhlenbeck(Noise):
 
     @property
     def in_words(self) -> str:
-        return "wandering"
+        return "Ornstein–Uhlenbeck"
 
     def __check_init__(self) -> None:
         if not 0 < self.shortest < self.longest:

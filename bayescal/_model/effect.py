@@ -52,9 +52,9 @@ class Coefficient(eqx.Module):
 
     def __check_init__(self) -> None:
         if self.spread is not None and self.per is None:
-            raise ValueError("a learned spread needs a group to be learned over: give `per`")
+            raise ValueError("a `spread` between groups needs a group: give `per`")
         if self.per == "reading" and self.spread is not None:
-            raise ValueError("a spread over single readings is noise: give it to the noise law")
+            raise ValueError("a `spread` of single readings is noise: give it to the noise law")
 
     @property
     def flat(self) -> bool:

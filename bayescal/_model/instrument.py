@@ -222,7 +222,7 @@ class Instrument(eqx.Module):
         return tuple(e for e in known.values() if there.issuperset(e.columns))
 
     def unknown(self, covariate: str) -> Effect:
-        """An unknown dependence of the output on a covariate: a smooth one, or a jump or a cycle in time.
+        """An unknown dependence of the output on a covariate: a smooth one, or a step or a periodic form in time.
 
         Its plausible amplitudes are taken from the readings that the model is fitted to.
 

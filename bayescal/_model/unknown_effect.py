@@ -1,4 +1,4 @@
-"""What no named effect describes: an unknown smooth dependence on one covariate; a step or a cycle in time.
+"""What no named effect describes: an unknown smooth dependence on one covariate; a step or a periodic form in time.
 
 They stand beside the instrument and not in the catalogue, because the language of models has a word for them:
 `model + "unknown(humidity)"`. Each is linear in coefficients whose sizes the amplitude gives. What amplitudes are
@@ -7,9 +7,9 @@ same functions.
 
 The smooth one is a Gaussian process. Its columns are the eigenfunctions of the Laplacian on an interval somewhat wider
 than the covariate's range, weighted with the root of the process's spectral density (Solin & Särkkä, Stat. Comput. 30
-(2020) 419). It follows steps and cycles too, but spends most of its freedom on what is not there: a record that steps
-once, or goes up and down evenly, is then more probable as correlated noise. Hence the two forms in time, of one shape
-and one or two coefficients. Beyond the record a step stays, and a cycle goes on.
+(2020) 419). It follows steps and periodic forms too, but spends most of its freedom on what is not there: a record that
+steps once, or goes up and down evenly, is then more probable as correlated noise. Hence the two forms in time, of one
+shape and one or two coefficients. Beyond the record a step stays, and a periodic form goes on.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from bayescal._readings.measurements import Measurements
 
 TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
 LENGTHS = (0.1, 0.8)  # plausible lengths of the process, in parts of the range
-# A dependence on a temperature is smooth; in time there are cycles and steps.
+# A dependence on a temperature is smooth; in time there are periodic forms and steps.
 TERMS_IN_TIME = 36
 LENGTHS_IN_TIME = (0.03, 0.8)
 WIDER = 1.5  # interval over range: at its ends the function is 0, and so it stays beyond

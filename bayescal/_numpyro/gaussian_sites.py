@@ -289,5 +289,7 @@ def _expelled(
         if worst is None or not counts[worst]:
             return out, reasons
         others = ", ".join(repr(candidates[j].name) for j in left if clash[worst, j])
-        expel(worst, f"a location holds its product with {others}, or bends in both together")
+        expel(
+            worst, f"a location holds its product with {others}, or is nonlinear in both together"
+        )
         left.remove(worst)

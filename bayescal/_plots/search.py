@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from bayescal._core.formatting import number
+from bayescal._diagnostics.leave_group_out import scheme
 from bayescal._discovery.discover import Discovery
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._plots.residuals import residual_panel
 from bayescal._plots.style import (
@@ -41,6 +42,7 @@ class _StepError(NamedTuple):
     fitted: float
     new_run: float
     left_out: float | None
+    group: str
     held_out: float | None
     noise_floor: float
     unit: str
@@ -48,25 +50,27 @@ class _StepError(NamedTuple):
 
 def _of_data(step: Mapping[str, Any]) -> _StepError:
     """From a step as result.json has it."""
+    left_out = step["leave_one_group_out"] or {}
     return _StepError(
         title=step["title"],
         fitted=step["rmse_fitted"],
         new_run=step["rmse"],
-        left_out=(step["leave_one_group_out"] or {}).get("rmse"),
+        left_out=left_out.get("rmse"),
+        group=left_out.get("group", "group"),
         held_out=step["holdout_rmse"],
         noise_floor=step["noise_floor"],
         unit=step["unit"],
     )
 
 
-def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
+def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     """The error of each step, with the fall from the step before, and the noise floor.
 
     Args:
         found: a trail, or what its result.json holds.
         ax: where to draw; a figure of its own if not given.
     """
-    told = [s.errors() for s in found.steps] if isinstance(found, Trail) else found["steps"]
+    told = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
     steps = [_of_data(step) for step in told]
     figure = new_figure(5.6, 0.75 + 1.0 * len(steps)) if ax is None else ax.figure
     ax = figure.subplots() if ax is None else ax
@@ -74,7 +78,7 @@ def trail(found: Trail | Mapping[str, Any], ax: Any = None) -> Figure:
     series = [
         ("as fitted", [s.fitted for s in steps], BLUE),
         ("new run", [s.new_run if runs else None for s in steps], PALE),
-        ("left-out", [s.left_out for s in steps], ORANGE),
+        (scheme(steps[-1].group), [s.left_out for s in steps], ORANGE),
         ("held-out", [s.held_out for s in steps], GREEN),
     ]
     series = [s for s in series if any(v is not None for v in s[1])]
@@ -153,11 +157,11 @@ def _ticks(low: float, high: float) -> list[float]:
 
 
 def is_quiet(c: Mapping[str, Any]) -> bool:
-    """An unknown dependence without evidence is not worth a bar, nor a line."""
+    """An unknown dependence without evidence gets no bar, and no line."""
     return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
 
 
-def loop(found: Trail) -> Figure:
+def loop(found: SearchPath) -> Figure:
     """The loop in one picture: residuals before and after, what is missing, the error falling."""
     figure = new_figure(11.0, 7.4)
     axes = figure.subplots(2, 2)

@@ -53,7 +53,7 @@ class Population:
     Attributes:
         table: per coefficient: mean and its standard uncertainty, spread (standard deviation between devices) and its
             standard uncertainty, unit.
-        ok: whether the spreads' weights can be trusted.
+        ok: whether the weights of the between-group standard deviations are reliable.
         reason: why not.
         devices: how many it was learned from.
         pareto_k: of the weights.
@@ -190,7 +190,9 @@ def learn(devices: Devices, named: Named, seed: int) -> Learned:
     population = Population(
         table=table,
         ok=not why,
-        reason=f"weights of the spreads were uneven ({why})" if why else "",
+        reason=f"weights of the between-group standard deviations were uneven ({why})"
+        if why
+        else "",
         devices=devices.count,
         pareto_k=k_hat,
     )

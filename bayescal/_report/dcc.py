@@ -40,12 +40,12 @@ def dcc_text(
     """The certificate as XML.
 
     Args:
-        calibration: a fit that is to be trusted.
+        calibration: a fit whose verdict is ok.
         certificate: what it states beside the numbers, or the TOML file of it.
         local_gravity: m/s², that one g of the calibration is.
 
     Raises:
-        InputError: the fit is not to be trusted, or the certificate does not state what the schema needs.
+        InputError: the result is not reliable, or the certificate does not state what the schema needs.
     """
     stated = certificate if isinstance(certificate, Certificate) else read_certificate(certificate)
     stated.require(*NEEDED)
@@ -58,7 +58,7 @@ def dcc_text(
             )
     if not calibration.verdict.ok:
         raise InputError(
-            f"no certificate is written of a fit that is not to be trusted: {' '.join(calibration.verdict.reasons)}"
+            f"no certificate is written of a result that is not reliable: {' '.join(calibration.verdict.reasons)}"
         )
     ET.register_namespace("dcc", DCC)
     ET.register_namespace("si", SI)

@@ -1,4 +1,4 @@
-"""The report to sign: one HTML file that needs nothing else.
+"""The report for sign-off: one HTML file that needs nothing else.
 
 Everything that comes from files (names of files, devices, effects) is escaped; nothing in the page is run.
 """
@@ -16,7 +16,7 @@ from bayescal._compensation.budget import Budget, budget
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError
 from bayescal._core.formatting import number, probability, with_error
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._plots.search import is_quiet
@@ -29,14 +29,14 @@ MANY = 60  # rows of a table of candidates or coefficients that are shown
 
 
 def report(
-    given: Calibration | Trail | Chapter | list[Any],
+    given: Calibration | SearchPath | Chapter | list[Any],
     path: str | Path,
     *,
     title: str = "",
     effects: Iterable[Effect] = (),
     certificate: str | Path | Certificate | None = None,
 ) -> Path:
-    """Write the report to sign.
+    """Write the report for sign-off.
 
     Args:
         given: a calibration or a trail, or several. Calibrations of the same readings become one chapter, in which the
@@ -206,7 +206,7 @@ def _candidate(c: dict[str, Any]) -> dict[str, Any]:
 def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
     """The budget at the middle of what was covered; or why there is none."""
     if not sentences.ok(chapter):
-        return None, "There is no budget of a fit that is not to be trusted."
+        return None, "There is no budget of a result that is not reliable."
     try:
         return budget(chapter.calibration, k=tables.K).shown(), ""
     except BayescalError as error:

@@ -18,7 +18,7 @@ from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.leave_group_out import groups_of
 from bayescal._discovery.discover import Discovery
 from bayescal._discovery.next_experiment import NextExperiment
-from bayescal._discovery.search_path import Step, Trail
+from bayescal._discovery.search_path import SearchPath, Step
 from bayescal._model.correlated_noise import (
     CORRELATION_TIME,
     DIFFUSION,
@@ -43,7 +43,7 @@ PACKAGES = (
 )
 
 
-def result(trail: Trail) -> dict[str, Any]:
+def result(trail: SearchPath) -> dict[str, Any]:
     """Everything that a calibration found, as plain data."""
     final = trail.final.calibration
     coefficients, spreads = summary(final)
@@ -89,7 +89,7 @@ def result(trail: Trail) -> dict[str, Any]:
     )
 
 
-def search_data(trail: Trail) -> dict[str, Any] | None:
+def search_data(trail: SearchPath) -> dict[str, Any] | None:
     """The structures that were weighed, and why the search ended."""
     search = trail.search
     if search is None:

@@ -16,7 +16,7 @@ from bayescal._calibration.description import identity
 from bayescal._channels.calibrate_channels import calibrate_channels as calibrate_channels
 from bayescal._channels.channels import Channels
 from bayescal._discovery.calibrate import calibrate as calibrate
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._report.result_json import clean, result, write_json
 from bayescal._report.under_way import RESULT, UNDER_WAY
 from bayescal._report.whole_folder import CHANNELS, remove_results, whole_folder
@@ -24,7 +24,7 @@ from bayescal._report.whole_folder import CHANNELS, remove_results, whole_folder
 CHANNELS_SCHEMA = "bayescal.channels/1"
 
 
-def save_search(self: Trail, folder: Path) -> None:
+def save_search(self: SearchPath, folder: Path) -> None:
     """Write result.json, calibration.nc (of the last step), loop.png and manifest.json to an existing folder.
 
     They take their place in one step; what else stands in the folder stays.
@@ -42,7 +42,7 @@ def save_search(self: Trail, folder: Path) -> None:
         write_json(result(self), hidden / RESULT)
 
 
-Trail.save = save_search
+SearchPath.save = save_search
 
 
 def channels_data(found: Channels) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def folders_of(names: Iterable[str]) -> dict[str, str]:
 
 
 def save_channels(self: Channels, folder: Path) -> None:
-    """Write a folder of results for each channel (as `Trail.save` does), then channels.json, to an existing folder.
+    """Write a folder for each channel (as `SearchPath.save` does), then channels.json, to an existing folder.
 
     Results of another unit's channels, of a run before, are removed, unless they were changed since.
 

@@ -23,7 +23,7 @@ from bayescal._diagnostics.check_result import Check
 from bayescal._discovery.calibrate import step_of
 from bayescal._discovery.discover import discover
 from bayescal._discovery.gate import gate
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import SCHEMA, result
@@ -55,7 +55,7 @@ class Chapter:
 
 
 def chapters(
-    given: Iterable[Calibration | Trail | Chapter], effects: Iterable[Effect] = ()
+    given: Iterable[Calibration | SearchPath | Chapter], effects: Iterable[Effect] = ()
 ) -> list[Chapter]:
     """Chapters of what is given, in its order; calibrations of the same readings that stand together are one."""
     own = tuple(effects)
@@ -67,14 +67,14 @@ def chapters(
             waiting = []
         if isinstance(one, Calibration):
             waiting.append(one)
-        elif isinstance(one, Trail):
+        elif isinstance(one, SearchPath):
             found.append(of_trail(one))
         elif one is not None:
             found.append(one)
     return found
 
 
-def of_trail(trail: Trail, titles: list[str] | None = None) -> Chapter:
+def of_trail(trail: SearchPath, titles: list[str] | None = None) -> Chapter:
     """The chapter of a trail in memory."""
     data = result(trail)
     for i, title in enumerate(titles or []):
@@ -161,7 +161,7 @@ def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibrati
             )
 
 
-def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) -> Trail:
+def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) -> SearchPath:
     """The trail of calibrations of the same readings, each checked and asked what it lacks.
 
     An effect of the user's own that one of them has is a candidate for the others.
@@ -177,7 +177,7 @@ def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) 
         )
         for c in calibrations
     ]
-    return Trail(tuple(steps), gate(steps[-1:]), None)
+    return SearchPath(tuple(steps), gate(steps[-1:]), None)
 
 
 def _titles(calibrations: list[Calibration]) -> list[str]:
@@ -205,7 +205,7 @@ def _same_readings(one: Calibration, other: Calibration) -> bool:
     )
 
 
-def taken(given: Any) -> list[Calibration | Trail | Chapter]:
+def taken(given: Any) -> list[Calibration | SearchPath | Chapter]:
     """What a user gives, as a list; of an error that ended a fit, the calibration that it carries.
 
     Raises:
@@ -216,7 +216,9 @@ def taken(given: Any) -> list[Calibration | Trail | Chapter]:
         g.calibration if isinstance(g, NotConverged) and g.calibration is not None else g
         for g in several
     ]
-    wrong = [type(g).__name__ for g in found if not isinstance(g, (Calibration, Trail, Chapter))]
+    wrong = [
+        type(g).__name__ for g in found if not isinstance(g, (Calibration, SearchPath, Chapter))
+    ]
     if wrong or not found:
         raise InputError(
             f"a report is of calibrations or trails, not of {', '.join(wrong) or 'nothing'}: give what bc.fit, "

@@ -66,7 +66,7 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
         for reason, names in not_tested(candidates).items()
     ]
     if blind:
-        not_for.append(f"Where {_or(blind)} matters: this experiment cannot see it.")
+        not_for.append(f"Where {_or(blind)} matters: it is not detectable in this experiment.")
     new = [r["name"] for r in chapter.data["spreads"] if r["name"].endswith(".spread")]
     if new:
         not_for.append(
@@ -125,7 +125,8 @@ def unexplained(chapter: Chapter) -> list[str]:
         said.append("What is missing was not asked: the last fit did not converge.")
     else:
         said.append(
-            f"Probability that none of the candidates is missing: {probability(last['nothing_missing_probability'])}."
+            "Probability that the model is complete, that is, that no candidate is missing: "
+            f"{probability(last['nothing_missing_probability'])}."
         )
         for kind in ("finding", "lead"):
             names = [c["effect"] for c in last["candidates"] if c["kind"] == kind]

@@ -181,7 +181,11 @@ def effects(chapter: Chapter) -> list[dict[str, Any]]:
 def _unknowns(effect: Effect) -> list[str]:
     found = []
     for i, c in enumerate(effect.coefficients):
-        prior = f"spread learned, {_prior(c.spread)}" if c.spread is not None else _prior(c.prior)
+        prior = (
+            f"between-group standard deviation estimated, {_prior(c.spread)}"
+            if c.spread is not None
+            else _prior(c.prior)
+        )
         if effect.weights is not None:
             prior = f"prior 0 ± a part of {effect.name}.{effect.measure}"
         per = f", one for each {c.per}" if c.per else ""

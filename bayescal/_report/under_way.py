@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._core.errors import InputError
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
 from bayescal._report.result_json import SCHEMA, clean, hashes, result, search_data, write_json
@@ -28,7 +28,7 @@ class Keeper:
         self.path = folder / (UNDER_WAY if RESULT in files_of(folder) else RESULT)
         self._steps, self._data = 0, {}
 
-    def __call__(self, trail: Trail) -> None:
+    def __call__(self, trail: SearchPath) -> None:
         if len(trail.steps) != self._steps:  # only the search changes between two steps
             self._steps, self._data = len(trail.steps), result(trail)
         now = {"complete": trail.complete, "search": clean(search_data(trail))}

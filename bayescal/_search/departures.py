@@ -59,7 +59,7 @@ class Scored(NamedTuple):
 
 
 def may_depart(effect: Effect, record: Record, wanders: bool) -> bool:
-    """Whether an effect has a covariate that these readings vary; beside a wander, time is none."""
+    """Whether an effect has a covariate that these readings vary; beside correlated noise, time is none."""
     along, reference = effect.departs_along, record.frame.reference
     if not along or (wanders and along == "time") or f"{along}_low" not in reference:
         return False

@@ -1,6 +1,6 @@
 """Noise laws that a record can tell, and what each is expected to gain: on residuals, coefficients held.
 
-As with effects, what is computed here says only which refit is worth its time.
+As with effects, what is computed here says only which refit to make.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FLAT = 0.05  # curvature of a coordinate below which its prior has taken over
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
     """Further noise laws of a model on a record, by name; none where its own is not white, or readings are too few.
 
-    Wandering, where there is time; heavy tails; scatter that follows a column, for each that varies.
+    Correlated, where there is time; heavy tails; scatter that follows a column, for each that varies.
     """
     together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
     fixed = any(name.startswith("noise.") for name, _ in model.fixed)

@@ -122,7 +122,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class OtherPath:
-    """Where the search ends under another noise law, if these readings do not tell the two ends apart.
+    """The runner-up model: where the search ends under another noise law, if these readings do not decide.
 
     Attributes:
         noise: that law.
@@ -139,14 +139,14 @@ class OtherPath:
     def __str__(self) -> str:
         what = " and ".join(self.added) if self.added else "nothing"
         said = (
-            f"These readings cannot tell this end from another noise law ({self.in_words}) with {what} added (log "
+            f"The runner-up model is nearly as probable: noise law {self.in_words}, with {what} added (log "
             f"Bayes factor {self.log_bayes_factor:.1f})"
         )
-        if self.in_words not in ("white", "wandering"):
-            return f"{said}. A repeat of the campaign tells."
+        if self.in_words not in ("white", "Ornstein–Uhlenbeck"):
+            return f"{said}. A repeat of the campaign would decide."
         return (
-            f"{said}: a dependence on time can look like wandering noise, and wandering noise like an effect. A repeat "
-            "of the campaign tells: noise will wander otherwise, an effect will not."
+            f"{said}: a dependence on time can look like correlated noise, and correlated noise like an effect. A "
+            "repeat of the campaign would decide: correlated noise differs from record to record, an effect does not."
         )
 
 

@@ -1,6 +1,6 @@
 """Structures: which effects and which noise law may make up a model, how probable each is, before and after.
 
-Each candidate is in or out, independently, with odds such that P(nothing missing) is one half; placeholders share a
+Each candidate is in or out, independently, with odds such that P(model complete) is one half; placeholders share a
 tenth of the prior. A plausible size is known to an order of magnitude: evidence is averaged over it times 1, 3 and 10.
 """
 
@@ -141,7 +141,7 @@ class Structures:
         return self.laws.get(structure.noise, self.base.noise)
 
     def barred(self, structure: Structure) -> set[str]:
-        """Candidates that a structure may not have: a free curve in time beside a wander is the wander again."""
+        """Candidates that a structure may not have: beside correlated noise, a free curve in time."""
         return set() if self.noise(structure).independent else {"unknown(time)"}
 
     def open_to(self, structure: Structure) -> list[str]:

@@ -113,7 +113,7 @@ def _look_around(library: Library, at: Weighed, max_effects: int, ends_at: float
 
 
 def wandering(structures: Structures) -> list[str]:
-    """Names of the further laws under which readings hang together: nothing but a refit tells of these."""
+    """Names of the further laws under which readings are correlated: nothing but a refit tells of these."""
     return [name for name, law in structures.laws.items() if not law.independent]
 
 

@@ -12,7 +12,7 @@ from bayescal._core.errors import ModelError
 from bayescal._discovery.calibrate import Loop
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import Discovery, told
-from bayescal._discovery.search_path import Step, Trail
+from bayescal._discovery.search_path import SearchPath, Step
 from bayescal._model.effect import Effect
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior, Shown
@@ -29,7 +29,7 @@ class Search:
     seeds: tuple[Shown, ...] = ()
 
     def __init__(
-        self, loop: Loop, first: Step, ending: threading.Event, follow: Callable[[Trail], None]
+        self, loop: Loop, first: Step, ending: threading.Event, follow: Callable[[SearchPath], None]
     ) -> None:
         """Args:
         loop: what stays the same.

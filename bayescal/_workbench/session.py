@@ -17,7 +17,7 @@ from bayescal._discovery.describe import Draft, describe
 from bayescal._discovery.discover import Discovery, discover
 from bayescal._discovery.own_files import user_effects
 from bayescal._discovery.preview import Preview, Previews
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_laws import Noise
@@ -201,7 +201,7 @@ class Session:
         self.tree.found(state.number, found)
         return found
 
-    def find_all(self, follow: Callable[[Trail], None] = lambda _: None) -> None:
+    def find_all(self, follow: Callable[[SearchPath], None] = lambda _: None) -> None:
         """Search from the current state on, as `calibrate` does; each step on the way becomes a state.
 
         It returns at the end, or soon after `stop`; `follow` is called with the trail so far, as it goes on.
@@ -260,7 +260,7 @@ class Session:
         return self.tree.script(self.path())
 
     def report(self, certificate: str | Path | None = None) -> Path:
-        """The report to sign, in the folder: what `bayescal report` writes of it."""
+        """The report for sign-off, in the folder: what `bayescal report` writes of it."""
         folder, _ = self._result()
         return take_away.write_report(folder, self.tree.origin, self.own, certificate)
 
@@ -291,7 +291,7 @@ class Session:
         step = loop.step(wanted.model, method=loop.quick(wanted.model))
         return self.tree.append(replace(step, added=wanted.added, changed=wanted.in_words), parent)
 
-    def _result(self) -> tuple[Path, Trail]:
+    def _result(self) -> tuple[Path, SearchPath]:
         """The current state's folder of results, made anew, and the trail in it."""
         path = self.path()
         trail = take_away.trail_of(path, self._loop)

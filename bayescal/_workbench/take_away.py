@@ -11,7 +11,7 @@ from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._discovery.calibrate import Loop
 from bayescal._discovery.gate import gate
-from bayescal._discovery.search_path import Trail
+from bayescal._discovery.search_path import SearchPath
 from bayescal._firmware.autopilots import AUTOPILOTS
 from bayescal._firmware.parameters import axis_of, firmware_parameters
 from bayescal._model.effect import Effect
@@ -27,14 +27,14 @@ SUFFIXES = {"c": "h", "json": "json", "python": "py"}
 FORMATS = (*SUFFIXES, *AUTOPILOTS, "dcc")
 
 
-def trail_of(path: list[State], loop: Loop) -> Trail:
+def trail_of(path: list[State], loop: Loop) -> SearchPath:
     """The way to a state as `calibrate` leaves one: its last model fitted by the method that was asked for."""
     last = path[-1]
     final = loop.step(last.model, method=loop.method)
     final = replace(final, added=last.step.added, changed=last.step.changed)
     steps = [replace(s.step, discovery=s.discovery) for s in path[:-1]]
     steps.append(replace(final, discovery=last.discovery))
-    return Trail(tuple(steps), gate(steps), loop.holdout)
+    return SearchPath(tuple(steps), gate(steps), loop.holdout)
 
 
 def write_report(
@@ -58,7 +58,7 @@ def refuse_unknown(what: str) -> None:
 
 
 def write_export(
-    folder: Path, trail: Trail, what: str, certificate: str | Path | None = None
+    folder: Path, trail: SearchPath, what: str, certificate: str | Path | None = None
 ) -> Path:
     """One export of the trail's calibration: what `bayescal export FOLDER/calibration.nc --format WHAT` writes.
 
@@ -85,7 +85,7 @@ def write_export(
     return firmware_parameters({axis: made}, what).write(folder / f"{what}.txt")
 
 
-def saved(folder: Path, trail: Trail) -> Path:
+def saved(folder: Path, trail: SearchPath) -> Path:
     """The trail in a folder, as `bayescal calibrate --out` leaves it."""
     folder.mkdir(exist_ok=True)
     save_search(trail, folder)

@@ -25,7 +25,7 @@ def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect
 
 
 def deviation(slot: str, per: Group, size: float, unit: str, *, source: str) -> Effect:
-    """One deviation for each member of a group, their spread learned; `size` scales the spread's prior."""
+    """One deviation for each member of a group, their standard deviation estimated; `size` scales its prior."""
     column = {"cell": ("temperature_point",)}.get(per, (per,))
     return Effect(
         f"{slot}.{per}",

@@ -65,7 +65,7 @@ def quadratic(
     column: str = "temperature",
     name: str = "temperature",
 ) -> Effect:
-    """c·(T − T0)²: what bends evenly about T0.
+    """c·(T − T0)²: curvature, symmetric about T0.
 
     Args:
         slot: that it adds to, such as "bias".
@@ -89,7 +89,7 @@ def cubic(
     column: str = "temperature",
     name: str = "temperature",
 ) -> Effect:
-    """c·(T − T0)³: what bends unevenly about T0.
+    """c·(T − T0)³: curvature, antisymmetric about T0.
 
     Args:
         slot: that it adds to, such as "bias".
@@ -113,7 +113,7 @@ def quartic(
     column: str = "temperature",
     name: str = "temperature",
 ) -> Effect:
-    """c·(T − T0)⁴: what bends more at the ends than in the middle.
+    """c·(T − T0)⁴: curvature that grows towards both ends.
 
     Args:
         slot: that it adds to, such as "bias".

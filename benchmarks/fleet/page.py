@@ -60,8 +60,8 @@ A scheduler that is killed, and the same command run again, is a test: `tests/fl
 def _one_process(r: dict[str, Any]) -> str:
     return f"""## A population over partitions
 
-{r["devices"]:,} devices in {r["partitions"]} partitions against one process: means, spreads and their uncertainties
-differ by {r["largest_relative_difference"]:.1g} at most, relative (goal 1e-10).
+{r["devices"]:,} devices in {r["partitions"]} partitions against one process: means and standard deviations with
+their uncertainties differ by {r["largest_relative_difference"]:.1g} at most, relative (goal 1e-10).
 """
 
 

@@ -14,8 +14,8 @@ CLEAR = 15.0  # oracle
 FATES = (
     "the right column in the final model",
     "a catalogue effect of the same set in its place",
-    "said to be wandering noise, the column nearly as probable",
-    "said to be wandering noise, and no more",
+    "said to be correlated noise, the column nearly as probable",
+    "said to be correlated noise, and no more",
     "something else",
 )
 

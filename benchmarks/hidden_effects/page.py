@@ -71,7 +71,7 @@ def write(banks: Banks, spoilt: dict[str, Any], path: Path) -> None:
         "wrong.\n",
         _reliability(prior),
         f"{len(law)} campaigns drawn from the search's own prior: each candidate in or out by its odds, unknown "
-        "functions among them, its size times 1, 3 or 10, in the catalogue's own columns; white or wandering noise, "
+        "functions among them, its size times 1, 3 or 10, in the catalogue's own columns; white or correlated noise, "
         "by the odds of the two laws. Here every statement should hold as often as it says.\n",
         _reliability(law),
     ]
@@ -150,7 +150,7 @@ def _empty(banks: Banks) -> str:
 
 def _spoilt(found: dict[str, Any]) -> str:
     rows = [
-        [name, how, row["added"], ", ".join(row["what"])]
+        [name, how.replace("wandering", "correlated"), row["added"], ", ".join(row["what"])]
         for name, kinds in found.items()
         for how, row in kinds.items()
     ]
@@ -168,7 +168,7 @@ def _others(banks: Banks) -> str:
         ),
         ("the same: at least one", [bool(set(r["hidden"]) & set(r["final"])) for r in pairs]),
         (
-            "any hidden, probability of nothing missing below 0.05: no effect chosen all the same",
+            "any hidden, probability of a complete model below 0.05: no effect chosen all the same",
             [
                 not r["final"]
                 for kind in HIDDEN
@@ -246,8 +246,8 @@ def _reliability(own: Rows) -> str:
     wanders = [(r["stated_wanders"], r["wanders"]) for r in own]
     given_of = {
         "an effect is missing": pairs,
-        "nothing is missing": nothing,
-        "the noise wanders": wanders,
+        "the model is complete": nothing,
+        "the noise is correlated": wanders,
     }
     rows = []
     for what, given in given_of.items():

@@ -157,7 +157,7 @@ def as_unit(path: Path, split: str) -> dict[str, Any]:
     return results
 
 
-def calibrated(fitted: Path, held_out: Path, axis: str) -> tuple[bc.Trail, dict[str, float]]:
+def calibrated(fitted: Path, held_out: Path, axis: str) -> tuple[bc.SearchPath, dict[str, float]]:
     """The loop on one file with another held out, and what it took, s."""
     wall, cpu = time.perf_counter(), time.process_time()
     readings = _read(fitted, axis)
@@ -168,7 +168,7 @@ def calibrated(fitted: Path, held_out: Path, axis: str) -> tuple[bc.Trail, dict[
     return trail, taken
 
 
-def summary(trail: bc.Trail, whole: bc.Measurements) -> dict[str, Any]:
+def summary(trail: bc.SearchPath, whole: bc.Measurements) -> dict[str, Any]:
     """What the page says of a trail.
 
     Args:
@@ -226,7 +226,7 @@ def _names(axis: str) -> dict[str, Any]:
     }
 
 
-def _read(path: Path, axis: str, trail: bc.Trail | None = None) -> bc.Measurements:
+def _read(path: Path, axis: str, trail: bc.SearchPath | None = None) -> bc.Measurements:
     instrument = (
         still_sensor.INSTRUMENT if trail is None else trail.final.calibration.model.instrument
     )

@@ -41,7 +41,7 @@ gyro channels scale with that choice, what is found does not.
 The record has spikes (its first row, and one row of acc_z). They are in the files that are read;
 `calibrate` sets them aside and says so.
 
-*Error* is the root mean square of the readings about the model's expectation, a wandering noise not
+*Error* is the root mean square of the readings about the model's expectation, correlated noise not
 subtracted, first for the baseline (a line in temperature), then for the last model. *Floor*: the
 white noise that no smooth model could remove. *Evidence*: natural logarithm gained over the
 baseline. *In the record*: the held-out readings predicted with the temperature's whole past, which
@@ -93,7 +93,7 @@ def _beside(results: dict[str, Any], split: str) -> str:
     rows = {"bayescal, each channel alone": results["alone"].get(split, {})}
     unit = results.get("unit", {}).get(split, {})
     rows |= {"bayescal, as one unit": unit.get("errors", {})}
-    rows |= {"the same, with the wander inside the record": unit.get("inside", {})}
+    rows |= {"the same, with correlated noise predicted inside the record": unit.get("inside", {})}
     rows |= results["recipes"][split]
     against = results["recipes"][split][REFERENCE]
     lines = []
@@ -173,7 +173,7 @@ def _channel(name: str, splits: dict[str, Any]) -> str:
             f"**{split.capitalize()} held out.** Gate: {found['gate']}",
             *(f"Note: {flag}." for flag in found["flags"]),
             _raised(found["raised_held_out_error"]) + "\n",
-            table([*head, "log evidence", "nothing missing"], map(_step, found["steps"])),
+            table([*head, "log evidence", "P(complete)"], map(_step, found["steps"])),
         ]
     return "\n".join(lines)
 

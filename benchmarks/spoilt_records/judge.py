@@ -85,7 +85,7 @@ def _files(
 
 def _calibrated(
     readings: bc.Measurements, beside: bc.Measurements | None, model: bc.Model
-) -> bc.Trail:
+) -> bc.SearchPath:
     """The search of a file."""
     return bc.calibrate(
         model, readings, holdout=beside, method=METHOD, max_effects=MOST, time_limit=LIMIT
@@ -120,7 +120,7 @@ def _verdict(
     kind: Kind,
     campaign: Campaign,
     seed: int,
-    trail: bc.Trail,
+    trail: bc.SearchPath,
 ) -> dict[str, Any]:
     """What came out, against what is true."""
     final = trail.final.calibration

@@ -49,7 +49,7 @@ def saved(folder: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def loop(folder: Path) -> Ran:
-    """The whole loop on a table that a line does not fit, with readings kept apart."""
+    """The whole loop on a table that a line does not fit, with hold-out data."""
     bent, kept = (write_bent_table(folder / name) for name in ("bent.csv", "kept.csv"))
     return run(
         *("calibrate", bent, *GYRO, *QUICK, "--holdout", kept),

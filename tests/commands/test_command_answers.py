@@ -53,7 +53,7 @@ def test_a_saved_calibration_is_checked_discovered_and_predicted(
 ) -> None:
     for name, words in (
         ("check", "residuals 0.101 °/s rms"),
-        ("discover", "nothing is missing: probability"),
+        ("discover", "probability that the model is complete"),
     ):
         text = run(name, saved)
         assert text.status == 0, text.err

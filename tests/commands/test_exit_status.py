@@ -1,4 +1,4 @@
-"""A result that is not to be trusted is written, and its command leaves with 1."""
+"""A result that is not reliable is written, and its command leaves with 1."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_fit_that_did_not_converge_leaves_with_1_and_its_result(
     done = run("fit", TABLE, *GYRO, *QUICK, "--out", tmp_path, "--json")
     assert done.status == 1
     assert done.data["verdict"]["ok"] is False
-    assert done.said == ["bayescal: not to be trusted as it is: It was told not to converge."]
+    assert done.said == ["bayescal: result not reliable: It was told not to converge."]
     assert (tmp_path / "calibration.nc").is_file()
 
 

@@ -1,4 +1,4 @@
-"""The report to sign: complete, self-contained, escaped, readable by those who cannot see its figures."""
+"""The report for sign-off: complete, self-contained, escaped, readable by those who cannot see its figures."""
 
 from __future__ import annotations
 
@@ -145,7 +145,9 @@ def test_intervals_are_not_confused(pages) -> None:
     page = pages("a trail")
     heads = re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", page.source)
     assert {"value ± U (k = 2)", "k = 2 interval", "95 % credible interval"} <= set(heads)
-    table = page.source.split("Coefficients, spreads, shapes, noise</caption>")[1]
+    table = page.source.split(
+        "Coefficients, between-group standard deviations, shapes, noise</caption>"
+    )[1]
     row = re.search(rf'<tr><th scope="row">{HIDDEN}</th>(.*?)</tr>', table)
     assert row is not None
     _, value, u, k2, credible, _ = re.findall(r"<td[^>]*>(.*?)</td>", row[1])
@@ -169,7 +171,7 @@ def test_names_from_files_are_text(pages) -> None:
 @pytest.mark.slow
 def test_a_fit_that_did_not_converge_is_for_nothing(pages) -> None:
     text = " ".join(pages("not converged").text.split())
-    assert "NOT to be trusted" in text
+    assert "result NOT reliable" in text
     assert "The chains disagree." in text
     assert "For nothing until" in text
     assert "It may be used for" not in text

@@ -67,14 +67,14 @@ def _refuse(token: str) -> None:
     raise AssertionError(f"{token} is not JSON")
 
 
-def read_back(trail: bc.Trail, folder: Path) -> dict[str, Any]:
+def read_back(trail: bc.SearchPath, folder: Path) -> dict[str, Any]:
     write_json(result(trail), folder / "result.json")
     return json.loads((folder / "result.json").read_text("utf-8"), parse_constant=_refuse)
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """A line through a bent table, at known noise, with readings kept apart."""
+    """A line through a bent table, at known noise, with hold-out data."""
     folder = tmp_path_factory.mktemp("written")
     instrument = mems_gyro.INSTRUMENT
     bent = bc.read(write_bent_table(folder / "bent.csv"), instrument)

@@ -39,7 +39,7 @@ def test_the_command_takes_a_scheduler(client, lot_folder, tmp_path) -> None:
     address = client.scheduler.address
     ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out", "--scheduler", address)
     assert ran.status == 0, ran.err
-    assert "24 devices, 24 to be trusted" in ran.out
+    assert "24 devices, 24 reliable" in ran.out
 
 
 OWN = """
@@ -92,4 +92,4 @@ def test_wrong_clusters_are_refused(lot_folder, tmp_path, monkeypatch) -> None:
 def test_the_command_starts_workers(lot_folder, tmp_path) -> None:
     ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out", "--workers", 2)
     assert ran.status == 0, ran.err
-    assert "24 devices, 24 to be trusted" in ran.out
+    assert "24 devices, 24 reliable" in ran.out

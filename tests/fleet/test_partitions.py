@@ -192,7 +192,7 @@ def test_the_command_goes_by_partition(lot_folder, result, tmp_path) -> None:
     out = tmp_path / "out"
     ran = run("batch", lot_folder, *GYRO, "-o", out)
     assert ran.status == 0, ran.err
-    assert "24 devices, 24 to be trusted" in ran.out and f"written: {out}" in ran.out
+    assert "24 devices, 24 reliable" in ran.out and f"written: {out}" in ran.out
     same(bc.load_fleet(out), result)
     assert json.loads((out / "fleet.json").read_text())["schema"] == "bayescal.fleet/1"
     ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out.parquet")

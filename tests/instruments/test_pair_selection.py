@@ -85,7 +85,7 @@ def test_disagreeing_criteria_and_denominators_near_zero_are_said() -> None:
     flat = dp.select(replace(devices, commanded=np.full(30, 5e6)))
     assert any("near 0.75" in said for said in flat.remarks)
     unsteady = replace(devices, environment=environment - environment.mean(axis=-1, keepdims=True))
-    assert any("not to be trusted" in said for said in dp.select(unsteady).remarks)
+    assert any("is not reliable" in said for said in dp.select(unsteady).remarks)
     likeliest = max(table.pairs, key=lambda p: p.probability_ratio_variance)
     disagree = (likeliest.outer, likeliest.inner) != table.best
     assert disagree == any("criteria disagree" in said for said in table.remarks)

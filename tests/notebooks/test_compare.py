@@ -58,9 +58,9 @@ def test_a_small_difference_in_evidence_tells_nothing_apart() -> None:
 
 def test_over_many_groups_their_scores_rank() -> None:
     found = bc.compare(both(campaign(12, bend=2e-4)))
-    assert found.chosen_by == "left-out groups"
+    assert found.chosen_by == "leave-one-group-out"
     assert found.rows[1].group_error
-    assert "the best first, by left-out groups (12 of them)" in str(found)
+    assert "the best first, by leave-one-group-out (12 of them)" in str(found)
     assert "Only" not in str(found)
 
 

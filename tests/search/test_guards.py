@@ -140,11 +140,11 @@ def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
     ("first", "last", "said"),
     [
         ({}, {"rmse_fitted": 1.06}, "Step '+ bias.x' raises the error as fitted, 1 → 1.06 °/s"),
-        ({"holdout_rmse": 1.0}, {"holdout_rmse": 1.06}, "predicts the readings kept apart worse"),
+        ({"holdout_rmse": 1.0}, {"holdout_rmse": 1.06}, "predicts the hold-out data worse"),
         (
-            {"left_out": SimpleNamespace(rmse=1.0)},
-            {"left_out": SimpleNamespace(rmse=1.06)},
-            "predicts left-out groups worse than the first",
+            {"left_out": SimpleNamespace(rmse=1.0, group="run")},
+            {"left_out": SimpleNamespace(rmse=1.06, group="run")},
+            "predicts each run from the others (leave-one-run-out) worse than the first",
         ),
     ],
 )
@@ -153,7 +153,7 @@ def test_a_step_that_does_harm_shuts_the_gate(line, first, last, said) -> None:
     assert not found.ok
     assert said in found.reason
     nearly = {
-        k: 1.04 if not isinstance(v, SimpleNamespace) else SimpleNamespace(rmse=1.04)
+        k: 1.04 if not isinstance(v, SimpleNamespace) else SimpleNamespace(rmse=1.04, group="run")
         for k, v in last.items()
     }
     assert gate(steps(line, first, nearly)).ok

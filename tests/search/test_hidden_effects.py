@@ -42,14 +42,14 @@ def drawn_size(name: str, seed: int) -> float:
     return size if name == "bias.run" else size * random.choice([-1.0, 1.0])
 
 
-def search(effects: dict[str, float], seed: int, campaign: mems_gyro.Campaign) -> bc.Trail:
+def search(effects: dict[str, float], seed: int, campaign: mems_gyro.Campaign) -> bc.SearchPath:
     readings = mems_gyro.simulate(effects, seed=seed, campaign=campaign)
     kept_apart = mems_gyro.simulate(effects, seed=seed + 1, campaign=campaign)
     return bc.calibrate(INSTRUMENT.baseline(), readings, holdout=kept_apart)
 
 
 def oracle(
-    effects: dict[str, float], trail: bc.Trail, method: bc.LeastSquares | None = None
+    effects: dict[str, float], trail: bc.SearchPath, method: bc.LeastSquares | None = None
 ) -> tuple[float, float]:
     """Log Bayes factor of the true model against the baseline, and its held-out rms error."""
     first = trail.steps[0].calibration

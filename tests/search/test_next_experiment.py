@@ -115,7 +115,7 @@ def test_an_unknown_dependence_becomes_a_draft_that_can_be_run() -> None:
     assert shape.size == pytest.approx(np.std(true), rel=0.25)
     slope = np.polyfit(shape.at, shape.mean, 1)[0]
     assert slope == pytest.approx(2.0, rel=0.25)
-    draft = bc.template(found, "unknown(humidity)")
+    draft = bc.draft_effect(found, "unknown(humidity)")
     ast.parse(draft)
     names: dict = {}
     exec(draft, names)
@@ -125,4 +125,4 @@ def test_an_unknown_dependence_becomes_a_draft_that_can_be_run() -> None:
 
 def test_a_named_effect_has_no_draft(line: bc.Calibration) -> None:
     with pytest.raises(bc.ModelError, match="named effect"):
-        bc.template(line, "bias.temperature")
+        bc.draft_effect(line, "bias.temperature")

@@ -18,12 +18,14 @@ HUMID = {
 
 
 @pytest.fixture(scope="module")
-def trail() -> bc.Trail:
+def trail() -> bc.SearchPath:
     readings = mems_gyro.simulate(HUMID, seed=31)
     return bc.calibrate(INSTRUMENT.baseline(), readings, holdout=mems_gyro.simulate(HUMID, seed=32))
 
 
-def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(trail: bc.Trail) -> None:
+def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(
+    trail: bc.SearchPath,
+) -> None:
     assert [s.added for s in trail.steps] == [None, "unknown(humidity)"]
     before, after = trail.steps[0].holdout_rmse, trail.final.holdout_rmse
     assert before is not None
@@ -31,7 +33,7 @@ def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(trail:
     assert after < 0.9 * before  # the other test has other humidities: there it extrapolates
 
 
-def test_its_amplitude_is_the_size_that_is_reported(trail: bc.Trail) -> None:
+def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> None:
     first = trail.steps[0].discovery
     assert first is not None
     found = next(c for c in first.candidates if c.effect == "unknown(humidity)")
@@ -43,7 +45,7 @@ def test_its_amplitude_is_the_size_that_is_reported(trail: bc.Trail) -> None:
     assert found.unit == "deg/s"
 
 
-def test_least_squares_fits_and_predicts_with_it(trail: bc.Trail) -> None:
+def test_least_squares_fits_and_predicts_with_it(trail: bc.SearchPath) -> None:
     """Its amplitude must not run away while its coefficients shrink: draws of their product would be worthless."""
     sampled, readings = trail.final.calibration, trail.final.calibration.readings
     fitted = bc.fit(sampled.model, readings, bc.LeastSquares(draws=400), strict=False)
@@ -64,7 +66,7 @@ def test_far_beyond_the_range_of_the_fit_it_says_nothing() -> None:
     assert np.allclose(columns, 0.0, atol=1e-12)
 
 
-def test_a_calibration_with_it_is_saved_and_loaded(trail: bc.Trail, tmp_path) -> None:
+def test_a_calibration_with_it_is_saved_and_loaded(trail: bc.SearchPath, tmp_path) -> None:
     final = trail.final.calibration
     final.save(tmp_path / "c.nc")
     again = bc.load(tmp_path / "c.nc")

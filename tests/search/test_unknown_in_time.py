@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._discovery.draft_effect import shape_of, template
+from bayescal._discovery.draft_effect import draft_effect, shape_of
 from bayescal_models import mems_gyro
 
 INSTRUMENT = mems_gyro.INSTRUMENT
@@ -35,18 +35,18 @@ def drafted(pattern: str, text: str) -> float:
 
 
 @pytest.fixture(scope="module")
-def jumped() -> bc.Trail:
+def jumped() -> bc.SearchPath:
     readings = changed(41, lambda at: np.where(at > PLACE, HEIGHT, 0.0))
     return bc.calibrate(INSTRUMENT.baseline(), readings, method=METHOD)
 
 
 @pytest.fixture(scope="module")
-def cycled() -> bc.Trail:
+def cycled() -> bc.SearchPath:
     readings = changed(42, lambda at: WAVE * np.sin(2 * np.pi * CYCLES * at + 0.4))
     return bc.calibrate(INSTRUMENT.baseline(), readings, method=METHOD)
 
 
-def test_a_jump_is_found_where_it_is_and_as_high_as_it_is(jumped: bc.Trail) -> None:
+def test_a_jump_is_found_where_it_is_and_as_high_as_it_is(jumped: bc.SearchPath) -> None:
     final = jumped.final.calibration
     assert [s.added for s in jumped.steps if s.added] == ["unknown(time, jump)"]
     at = part_of_the_record(final.readings)
@@ -58,7 +58,7 @@ def test_a_jump_is_found_where_it_is_and_as_high_as_it_is(jumped: bc.Trail) -> N
     assert jumped.final.rmse == pytest.approx(0.05, rel=0.15)
 
 
-def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.Trail) -> None:
+def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.SearchPath) -> None:
     final = cycled.final.calibration
     assert [s.added for s in cycled.steps] == [None, "unknown(time, cycle)"]
     assert final.model.noise.law == "white"
@@ -69,11 +69,13 @@ def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.Trail) -> Non
     assert wave.mean() == pytest.approx(WAVE, rel=0.2)
 
 
-def test_their_shapes_are_drafted_as_what_they_are(jumped: bc.Trail, cycled: bc.Trail) -> None:
-    jump = template(jumped.final.calibration, "unknown(time, jump)")
-    assert drafted(r"a jump at (\S+) of the range", jump) == pytest.approx(PLACE, abs=0.02)
+def test_their_shapes_are_drafted_as_what_they_are(
+    jumped: bc.SearchPath, cycled: bc.SearchPath
+) -> None:
+    jump = draft_effect(jumped.final.calibration, "unknown(time, jump)")
+    assert drafted(r"a step at (\S+) of the range", jump) == pytest.approx(PLACE, abs=0.02)
     assert "jnp.where(x >" in jump
-    wave = template(cycled.final.calibration, "unknown(time, cycle)")
+    wave = draft_effect(cycled.final.calibration, "unknown(time, cycle)")
     period = drafted(r"a sine of period (\S+) of the range", wave)
     assert period == pytest.approx(1 / CYCLES, rel=0.05)
     assert shape_of(cycled.final.calibration, "unknown(time, cycle)").covariate == "time"
@@ -81,7 +83,7 @@ def test_their_shapes_are_drafted_as_what_they_are(jumped: bc.Trail, cycled: bc.
         compile(text, "draft", "exec")
 
 
-def test_a_calibration_with_one_is_saved_and_loaded(jumped: bc.Trail, tmp_path) -> None:
+def test_a_calibration_with_one_is_saved_and_loaded(jumped: bc.SearchPath, tmp_path) -> None:
     final = jumped.final.calibration
     final.save(tmp_path / "c.nc")
     again = bc.load(tmp_path / "c.nc")

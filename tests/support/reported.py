@@ -14,7 +14,7 @@ VOID = {"meta", "link", "img", "br", "input", "hr"}
 
 
 @cache
-def trail() -> bc.Trail:
+def trail() -> bc.SearchPath:
     """The loop on a simulated gyroscope (seed 1) with a thermal lag hidden in it."""
     readings = mems_gyro.simulate({HIDDEN: 0.05}, seed=1)
     return bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings, method=bc.LeastSquares())

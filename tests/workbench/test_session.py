@@ -113,7 +113,7 @@ def test_find_all_is_what_calibrate_finds(session: Session, campaign: Campaign) 
 def test_a_search_is_stopped_and_gone_on_with(session: Session) -> None:
     begun = threading.Event()
 
-    def follow(_: bc.Trail) -> None:
+    def follow(_: bc.SearchPath) -> None:
         begun.set()
         session.stop()
 

@@ -52,7 +52,7 @@ class Written:
 
 
 class ReportPane:
-    """The report to sign."""
+    """The report for sign-off."""
 
     def __init__(self, run: Callable[..., None], session: Callable[[], Any]) -> None:
         def begin(one: Written) -> None:

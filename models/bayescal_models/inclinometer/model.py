@@ -102,7 +102,7 @@ def _exact_projection() -> bc.Model:
 
 
 def _hierarchy(devices: bool = False) -> bc.Model:
-    """Accelerometers (and devices) drawn from one population, spreads learned."""
+    """Accelerometers (and devices) drawn from one population, between-group standard deviations estimated."""
     bare = INSTRUMENT.baseline() - effects.CONSTANT - effects.LINE
     made = bare + (effects.MEAN, effects.MEAN_LINE, effects.AXIS, effects.AXIS_LINE)
     return made + (effects.DEVICE, effects.DEVICE_LINE) if devices else made

@@ -56,8 +56,8 @@ class Campaign:
         board_time: time constant of the electronics board, s.
         board_heating: how much warmer than the air the powered board ends up, °C.
         warm_up_time: time constant of the electronics' warm-up after power-on, s.
-        period: period of the out-of-catalogue cycle, s.
-        step_fraction: where the out-of-catalogue jump falls, as a share of the logged time.
+        period: period of the out-of-catalogue periodic form, s.
+        step_fraction: where the out-of-catalogue step falls, as a share of the logged time.
 
     Raises:
         ValueError: an option is out of its range, or the times do not divide one another.

@@ -52,7 +52,7 @@ def run(out: Path, seed: int) -> None:
     print(trail)
     before, after = trail.steps[0].holdout_rmse, trail.final.holdout_rmse
     print(
-        f"\nreadings kept apart: rms error {before:.3f} °/s before, {after:.3f} °/s after, "
+        f"\nhold-out data: rms error {before:.3f} °/s before, {after:.3f} °/s after, "
         f"noise floor {trail.final.noise_floor:.3f} °/s"
     )
     trail.save(out)

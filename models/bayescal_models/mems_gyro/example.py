@@ -22,4 +22,4 @@ better = bc.fit(line.model + found.best, readings)
 print(better)
 for title, calibration in (("line", line), ("with what was found", better)):
     error = bc.predict(calibration, kept_apart).rmse
-    print(f"rms error on readings kept apart, {title}: {error:.3f} °/s")
+    print(f"rms error on hold-out data, {title}: {error:.3f} °/s")

@@ -129,12 +129,12 @@ def _scale_constant(size: float, campaign: Campaign, world: World) -> Array:
 
 
 def _periodic(size: float, campaign: Campaign, world: World) -> Array:
-    """Pick-up of a cycle such as the chamber's compressor; `size` is the amplitude."""
+    """Periodic pick-up such as the chamber's compressor; `size` is the amplitude."""
     return size * np.sin(2.0 * np.pi * world.time / campaign.period)
 
 
 def _step(size: float, campaign: Campaign, world: World) -> Array:
-    """A jump that stays, at a share of the logged time (so never within a pause)."""
+    """A step at a share of the logged time (so never within a pause)."""
     run, within = divmod(campaign.step_fraction * campaign.runs, 1.0)
     at = run * (campaign.run_duration + campaign.pause) + within * campaign.run_duration
     return size * (world.time > at)

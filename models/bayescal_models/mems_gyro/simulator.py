@@ -90,7 +90,7 @@ def simulate_arrays(
             constant and slope are options of the campaign.
         seed: seed of every random number.
         noise_law: "white"; "student_t" (same standard deviation, heavier tails);
-            "ornstein_uhlenbeck" (the white noise, and the campaign's slow `wander`).
+            "ornstein_uhlenbeck" (the white noise, and the campaign's correlated part, `wander`).
 
     Raises:
         ValueError: an effect or a noise law of an unknown name, or a size that is not finite.
@@ -177,7 +177,7 @@ def _noise(
     if noise_law == "white":
         return white
     slow = np.empty(readings)
-    for k in range(campaign.runs):  # the wander starts anew at each power-on
+    for k in range(campaign.runs):  # the correlated noise starts anew at each power-on
         record = wander(generators["wander"], len(world.time), campaign.wander_time)
         slow[world.run == k] = world.average(record)[world.run == k]
     return white + campaign.wander * slow

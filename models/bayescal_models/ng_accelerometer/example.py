@@ -1,4 +1,4 @@
-"""A ng accelerometer whose base leans with the laboratory's temperature: test, fit, look, ask what is missing.
+"""A ng accelerometer whose base tilts with the laboratory's temperature: test, fit, look, ask what is missing.
 
 python example.py
 """

@@ -53,7 +53,7 @@ class Campaign:
             is right unless something is hidden; or "beams", two beams with their own lag, unlike in their
             temperature coefficients, and a circuit: no polynomial.
         noise: standard deviation of one reading, µg.
-        noise_law: "white", or "ornstein_uhlenbeck" (a wander of the same size beside it, time 300 s).
+        noise_law: "white", or "ornstein_uhlenbeck" (correlated noise of the same size beside it, time 300 s).
         thermometer_noise: white error of both thermometers' readings, °C (standard deviation).
         frequency_sum: record the sum of both beams' frequencies, Hz.
         lag_time, warm_up_time: time constants of the hidden lag and warm-up, s.

@@ -20,4 +20,4 @@ print(two)  # its last lines name the combinations that no readings can tell
 
 for title, calibration in (("t1 alone, order 3", one), ("two thermometers", two)):
     error = bc.predict(calibration, kept_apart).rmse
-    print(f"rms error on ramps kept apart, {title}: {error:.1f} µg")
+    print(f"rms error on hold-out ramps, {title}: {error:.1f} µg")

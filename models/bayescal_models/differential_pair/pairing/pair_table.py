@@ -221,8 +221,8 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
     best = pairs[0]
     if not best.ratio.document_reliable:
         said.append(
-            f"The environment ratio of {best} by sums over the record ({best.ratio.document:.3g}) is not to be "
-            "trusted: the sum of the environment is near zero. Use the posterior."
+            f"The environment ratio of {best} by sums over the record ({best.ratio.document:.3g}) is not "
+            "reliable: the sum of the environment is near zero. Use the posterior."
         )
     return tuple(said)
 

@@ -2,7 +2,7 @@
 
 The chamber's air follows a ramp-limited set point; the device, its sensing element, the fixture and the base hang
 on it as bodies of first order, all integrated on a grid of ten seconds over the whole test, pauses included. The
-laboratory has a daily course and a slow wander of its own, and the base follows it with a lag.
+laboratory has a daily course and slow correlated noise of its own, and the base follows it with a lag.
 """
 
 from __future__ import annotations
