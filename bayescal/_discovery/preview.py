@@ -1,8 +1,7 @@
 """What an effect would do to a fitted model, before it is added: a curve over the residuals, its size, the error left.
 
-The effect is fitted together with everything else, as `fit(model + effect, readings, LeastSquares())` does, its
-plausible size as stated, or 3 or 10 times that: whichever is likeliest. What makes it quick is that the columns of all
-effects that may be asked for are computed once, in one program.
+The effect is fitted together with everything else, as `fit(model + effect, readings, LeastSquares())` does. What makes
+it quick is that the columns of all effects that may be asked for are computed once, in one program.
 """
 
 from __future__ import annotations
@@ -24,13 +23,12 @@ from bayescal._engine.assembly import Assembly
 from bayescal._engine.linear_model import LinearModel, linear_model, sized
 from bayescal._engine.mode import find_mode
 from bayescal._engine.record import Record
-from bayescal._inference.least_squares import LeastSquares, solution_from
+from bayescal._inference.least_squares import LeastSquares, solution_on
 from bayescal._inference.method import by_engine
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import Layout, bind
 from bayescal._readings.unit_conversion import unit_label
-from bayescal._search.plausible_sizes import averaged, has_size
 
 FEW = 100  # draws of a fit whose mode alone is used
 
@@ -47,10 +45,9 @@ class Preview(Printed):
             unknown dependence its amplitude. The noise is held at its estimate. None of another model.
         shape: shape parameters at their estimates, in their units.
         rms, rms_before: of the residuals with it and without it, output unit.
-        log_bayes_factor: of the model with it against the model without it, natural logarithm, averaged over the
-            plausible sizes of an effect of the instrument's; None where a prior is flat.
+        log_bayes_factor: of the model with it against the model without it, natural logarithm, at the effect's
+            plausible size as it is stated; None where a prior is flat.
         output_unit: of curve and errors.
-        plausible_size: at which it was fitted, for `Model.resize`; None where that is as the effect states it.
     """
 
     effect: str
@@ -63,7 +60,6 @@ class Preview(Printed):
     size_sd: float | None = None
     unit: str = ""
     shape: dict[str, float] = field(default_factory=dict)
-    plausible_size: float | None = None
 
     def __str__(self) -> str:
         unit = unit_label(self.output_unit)
@@ -86,10 +82,9 @@ class Preview(Printed):
 def preview(calibration: Calibration, effect: Effect | str | Model) -> Preview:
     """What an effect would add to a fitted model, and the error that would be left.
 
-    It is a fit of `model + effect` by least squares, resized where `plausible_size` says so: the numbers are those of
-    that fit; under a noise law of which least squares only uses the variance (see `LeastSquares`) they are as
-    approximate as it is. An unknown dependence is taken at its marginal mode, which the last rounds of least squares
-    would move by a small part of its uncertainty.
+    It is a fit of `model + effect` by least squares, so the numbers are those of that fit; under a noise law of which
+    least squares only uses the variance (see `LeastSquares`) they are as approximate as it is. An unknown dependence is
+    taken at its marginal mode, which the last rounds of least squares would move by a small part of its uncertainty.
     Departures from an effect's form, which `calibrate` looks for, are left out.
 
     Args:
@@ -133,7 +128,7 @@ class Previews:
         )
         y = np.asarray(readings["output"])
         self.record = Record(model.instrument, calibration.frame, y, library)
-        self._made: dict[str, Preview] = {}
+        self._made: dict[str, tuple[Effect, Preview]] = {}
 
     def of(self, effect: Effect | str) -> Preview:
         """The preview of one effect.
@@ -141,11 +136,13 @@ class Previews:
         Raises:
             ModelError: as `preview`.
         """
-        name = effect if isinstance(effect, str) else effect.name
-        if name not in self._made:
-            chosen = self.effects.get(name) or self.calibration.model.instrument.effect(name)
-            self._made[name] = self._previewed(chosen)
-        return self._made[name]
+        if isinstance(effect, str):
+            effect = self.effects.get(effect) or self.calibration.model.instrument.effect(effect)
+        chosen, made = self._made.get(effect.name, (None, None))
+        if made is None or chosen != effect:
+            made = self._previewed(effect)
+            self._made[effect.name] = effect, made
+        return made
 
     def _previewed(self, effect: Effect) -> Preview:
         before = self.calibration
@@ -155,18 +152,14 @@ class Previews:
             raise ModelError(
                 f"effect {effect.name!r} cannot be previewed: these readings cannot test it: it {reason}"
             )
-        ours = {e.name for e in model.instrument.candidates}
-        sized = [effect] if effect.name in ours and has_size(effect) else []
-        line, covariance, evidence = self._fitted(model, sized, refined=not effect.is_placeholder)
+        line, covariance, evidence = self._fitted(model, refined=not effect.is_placeholder)
         size, size_sd = _size(effect, line, covariance)
         hyper = line.assembly.hyper(line.mode.v)
-        factor, first = (line.assembly.spread or {}).get(effect.name, 1.0), effect.coefficients[0]
         return replace(
             self._compared(effect.name, line, evidence),
             size=size,
             size_sd=size_sd,
-            unit=first.unit,
-            plausible_size=factor * first.size if factor != 1.0 and not first.flat else None,
+            unit=effect.coefficients[0].unit,
             shape={s.name: float(hyper[effect.shape_name(s)]) for s in effect.column_shapes},
         )
 
@@ -193,12 +186,9 @@ class Previews:
         )
 
     def _fitted(
-        self, model: Model, sized_too: Sequence[Effect] = (), refined: bool = True
+        self, model: Model, refined: bool = True
     ) -> tuple[LinearModel, np.ndarray, float | None]:
-        """A model fitted by least squares to the calibration's readings: about its mode, covariance, log evidence.
-
-        Some effects at their likeliest sizes, the evidence averaged over these.
-        """
+        """A model fitted by least squares to the calibration's readings: about its mode, covariance, log evidence."""
         before = self.calibration
         model = sized(model, before.readings, before.frame)
         layout = bind(model, before.readings)[0]
@@ -214,14 +204,11 @@ class Previews:
             evidence = None if made.log_evidence is None else made.log_evidence[0]
             return made.linear, _spread_of_draws(made), evidence
         assembly = Assembly(layout, self.record)
-        mode, over_sizes = find_mode(assembly), 0.0
-        if sized_too:
-            assembly, mode, log_evidence = averaged(assembly, mode, sized_too)
-            over_sizes = log_evidence - mode.log_evidence
         if not refined:
+            mode = find_mode(assembly)
             return linear_model(assembly, mode), np.zeros((0, 0)), mode.log_evidence
-        found = solution_from(assembly, mode)
-        evidence = None if layout.improper else float(found.mode.log_evidence) + over_sizes
+        found = solution_on(assembly)
+        evidence = None if layout.improper else float(found.mode.log_evidence)
         return linear_model(assembly, found.mode), np.asarray(found.covariance), evidence
 
 

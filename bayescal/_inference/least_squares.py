@@ -22,7 +22,7 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._engine import refinement
 from bayescal._engine.assembly import Assembly
-from bayescal._engine.mode import Mode, find_mode
+from bayescal._engine.mode import find_mode
 from bayescal._engine.record import Record
 from bayescal._inference import gaussian, laplace, trust
 from bayescal._inference.method import (
@@ -90,13 +90,13 @@ class LeastSquares(Method):
         hessian = self.curvature == "hessian"
         if layout.model.noise.independent or by_engine(layout):
             assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
-            return solution_from(assembly, find_mode(assembly), hessian)
+            return solution_on(assembly, hessian)
         return jax.tree.map(np.asarray, compiled(solve)(layout, frame, y, hessian))
 
 
-def solution_from(assembly: Assembly, mode: Mode, hessian: bool = False) -> Solution:
-    """The fit of a structure whose noise the engine whitens by, from its mode."""
-    return Solution(*refinement.refine(assembly, mode, hessian))
+def solution_on(assembly: Assembly, hessian: bool = False) -> Solution:
+    """The fit of a structure whose noise the engine whitens by, on a record that others may share."""
+    return Solution(*refinement.refine(assembly, find_mode(assembly), hessian))
 
 
 def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:

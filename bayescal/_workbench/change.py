@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
-from bayescal._discovery.preview import Preview
 from bayescal._model.effect import Effect
-from bayescal._model.model import Model, testable
+from bayescal._model.model import Model
 from bayescal._model.noise_laws import Noise
-from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 
 KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
@@ -46,7 +44,7 @@ def changed(
         model: before it.
         kind: one of `KINDS`.
         arguments: as many as that says.
-        own: effects of the user's own, by name.
+        own: effects that are not as the instrument states them, by name.
         laws: noise laws, by name.
 
     Raises:
@@ -74,14 +72,3 @@ def changed(
     unit = unit_label(model.effect(name).coefficients[0].unit)
     size = f"{number(value)} {unit}".rstrip()
     return Change(model.resize(name, value), in_words=f"{name} of plausible size {size}")
-
-
-def at_likeliest_size(
-    change: Change, readings: Measurements, preview: Callable[[str], Preview]
-) -> Change:
-    """An effect that the readings can test is added at the plausible size of its preview; all else as it is."""
-    model, added = change.model, change.added
-    if added is None or testable(model.effect(added), readings) is not None:
-        return change
-    size = preview(added).plausible_size
-    return change if size is None else replace(change, model=model.resize(added, size))

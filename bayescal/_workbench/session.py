@@ -26,7 +26,7 @@ from bayescal._recording.set_aside import set_aside
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.posterior import Shown
 from bayescal._workbench import kept, take_away
-from bayescal._workbench.change import Change, at_likeliest_size, changed
+from bayescal._workbench.change import Change, changed
 from bayescal._workbench.origin import Origin, Settings
 from bayescal._workbench.search import Search
 from bayescal._workbench.state import State
@@ -158,7 +158,7 @@ class Session:
     def preview(self, effect: str) -> Preview:
         """What adding an effect to the current state would do: `bc.preview`, whose refusals it has; kept."""
         with self._beside:
-            return self._previews_of(self.current).of(effect)
+            return self._previews_of(self.current).of(self.current.sized.get(effect, effect))
 
     def consequences(self, kind: str, *arguments: Any) -> Preview:
         """What `act` would do, before it is done: `bc.preview` of the model that would come of it."""
@@ -172,12 +172,14 @@ class Session:
     def act(self, kind: str, *arguments: Any) -> State:
         """Change the current model, and fit it; the state that comes of it is the current one.
 
+        What a look found is added at the size that it found likeliest.
+
         Raises:
             ModelError, InputError: the model cannot be changed so.
         """
         state = self.current
-        wanted = changed(state.model, kind, arguments, self.own, self.laws)
-        return self._become(at_likeliest_size(wanted, self.readings, self.preview), state.number)
+        wanted = changed(state.model, kind, arguments, {**self.own, **state.sized}, self.laws)
+        return self._become(wanted, state.number)
 
     add = partialmethod(act, "add")  # (effect)
     take_out = partialmethod(act, "take_out")  # (effect)

@@ -8,6 +8,7 @@ from datetime import datetime
 from bayescal._calibration.calibration import Calibration
 from bayescal._discovery.discover import Discovery
 from bayescal._discovery.search_path import Step
+from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 
 
@@ -38,3 +39,11 @@ class State:
     @property
     def model(self) -> Model:
         return self.step.calibration.model
+
+    @property
+    def sized(self) -> dict[str, Effect]:
+        """What a look would add of the instrument's effects, by name, at the sizes likeliest beside each other."""
+        if self.discovery is None:
+            return {}
+        known = {e.name for e in self.model.instrument.candidates}
+        return {e.name: e for e in self.discovery.best if e.name in known}

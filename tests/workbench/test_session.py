@@ -46,10 +46,8 @@ def test_the_loop_by_hand(session: Session) -> None:
 
 
 def test_a_step_is_what_fit_gives(session: Session, campaign: Campaign) -> None:
-    size = session.preview("bias.thermal_lag").plausible_size
     state = session.add("bias.thermal_lag")
     model = mems_gyro.INSTRUMENT.baseline() + "bias.thermal_lag"
-    model = model if size is None else model.resize("bias.thermal_lag", size)
     alone = bc.fit(model, campaign.readings, bc.LeastSquares(draws=500), strict=False)
     np.testing.assert_array_equal(state.calibration.joint.x, alone.joint.x)
     kept = bc.predict(alone, campaign.holdout)
@@ -175,3 +173,20 @@ def test_other_readings_begin_a_session_beside(session: Session) -> None:
     other = session.with_readings(mems_gyro.INSTRUMENT.simulate({}, seed=9))
     assert other.folder != session.folder and other.folder.parent == session.folder.parent
     assert len(other.states) == len(session.states) == 1
+
+
+def test_what_a_look_found_is_added_at_the_size_that_it_found_likeliest(
+    campaign: Campaign, tmp_path: Path
+) -> None:
+    """A drift ten times its plausible size would be held back, and leave what looks like something else."""
+    instrument = mems_gyro.INSTRUMENT
+    stated = instrument.effect("bias.drift").coefficients[0].size
+    readings = instrument.simulate({"bias.drift": 10 * stated}, seed=3)
+    session = Session.begin(instrument.baseline(), readings, folder=tmp_path / "drift")
+    found = session.look()
+    assert "bias.drift" in {e.name for e in found.best}
+    (sized,) = (e for e in found.best if e.name == "bias.drift")
+    assert sized.coefficients[0].size > 2 * stated
+    state = session.add("bias.drift")
+    assert state.model.effect("bias.drift") == sized
+    assert "resize('bias.drift'" in session.script()
