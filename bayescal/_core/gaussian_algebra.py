@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.linalg.lapack import dpotrf, dpotri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
+from scipy.linalg.lapack import dgeqrf, dpotrf, dpotri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 STRETCH = 8192  # rows
 LOG_2PI = math.log(2 * math.pi)
@@ -31,6 +31,38 @@ def triangle(table: Float[Array, "n p"]) -> Float[Array, "q p"]:
     upper = jax.lax.fori_loop(1, whole, further, jnp.linalg.qr(table[:STRETCH], mode="r"))
     rest = table[whole * STRETCH :]
     return jnp.linalg.qr(jnp.concatenate([upper, rest]), mode="r") if len(rest) else upper
+
+
+class QR(NamedTuple):
+    """QR of a whitened table [A r]: R, Qᵀr, and what of r lies outside."""
+
+    root: Float[np.ndarray, "q q"]
+    inside: Float[np.ndarray, "q"]
+    outside: float
+
+    @property
+    def determined(self) -> bool:
+        scale = np.sqrt(np.sum(self.root**2, axis=0))
+        return bool(np.all(np.abs(np.diag(self.root)) > 1e-14 * scale))
+
+    @property
+    def solution(self) -> Float[np.ndarray, "q"]:
+        return dtrtrs(self.root, self.inside)[0] if self.inside.size else self.inside
+
+    def damped(self, damping: float) -> Float[np.ndarray, "q"]:
+        """The step that minimises |R·s − Qᵀr|² + damping·|weight·s|², weight the norms of R's columns."""
+        if not damping:
+            return self.solution
+        weight = np.sqrt(np.sum(self.root**2, axis=0))
+        rows = np.column_stack([np.diag(math.sqrt(damping) * weight), 0 * weight])
+        return qr(np.concatenate([np.column_stack([self.root, self.inside]), rows])).solution
+
+
+def qr(table: Float[np.ndarray, "m q1"]) -> QR:
+    """Of a table whose last column is r."""
+    upper, size = np.triu(dgeqrf(table)[0][: table.shape[1]]), table.shape[1] - 1
+    last = float(upper[size, size]) if len(upper) > size else 0.0
+    return QR(upper[:size, :size], upper[:size, size], last)
 
 
 def factors(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]:
@@ -165,3 +197,9 @@ def condition(
     volume = gram.logdet + 2 * float(np.log(pivots).sum())
     log_marginal = flat - 0.5 * (size * LOG_2PI + volume + rest)
     return Conditional(float(log_marginal), at + offset, sd, chol, u, float(rest))
+
+
+def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
+    """A scale for coefficients with a flat prior: the change that moves the output by one unit."""
+    norm = np.sqrt(np.mean(jacobian**2, axis=0))
+    return np.where(norm > 0, 1 / np.where(norm > 0, norm, 1.0), 1.0)

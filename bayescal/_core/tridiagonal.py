@@ -27,12 +27,12 @@ class Tridiagonal(NamedTuple):
         return cls(np.full(len(diagonal), np.nan) if failed else pivots, band)
 
     def forward(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
-        """L⁻¹ times a table."""
-        return dtbtrs(self.band, table, uplo="L", diag="U")[0]
+        """L⁻¹ times a table, which may be overwritten."""
+        return dtbtrs(self.band, table, uplo="L", diag="U", overwrite_b=True)[0]
 
     def back(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
-        """L⁻ᵀ times a table."""
-        return dtbtrs(self.band, table, uplo="L", trans="T", diag="U")[0]
+        """L⁻ᵀ times a table, which may be overwritten."""
+        return dtbtrs(self.band, table, uplo="L", trans="T", diag="U", overwrite_b=True)[0]
 
     def inverse(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n-1"]]:
         """The diagonal of T⁻¹, and what stands beside it.

@@ -65,13 +65,9 @@ class Assembly:
         self.kinds = [h.kind for h in self.hypers]
         self.moving = [i for i, h in enumerate(self.hypers) if h.kind in MOVING or h.name in scaled]
         # The classes' own functions, for a bound method of a module costs more than what these compute.
+        own = ((h.name, type(h.prior), h.prior) for h in self.hypers)
         self._coordinates = [
-            (
-                h.name,
-                partial(type(h.prior).value, h.prior),
-                partial(type(h.prior).log_density, h.prior),
-            )
-            for h in self.hypers
+            (name, partial(law.value, p), partial(law.log_density, p)) for name, law, p in own
         ]
 
     # φ and the priors -------------------------------------------------------------------------------------------
@@ -100,10 +96,9 @@ class Assembly:
         return float(np.log(value(v[i] + NUDGE) / value(v[i] - NUDGE))) / (2 * NUDGE)
 
     def log_prior_slope(self, v: np.ndarray) -> np.ndarray:
-        def slope(density, one):
-            return float(density(one + NUDGE) - density(one - NUDGE)) / (2 * NUDGE)
-
-        return np.array([slope(d, one) for (*_, d), one in zip(self._coordinates, v, strict=True)])
+        pairs = zip(self._coordinates, v, strict=True)
+        found = [float(d(one + NUDGE) - d(one - NUDGE)) / (2 * NUDGE) for (*_, d), one in pairs]
+        return np.array(found)
 
     @cached_property
     def in_x(self) -> tuple[Term, ...]:
@@ -154,27 +149,27 @@ class Assembly:
             if t.place == "row":
                 found.append(point.rows[:, row])
                 row += 1
-                continue
-            if t.place == "x":
-                value = point.x[t.at]
-            elif t.place == "fixed":
-                value = np.full(t.size, t.value)
             else:
-                value = np.array([hyper[name] for name in t.members])
-                if t.spread_name is not None:
-                    value = t.known.mean + hyper[t.spread_name] * value
-            # The code of no member is −1.
-            found.append(
-                value[0]
-                if t.known.per is None
-                else np.append(value, 0.0)[self.record.codes[t.known.per]]
-            )
+                found.append(self._value(t, point.x, hyper))
         return found
 
-    def _columns(self, hyper: Values, moves: Mapping[str, np.ndarray]):
+    def _value(self, t: Term, x: np.ndarray, hyper: Values) -> Any:
+        if t.place == "x":
+            value = x[t.at]
+        elif t.place == "fixed":
+            value = np.full(t.size, t.value)
+        else:
+            value = np.array([hyper[name] for name in t.members])
+            if t.spread_name is not None:
+                value = t.known.mean + hyper[t.spread_name] * value
+        if t.known.per is None:
+            return value[0]
+        return np.append(value, 0.0)[self.record.codes[t.known.per]]  # the code of no member is −1
+
+    def _columns(self, terms: Sequence[Term], hyper: Values, moves: Mapping[str, np.ndarray]):
         """The column of each term, slot units per reported unit, and its slopes by the moved columns."""
         found, last, made = [], None, None
-        for t in self.terms:
+        for t in terms:
             if t.known.of != last:
                 shapes = tuple(float(hyper[name]) for name in t.known.shape_names)
                 if moves and t.slot not in moves:
@@ -189,7 +184,7 @@ class Assembly:
 
     def slopes(self, point: Point, hyper: Values) -> dict[str, Float[np.ndarray, "n"]]:
         """Of the expected output by each slot, reading by reading."""
-        return self._responding(point, hyper)[1]
+        return self.record.affine[1] if self.affine else self._responding(point, hyper)[1]  # pyright: ignore
 
     def _responding(self, point: Point, hyper: Values):
         """Expected output, its slopes by slots and by corrected columns, and each term's column."""
@@ -198,11 +193,11 @@ class Assembly:
         if self.corrected:
             moves = {name: np.zeros(self.record.size) for name in self.corrected}
             for t, (column, _), value in zip(
-                self.terms, self._columns(hyper, {}), values, strict=True
+                self.terms, self._columns(self.terms, hyper, {}), values, strict=True
             ):
                 if t.slot in moves:
                     moves[t.slot] = moves[t.slot] + column * value
-        columns = self._columns(hyper, moves)
+        columns = self._columns(self.terms, hyper, moves)
         sums: dict[str, Any] = {}
         for t, (column, _), value in zip(self.terms, columns, values, strict=True):
             if t.slot not in moves:
@@ -217,6 +212,8 @@ class Assembly:
 
     def linearise(self, point: Point, hyper: Values) -> Line:
         """Expected output and Jacobian at a point, output unit per reported unit."""
+        if self.affine:
+            return self._affine_line(point, hyper)
         mean, slopes, columns = self._responding(point, hyper)
         n, row = self.record.size, 0
         jacobian, rows = np.zeros((n, self.size), order="F"), np.zeros((n, len(self.row_sd)))
@@ -227,6 +224,32 @@ class Assembly:
                 rows[:, row] = slopes[t.slot] * column
                 row += 1
         return Line(mean, jacobian, rows)
+
+    def _affine_line(self, point: Point, hyper: Values) -> Line:
+        """The same where the expected output is affine: columns that never change are put together once."""
+        mean, slopes = self.record.affine  # pyright: ignore[reportGeneralTypeIssues]
+        jacobian, rows, row = self._plain.copy(order="F"), np.zeros_like(point.rows), 0
+        moving = [t for t in self.terms if t.place != "x" or t.known.shape_names]
+        for t, (column, _) in zip(moving, self._columns(moving, hyper, {}), strict=True):
+            column = slopes[t.slot] * column
+            if t.place == "x":
+                self._place(t, column, jacobian)
+            elif t.place == "row":
+                rows[:, row] = column
+                row += 1
+            else:
+                mean = mean + column * self._value(t, point.x, hyper)
+        mean = mean + jacobian @ point.x
+        return Line(mean + np.sum(rows * point.rows, axis=1) if row else mean, jacobian, rows)
+
+    @cached_property
+    def _plain(self) -> Float[np.ndarray, "n p"]:
+        """The Jacobian of an affine model, but for the columns that shapes move."""
+        slopes = self.record.affine[1]  # pyright: ignore[reportOptionalSubscript]
+        found = np.zeros((self.record.size, self.size), order="F")
+        for slot, design in self.designs.items():
+            found += slopes[slot][:, None] * design
+        return found
 
     def jacobian_slopes(
         self, i: int, slopes: Mapping[str, np.ndarray], hyper: Values
@@ -244,19 +267,21 @@ class Assembly:
         if not self.affine or not own or not plain:
             return None
         made = self.record.column_slopes(own[0].known.columns, float(hyper[name]))
-        wide, at = np.zeros((self.record.size, self.size), order="F"), []
+        at = np.concatenate([np.arange(t.at.start, t.at.stop) for t in own])
+        moved = np.zeros((self.record.size, len(at)), order="F")
         for t in own:
-            self._place(t, slopes[t.slot] * made[:, t.index] * t.factor, wide)
-            at += range(t.at.start, t.at.stop)
-        return np.array(at), wide[:, at]
+            column = slopes[t.slot] * made[:, t.index] * t.factor
+            self._place(t, column, moved, t.at.start - int(np.searchsorted(at, t.at.start)))
+        return at, moved
 
-    def _place(self, term: Term, column: np.ndarray, jacobian: np.ndarray) -> None:
+    def _place(self, term: Term, column: np.ndarray, jacobian: np.ndarray, ahead: int = 0) -> None:
+        start = term.at.start - ahead
         if term.known.per is None:
-            jacobian[:, term.at.start] = column
+            jacobian[:, start] = column
             return
         codes = self.record.codes[term.known.per]
         known = np.flatnonzero(codes >= 0)
-        jacobian[known, term.at.start + codes[known]] = column[known]
+        jacobian[known, start + codes[known]] = column[known]
 
     @cached_property
     def designs(self) -> dict[str, Float[np.ndarray, "n p"]]:
@@ -265,18 +290,11 @@ class Assembly:
         for t in () if self.corrected else self.in_x:
             if not t.known.shape_names:
                 matrix = found.setdefault(t.slot, np.zeros((self.record.size, self.size)))
-                self._place(
-                    t, self.record.columns(t.known.columns, ())[:, t.index] * t.factor, matrix
-                )
+                column = self.record.columns(t.known.columns, ())[:, t.index]
+                self._place(t, column * t.factor, matrix)
         return found
 
     @cached_property
     def affine(self) -> bool:
         """Whether the expected output is affine in x and in the per-reading coefficients."""
         return not self.corrected and self.record.affine is not None
-
-
-def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
-    """A scale for coefficients with a flat prior: the change that moves the output by one unit."""
-    norm = np.sqrt(np.mean(jacobian**2, axis=0))
-    return np.where(norm > 0, 1 / np.where(norm > 0, norm, 1.0), 1.0)

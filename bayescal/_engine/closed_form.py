@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.gaussian_algebra import Conditional, Gram, condition
-from bayescal._engine.assembly import NUDGE, Assembly, Line, Point, Values
-from bayescal._engine.noise_slopes import noise_slopes
+from bayescal._engine.assembly import Assembly, Line, Point, Values
+from bayescal._engine.noise_slopes import even_slope, noise_slopes, spread_slope
 from bayescal._engine.whitening import Robust, Whitening, known_variance, robust, whitening
 from bayescal._model.noise_laws import White
 
@@ -193,7 +193,9 @@ class Density:
         gradient += assembly.log_prior_slope(v)
         covariance = found.covariance_of_z
         z = (found.mean - found.shift) / np.where(found.sd > 0, found.sd, 1.0)
-        excess = (z**2 + np.diag(covariance) - 1) * assembly.weight_of_x
+        weight, of_z = assembly.weight_of_x, np.diag(covariance)
+        excess = (z**2 + of_z - 1) * weight
+        squares, spent = found.rest - float(weight @ z**2), z.size - float(of_z @ weight)
         exact = assembly.noise.gaussian  # else the curvature at the mode of x moves with all of φ
         known = (
             self._noise_slopes(v, found) | self._shape_slopes(v, found, covariance) if exact else {}
@@ -202,9 +204,9 @@ class Density:
             if not exact:
                 gradient[i] += self._difference(v, i, value, careful=True)
             elif kind == "spread" and i not in assembly.moving:
-                gradient[i] += excess @ self._log_size_slope(v, i)
+                gradient[i] += spread_slope(assembly, v, i, excess)
             elif kind == "noise" and self.even:
-                gradient[i] += self._white_slope(v, found, z, covariance)
+                gradient[i] += even_slope(assembly, v, squares, spent)
             elif i in known:
                 gradient[i] += known[i]
             else:
@@ -249,35 +251,17 @@ class Density:
         if gram is None:
             assert self._white is not None
             (white, _, table), scale = self._white, 1.0
-        mean, made = found.mean, {}
-        move, spread = mean - self.point.x, found.sd[:, None] * covariance * found.sd
-        for i in shapes:
-            known = assembly.jacobian_slopes(i, slopes, hyper)
-            if known is not None:
-                at, columns = known
-                products = (columns if white is None else white(columns)).T @ table / scale
-                left = products[:, -1] - products[:, :-1] @ move
-                made[i] = float(left @ mean[at] - np.sum(spread[at] * products[:, :-1]))
+        mean, move = found.mean, found.mean - self.point.x
+        spread = found.sd[:, None] * covariance * found.sd
+        known = {i: assembly.jacobian_slopes(i, slopes, hyper) for i in shapes}
+        known = {i: one for i, one in known.items() if one is not None}
+        if not known:
+            return {}
+        columns = np.column_stack([moved for _, moved in known.values()])
+        products = (columns if white is None else white(columns)).T @ table / scale
+        made, row = {}, 0
+        for i, (at, _) in known.items():
+            own, row = products[row : row + len(at)], row + len(at)
+            left = own[:, -1] - own[:, :-1] @ move
+            made[i] = float(left @ mean[at] - np.sum(spread[at] * own[:, :-1]))
         return made
-
-    def _log_size_slope(self, v: np.ndarray, i: int) -> np.ndarray:
-        up, down = v.copy(), v.copy()
-        up[i] += NUDGE
-        down[i] -= NUDGE
-        sizes = (
-            self.assembly.sizes.at(self.assembly.hyper(up)),
-            self.assembly.sizes.at(self.assembly.hyper(down)),
-        )
-        with np.errstate(all="ignore"):
-            found = (np.log(sizes[0]) - np.log(sizes[1])) / (2 * NUDGE)
-        return np.where(np.isfinite(found), found, 0.0)
-
-    def _white_slope(
-        self, v: np.ndarray, found: Conditional, z: np.ndarray, covariance: np.ndarray
-    ) -> float:
-        """By the coordinate of one white standard deviation s: −(n − squares/s² − tr C·JᵀJ/s²) times dlog s/dv."""
-        weight = self.assembly.weight_of_x
-        squares = found.rest - weight @ z**2
-        spent = z.size - float(np.sum(np.diag(covariance) * weight))
-        slope = self.assembly.value_slope(v, self.assembly.kinds.index("noise"))
-        return float(-(self.assembly.record.size - squares - spent) * slope)

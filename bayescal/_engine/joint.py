@@ -166,15 +166,14 @@ def linearise_draws(
     x = np.broadcast_to(point.x, (count, assembly.size))
     rows = np.broadcast_to(point.rows, (count, *point.rows.shape))
     mean, columns = expected_with_slopes(assembly, x, rows, hyper, assembly.in_x)
-    table = np.zeros((count, record.size, assembly.size + 1))
+    table = np.zeros((count, assembly.size + 1, record.size)).transpose(0, 2, 1)
     for t, column in zip(assembly.in_x, columns, strict=True):
         if t.known.per is None:
             table[:, :, t.at.start] = column
-        else:
-            codes = record.codes[t.known.per]
-            known = np.flatnonzero(codes >= 0)
-            wide = np.broadcast_to(column, (count, record.size))
-            table[:, known, t.at.start + codes[known]] = wide[:, known]
+            continue
+        known = np.flatnonzero((codes := record.codes[t.known.per]) >= 0)
+        wide = np.broadcast_to(column, (count, record.size))
+        table[:, known, t.at.start + codes[known]] = wide[:, known]
     table[:, :, -1] = record.y - mean
     return table
 
@@ -186,17 +185,16 @@ def expected_with_slopes(
     to one member of a term's group."""
     record = assembly.record
     moves = _moves(assembly, x, rows, hyper)
-    mean, slopes = record.responses(_slots(assembly, x, rows, hyper, moves), moves)
-    slopes, wanted = dict(slopes), {id(t): i for i, t in enumerate(terms)}
-    made, found = {}, {}
+    known: dict[str, np.ndarray] = {}
+    mean, slopes = record.responses(_slots(assembly, x, rows, hyper, moves, known), moves)
+    slopes, wanted, found = dict(slopes), {id(t) for t in terms}, {}
+    made = {} if moves else {of: (columns, {}) for of, columns in known.items()}
     for t, value in zip(assembly.terms, _values(assembly, x, rows, hyper), strict=True):
         if not (moves or id(t) in wanted):
             continue
-        if t.known.of not in made:
-            made = {
-                t.known.of: _moved_columns(assembly, t, hyper, {} if t.slot in moves else moves)
-            }
-        columns, by_move = made[t.known.of]
+        if (of := t.known.of) not in made:
+            made[of] = _moved_columns(assembly, t, hyper, {} if t.slot in moves else moves)
+        columns, by_move = made[of]
         found[id(t)] = columns[..., t.index] * t.factor
         for name, slope in by_move.items():
             slopes[name] = slopes[name] + slopes[t.slot] * slope[..., t.index] * t.factor * value
@@ -207,7 +205,7 @@ def _moves(assembly: Assembly, x, rows, hyper: Batch) -> dict[str, np.ndarray]:
     """What columns of the readings are corrected by, (b, n) each."""
     moves = {name: np.zeros((len(x), assembly.record.size)) for name in assembly.corrected}
     if moves:
-        _sum_into(moves, assembly, list(_values(assembly, x, rows, hyper)), hyper, {})
+        _sum_into(moves, assembly, _values(assembly, x, rows, hyper), hyper, {}, {})
     return moves
 
 
@@ -229,29 +227,28 @@ def expected(
     return assembly.record.several(_slots(assembly, x, rows, hyper, moves), moves)
 
 
-def _slots(assembly: Assembly, x, rows, hyper: Batch, moves: dict) -> dict[str, np.ndarray]:
-    """What the coefficients of each slot come to, (b, n) each."""
+def _slots(
+    assembly: Assembly, x, rows, hyper: Batch, moves: dict, made: dict | None = None
+) -> dict[str, np.ndarray]:
+    """What the coefficients of each slot come to, (b, n) each; `made` keeps the columns by effect."""
     slots = {name: np.zeros((len(x), assembly.record.size)) for name in assembly.record.slots}
     for name, design in assembly.designs.items():
         slots[name] += x @ design.T
-    _sum_into(slots, assembly, list(_values(assembly, x, rows, hyper)), hyper, moves)
+    made = {} if made is None else made
+    _sum_into(slots, assembly, _values(assembly, x, rows, hyper), hyper, moves, made)
     return slots
 
 
-def _sum_into(sums: dict, assembly: Assembly, values: list, hyper: Batch, moves: dict) -> None:
+def _sum_into(sums: dict, assembly: Assembly, values, hyper: Batch, moves: dict, made: dict):
     """Add up what the coefficients of each slot come to."""
-    made: tuple[str, np.ndarray] | None = None
     designs = assembly.designs
     for t, value in zip(assembly.terms, values, strict=True):
         if t.slot not in sums or (t.place == "x" and t.slot in designs and not t.known.shape_names):
             continue
-        if made is None or made[0] != t.known.of:
-            made = (
-                t.known.of,
-                _columns(assembly, t.known.columns, t.known.shape_names, hyper, moves),
-            )
-        column = made[1][..., t.index] * t.factor
-        sums[t.slot] += column * value
+        of, names = t.known.of, t.known.shape_names
+        if of not in made:
+            made[of] = _columns(assembly, t.known.columns, names, hyper, moves)
+        sums[t.slot] += made[of][..., t.index] * t.factor * value
 
 
 def _columns(assembly: Assembly, columns: ColumnsOf, names, hyper: Batch, moves: dict):

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.gaussian_algebra import LOG_2PI, Conditional, condition
+from bayescal._core.gaussian_algebra import LOG_2PI, Conditional, column_scale, condition
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.assembly import Assembly, Point, column_scale
+from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import NOWHERE, Density
 from bayescal._engine.whitening import variance_of
 

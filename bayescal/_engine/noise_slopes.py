@@ -1,4 +1,4 @@
-"""How a marginal likelihood moves with the parameters of Gaussian noise, in closed form.
+"""How a marginal likelihood moves with the parameters of Gaussian noise and with learned spreads, in closed form.
 
 With M = [J | r], x integrated out, C the covariance of x and e the residuals at its mean, a parameter t of the noise
 moves −½·(log|Σ| + log|A| + squares) by
@@ -41,6 +41,41 @@ def noise_slopes(
         return {i: float(by_variance @ _variance_slope(assembly, v, i)) for i in own}
     by_name = _of_correlated(white.recursion, white, table, whitened, assembly.hyper(v))
     return {i: by_name[assembly.hypers[i].name] * assembly.value_slope(v, i) for i in own}
+
+
+def even_slope(
+    assembly: Assembly, v: Float[np.ndarray, "d"], squares: float, spent: float
+) -> float:
+    """By the coordinate of one white standard deviation: −(n − squares − tr C·JᵀJ) times the slope of its logarithm.
+
+    Args:
+        assembly: the structure on its record.
+        v: coordinates of φ.
+        squares: of the whitened residuals at the mean of x.
+        spent: degrees of freedom that x took.
+    """
+    slope = assembly.value_slope(v, assembly.kinds.index("noise"))
+    return float(-(assembly.record.size - squares - spent) * slope)
+
+
+def spread_slope(
+    assembly: Assembly, v: Float[np.ndarray, "d"], i: int, excess: Float[np.ndarray, "p"]
+) -> float:
+    """By the coordinate of a learned spread.
+
+    Args:
+        assembly: the structure on its record.
+        v: coordinates of φ.
+        i: where in φ the spread stands.
+        excess: of each coefficient, (mean² + variance − 1) in units of its prior; 0 under a flat one.
+    """
+    up, down = v.copy(), v.copy()
+    up[i] += NUDGE
+    down[i] -= NUDGE
+    sizes = [assembly.sizes.at(assembly.hyper(one)) for one in (up, down)]
+    with np.errstate(all="ignore"):
+        found = (np.log(sizes[0]) - np.log(sizes[1])) / (2 * NUDGE)
+    return float(excess @ np.where(np.isfinite(found), found, 0.0))
 
 
 def _variance_slope(assembly: Assembly, v: np.ndarray, i: int) -> Float[np.ndarray, "n"]:

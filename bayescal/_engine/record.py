@@ -76,14 +76,17 @@ class Record:
 
     @cached_property
     def codes(self) -> dict[str, np.ndarray]:
-        return {
-            group: np.asarray(codes, dtype=np.intp) for group, codes in self.frame.codes.items()
-        }
+        return {name: np.asarray(own, dtype=np.intp) for name, own in self.frame.codes.items()}
 
     @cached_property
     def in_time(self) -> tuple[np.ndarray, np.ndarray]:
         """The order of time within runs, and the steps in it, s; −1 at a run's first reading."""
         return np.asarray(self.frame.order), np.asarray(self.frame.step)
+
+    @cached_property
+    def is_in_time(self) -> bool:
+        """Whether the readings stand in that order."""
+        return bool(np.all(np.diff(self.in_time[0]) > 0))
 
     def position(self, column: str) -> Float[np.ndarray, "n"]:
         """Along a column, −1 … 1 over its range at the fit; beyond it at its end."""
@@ -137,10 +140,7 @@ class Record:
             found = self._computed(effect, [prior.value(at)], {})
             found = found.transpose(0, 2, 1).reshape(len(at), -1)
             nodes, there = found[: len(NODES)], found[len(NODES) :]
-            apart = max(
-                np.max(np.abs(shares(v) @ nodes - row))
-                for v, row in zip(BETWEEN, there, strict=True)
-            )
+            apart = np.max(np.abs(shares(BETWEEN) @ nodes - there))
             smooth = apart <= INTERPOLATED * np.max(np.abs(nodes), initial=1e-300)
             self._curves[key] = nodes if smooth else None
         return self._curves[key]

@@ -12,14 +12,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs
+from scipy.linalg.lapack import dgeqrf, dtrtri
 from scipy.optimize import minimize, root
 
-from bayescal._core.gaussian_algebra import LOG_2PI, Prior
+from bayescal._core.gaussian_algebra import LOG_2PI, QR, Prior, qr
 from bayescal._core.parallel import on_one_thread
 from bayescal._engine.assembly import Assembly, Line, Point
 from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import Mode
+from bayescal._engine.noise_slopes import even_slope, noise_slopes, spread_slope
 from bayescal._engine.whitening import Whitening, whitening
 from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION
 
@@ -30,6 +31,9 @@ RESTS = 1e-9  # change of φ's coordinates in a round, below which it rests
 ROUNDS = 30  # at most
 STEPS = 200  # of θ in a round
 SHIFT = 1e-4  # of a coordinate, for slopes by differences
+EDGE = (
+    5.0  # coordinate of a time between bounds, from which it stands at one: nothing stops it beyond
+)
 
 
 class Solution(NamedTuple):
@@ -40,29 +44,6 @@ class Solution(NamedTuple):
     converged: bool
 
 
-class _Factors(NamedTuple):
-    """QR of a whitened table [A r]: R, Qᵀr, and what of r lies outside."""
-
-    root: Float[np.ndarray, "q q"]
-    inside: Float[np.ndarray, "q"]
-    outside: float
-
-    @property
-    def determined(self) -> bool:
-        scale = np.sqrt(np.sum(self.root**2, axis=0))
-        return bool(np.all(np.abs(np.diag(self.root)) > 1e-14 * scale))
-
-    @property
-    def solution(self) -> Float[np.ndarray, "q"]:
-        return dtrtrs(self.root, self.inside)[0] if self.inside.size else self.inside
-
-
-def _factors(table: Float[np.ndarray, "m q1"]) -> _Factors:
-    upper, size = np.triu(dgeqrf(table)[0][: table.shape[1]]), table.shape[1] - 1
-    last = float(upper[size, size]) if len(upper) > size else 0.0
-    return _Factors(upper[:size, :size], upper[:size, size], last)
-
-
 class _Given(NamedTuple):
     """θ integrated out of the model linearised somewhere, given φ."""
 
@@ -71,6 +52,7 @@ class _Given(NamedTuple):
     covariance: Float[np.ndarray, "q q"]
     squares: float  # of the whitened residuals at the mean, without the prior's
     spent: float  # degrees of freedom
+    slopes: dict[int, float]  # of log_marginal by the scales' coordinates
 
 
 @on_one_thread
@@ -153,22 +135,22 @@ class _Refinement:
         prior, (first, extra) = self.prior(v), self.table(theta, v)
         own = np.diag(prior.weight)
 
-        def look(at: np.ndarray, made: np.ndarray | None = None) -> tuple[float, _Factors]:
+        def look(at: np.ndarray, made: np.ndarray | None = None) -> tuple[float, QR]:
             plain = self.table(at, v)[0] if made is None else made
             white = self.whiten(v, extra, plain[:, -1])
             table = white(plain)
             z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
             whole = np.concatenate([table * np.append(prior.sd, 1.0), np.column_stack([own, -z])])
             if not np.all(np.isfinite(whole)):
-                return math.inf, _factors(np.zeros_like(whole))
-            return float(whole[:, -1] @ whole[:, -1]) + white.beyond, _factors(whole)
+                return math.inf, qr(np.zeros_like(whole))
+            return float(whole[:, -1] @ whole[:, -1]) + white.beyond, qr(whole)
 
         cost, found = look(theta, first)
         damping, best = 0.0, float(np.linalg.norm(found.inside))
         for _ in range(STEPS):
             if not found.determined:
                 return theta, False
-            trial = theta + prior.sd * _damped(found, damping)
+            trial = theta + prior.sd * found.damped(damping)
             there, further = look(trial)
             left = float(np.linalg.norm(further.inside))
             near = best <= GOOD * math.sqrt(cost)
@@ -183,16 +165,16 @@ class _Refinement:
             damping = max(10 * damping, 1e-3)
         return theta, best <= GOOD * math.sqrt(cost)
 
-    def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[[np.ndarray], _Given]:
-        """A function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
+    def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
+        """A function of φ's coordinates: θ integrated out of the model linearised here, by QR; with slopes if asked."""
         table, extra = self.table(theta, v)
         size, even = len(table), self.density.even
         upper = np.triu(dgeqrf(table)[0][: table.shape[1]]) if even else table
         lost = np.full((theta.size, theta.size), np.nan)
-        nowhere = _Given(-math.inf, np.full(theta.size, np.nan), lost, math.nan, math.nan)
+        nowhere = _Given(-math.inf, np.full(theta.size, np.nan), lost, math.nan, math.nan, {})
 
-        def given(v: np.ndarray) -> _Given:
-            prior = self.prior(v)
+        def given(v: np.ndarray, sloped: bool = False) -> _Given:
+            prior, white = self.prior(v), None
             if even:
                 sd = self.assembly.hyper(v)["noise.white"]
                 if not sd > np.finfo(float).tiny:
@@ -204,7 +186,7 @@ class _Refinement:
             offset = prior.weight * (prior.mean - theta)
             own = np.column_stack([made[:, :-1] * prior.sd, made[:, -1] - made[:, :-1] @ offset])
             rows = np.column_stack([np.diag(prior.weight), 0 * offset])
-            found = _factors(np.concatenate([own, rows]))
+            found = qr(np.concatenate([own, rows]))
             if not found.determined:
                 return nowhere
             z = found.solution
@@ -218,8 +200,14 @@ class _Refinement:
             total = float(flat) - 0.5 * (size * LOG_2PI + volume + rest)
             mean = theta + offset + prior.sd * z
             squares = rest - float(prior.weight @ z**2)
-            spent = z.size - float(np.diag(of_z) @ prior.weight)
-            return _Given(total, mean, root @ root.T, squares, spent)
+            spent, slopes = z.size - float(np.diag(of_z) @ prior.weight), {}
+            if sloped:
+                excess = (z**2 + np.diag(of_z) - 1) * prior.weight
+                slopes = self._slopes(v, excess, (squares, spent))
+            if sloped and white is not None:
+                turn = np.block([[root, (theta - mean)[:, None]], [0 * offset, np.ones(1)]])
+                slopes |= noise_slopes(self.assembly, v, white, table @ turn, made @ turn)
+            return _Given(total, mean, root @ root.T, squares, spent, slopes)
 
         return given
 
@@ -231,23 +219,43 @@ class _Refinement:
         if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
         hypers = [(i, assembly.hypers[i]) for i in self.scales]
-        priors = [(i, h.prior.log_density) for i, h in hypers if h.name not in SCALES]
-
-        def value(scales: np.ndarray) -> float:
-            there = _put(scales, self.scales, v)
-            return given(there).log_marginal + sum(float(d(there[i])) for i, d in priors)
-
-        slope = partial(_differences, value, step=SHIFT)
-        curvature = partial(_differences, slope, step=10 * SHIFT)
-        best = v[self.scales]
-        if not math.isfinite(value(best)):
+        priors = [i for i, h in hypers if h.name not in SCALES]
+        if not math.isfinite(given(v).log_marginal):
             return v
+
+        def value(scales: np.ndarray) -> tuple[float, np.ndarray]:
+            """Minus the log density, and its slopes."""
+            there = _put(scales, self.scales, v)
+            found = given(there, sloped=True)
+            slopes = np.array([found.slopes.get(i, math.nan) for i in self.scales])
+            counts = np.isin(self.scales, priors)
+            slopes += counts * assembly.log_prior_slope(there)[self.scales]
+            own = sum(float(assembly.hypers[i].prior.log_density(there[i])) for i in priors)
+            return -found.log_marginal - own, -slopes
+
+        def slope(scales: np.ndarray) -> np.ndarray:
+            return value(scales)[1]
+
+        best = v[self.scales]
         if np.max(np.abs(slope(best))) > 1e-3:
-            found = minimize(lambda s: -value(s), best, jac=lambda s: -slope(s))
-            best = found.x if value(found.x) >= value(best) else best
-        sharper = root(slope, best, jac=curvature).x
+            found = minimize(value, best, jac=True)
+            best = found.x if found.fun <= value(best)[0] else best
+        sharper = root(slope, best, jac=partial(_differences, slope, step=SHIFT)).x
         best = min(best, sharper, key=lambda v: np.linalg.norm(slope(v)))
-        return _put(best, self.scales, v)
+        bounded = [h.name == CORRELATION_TIME for _, h in hypers]
+        return _put(np.where(bounded, np.clip(best, -EDGE, EDGE), best), self.scales, v)
+
+    def _slopes(
+        self, v: np.ndarray, excess: np.ndarray, spent: tuple[float, float]
+    ) -> dict[int, float]:
+        """By the spreads' coordinates, and by that of one white standard deviation for all readings."""
+        found = {}
+        for i in self.scales:
+            if self.assembly.kinds[i] == "spread":
+                found[i] = spread_slope(self.assembly, v, i, excess[: self.assembly.size])
+            elif self.density.even:
+                found[i] = even_slope(self.assembly, v, *spent)
+        return found
 
     def _noise(self, given: Callable[[np.ndarray], _Given], v: np.ndarray) -> np.ndarray:
         """The one standard deviation of independent noise: squares over the degrees of freedom left."""
@@ -276,15 +284,6 @@ class _Refinement:
 
         rows = _differences(slope, theta, 1e-3 * sd)
         return 0.5 * (rows + rows.T)
-
-
-def _damped(found: _Factors, damping: float) -> Float[np.ndarray, "q"]:
-    """The step that minimises |R·s − Qᵀr|² + damping·|weight·s|², weight the norms of R's columns."""
-    if not damping:
-        return found.solution
-    weight = np.sqrt(np.sum(found.root**2, axis=0))
-    rows = np.column_stack([np.diag(math.sqrt(damping) * weight), 0 * weight])
-    return _factors(np.concatenate([np.column_stack([found.root, found.inside]), rows])).solution
 
 
 def _put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._core.gaussian_algebra import column_scale
 from bayescal._engine import pieces
-from bayescal._engine.assembly import Assembly, Point, column_scale
+from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import Density
 from bayescal._engine.linear_model import sized
 from bayescal._engine.mode import across, find_mode
