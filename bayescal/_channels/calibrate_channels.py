@@ -20,6 +20,7 @@ from bayescal._model.model import Model
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.set_aside import set_aside
 from bayescal._search.library import Library
+from bayescal._search.posterior import FOUND
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import BEAM
 
@@ -78,9 +79,11 @@ def calibrate_channels(
         )
         with stage(name):
             channels.append(_Channel.begun(name, model, loop, effects, widen_noise))
-    shared = _shared(channels)
-    trails = {}
+    shared, trails = _shared(channels), {}
+    of_unit = frozenset(s.effect for s in shared if s.probability > FOUND)
     for channel in channels:
+        if channel.structures is not None:
+            channel.structures.of_unit = of_unit
         with stage(channel.name):
             trails[channel.name] = channel.trail(follow)
     return Channels(trails, tuple(shared))
@@ -212,9 +215,11 @@ def _shared(channels: Sequence[_Channel]) -> list[SharedShape]:
         for n, now in c.heard.items():
             alone[n] = max(alone.get(n, 0.0), 1 / (1 + math.exp(-now.log_odds)))
     for _ in range(ROUNDS):
-        found = _said(channels, shapes, alone)
         moved = []
-        for c in channels:
+        for c in (
+            channels
+        ):  # each hears what those before it now say: told all at once, they would swap opinions
+            found = _said(channels, shapes, alone)
             with stage(c.name):
                 moved.append(c.hear({n: found[n].from_others(c.name) for n in c.shared}))
         if not any(moved):

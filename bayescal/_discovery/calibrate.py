@@ -21,7 +21,7 @@ from bayescal._diagnostics.noise_in_time import noise_floor
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over, told
 from bayescal._discovery.gate import gate, wrong_question
-from bayescal._discovery.search_path import SearchPath, Step
+from bayescal._discovery.search_path import Gate, SearchPath, Step
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
@@ -32,10 +32,11 @@ from bayescal._recording.set_aside import set_aside
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, Shown
 from bayescal._search.structures import Structure, Structures
-from bayescal._search.walk import STOPPED, walk
+from bayescal._search.walk import STOPPED, path, walk
 
 QUICK = LeastSquares(draws=500)
 NOT_LOOKED = "Nothing was looked for."
+UNDER_WAY = Gate(False, "The search is under way: this model is not its end.")
 
 
 def calibrate(
@@ -181,14 +182,14 @@ class Loop:
         def tell() -> None:
             follow(self.trail(steps, structures, complete=False))
 
-        path = structures.path(Posterior.of(structures).chosen)
+        way = path(library, Posterior.of(structures).chosen)
         try:
-            for before, at in pairwise(path):
+            for before, at in pairwise(way):
                 model = structures.weigh(at).sized_model
-                method = self.method if at == path[-1] else self.quick(model)
+                method = self.method if at == way[-1] else self.quick(model)
                 steps.append(self.step(model, before, at, method=method))
                 tell()
-            if len(path) == 1 and self.method != QUICK:
+            if len(way) == 1 and self.method != QUICK:
                 steps[0] = self.step(first.calibration.model, method=self.method)
         except KeyboardInterrupt:
             if stopped:
@@ -197,7 +198,7 @@ class Loop:
         if first.calibration.verdict.ok:
             steps = [
                 replace(s, discovery=told(library, at, shut, stopped))
-                for s, at in zip(steps, path, strict=False)
+                for s, at in zip(steps, way, strict=False)
             ]
         return self.trail(steps, structures, complete=not stopped, stopped=stopped)
 
@@ -249,8 +250,9 @@ class Loop:
             seconds=time.monotonic() - self.begun,
             max_effects=self.max_effects,
         )
-        other = _other_path(structures) if complete or stopped else None
-        return SearchPath(tuple(steps), gate(steps), self.holdout, other, search)
+        if not (complete or stopped):
+            return SearchPath(tuple(steps), UNDER_WAY, self.holdout, None, search)
+        return SearchPath(tuple(steps), gate(steps), self.holdout, _other_path(structures), search)
 
 
 def step_of(

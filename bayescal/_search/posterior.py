@@ -35,6 +35,7 @@ class Posterior:
         total: log evidence and log prior of each.
         probability: of each.
         refitted: those of them that were refitted.
+        of_unit: effects that the unit is found to have whose channel this is.
     """
 
     given: frozenset[str]
@@ -42,6 +43,7 @@ class Posterior:
     total: np.ndarray
     probability: np.ndarray
     refitted: dict[Structure, Weighed]
+    of_unit: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, structures: Structures, given: Iterable[str] = ()) -> Posterior:
@@ -55,7 +57,8 @@ class Posterior:
         inside = sorted(inside, key=lambda s: (-totals[s], s not in refitted))
         total = np.array([totals[s] for s in inside])
         weight = np.exp(total - total[0])
-        return cls(held, tuple(inside), total, weight / weight.sum(), refitted)
+        probability = weight / weight.sum()
+        return cls(held, tuple(inside), total, probability, refitted, structures.of_unit)
 
     @property
     def best(self) -> Structure:
@@ -114,10 +117,16 @@ class Posterior:
 
     @property
     def chosen(self) -> Structure:
-        """The structure to use: the most probable, without what is not found."""
+        """The structure to use: the most probable, without what is not found.
+
+        Of what the unit is found to have, a channel has what is more probable there than not. Source: M. Barbieri and
+        J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
+        """
         best = self.best
-        kept = {n for n in best.effects if any(n in f.effects for f in self.findings)}
-        return Structure(frozenset(kept) | self.given, best.noise)
+        found = {n for f in self.findings for n in f.effects}
+        found |= {n for n in self.of_unit if self.inclusion(n) > 0.5}
+        kept = best.effects & found
+        return Structure(kept | self.given, best.noise)
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from bayescal._core.gaussian_algebra import column_scale
 from bayescal._diagnostics.evidence_scale import STRONG
-from bayescal._engine.assembly import Assembly, column_scale
+from bayescal._engine.assembly import Assembly
 from bayescal._engine.closed_form import Density
 from bayescal._engine.linear_model import LinearModel, linear_model
 from bayescal._engine.mode import Mode, find_mode
@@ -28,6 +29,7 @@ from bayescal._model.parameters import Layout
 from bayescal._search.departures import Form, form_of, may_depart, scored
 from bayescal._search.noise_laws import log_prior
 from bayescal._search.plausible_sizes import STILL, averaged, has_size
+from bayescal._search.starts import carried, starts
 
 NOTHING = 0.5  # prior probability that no candidate is missing
 WIDE = (-6.0, 6.0)  # coordinates of a noise's size
@@ -88,12 +90,6 @@ class Weighed:
                 found = found.resize(name, factor * first.size)
         return found
 
-    @cached_property
-    def values(self) -> dict[str, float]:
-        """Coordinates of φ by name."""
-        names = [h.name for h in self.assembly.hypers]
-        return dict(zip(names, self.mode.v.tolist(), strict=True))
-
 
 @dataclass(eq=False)
 class Structures:
@@ -107,6 +103,7 @@ class Structures:
         laws: further noise laws that the readings can tell, by name.
         odds: prior log odds of candidates of which more is known than their number.
         earlier: structures weighed with other ranges of shapes: where refits begin.
+        of_unit: effects that the unit is found to have whose channel this is.
     """
 
     base: Model
@@ -116,6 +113,7 @@ class Structures:
     laws: Mapping[str, Noise]
     odds: Mapping[str, float] = field(default_factory=dict)
     earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
+    of_unit: frozenset[str] = frozenset()
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
     forms: dict[str, Form | None] = field(default_factory=dict)  # of departures, by candidate
@@ -148,18 +146,6 @@ class Structures:
         """Candidates that may be added to it."""
         barred = structure.effects | self.barred(structure)
         return [n for n in self.candidates if n not in barred]
-
-    def path(self, to: Structure) -> list[Structure]:
-        """From the base to a structure, at each step what gains most."""
-        steps = [Structure()]
-        while steps[-1] != to:
-            here = steps[-1]
-            ways = [here.plus(name) for name in sorted(to.effects - here.effects)]
-            if here.noise != to.noise:
-                ways.append(here.under(to.noise))
-            near = self.weigh(here)
-            steps.append(max(ways, key=lambda s: self.weigh(s, near).total))
-        return steps
 
     def model(self, structure: Structure, departures: tuple[Departure, ...] = ()) -> Model:
         """A structure as a model, effects in the catalogue's order, then their departures."""
@@ -225,9 +211,10 @@ class Structures:
         if near is None:
             mode = find_mode(assembly, still=STILL, curved=False)
         else:
-            starts, width = _starts(assembly, near, hints), _width(assembly, near)
+            known, width = carried(assembly, near.assembly, near.mode)
+            begin = starts(assembly, near.assembly, known, hints)
             point = assembly.point_of(near.assembly, near.mode.point)
-            mode = find_mode(assembly, starts, width, point, STILL, curved=False)
+            mode = find_mode(assembly, begin, width, point, STILL, curved=False)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         assembly, mode, log_evidence = averaged(assembly, mode, sized)
         log_prior = self.log_prior(structure)
@@ -240,7 +227,9 @@ class Structures:
         assembly = self._assembled(structure, near)
         if assembly.kinds.count("noise") != 1:
             return math.inf
-        point, v = assembly.point_of(near.assembly, near.mode.point), _starts(assembly, near, ())[0]
+        point = assembly.point_of(near.assembly, near.mode.point)
+        known, _ = carried(assembly, near.assembly, near.mode)
+        v = np.array([known.get(h.name, 0.0) for h in assembly.hypers])
         flat = column_scale(assembly.linearise(point, assembly.hyper(v)).jacobian)
         density, of_size = Density(assembly, point, flat), np.array(assembly.kinds) == "noise"
         found = minimize_scalar(
@@ -263,38 +252,3 @@ class Structures:
     @property
     def best(self) -> Weighed:
         return max(self.visited.values(), key=lambda w: w.total)
-
-
-def _carried(assembly: Assembly, near: Weighed) -> dict[str, float]:
-    """Coordinates of another structure's φ̂ by name, where these priors have the same values."""
-    theirs = {h.name: h.prior for h in near.assembly.hypers}
-    found = dict(near.values)
-    for h in assembly.hypers:
-        if h.name in theirs and h.prior != theirs[h.name]:
-            found[h.name] = h.prior.coordinate(float(theirs[h.name].value(found[h.name])))
-    return found
-
-
-def _width(assembly: Assembly, near: Weighed) -> np.ndarray:
-    """A first guess of φ's covariance: another structure's, and that of a badly known coordinate for the others."""
-    names, known = [h.name for h in assembly.hypers], list(near.values)
-    found = 0.1 * np.eye(len(names))
-    at = [i for i, n in enumerate(names) if n in near.values]
-    there = [known.index(names[i]) for i in at]
-    found[np.ix_(at, at)] = near.mode.covariance[np.ix_(there, there)]
-    return found
-
-
-def _starts(
-    assembly: Assembly, near: Weighed, hints: Sequence[Mapping[str, float]]
-) -> list[np.ndarray]:
-    """Where the climb may begin: at another structure's φ̂, at the hints, and one step aside along each known shape."""
-    names, carried = [h.name for h in assembly.hypers], _carried(assembly, near)
-    here = {n: carried.get(n, 0.0) for n in names}
-    starts = [here, *({**here, **{n: v for n, v in hint.items() if n in names}} for hint in hints)]
-    for h in assembly.hypers:
-        if h.kind == "shape" and h.name in carried:
-            starts += [{**here, h.name: here[h.name] + aside} for aside in (-1.0, 1.0)]
-        elif h.name not in carried and h.kind in ("spread", "noise"):
-            starts += [{**here, h.name: v} for v in (-1.5, 1.0)]
-    return [np.array([start[n] for n in names]) for start in starts]

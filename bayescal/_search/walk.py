@@ -71,6 +71,29 @@ def walk(
     return ""
 
 
+@on_one_thread
+def path(library: Library, to: Structure) -> list[Structure]:
+    """From the base to a structure, at each step what gains most: by refits where there are any, else by score."""
+    structures, steps, at = library.structures, [Structure()], None
+    while True:
+        here = steps[-1]
+        at = structures.weigh(here, at)
+        if here == to:
+            return steps
+        names, totals = sorted(to.effects - here.effects), dict[Structure, float]()
+        view = View(library, at).without() if names and math.isfinite(at.total) else None
+        for name in names:
+            further = here.plus(name)
+            if view is None or further in structures.visited:
+                totals[further] = structures.weigh(further, at).total
+            else:
+                gain = gain_of(view.scores([name])[name])
+                totals[further] = at.total + structures.log_odds[name] + gain
+        if here.noise != to.noise:
+            totals[here.under(to.noise)] = structures.weigh(here.under(to.noise), at).total
+        steps.append(max(totals, key=totals.__getitem__))
+
+
 def _next(structures: Structures, looked: set[Structure]) -> Weighed | None:
     """The most probable structure of the beam that was not looked at."""
     leaders = sorted(structures.visited.values(), key=lambda w: -w.total)[:BEAM]

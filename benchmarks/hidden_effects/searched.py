@@ -20,7 +20,7 @@ from bayescal._recording.set_aside import set_aside
 from bayescal._search.posterior import Found, Posterior
 from bayescal._search.scores import Library
 from bayescal._search.structures import Structure, Structures, Weighed
-from bayescal._search.walk import walk
+from bayescal._search.walk import path, walk
 
 MOST = 5  # effects, as by default
 
@@ -77,7 +77,7 @@ class Searched:
     def reported(self) -> list[tuple[list[str], list[list[str]]]]:
         """Effects of each structure on the way to the chosen one, and the sets that are missing from it."""
         found = []
-        for at in self.structures.path(self.chosen):
+        for at in path(self.library, self.chosen):
             sets = Posterior.of(self.structures, at.effects).findings
             if sets:
                 found.append((sorted(at.effects), [list(s.effects) for s in sets]))

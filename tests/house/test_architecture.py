@@ -44,7 +44,7 @@ ROOMS = {
     "predict fit evidence",
     "_diagnostics": "evidence_scale efficient_score prior_influence noise_in_time "
     "covariate_evidence part worst_region check_result check leave_group_out compare",
-    "_search": "noise_laws plausible_sizes departures structures library scores walk posterior",
+    "_search": "noise_laws plausible_sizes departures starts structures library scores walk posterior",
     "_discovery": "candidate discover preview next_experiment false_reports draft_effect own_files search_path gate "
     "calibrate describe",
     "_channels": "shared_shape channels calibrate_channels",
@@ -57,7 +57,7 @@ ROOMS = {
     "_finding": "find_devices fleet_table",
     "_partitions": "partitions request row_groups read_partition",
     "_cluster": "open_cluster engine fit_partition doubled run fleet_result population_tree fit_fleet fit_batch",
-    "_plots": "style residuals allan search posterior",
+    "_plots": "colours style residuals allan search posterior",
     "_report": "result_json whole_folder under_way save_search section certificate d_si dcc figures tables sentences "
     "report",
     "_workbench.parts": "style work decimate pieces rows",

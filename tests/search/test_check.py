@@ -55,6 +55,7 @@ def test_the_run_that_stands_apart_is_named(readings) -> None:
     assert entry.log_bayes_factor > 5
 
 
+@pytest.mark.slow
 def test_false_reports_are_counted(readings) -> None:
     first = fitted(readings)
     rate = bc.false_reports(first, 10, seed=1)

@@ -21,7 +21,7 @@ from bayescal._search.plausible_sizes import SIZES
 from bayescal._search.posterior import FOUND, Posterior
 from bayescal._search.scores import View, gain_of
 from bayescal._search.structures import Structure, Structures
-from bayescal._search.walk import walk
+from bayescal._search.walk import path, walk
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 
 INSTRUMENT = mems_gyro.INSTRUMENT
@@ -56,9 +56,11 @@ def test_half_of_the_prior_says_nothing_and_a_tenth_of_the_rest_has_no_name() ->
     assert share[unknown].sum() / share.sum() == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize(
-    "truth", [{}, {"thermal_lag": 0.02}, {"run": 0.03, "temperature_quadratic": 1e-4}]
-)
+SEVERAL = {"run": 0.03, "temperature_quadratic": 1e-4}
+LONG = [pytest.param(truth, marks=pytest.mark.slow) for truth in ({}, {"thermal_lag": 0.02})]
+
+
+@pytest.mark.parametrize("truth", [*LONG, SEVERAL])
 def test_the_walk_finds_what_enumeration_finds(truth: dict[str, float]) -> None:
     readings = hidden(7, **truth)
     walked = structures(readings, FEW)
@@ -205,9 +207,9 @@ def test_a_free_curve_in_time_stands_beside_no_wander() -> None:
 def test_a_path_leads_from_the_base_to_the_end_one_change_at_a_time() -> None:
     made = structures(hidden(9, thermal_lag=0.05, run=0.1))
     end = Structure(frozenset(["bias.thermal_lag", "bias.run"]), WANDER)
-    path = made.path(end)
-    assert (path[0], path[-1], len(path)) == (Structure(), end, 4)
-    for before, after in itertools.pairwise(path):
+    way = path(Library(made), end)
+    assert (way[0], way[-1], len(way)) == (Structure(), end, 4)
+    for before, after in itertools.pairwise(way):
         changed = len(after.effects - before.effects) + (after.noise != before.noise)
         assert changed == 1
 
