@@ -9,7 +9,8 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
 from bayescal._diagnostics.check_result import Check
 from bayescal._diagnostics.noise_in_time import AllanCheck, allan_check
-from bayescal._plots.style import BLUE, GREY, RED, axis_label, new_figure, open_sides
+from bayescal._plots.colours import BLUE, GREY, RED
+from bayescal._plots.style import axis_label, new_figure, open_sides
 from bayescal._recording.allan_deviation import AllanDeviation
 
 

@@ -18,16 +18,8 @@ from bayescal._calibration.summary import summary
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._model.frame import GROUPS
-from bayescal._plots.style import (
-    BLUE,
-    GREY,
-    ORANGE,
-    RED,
-    axis_label,
-    new_figure,
-    open_sides,
-    plain,
-)
+from bayescal._plots.colours import BLUE, GREY, ORANGE, RED
+from bayescal._plots.style import axis_label, new_figure, open_sides, plain
 
 DRAWS = 1000  # in a picture
 INTERVAL = 0.95

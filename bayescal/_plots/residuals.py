@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from bayescal._calibration.calibration import Calibration
 from bayescal._diagnostics.check import check, covariates_of
 from bayescal._diagnostics.check_result import Check, Entry
-from bayescal._plots.style import CYCLE, GREY, RED, axis_label, new_figure, plain
+from bayescal._plots.colours import CYCLE, GREY, RED
+from bayescal._plots.style import axis_label, new_figure, plain
 
 MOST = 6  # panels
 MANY = 3000  # readings from which points become one image within a vector picture

@@ -17,19 +17,9 @@ from bayescal._diagnostics.leave_group_out import scheme
 from bayescal._discovery.discover import Discovery
 from bayescal._discovery.search_path import SearchPath
 from bayescal._model.unknown_effect import covariate_in
+from bayescal._plots.colours import BLUE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._plots.residuals import residual_panel
-from bayescal._plots.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PALE,
-    RED,
-    axis_label,
-    new_figure,
-    open_sides,
-    plain,
-)
+from bayescal._plots.style import axis_label, new_figure, open_sides, plain
 
 MOST = 12  # candidates
 KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}

@@ -1,7 +1,4 @@
-"""What every picture shares: colours that the colour-blind can tell apart, figures, labels with units, saving.
-
-Colours: Okabe and Ito, "Color universal design" (2008).
-"""
+"""What every picture shares: figures, labels with units, saving."""
 
 from __future__ import annotations
 
@@ -13,10 +10,7 @@ from matplotlib.figure import Figure
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._readings.unit_conversion import unit_label
 
-BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
-SKY, PURPLE, PALE, GREY = "#56B4E9", "#CC79A7", "#B0B0B0", "#7A7A7A"
 LONGEST = 32  # letters of a label; what is longer leaves no room for the picture
-CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)
 
 
 def new_figure(width: float, height: float) -> Figure:

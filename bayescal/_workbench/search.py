@@ -17,6 +17,7 @@ from bayescal._model.effect import Effect
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior, Shown
 from bayescal._search.posterior import Search as Found
+from bayescal._search.walk import path
 
 
 class Search:
@@ -66,10 +67,10 @@ class Search:
     def steps(self) -> Iterator[tuple[Step, Discovery | None]]:
         """The first step and those on the way to the most probable structure, each with what is missing from it."""
         structures = self._library.structures
-        path = structures.path(Posterior.of(structures).chosen)
+        way = path(self._library, Posterior.of(structures).chosen)
         steps = [self.first]
-        yield self.first, self._missing(path[0])
-        for before, at in pairwise(path):
+        yield self.first, self._missing(way[0])
+        for before, at in pairwise(way):
             model = structures.weigh(at).model
             steps.append(self.loop.step(model, before, at, method=self.loop.quick(model)))
             yield steps[-1], self._missing(at)

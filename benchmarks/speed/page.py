@@ -46,14 +46,16 @@ BATCHES = """## Ten thousand devices by least squares
 WORKBENCH = """## The workbench
 
 In a headless Chromium, from the press to what it brings being on the page; beside it the processor's time of the server
-alone, since other work on the machine lengthens the clock's. First paint: from the command to the whole page, a
-process with its compiled code on the disk. Preview and *Add*: 2,000 readings, the median of four candidates, each
+alone, since other work on the machine lengthens the clock's. A page that says what is being done stands from the first
+second; the whole page comes when Panel is loaded and the first model is fitted, a process with its compiled code on
+the disk. Preview and *Add*: 2,000 readings, the median of four candidates, each
 pointed at for the first time. Redraw: a further panel of 10⁵ readings, while the search for what is missing goes on
 beside it, whose processor's time is in that row too.
 
 """
 WORKBENCH_ROWS = {
-    "first paint": "from the command to the page",
+    "first paint": "from the command to the first words on the page",
+    "whole page": "from the command to the whole page, the first model fitted",
     "preview": "pointing → curve and error left",
     "add": "*Add* → new state",
     "redraw": "a column ticked → its panel, 10⁵ readings",
@@ -139,7 +141,12 @@ def _batches(found: dict[str, Any]) -> str:
 
 def _workbench(found: dict[str, Any]) -> str:
     rows = [
-        [words, f"{r['clock']:.2f}", f"{r['processor']:.2f}", f"{r['goal']:g}"]
+        [
+            words,
+            f"{r['clock']:.2f}",
+            f"{r['processor']:.2f}",
+            f"{r['goal']:g}" if r["goal"] else "–",
+        ]
         for name, words in WORKBENCH_ROWS.items()
         if (r := found["rows"].get(name))
     ]

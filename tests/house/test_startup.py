@@ -170,6 +170,7 @@ def test_an_instruments_module_says_what_its_files_hold_as_the_instrument_does()
         assert file_columns(name) == FileColumns.of(instrument)
 
 
+@pytest.mark.slow
 def test_independent_batched_factorisations_in_a_loop_finish(tmp_path: Path) -> None:
     variables = {"BAYESCAL_CACHE": str(tmp_path)}
     try:

@@ -145,6 +145,7 @@ class Seen:
 
     def point(self, effect: str) -> str:
         """Point at a candidate; what the page says of it."""
+        self.page.mouse.move(1, 1)  # a list that scrolls under a pointer at rest tells of no move
         self.page.locator(f'[data-row="{effect}"]').hover()
         told = self.page.get_by_text(f"{effect} would be")
         told.wait_for()
@@ -186,18 +187,25 @@ class Seen:
 
 
 @contextmanager
-def opened(url: str, *, width: int = 1280, height: int = 800, dark: bool = False) -> Iterator[Seen]:
-    """A page of the workbench in a headless Chromium that reaches this machine alone."""
+def browser(*, width: int = 1280, height: int = 800, dark: bool = False) -> Iterator[Seen]:
+    """An empty page of a headless Chromium that reaches this machine alone."""
     path = chromium()
     api = pytest.importorskip("playwright.sync_api", reason="Playwright for Python is not here")
     with api.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=path, args=[*ARGUMENTS, *QUIET])
-        context = browser.new_context(
+        running = driver.chromium.launch(executable_path=path, args=[*ARGUMENTS, *QUIET])
+        context = running.new_context(
             viewport={"width": width, "height": height},
             color_scheme="dark" if dark else "light",
             accept_downloads=True,
         )
         try:
-            yield Seen(context.new_page()).open(url)
+            yield Seen(context.new_page())
         finally:
-            browser.close()
+            running.close()
+
+
+@contextmanager
+def opened(url: str, **screen: Any) -> Iterator[Seen]:
+    """A page of the workbench in a `browser`."""
+    with browser(**screen) as seen:
+        yield seen.open(url)

@@ -69,6 +69,7 @@ def test_resumed_as_it_was(session: Session) -> None:
     assert again.add("bias.drift").parent == 1
 
 
+@pytest.mark.slow
 @needs_installation
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
 def test_killed_at_any_moment(campaign: Campaign, tmp_path: Path) -> None:
@@ -118,6 +119,7 @@ def test_a_changed_state_is_refused(session: Session) -> None:
         Session.resume(session.folder)
 
 
+@pytest.mark.slow
 @needs_installation
 def test_report_and_exports_are_the_command_lines(session: Session, tmp_path: Path) -> None:
     session.add("bias.thermal_lag")

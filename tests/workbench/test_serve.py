@@ -125,6 +125,7 @@ def test_a_websocket_needs_the_address_and_comes_from_it(server: Server) -> None
     assert asyncio.run(opened("/ws", own)) == 404
 
 
+@pytest.mark.slow
 @needs_installation
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as POSIX does")
 def test_ended_and_gone_on_with(campaign: Campaign, tmp_path: Path) -> None:

@@ -84,6 +84,7 @@ class ModelPane:
         )
         if self._chosen not in calibration.model.names:
             self._open("")
+        self._open_buttons()
 
     def busy(self, busy: bool) -> None:
         """Shut or open what changes the model."""

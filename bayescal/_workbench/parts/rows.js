@@ -112,7 +112,7 @@ export function render({ model, el }) {
     for (const row of table.querySelectorAll("[data-row]"))
       row.classList.toggle("pointed", row.dataset.row === model.pointed);
   }
-  table.addEventListener("mouseleave", () => { clearTimeout(timer); timer = null; });
+  table.addEventListener("mouseleave", () => { clearTimeout(timer); timer = null; rested = ""; });
   table.addEventListener("keydown", (event) => {
     const rows = [...table.querySelectorAll("[data-row]")];
     const at = rows.findIndex((row) => row.contains(table.getRootNode().activeElement));

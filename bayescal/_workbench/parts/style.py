@@ -11,7 +11,7 @@ from typing import Any
 from bokeh.models import Legend, Range1d
 from bokeh.plotting import figure
 
-from bayescal._plots.style import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
+from bayescal._plots.colours import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
 
 YELLOW = "#F0E442"
 HERE = Path(__file__).parent

@@ -1,0 +1,101 @@
+"""What a person changes by hand, by clicking: an unknown held and set free, a size, an effect of one's own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+
+from tests.support.browser import chromium
+from tests.support.command_line import GYRO, needs_installation
+from tests.workbench.real_page import Bench, Seen, bench, opened, write_campaign
+
+pytestmark = [needs_installation, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    chromium()
+    folder = tmp_path_factory.mktemp("workbench")
+    test, later = write_campaign(folder)
+    with bench(test, *GYRO, "--holdout", later, "--out", folder / "kept") as running:
+        yield running
+
+
+@pytest.fixture
+def seen(begun: Bench) -> Iterator[Seen]:
+    with opened(begun.url) as page:
+        yield page.looked()
+
+
+def stepped(seen: Seen, press: str) -> list[str]:
+    """Press a button that makes a state; its row in the table of steps."""
+    before = len(seen.steps())
+    seen.press(press)
+    seen.page.locator(f'tr[data-row="{before}"][aria-current]').wait_for()
+    return seen.steps()[-1]
+
+
+def test_an_unknown_is_held_and_set_free(seen: Seen) -> None:
+    fitted = seen.steps()[0]
+    seen.press("Change … bias.constant")
+    seen.page.get_by_text("Without it:").wait_for()
+    assert seen.page.get_by_role("button", name="Free", exact=True).is_disabled()
+    field = seen.page.get_by_label("held at")
+    field.fill("19.0")
+    field.press("Tab")
+    held = stepped(seen, "Fix")
+    assert float(held[1]) > float(fitted[1]), "a wrong value costs error"
+    assert seen.page.get_by_text("held: bias.constant = 19").first.is_visible()
+    assert stepped(seen, "Free")[1:4] == fitted[1:4], "as it was"
+    seen.clean()
+
+
+def test_an_effect_is_resized_and_taken_out(seen: Seen) -> None:
+    seen.add("bias.thermal_lag")
+    with_it = seen.steps()[-1]
+    seen.press("Change … bias.thermal_lag")
+    field = seen.page.get_by_label("plausible size")
+    field.fill("1e-6")
+    field.press("Tab")
+    resized = stepped(seen, "Resize")
+    assert float(resized[1]) > 1.2 * float(with_it[1]), "held back by a size that is far too small"
+    out = stepped(seen, "Take out")
+    assert float(out[1]) == pytest.approx(float(resized[1]), rel=0.05)
+    seen.clean()
+
+
+def test_a_region_is_described_and_its_draft_added(seen: Seen) -> None:
+    seen.tab("Describe")
+    seen.page.get_by_label("column", exact=True).select_option("board_temperature")
+    low = seen.page.get_by_label("from [")
+    low.fill("60")
+    low.press("Tab")
+    seen.press("Select")
+    seen.page.get_by_text("readings selected").first.wait_for()
+    seen.press("Describe it")
+    seen.page.get_by_text(re.compile(r"In the \d+ selected readings")).wait_for()
+    code, load = seen.page.get_by_label("Draft of an effect"), "Load the effect"
+    code.fill(re.sub(r'"bias\.\w+"', '"bias.mine"', code.input_value()))
+    code.press("Tab")
+    assert seen.page.get_by_role("button", name=load).is_disabled(), "only when the user said so"
+    seen.page.locator("input[type=checkbox]").last.check()
+    seen.page.get_by_role("button", name=load, disabled=False).click()
+    seen.page.locator('[data-row="bias.mine"]').wait_for()
+    seen.tab("The error")
+    before = float(seen.steps()[-1][1])
+    assert float(seen.add("bias.mine").steps()[-1][1]) < before
+    seen.clean()
+
+
+def test_experiments_are_ranked_where_two_effects_are_confounded(seen: Seen) -> None:
+    seen.tab("Next experiment")
+    told = seen.page.get_by_text(re.compile("To tell apart|Nothing is confounded here"))
+    told.wait_for()
+    ranked = seen.page.get_by_role("button", name="Rank the experiments")
+    assert ranked.is_disabled() == told.inner_text().startswith("Nothing")
+    if not ranked.is_disabled():
+        ranked.click()
+        seen.page.get_by_text("least expected log Bayes factor").wait_for()
+    seen.clean()
