@@ -71,6 +71,7 @@ class EffectCounts:
     Attributes:
         devices: that were searched.
         found: effect → devices whose structure has it.
+        possible: effect → devices in which it is one of those of which one is missing.
         expected: effect → sum of its probabilities.
         nothing: devices of which nothing was found missing.
         noise: law → devices whose structure has it.
@@ -78,6 +79,7 @@ class EffectCounts:
 
     devices: int = 0
     found: Counter[str] = field(default_factory=Counter)
+    possible: Counter[str] = field(default_factory=Counter)
     expected: dict[str, float] = field(default_factory=dict)
     nothing: int = 0
     noise: Counter[str] = field(default_factory=Counter)
@@ -87,6 +89,7 @@ class EffectCounts:
         return EffectCounts(
             self.devices + other.devices,
             self.found + other.found,
+            self.possible + other.possible,
             {n: self.expected.get(n, 0.0) + other.expected.get(n, 0.0) for n in names},
             self.nothing + other.nothing,
             self.noise + other.noise,
@@ -102,6 +105,7 @@ class EffectCounts:
         return cls(
             len(found),
             Counter(name for one in found for name in one.effects),
+            Counter(name for one in found for name in {n for s in one.sets for n in s}),
             expected,
             sum(not one.effects for one in found),
             Counter(one.noise for one in found),

@@ -7,14 +7,15 @@ from scipy import stats
 
 from bayescal._finding.find_devices import EffectCounts
 
-COLUMNS = ["effect", "devices", "share", "low", "high", "expected"]
+COLUMNS = ["effect", "devices", "share", "low", "high", "expected", "possible"]
 
 
 def effects_table(counts: EffectCounts) -> pd.DataFrame:
     """One row an effect, the commonest first.
 
     Columns: effect; devices whose structure has it; their share, and its exact (Clopper–Pearson) 95 % interval; how
-    many devices are expected to have it, the sum of their probabilities.
+    many devices are expected to have it, the sum of their probabilities; in how many it is one of the effects of which
+    one is missing.
     """
     rows = []
     for name, expected in sorted(
@@ -22,5 +23,6 @@ def effects_table(counts: EffectCounts) -> pd.DataFrame:
     ):
         found = counts.found[name]
         low, high = stats.binomtest(found, counts.devices).proportion_ci(0.95, method="exact")
-        rows.append([name, found, found / counts.devices, float(low), float(high), expected])
+        share = (found / counts.devices, float(low), float(high))
+        rows.append([name, found, *share, expected, counts.possible[name]])
     return pd.DataFrame(rows, columns=COLUMNS)

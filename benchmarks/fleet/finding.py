@@ -13,7 +13,7 @@ import bayescal as bc
 from bayescal._cluster.open_cluster import open_cluster
 from bayescal_models import mems_gyro
 
-DEVICES, EVERY, SEED = 24, 5, 4000  # every fifth reading of a campaign of 330
+DEVICES, EVERY, SEED = 96, 5, 4000  # every fifth reading of a campaign of 330
 HIDDEN = {"bias.thermal_lag": (0.05, 0.3)}  # size, °/s per °C, and in what share of the fleet
 MODEL = mems_gyro.INSTRUMENT.baseline()
 
@@ -37,7 +37,10 @@ def measured(work: Path) -> dict[str, Any]:
         name: {_effect(c) for c in part.coefficient if _effect(c) not in own and _is_effect(c)}
         for name, part in rows[rows.coefficient.notna()].groupby("device")
     }
-    false = sum(bool(added.get(name, set()) - hidden) for name, hidden in truth.items())
+    # A substitute that stands for what is hidden is wrongly named; where nothing is hidden, an effect is false.
+    false = sum(bool(added.get(name)) for name, hidden in truth.items() if not hidden)
+    named = sum(bool(added.get(name, set()) - hidden) for name, hidden in truth.items() if hidden)
+    possible = dict(zip(found.effects.effect, found.effects.possible, strict=True))
     effects = []
     for name, (size, share) in HIDDEN.items():
         held = sum(name in hidden for hidden in truth.values())
@@ -50,6 +53,7 @@ def measured(work: Path) -> dict[str, Any]:
                 "share": share,
                 "hidden": held,
                 "found": seen,
+                "possible": int(possible.get(name, 0)),
                 "low": float(low),
                 "high": float(high),
             }
@@ -62,6 +66,7 @@ def measured(work: Path) -> dict[str, Any]:
         "devices_per_core_second": found.devices / found.about["processor_seconds"],
         "effects": effects,
         "false": false,
+        "wrongly_named": named,
         "table": found.effects.head(6).to_dict("records"),
     }
 

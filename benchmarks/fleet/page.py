@@ -77,19 +77,32 @@ def _coverage(r: dict[str, Any]) -> str:
 
 
 def _finding(r: dict[str, Any]) -> str:
+    head = [
+        "hidden",
+        "size",
+        "share drawn",
+        "in devices",
+        "named in",
+        "95 % of the share",
+        "possible in",
+    ]
     rows = [
         [e["effect"], f"{e['size']:g}", f"{e['share']:.0%}", e["hidden"], e["found"]]
-        + [f"{e['low']:.0%} to {e['high']:.0%}"]
+        + [f"{e['low']:.0%} to {e['high']:.0%}", e["possible"]]
         for e in r["effects"]
     ]
+    hidden = sum(e["hidden"] for e in r["effects"])
     return f"""## Each device's structure searched
 
 {r["devices"]} simulated gyroscopes of {r["readings"]} readings, `--find`:
 {r["devices_per_core_second"]:.2f} devices per core-second ({r["processor_s"]:.0f} s of the processor).
-Devices with an effect that they do not have:
-{proportion(r["false"], r["devices"])}.
+Devices with an effect where nothing is hidden: {proportion(r["false"], r["devices"] - hidden)}.
+Devices whose model has a substitute of what is hidden: {proportion(r["wrongly_named"], hidden)}.
 
-{table(["hidden", "size", "share drawn", "in devices", "found in", "95 % of the share"], rows)}
+{table(head, rows)}
+*Named in*: devices whose model has it. *Possible in*: devices in which it is one of the effects of which one is missing
+with a probability of 0.95; one device of so few readings cannot always tell which.
+
 Where the time of a search goes: half to refits of structures (20 to 40 for a device, of 50 ms), a fifth to the
 scores of candidates, a tenth to their columns. Devices share compiled programs of a worker, not columns: every device
 has temperatures of its own.

@@ -18,7 +18,7 @@ from benchmarks.speed.batches_peers import Part, by_lmfit, by_scipy
 MODEL = mems_gyro.INSTRUMENT.baseline()
 SEED = 2026
 SAMPLE = 300  # devices that the peers fit
-SHARE = 10  # of the partitions, a tenth is fitted by one worker and by two in turn
+SHARE = 5  # of the partitions, on which one worker is compared with two
 
 
 def made(folder: Path, partitions: int, devices: int) -> float:
