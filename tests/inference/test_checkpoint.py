@@ -108,6 +108,7 @@ def test_chains_that_were_stopped_end_with_the_same_draws(
     assert resumed.verdict == whole.verdict
 
 
+@pytest.mark.slow
 def test_a_killed_process_leaves_a_whole_file_to_go_on_from(tmp_path, data, whole) -> None:
     file = tmp_path / "run.nc"
     with started(file, data[0], CHAINS, at=4) as process:
