@@ -16,7 +16,7 @@ import hypothesis
 import pytest
 
 import bayescal  # noqa: F401  before JAX
-from bayescal._core.jax_setup import cache_folder, configure_jax
+from bayescal._core.jax_setup import cache_folder, configure_jax, spare_memory_maps
 
 if TYPE_CHECKING:
     import jax
@@ -38,11 +38,9 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 @pytest.fixture(autouse=True, scope="module")
 def compiled_programs_go() -> Iterator[None]:
-    """Programs compiled for one file are dropped after it: a process may hold only so many memory maps."""
+    """Compiled programs are dropped before a process holds more memory maps than it may."""
     yield
-    import jax
-
-    jax.clear_caches()
+    spare_memory_maps()
 
 
 @pytest.fixture
