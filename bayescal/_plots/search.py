@@ -22,6 +22,7 @@ from bayescal._plots.residuals import residual_panel
 from bayescal._plots.style import axis_label, new_figure, open_sides, plain
 
 MOST = 12  # candidates
+ON_GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}  # no line runs through the words
 KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
 
 
@@ -80,9 +81,11 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
         ax.barh(at, shown, height * 0.9, label=label, color=colour)
         for y, value in zip(at, shown, strict=True):
             if np.isfinite(value):
-                ax.text(value + 0.01 * largest, y, number(value), va="center", fontsize=7.5)
+                at = value + 0.01 * largest
+                ax.text(at, y, number(value), va="center", fontsize=7.5, bbox=ON_GROUND)
     for i, step in enumerate(steps):
-        ax.text(0, i - 0.03, f" {i}  {plain(step.title)}{_fall(steps, i)}", va="bottom")
+        title = f"{i}  {plain(step.title)}{_fall(steps, i)}"
+        ax.text(0.01 * largest, i - 0.03, title, va="bottom", bbox=ON_GROUND)
     floor = steps[-1].noise_floor
     ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
