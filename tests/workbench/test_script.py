@@ -52,6 +52,7 @@ def same(session: Session, tmp_path: Path) -> None:
     assert told["held_out"] == path[-1].step.holdout_rmse
 
 
+@pytest.mark.slow
 def test_all_that_can_be_done(session: Session, tmp_path: Path) -> None:
     session.load_draft(OWN)
     session.add("bias.thermal_lag")
