@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import bayescal as bc
 from bayescal._workbench.origin import Origin
 from bayescal._workbench.session import Session
