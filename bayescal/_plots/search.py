@@ -22,7 +22,11 @@ from bayescal._plots.residuals import residual_panel
 from bayescal._plots.style import axis_label, new_figure, open_sides, plain
 
 MOST = 12  # candidates
-ON_GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}  # no line runs through the words
+ON_GROUND = {
+    "facecolor": "white",
+    "edgecolor": "none",
+    "pad": 0.5,
+}  # no line runs through the words
 KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
 
 
