@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -121,7 +122,7 @@ def page(shown: list[Entry]) -> str:
         "`bc.plot.save(figure, path)` writes it. Colours are those that the colour-blind tell apart (Okabe and Ito).",
         f"The readings are simulated: a MEMS gyroscope over temperature (seed {SEED}), with {hidden} hidden in it.",
         "```python\nimport bayescal as bc\nfrom bayescal_models import mems_gyro\n\n"
-        f"readings = mems_gyro.simulate({HIDDEN!r}, seed={SEED})\n"
+        f"readings = mems_gyro.simulate({json.dumps(HIDDEN)}, seed={SEED})\n"
         "trail = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings)\n```",
     ]
     for e in shown:
