@@ -163,6 +163,6 @@ def _whole(
         table=run.table(),
         population=population,
         apart=apart,
-        effects=effects_table(run.effects),
+        effects=effects_table(run.effects, run.request.seed),
         about=about,
     )

@@ -195,7 +195,9 @@ def _told(partition: Partition, found: BatchResult) -> PartitionDone:
 def structure_from(held: dict[str, Any]) -> DeviceStructure:
     """A device's structure as a file of results holds it."""
     sets = tuple(tuple(one) for one in held["sets"])
-    return DeviceStructure(**{**held, "effects": tuple(held["effects"]), "sets": sets})
+    weighed = tuple((tuple(effects), value) for effects, value in held["weighed"])
+    own = {**held, "effects": tuple(held["effects"]), "sets": sets, "weighed": weighed}
+    return DeviceStructure(**own)
 
 
 def peak_memory() -> int:

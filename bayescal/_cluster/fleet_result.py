@@ -37,8 +37,7 @@ class FleetResult:
             (root mean square) standard uncertainty, unit.
         population: what the devices have in common, if it was asked for.
         apart: devices that stand out from the population, and their posterior predictive p, the least first.
-        effects: where effects were looked for, one row an effect: devices that have it, their share with its 95 %
-            interval, how many are expected to, in how many it is one of those of which one is missing; else no rows.
+        effects: where effects were looked for, one row an effect, as `fleet_table.effects_table` says; else no rows.
         about: instrument, effects, method, seed, versions, partitions and what they took.
     """
 

@@ -7,13 +7,15 @@ are the checks and pictures of every step. Coefficients come from the fit of a b
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import expit
 
 from bayescal._core.errors import BayescalError
 from bayescal._discovery.discover import structures_over
+from bayescal._finding.shares import Evidence
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import DeviceBlock, Devices, without
 from bayescal._fleet.fit_devices import fit_devices
@@ -28,6 +30,8 @@ from bayescal._search.posterior import Posterior
 from bayescal._search.walk import walk
 
 LEAST = 0.01  # probability from which an effect of a device is kept
+FAR = 15.0  # log evidence behind the best, up to which a structure of a device is kept
+KEPT = 50  # structures of a device
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ class DeviceStructure:
         nothing: probability that the model is complete.
         inclusion: effect → probability that it is, where that is not small.
         sets: of which one is missing each, with probability 0.95.
+        prior: effect → probability before the readings, for all that they could show.
+        weighed: sets of effects with their log evidence, all noise laws together, against the best.
     """
 
     effects: tuple[str, ...]
@@ -62,53 +68,50 @@ class DeviceStructure:
     nothing: float
     inclusion: dict[str, float]
     sets: tuple[tuple[str, ...], ...]
+    prior: dict[str, float]
+    weighed: tuple[tuple[tuple[str, ...], float], ...]
 
 
 @dataclass(frozen=True)
 class EffectCounts:
-    """Over devices: how many have an effect, and how many are expected to; to be added up.
+    """Over devices: how many have an effect, and what each says of its structures; to be added up.
 
     Attributes:
         devices: that were searched.
         found: effect → devices whose structure has it.
         possible: effect → devices in which it is one of those of which one is missing.
-        expected: effect → sum of its probabilities.
         nothing: devices of which nothing was found missing.
         noise: law → devices whose structure has it.
+        evidence: of each device.
     """
 
     devices: int = 0
     found: Counter[str] = field(default_factory=Counter)
     possible: Counter[str] = field(default_factory=Counter)
-    expected: dict[str, float] = field(default_factory=dict)
     nothing: int = 0
     noise: Counter[str] = field(default_factory=Counter)
+    evidence: tuple[Evidence, ...] = ()
 
     def __add__(self, other: EffectCounts) -> EffectCounts:
-        names = {**self.expected, **other.expected}
         return EffectCounts(
             self.devices + other.devices,
             self.found + other.found,
             self.possible + other.possible,
-            {n: self.expected.get(n, 0.0) + other.expected.get(n, 0.0) for n in names},
             self.nothing + other.nothing,
             self.noise + other.noise,
+            self.evidence + other.evidence,
         )
 
     @classmethod
     def of(cls, found: Sequence[DeviceStructure]) -> EffectCounts:
         """Of some devices."""
-        expected: dict[str, float] = {}
-        for one in found:
-            for name, probability in one.inclusion.items():
-                expected[name] = expected.get(name, 0.0) + probability
         return cls(
             len(found),
             Counter(name for one in found for name in one.effects),
             Counter(name for one in found for name in {n for s in one.sets for n in s}),
-            expected,
             sum(not one.effects for one in found),
             Counter(one.noise for one in found),
+            tuple(Evidence(one.prior, dict(one.weighed)) for one in found),
         )
 
 
@@ -135,8 +138,25 @@ def search_device(
         posterior.nothing,
         {n: p for n, p in inclusion.items() if p > LEAST},
         tuple(found.effects for found in posterior.findings),
+        {n: float(expit(odds)) for n, odds in structures.log_odds.items()},
+        _weighed(posterior, structures.log_odds),
     )
     return told, structures.weigh(chosen).model
+
+
+def _weighed(
+    posterior: Posterior, log_odds: Mapping[str, float]
+) -> tuple[tuple[tuple[str, ...], float], ...]:
+    """Sets of effects with their log evidence, the best first."""
+    found: dict[tuple[str, ...], float] = {}
+    for structure, total in zip(posterior.structures, posterior.total, strict=True):
+        effects = tuple(sorted(structure.effects))
+        own = total - sum(log_odds[name] for name in effects)
+        found[effects] = float(np.logaddexp(found.get(effects, -np.inf), own))
+    order = sorted(found, key=lambda effects: -found[effects])
+    best = found[order[0]]
+    kept = (e for e in order[:KEPT] if found[e] > best - FAR)
+    return tuple((effects, round(found[effects] - best, 6)) for effects in kept)
 
 
 def find_and_fit(

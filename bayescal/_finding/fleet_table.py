@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import pandas as pd
-from scipy import stats
 
-from bayescal._finding.find_devices import EffectCounts
+from bayescal._finding.find_devices import LEAST, EffectCounts
+from bayescal._finding.shares import shares
 
-COLUMNS = ["effect", "devices", "share", "low", "high", "expected", "possible"]
+COLUMNS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 
 
-def effects_table(counts: EffectCounts) -> pd.DataFrame:
-    """One row an effect, the commonest first.
+def effects_table(counts: EffectCounts, seed: int = 0) -> pd.DataFrame:
+    """One row an effect, the most probable first.
 
-    Columns: effect; devices whose structure has it; their share, and its exact (Clopper–Pearson) 95 % interval; how
-    many devices are expected to have it, the sum of their probabilities; in how many it is one of the effects of which
-    one is missing.
+    Columns: effect; devices whose own structure has it; in how many it is one of the effects of which one is missing.
+    Then of all devices together: probability that any has it, how many are expected to, their share, and its 95 %
+    interval if any device has it.
     """
-    rows = []
-    for name, expected in sorted(
-        counts.expected.items(), key=lambda item: (-counts.found[item[0]], -item[1])
-    ):
-        found = counts.found[name]
-        low, high = stats.binomtest(found, counts.devices).proportion_ci(0.95, method="exact")
-        share = (found / counts.devices, float(low), float(high))
-        rows.append([name, found, *share, expected, counts.possible[name]])
+    found = shares(counts.evidence, seed)
+    rows = [
+        [name, counts.found[name], counts.possible[name], one.in_fleet, one.expected, *one[1:4]]
+        for name, one in found.items()
+        if counts.found[name] or counts.possible[name] or one.expected > LEAST
+    ]
+    rows.sort(key=lambda row: (-row[4], -row[1]))
     return pd.DataFrame(rows, columns=COLUMNS)

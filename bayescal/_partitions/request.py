@@ -73,7 +73,8 @@ class Request:
 
 
 def _find(find: Find) -> list[Any]:
-    return [[_effect(e) for e in find.effects], find.max_effects, find.widen_noise]
+    kept = "evidence of each structure"  # beside a device's own choice, since 0.3
+    return [kept, [_effect(e) for e in find.effects], find.max_effects, find.widen_noise]
 
 
 def _plain(value: Any) -> Any:

@@ -7,14 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 import bayescal as bc
 from bayescal._cluster.open_cluster import open_cluster
 from bayescal_models import mems_gyro
 
 DEVICES, EVERY, SEED = 96, 5, 4000  # every fifth reading of a campaign of 330
-HIDDEN = {"bias.thermal_lag": (0.05, 0.3)}  # size, °/s per °C, and in what share of the fleet
+HIDDEN = {  # size, °/s per °C and °/s per °C², and in what share of the fleet
+    "bias.thermal_lag": (0.05, 0.3),
+    "bias.temperature_quadratic": (2e-4, 0.1),
+}
 MODEL = mems_gyro.INSTRUMENT.baseline()
 
 
@@ -40,22 +42,23 @@ def measured(work: Path) -> dict[str, Any]:
     # A substitute that stands for what is hidden is wrongly named; where nothing is hidden, an effect is false.
     false = sum(bool(added.get(name)) for name, hidden in truth.items() if not hidden)
     named = sum(bool(added.get(name, set()) - hidden) for name, hidden in truth.items() if hidden)
-    possible = dict(zip(found.effects.effect, found.effects.possible, strict=True))
+    table = found.effects.set_index("effect")
     effects = []
     for name, (size, share) in HIDDEN.items():
         held = sum(name in hidden for hidden in truth.values())
         seen = sum(name in added.get(device, set()) for device in truth)
-        low, high = stats.binomtest(seen, DEVICES).proportion_ci(0.95, method="exact")
+        row = table.loc[name]
         effects.append(
             {
                 "effect": name,
                 "size": size,
-                "share": share,
+                "hidden_share": share,
                 "hidden": held,
                 "found": seen,
-                "possible": int(possible.get(name, 0)),
-                "low": float(low),
-                "high": float(high),
+                **{
+                    key: float(row[key]) for key in ("possible", "in fleet", "share", "low", "high")
+                },
+                "expected": float(row["expected"]),
             }
         )
     return {
@@ -66,6 +69,7 @@ def measured(work: Path) -> dict[str, Any]:
         "devices_per_core_second": found.devices / found.about["processor_seconds"],
         "effects": effects,
         "false": false,
+        "empty": sum(not hidden for hidden in truth.values()),
         "wrongly_named": named,
         "table": found.effects.head(6).to_dict("records"),
     }

@@ -77,31 +77,29 @@ def _coverage(r: dict[str, Any]) -> str:
 
 
 def _finding(r: dict[str, Any]) -> str:
-    head = [
-        "hidden",
-        "size",
-        "share drawn",
-        "in devices",
-        "named in",
-        "95 % of the share",
-        "possible in",
-    ]
+    head = ["hidden", "size", "share drawn", "in devices", "named in", "possible in", "expected"]
+    head += ["share of the fleet, 95 %"]
     rows = [
-        [e["effect"], f"{e['size']:g}", f"{e['share']:.0%}", e["hidden"], e["found"]]
-        + [f"{e['low']:.0%} to {e['high']:.0%}", e["possible"]]
+        [e["effect"], f"{e['size']:g}", f"{e['hidden_share']:.0%}", e["hidden"], e["found"]]
+        + [int(e["possible"]), f"{e['expected']:.1f}", f"{e['low']:.0%} to {e['high']:.0%}"]
         for e in r["effects"]
     ]
-    hidden = sum(e["hidden"] for e in r["effects"])
+    others = [
+        f"`{t['effect']}` ({t['expected']:.1f} devices expected, named in {t['devices']})"
+        for t in r["table"]
+        if t["effect"] not in {e["effect"] for e in r["effects"]}
+    ]
     return f"""## Each device's structure searched
 
 {r["devices"]} simulated gyroscopes of {r["readings"]} readings, `--find`:
 {r["devices_per_core_second"]:.2f} devices per core-second ({r["processor_s"]:.0f} s of the processor).
-Devices with an effect where nothing is hidden: {proportion(r["false"], r["devices"] - hidden)}.
-Devices whose model has a substitute of what is hidden: {proportion(r["wrongly_named"], hidden)}.
+Devices with an effect where nothing is hidden: {proportion(r["false"], r["empty"])}.
+Devices whose model has a substitute of what is hidden: {proportion(r["wrongly_named"], r["devices"] - r["empty"])}.
 
 {table(head, rows)}
 *Named in*: devices whose model has it. *Possible in*: devices in which it is one of the effects of which one is missing
-with a probability of 0.95; one device of so few readings cannot always tell which.
+with a probability of 0.95; one device of so few readings cannot always tell which. *Expected*, and the share: from all
+devices together. Next in that table: {", ".join(others[:3]) or "nothing"}.
 
 Where the time of a search goes: half to refits of structures (20 to 40 for a device, of 50 ms), a fifth to the
 scores of candidates, a tenth to their columns. Devices share compiled programs of a worker, not columns: every device

@@ -54,7 +54,7 @@ ROOMS = {
     "_population": "device_sums spread_draws population",
     "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack "
     "device_result batch_result partial_pooling fit_devices",
-    "_finding": "find_devices fleet_table",
+    "_finding": "shares find_devices fleet_table",
     "_partitions": "partitions request row_groups read_partition",
     "_cluster": "open_cluster engine fit_partition doubled run fleet_result population_tree fit_fleet fit_batch",
     "_plots": "colours style residuals allan search posterior",

@@ -1,0 +1,127 @@
+"""Which share of a fleet has each effect: all devices together tell substitutes apart that no device can.
+
+The fleet has an effect or not; if it has, any share of its devices is as probable as another. Given the shares, devices
+are independent. What is known of one device is the evidence of its structures; shares and structures are drawn in turn
+(Gibbs sampling: S. Geman and D. Geman, IEEE Trans. Pattern Anal. 6 (1984) 721). Of one device alone, an effect is as
+probable as its search finds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+BURN_IN, ROUNDS = 200, 1000
+NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What one device's readings say of its structures.
+
+    Attributes:
+        prior: effect → probability, before the readings, that a device lacks it; what it cannot show is not named.
+        log_evidence: sets of effects → natural logarithm, up to a constant.
+    """
+
+    prior: Mapping[str, float]
+    log_evidence: Mapping[tuple[str, ...], float]
+
+
+class Share(NamedTuple):
+    """Of one effect.
+
+    Attributes:
+        in_fleet: probability that any device has it.
+        share: of the devices that have it, its mean.
+        low, high: of its 95 % interval, if any device has it.
+        expected: number of devices that have it, its mean.
+    """
+
+    in_fleet: float
+    share: float
+    low: float
+    high: float
+    expected: float
+
+
+def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> dict[str, Share]:
+    """The share of each effect, from all devices.
+
+    Args:
+        devices: what each of them says.
+        seed, rounds: of the draws, and how many count.
+    """
+    names = sorted({name for device in devices for name in device.prior})
+    if not names:
+        return {}
+    fleet = _Fleet.of(devices, names)
+    rng, share, has = np.random.default_rng(seed), fleet.prior, np.ones(len(names), dtype=bool)
+    shown, counts, there = [], [], []
+    for i in range(BURN_IN + rounds):
+        count = fleet.drawn(np.where(has, share, 0.0), rng)
+        share = rng.beta(1.0 + count, 1.0 + fleet.able - count)
+        if i >= BURN_IN // 2:  # before, every effect may find its devices
+            has = fleet.has(count, rng)
+        if i >= BURN_IN:
+            shown.append(share)
+            counts.append(count)
+            there.append(has)
+    low, high = np.quantile(shown, (0.025, 0.975), axis=0)
+    expected, in_fleet = np.mean(counts, axis=0), np.mean(there, axis=0)
+    mean = np.mean(np.where(there, shown, 0.0), axis=0)
+    columns = (in_fleet, mean, low, high, expected)
+    return {n: Share(*(float(c[i]) for c in columns)) for i, n in enumerate(names)}
+
+
+@dataclass(frozen=True, eq=False)
+class _Fleet:
+    """All devices' structures, one below the other.
+
+    Attributes:
+        begins: where each device's structures begin.
+        log_evidence: of each structure.
+        has_effect: which effects it has.
+        able: devices that can show an effect.
+        prior: probability that the one device of a fleet of one lacks it.
+    """
+
+    begins: Int[np.ndarray, "d"]
+    log_evidence: Float[np.ndarray, "s"]
+    has_effect: Float[np.ndarray, "s e"]
+    able: Int[np.ndarray, "e"]
+    prior: Float[np.ndarray, "e"]
+
+    @classmethod
+    def of(cls, devices: Sequence[Evidence], names: Sequence[str]) -> _Fleet:
+        sets = [effects for device in devices for effects in device.log_evidence]
+        has_effect = np.array([[n in effects for n in names] for effects in sets], dtype=float)
+        lengths = [len(device.log_evidence) for device in devices]
+        told = [[device.prior[n] for device in devices if n in device.prior] for n in names]
+        return cls(
+            begins=np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int),
+            log_evidence=np.array([v for d in devices for v in d.log_evidence.values()]),
+            has_effect=has_effect,
+            able=np.array([len(own) for own in told]),
+            prior=np.array([np.mean(own) for own in told]),
+        )
+
+    def drawn(self, share: Float[np.ndarray, "e"], rng: np.random.Generator) -> np.ndarray:
+        """How many devices have each effect, with a structure drawn for each device."""
+        inside = np.clip(share, NONE, ALL)
+        weight = self.log_evidence + self.has_effect @ (np.log(inside) - np.log1p(-inside))
+        weight += rng.gumbel(size=len(weight))  # the largest is a draw by weight
+        largest = np.maximum.reduceat(weight, self.begins)
+        lengths = np.diff(np.append(self.begins, len(weight)))
+        taken = weight == np.repeat(largest, lengths)
+        return self.has_effect[taken].sum(axis=0).astype(int)
+
+    def has(self, count: Int[np.ndarray, "e"], rng: np.random.Generator) -> np.ndarray:
+        """Whether the fleet has an effect: surely where a device has; else less probably the more devices have not."""
+        of_any = np.minimum(2 * self.prior, 0.5)  # half of it is then that of one device
+        without = of_any / (self.able + 1)
+        return (count > 0) | (rng.random(len(count)) < without / (without + 1 - of_any))
