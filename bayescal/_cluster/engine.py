@@ -121,7 +121,10 @@ class OnDask:
     def _outcome(self, index: int, future: Any) -> Outcome:
         error = future.exception()
         if future.status == "finished":
-            return Outcome(index, future.result(), "")
+            try:
+                return Outcome(index, future.result(), "")
+            except (OSError, CancelledError):  # the scheduler died between the word and the result
+                raise InputError(_gone(self.client)) from None
         if self.client.status != "running" or future.status in ("cancelled", "lost"):
             raise InputError(_gone(self.client))
         return Outcome(index, None, _in_words(error))
