@@ -40,10 +40,13 @@ class Calibration(Printed, Fitted):
     def __str__(self) -> str:
         against = [f"conflict: {words}" for words in self.conflicts]
         against += [f"unit? {words}" for words in self.off_scale]
+        found = (words for words in self.verdict.against if words not in self.conflicts)
+        against += [f"not reliable: {words}" for words in found]
         return "\n".join([calibration_text(self), *(textwrap.fill(w, WIDTH) for w in against)])
 
     def _brief(self) -> str:
         verdict = "converged" if self.verdict.ok else "NOT converged"
+        verdict = "NOT reliable" if self.verdict.against else verdict
         return f"{verdict}, {len(self.readings)} readings of {self.readings.file}, {in_short(self.model)}"
 
     def _columns(self) -> dict[str, list[Any]]:

@@ -89,7 +89,7 @@ def description(c: Fitted) -> dict[str, Any]:
         "method": c.method,
         "seed": c.seed,
         "log_evidence": c.log_evidence,
-        "verdict": asdict(c.verdict),
+        "verdict": {k: v for k, v in asdict(c.verdict).items() if k != "against" or v},
         "sources": [asdict(s) for s in c.readings.sources],
         "flags": list(c.readings.flags),
     }

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import xarray as xr
@@ -44,6 +45,13 @@ class Fitted:
     layout: Layout
     mode: Mode
     log_evidence: tuple[float, float | None] | None
+
+    def judged(self, against: Sequence[str]) -> Self:
+        """The same, with why it is not to be used though it converged; what was computed of it is kept."""
+        made = object.__new__(type(self))
+        kept = {name: value for name, value in vars(self).items() if name != "tree"}
+        vars(made).update(kept, verdict=replace(self.verdict, against=tuple(against)))
+        return made
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields, as pickle writes them; what is computed from them is computed again."""

@@ -157,7 +157,8 @@ def _fields(
     if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
         raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")
     told = described["verdict"]
-    verdict = Verdict(**{**told, "reasons": tuple(told["reasons"]), "notes": tuple(told["notes"])})
+    words = {name: tuple(told[name]) for name in ("reasons", "notes")}
+    verdict = Verdict(**{**told, **words, "against": tuple(told.get("against", ()))})
     joint = _draws_from(tree, layout, len(readings), finite=verdict.ok)
     mode = _mode_from(tree, layout, len(readings), finite=verdict.ok)
     _refuse_other_posterior(tree, named(layout, levels, joint.x, joint.rows, joint.v))

@@ -5,6 +5,7 @@ Heavy modules load inside the commands.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -15,9 +16,18 @@ from bayescal._cli import options
 from bayescal._cli.column_options import ColumnOptions, Gravity
 from bayescal._cli.console import exit_unless, print_notes, print_result
 from bayescal._cli.options import OwnParts, named_numbers, with_groups
+from bayescal._core.errors import InputError
 from bayescal._readings.unit_parsing import STANDARD_GRAVITY
 
 commands = typer.Typer()
+
+
+def exit_unless_reliable(given: Mapping[str, bc.Compensator]) -> None:
+    """Leave with status 1 if what was written is of a result that is not to be used."""
+    from bayescal._cli.saved import why_not
+
+    told = {name: why_not(compensator) for name, compensator in given.items()}
+    exit_unless(not any(told.values()), "; ".join(f"{n} {w}".strip() for n, w in told.items() if w))
 
 
 @commands.command(
@@ -82,6 +92,7 @@ def compensate(
     exit_unless(
         done.unsolved == 0, f"{done.unsolved} readings have no solution and are written as nan"
     )
+    exit_unless_reliable({"": chosen})
 
 
 @commands.command(epilog="Example: bayescal export result/calibration.nc --format c --out gyro.h")
@@ -130,6 +141,7 @@ def export(
             print(found.text(), end="")
         else:
             print(f"{found}\n\nwritten: {found.write(out)}")
+        exit_unless_reliable(given)
         return
     chosen = saved.single(calibrations or [], axis, device_id, own, member)
     if format_ == saved.DCC:
@@ -143,8 +155,9 @@ def export(
         from bayescal._compensation import code_writer
 
         print(code_writer.as_text(chosen.program, str(format_)), end="")
-        return
-    print(f"written: {chosen.export(out, format_)}")
+    else:
+        print(f"written: {chosen.export(out, format_)}")
+    exit_unless_reliable({"": chosen})
 
 
 @commands.command(epilog="Example: bayescal budget result/calibration.nc --at temperature=60")
@@ -180,10 +193,11 @@ def budget(
     if json_:
         more = {} if priors is None else {"prior_sensitivity": priors.to_dict("index")}
         print_result({**found.data(), **more})
-        return
-    print_result(found)
-    if priors is not None:
+    else:
+        print_result(found)
+    if priors is not None and not json_:
         print(f"\nPrior sensitivity (above 0.05 it matters):\n{priors}")
+    exit_unless_reliable({"": chosen})
 
 
 @commands.command(epilog="Example: bayescal report result -o report.html")

@@ -48,6 +48,8 @@ def fit(
             strict=False,
             reference=reference_of(choice.reference, readings),
         )
+        if calibration.verdict.ok:
+            calibration = calibration.judged(calibration.conflicts)
         if folder is not None:
             from bayescal._calibration.description import identity
             from bayescal._report.whole_folder import whole_folder
@@ -56,12 +58,10 @@ def fit(
                 calibration.save(hidden / "calibration.nc")
     from bayescal._cli.output import fit_data
 
-    verdict = calibration.verdict
-    against = list(calibration.conflicts) if verdict.ok else []
-    print_result(fit_data(calibration, against) if json_ else calibration)
+    print_result(fit_data(calibration) if json_ else calibration)
     if folder is not None and not json_:
         print(f"\nwritten: {folder / 'calibration.nc'}")
-    exit_unless(verdict.ok and not against, " ".join([*verdict.reasons, *against]))
+    exit_unless(calibration.verdict.reliable, calibration.verdict.why_not)
 
 
 @commands.command(epilog="Example: bayescal check result/calibration.nc")
@@ -212,3 +212,4 @@ def predict(
     print_result(
         {**data, "unit": loaded.unit, "file": str(out) if out else None} if json_ else text
     )
+    exit_unless(loaded.verdict.reliable, loaded.verdict.why_not)

@@ -84,8 +84,8 @@ def effects_data(kinds: Kinds) -> list[dict[str, Any]]:
     ]
 
 
-def fit_data(calibration: Calibration, against: Sequence[str] = ()) -> dict[str, Any]:
-    """A fit as data; `against` are reasons not to trust it beside its verdict's own."""
+def fit_data(calibration: Calibration) -> dict[str, Any]:
+    """A fit as data."""
     verdict = calibration.verdict
     coefficients, spreads = summary(calibration)
     data = {
@@ -96,8 +96,8 @@ def fit_data(calibration: Calibration, against: Sequence[str] = ()) -> dict[str,
         "log_evidence": calibration.log_evidence,
         "verdict": {
             **vars(verdict),
-            "ok": verdict.ok and not against,
-            "reasons": [*verdict.reasons, *against],
+            "ok": verdict.reliable,
+            "reasons": [*verdict.reasons, *verdict.against],
         },
         "identifiability": {"null_directions": null_directions(calibration)},
     }

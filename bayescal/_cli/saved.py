@@ -46,6 +46,13 @@ def compensator_from(path: Path, own: OwnParts, members: list[str] | None) -> Co
     return compensator(load_saved(path, own), members=named_values(members, "--member"))
 
 
+def why_not(chosen: Compensator) -> str:
+    """Why a result is not to be used, in words; empty where it may be."""
+    if chosen.calibration is not None:
+        return chosen.calibration.verdict.why_not
+    return "" if chosen.loaded is None else chosen.loaded.about.why_not
+
+
 def refuse_format(format: str | None, out: Path | None) -> None:
     """Refuse a format that is none, or is not said.
 

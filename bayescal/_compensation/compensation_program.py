@@ -172,7 +172,7 @@ def from_data(data: Any, file: str) -> CompensationProgram:
             stimulus_range=(float(span[0]), float(span[1])) if span else None,
             unknowns=tuple(Unknown(**row) for row in data["unknowns"]),
             covariance=np.array(data["covariance"], dtype=float).reshape(
-                len(data["covariance"]), -1
+                len(data["covariance"]), len(data["unknowns"])
             ),
             noise=float(data["noise"]),
             affine=bool(data["affine"]),

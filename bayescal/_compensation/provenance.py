@@ -9,6 +9,8 @@ from bayescal._calibration.description import identity, sources_of
 from bayescal._compensation.operating_equation import OperatingEquation
 from bayescal._core.version import __version__
 
+NOT_RELIABLE = "RESULT NOT RELIABLE: "
+
 
 @dataclass(frozen=True)
 class Provenance:
@@ -38,6 +40,12 @@ class Provenance:
     notes: tuple[str, ...]
     made_by: str
     calibration: str = ""
+
+    @property
+    def why_not(self) -> str:
+        """Why the result is not to be used, in words; empty where it may be."""
+        told = (n for n in self.notes if n.startswith(NOT_RELIABLE))
+        return next(told, "").removeprefix(NOT_RELIABLE)
 
 
 def provenance_of(
@@ -89,6 +97,6 @@ def _notes(
             )
     if stimulus_range is None:
         notes.append(f"The range of {equation.use.stimulus} in the calibration is not stated.")
-    if not calibration.verdict.ok:
-        notes.append(f"THE FIT DID NOT CONVERGE: {' '.join(calibration.verdict.reasons)}")
+    if not calibration.verdict.reliable:
+        notes.append(f"{NOT_RELIABLE}{calibration.verdict.why_not}")
     return notes

@@ -20,7 +20,7 @@ from bayescal._diagnostics.leave_group_out import leave_one_group_out
 from bayescal._diagnostics.noise_in_time import noise_floor
 from bayescal._discovery.candidate import Candidate
 from bayescal._discovery.discover import structures_over, told
-from bayescal._discovery.gate import gate, wrong_question
+from bayescal._discovery.gate import judged, wrong_question
 from bayescal._discovery.search_path import Gate, SearchPath, Step
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
@@ -138,7 +138,7 @@ class Loop:
     def not_looked(self, first: Step) -> SearchPath:
         """What is left of the loop where nothing can be learnt from the first model."""
         search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(first.against)}")
-        return SearchPath((first,), gate((first,)), self.holdout, None, search)
+        return SearchPath(*judged((first,)), self.holdout, None, search)
 
     def search(
         self,
@@ -251,8 +251,9 @@ class Loop:
             max_effects=self.max_effects,
         )
         if not (complete or stopped):
-            return SearchPath(tuple(steps), UNDER_WAY, self.holdout, None, search)
-        return SearchPath(tuple(steps), gate(steps), self.holdout, _other_path(structures), search)
+            under_way = (*steps[:-1], steps[-1].judged((UNDER_WAY.reason,)))
+            return SearchPath(under_way, UNDER_WAY, self.holdout, None, search)
+        return SearchPath(*judged(steps), self.holdout, _other_path(structures), search)
 
 
 def step_of(

@@ -28,13 +28,26 @@ EXPECTED = 2.0  # times the error that a model expects of hold-out data
 
 def gate(steps: Sequence[Step]) -> Gate:
     """Whether the last model is to be used and its probabilities believed; if not, every reason."""
-    last = steps[-1]
-    reasons = last.against or [*_of_noise(last), *_against_the_steps_before(steps)]
-    if reasons:
-        return Gate(False, " ".join(dict.fromkeys(reasons)))
-    if len(last.calibration.readings) < FEWEST:
+    if reasons := against(steps):
+        return Gate(False, " ".join(reasons))
+    if len(steps[-1].calibration.readings) < FEWEST:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
     return Gate(True, "converged; neighbouring residuals are not correlated")
+
+
+def against(steps: Sequence[Step]) -> list[str]:
+    """Why the last model is not to be used, in words; what was found against it earlier among them."""
+    last = steps[-1]
+    found = last.against or [*_of_noise(last), *_against_the_steps_before(steps)]
+    return list(dict.fromkeys([*last.calibration.verdict.against, *found]))
+
+
+def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
+    """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
+    reasons, last = against(steps), steps[-1]
+    if reasons and last.calibration.verdict.ok:
+        steps = (*steps[:-1], last.judged(reasons))
+    return tuple(steps), gate(steps)
 
 
 def wrong_question(
@@ -98,9 +111,17 @@ def _left_over(step: Step) -> list[str]:
     rows += [(p.log_bayes_factor, " and ".join(p.against)) for p in step.check.pairs]
     factor, against = max(rows, default=(0.0, ""))
     if factor > 2 * VERY_STRONG:
+        said = f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): "
+        candidates = step.discovery.candidates if step.discovery else ()
+        if leads := [c for c in candidates if c.kind == "lead"]:
+            named = " or ".join(f"{c.effect} (probability {c.probability:.2f})" for c in leads)
+            return [
+                f"{said}{named} may be what is missing. Add it (--add {leads[0].effect}), or take the readings of the "
+                "next experiment."
+            ]
         return [
-            f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): something is missing that no "
-            "candidate describes, or readings of two devices or conditions are mixed."
+            f"{said}something is missing that no candidate describes, or readings of two devices or conditions are "
+            "mixed."
         ]
     return []
 
@@ -151,9 +172,8 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
     """What an added effect made worse: the error as fitted, leave-one-group-out, of the hold-out data."""
     reasons, unit = [], unit_label(steps[-1].calibration.unit)
     for before, after in pairwise(steps):
-        # Under another independent law readings weigh differently: their plain error may well be larger.
-        weighs = after.added is None and after.calibration.model.noise.independent
-        if not weighs and after.rmse_fitted > WORSE * before.rmse_fitted:
+        # Under another noise law readings weigh differently: their plain error may well be larger.
+        if after.added is not None and after.rmse_fitted > WORSE * before.rmse_fitted:
             reasons.append(
                 f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
                 f"{after.rmse_fitted:.3g} {unit}: do not use it."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,6 +52,10 @@ class Step:
     changed: str = ""
     holdout_sd: float | None = None
     against: tuple[str, ...] = ()
+
+    def judged(self, against: Sequence[str]) -> Step:
+        """The same, whose calibration knows why it is not to be used."""
+        return replace(self, calibration=self.calibration.judged(against))
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:

@@ -216,8 +216,8 @@ def _notes(
                 f"{p.high:.1f} °C."
             )
         calibration = chosen[a].calibration
-        if calibration is not None and not calibration.verdict.ok:
-            notes.append(f"{a}: THE FIT DID NOT CONVERGE: {' '.join(calibration.verdict.reasons)}")
+        if calibration is not None and not calibration.verdict.reliable:
+            notes.append(f"{a}: RESULT NOT RELIABLE: {calibration.verdict.why_not}")
     return [
         *notes,
         "Beyond these temperatures the correction stays as at their ends.",

@@ -38,6 +38,7 @@ class Verdict:
         ess: smallest effective sample size over the unknowns.
         r_hat: largest R-hat; None for independent draws.
         divergences: of NUTS.
+        against: of a fit that converged, why it is not to be used, as the checks of `calibrate` found.
     """
 
     ok: bool
@@ -48,6 +49,17 @@ class Verdict:
     ess: float | None = None
     r_hat: float | None = None
     divergences: int | None = None
+    against: tuple[str, ...] = ()
+
+    @property
+    def reliable(self) -> bool:
+        """Whether the result may be used."""
+        return self.ok and not self.against
+
+    @property
+    def why_not(self) -> str:
+        """Why the result is not to be used, in words; empty where it may be."""
+        return " ".join(self.reasons if not self.ok else self.against)
 
     def __str__(self) -> str:
         head = "converged" if self.ok else "NOT converged: " + " ".join(self.reasons)

@@ -8,9 +8,11 @@ The file is not signed: a seal is the laboratory's.
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from decimal import Decimal
 from pathlib import Path
 
 from bayescal._calibration.calibration import Calibration
@@ -40,7 +42,7 @@ def dcc_text(
     """The certificate as XML.
 
     Args:
-        calibration: a fit whose verdict is ok.
+        calibration: a reliable fit.
         certificate: what it states beside the numbers, or the TOML file of it.
         local_gravity: m/s², that one g of the calibration is.
 
@@ -56,9 +58,9 @@ def dcc_text(
                 f"{stated.file}, [{section}] country = {country!r}: two capital letters of ISO 3166-1 were expected, "
                 "such as DE"
             )
-    if not calibration.verdict.ok:
+    if not calibration.verdict.reliable:
         raise InputError(
-            f"no certificate is written of a result that is not reliable: {' '.join(calibration.verdict.reasons)}"
+            f"no certificate is written of a result that is not reliable: {calibration.verdict.why_not}"
         )
     ET.register_namespace("dcc", DCC)
     ET.register_namespace("si", SI)
@@ -173,7 +175,9 @@ def _results(
         "description",
         f"Coefficients of the measurement equation, with U = k*u, k = {K:g}; each effect adds its equation, times its "
         "coefficients, to a slot. Effects: "
-        + "; ".join(f"{e.name} in {e.slot}: {e.equation}" for e in calibration.model.effects),
+        + "; ".join(f"{e.name} in {e.slot}: {e.equation}" for e in calibration.model.effects)
+        + ". Coefficients are correlated; their covariance is in the calibration that the SHA-256 names. All holds "
+        "within the influence conditions as covered.",
     )
     method = _add(_add(result, "usedMethods"), "usedMethod")
     _said(method, "name", stated.get("calibration", "procedure") or "Bayesian calibration")
@@ -182,10 +186,19 @@ def _results(
     _equipment(result, stated)
     _conditions(result, calibration, stated, local_gravity)
     data = _add(_listed(_add(result, "results"), "result", "Coefficients"), "data")
+    for name, value in calibration.reference.items():
+        if isinstance(value, float) and name.endswith("0"):
+            quantity = _listed(data, "quantity", f"{name}, at which constants hold")
+            real(quantity, value, "degC", local_gravity)
     coefficients, spreads = summary(calibration)
-    for row in (*coefficients, *spreads):
+    for row in coefficients:
         quantity = _listed(data, "quantity", row["name"])
-        _real(quantity, row["mean"], row["unit"], local_gravity, row["sd"])
+        real(quantity, row["mean"], row["unit"], local_gravity, row["sd"])
+    for (
+        row
+    ) in spreads:  # positive quantities: their posterior is skewed, and no multiple of u covers
+        quantity = _listed(data, "quantity", row["name"])
+        real(quantity, row["mean"], row["unit"], local_gravity, row["sd"], row["interval95"])
 
 
 def _listed(parent: ET.Element, element: str, name: str) -> ET.Element:
@@ -194,20 +207,43 @@ def _listed(parent: ET.Element, element: str, name: str) -> ET.Element:
     return made
 
 
-def _real(
-    parent: ET.Element, value: float, unit: str | None, gravity: float, sd: float = 0.0
+def real(
+    parent: ET.Element,
+    value: float,
+    unit: str | None,
+    gravity: float,
+    sd: float = 0.0,
+    ends: tuple[float, float] | None = None,
 ) -> None:
-    """A number with its unit, and its expanded uncertainty where it has one."""
+    """A number with its unit, and its expanded uncertainty where it has one, or the ends of its 95 % interval.
+
+    The uncertainty has two significant digits, and the value as many decimals (JCGM 100, 7.2.6).
+    """
     factor, text = d_si(unit, gravity)
-    real = _add(parent, "real", space=SI)
-    _add(real, "value", repr(float(value) * factor), SI)
-    _add(real, "unit", text, SI)
-    if sd > 0:
-        uncertainty = _add(real, "expandedUnc", space=SI)
-        _add(uncertainty, "uncertainty", repr(K * float(sd) * factor), SI)
+    value, sd = float(value) * factor, float(sd) * factor
+    made = _add(parent, "real", space=SI)
+    _add(made, "value", _rounded(value, K * sd), SI)
+    _add(made, "unit", text, SI)
+    if sd > 0 and ends is not None:
+        interval = _add(made, "coverageInterval", space=SI)
+        _add(interval, "standardUnc", _rounded(sd, sd), SI)
+        _add(interval, "intervalMin", _rounded(ends[0] * factor, sd), SI)
+        _add(interval, "intervalMax", _rounded(ends[1] * factor, sd), SI)
+        _add(interval, "coverageProbability", "0.95", SI)
+    elif sd > 0:
+        uncertainty = _add(made, "expandedUnc", space=SI)
+        _add(uncertainty, "uncertainty", _rounded(K * sd, K * sd), SI)
         _add(uncertainty, "coverageFactor", f"{K:g}", SI)
         _add(uncertainty, "coverageProbability", f"{PROBABILITY:g}", SI)
         _add(uncertainty, "distribution", "normal", SI)
+
+
+def _rounded(value: float, uncertainty: float) -> str:
+    """A number to the second significant digit of an uncertainty; as it is where that is zero."""
+    if not uncertainty > 0:
+        return repr(value)
+    place = Decimal(1).scaleb(math.floor(math.log10(uncertainty)) - 1)
+    return str(Decimal(value).quantize(place))
 
 
 def _equipment(result: ET.Element, stated: Certificate) -> None:
@@ -247,4 +283,4 @@ def _conditions(
             continue
         data = _add(_listed(listed, "influenceCondition", f"{name}, as covered"), "data")
         for end, value in (("from", readings[name].min()), ("to", readings[name].max())):
-            _real(_listed(data, "quantity", end), float(value), unit, gravity)
+            real(_listed(data, "quantity", end), float(value), unit, gravity)

@@ -10,7 +10,7 @@ from bayescal._compensation.compensator import compensator
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._discovery.calibrate import Loop
-from bayescal._discovery.gate import gate
+from bayescal._discovery.gate import judged
 from bayescal._discovery.search_path import SearchPath
 from bayescal._firmware.autopilots import AUTOPILOTS
 from bayescal._firmware.parameters import axis_of, firmware_parameters
@@ -34,7 +34,7 @@ def trail_of(path: list[State], loop: Loop) -> SearchPath:
     final = replace(final, added=last.step.added, changed=last.step.changed)
     steps = [replace(s.step, discovery=s.discovery) for s in path[:-1]]
     steps.append(replace(final, discovery=last.discovery))
-    return SearchPath(tuple(steps), gate(steps), loop.holdout)
+    return SearchPath(*judged(steps), loop.holdout)
 
 
 def write_report(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from decimal import Decimal
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._report import dcc
 from bayescal._report.certificate import read_certificate
 from bayescal._report.d_si import d_si
 from bayescal_models import still_sensor
@@ -183,17 +185,20 @@ def test_a_digital_certificate_states_coefficients_in_si(calibration, written) -
         name = quantity.findtext("dcc:name/dcc:content", namespaces=space)
         real = quantity.find("si:real", space)
         assert real is not None
-        found[name] = (
-            float(real.findtext("si:value", "", space)),
-            real.findtext("si:unit", "", space),
-            float(real.findtext("si:expandedUnc/si:uncertainty", "nan", space)),
-        )
+        paths = ("si:value", "si:expandedUnc/si:uncertainty")
+        said = [real.findtext(path, "nan", space) for path in paths]
+        found[name] = (said, real.findtext("si:unit", "", space))
     slope = calibration.samples("bias.temperature")  # µg/°C
     micro_g = 9.80665e-6
-    value, unit, expanded = found["bias.temperature"]
+    (value, expanded), unit = found["bias.temperature"]
     assert unit == "\\metre\\second\\tothe{-2}\\kelvin\\tothe{-1}"
-    assert value == pytest.approx(micro_g * slope.mean(), rel=1e-6)
-    assert expanded == pytest.approx(2 * micro_g * slope.std(), rel=0.01)
+    u = 2 * micro_g * slope.std()
+    assert float(value) == pytest.approx(micro_g * slope.mean(), abs=0.05 * u)
+    assert float(expanded) == pytest.approx(u, rel=0.05)
+    # Two significant digits of the uncertainty, and the value's decimals (JCGM 100, 7.2.6).
+    assert len(Decimal(expanded).as_tuple().digits) == 2
+    assert Decimal(value).as_tuple().exponent == Decimal(expanded).as_tuple().exponent
+    assert float(found["T0, at which constants hold"][0][0]) == calibration.reference["T0"]
     for said in ("2026-0117", "4711", "R. Weiss", "Pt-9", "(23.0 ± 0.5) °C", "M. Kern"):
         assert said in written
 
@@ -219,6 +224,25 @@ def test_a_digital_certificate_without_what_it_needs_is_refused(
     assert re.search(said, ran.err), ran.err
     ran = run("export", saved, "--format", "dcc")
     assert ran.status == 2 and "--certificate FILE.toml" in ran.err
+
+
+def test_no_digital_certificate_is_written_of_what_a_gate_was_shut_on(
+    calibration, tmp_path
+) -> None:
+    stated = tmp_path / "stated.toml"
+    stated.write_text(STATED, "utf-8")
+    doubted = calibration.judged(("The residuals still depend on run.",))
+    with pytest.raises(bc.InputError, match="not reliable: The residuals still depend on run"):
+        dcc.dcc_text(doubted, stated)
+
+
+def test_what_is_positive_and_skewed_has_an_interval_and_no_multiple_of_its_uncertainty() -> None:
+    root = ElementTree.Element("quantity")
+    dcc.real(root, 0.0172, "deg/s", 9.80665, 0.0141, (0.004, 0.056))
+    space = {"si": "https://ptb.de/si"}
+    told = root.find("si:real/si:coverageInterval", space)
+    assert told is not None and root.find("si:real/si:expandedUnc", space) is None
+    assert [child.text for child in told] == ["0.00025", "0.00007", "0.00098", "0.95"]
 
 
 @pytest.mark.parametrize(

@@ -45,3 +45,29 @@ def test_a_gate_that_failed_leaves_with_1_and_its_result(tmp_path: Path) -> None
     assert done.data["gate"]["ok"] is False
     assert done.data["gate"]["reason"] in done.said[-1]
     assert done.data == json.loads((tmp_path / "result.json").read_text("utf-8"))
+
+
+def test_what_the_gate_found_stays_with_the_calibration_wherever_it_is_taken(
+    tmp_path: Path,
+) -> None:
+    reason = run(
+        "calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE, "--out", tmp_path, "--json"
+    ).data["gate"]["reason"]
+    file = tmp_path / "calibration.nc"
+    loaded = bc.load(file)
+    assert loaded.verdict.ok and not loaded.verdict.reliable
+    assert loaded.verdict.why_not == reason and reason in " ".join(str(loaded).split())
+    header = tmp_path / "gyro.h"
+    for command in (
+        ("export", file, "--out", header),
+        ("export", file, "--out", tmp_path / "gyro.json"),
+        ("budget", file, "--at", "temperature=60"),
+        ("compensate", tmp_path / "gyro.json", TABLE, "--out", tmp_path / "by_export.csv"),
+        ("compensate", file, TABLE, "--out", tmp_path / "done.csv"),
+        ("predict", file, TABLE),
+        ("report", file, "--out", tmp_path / "report.html"),
+    ):
+        done = run(*command)
+        assert done.status == 1, command
+        assert reason in done.said[-1], command
+    assert "RESULT NOT RELIABLE" in header.read_text("utf-8")

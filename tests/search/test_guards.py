@@ -110,15 +110,22 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
     )
     plain = {
         **{"rmse_fitted": 1.0, "left_out": None, "holdout_rmse": None, "title": "+ bias.x"},
-        **{"holdout_sd": None, "noise_floor": 1.0, "against": (), "doubts": (), "added": "bias.x"},
+        **{
+            "discovery": None,
+            "holdout_sd": None,
+            "noise_floor": 1.0,
+            "against": (),
+            "doubts": (),
+            "added": "bias.x",
+        },
     }
     return [
         SimpleNamespace(calibration=line, check=check, **{**plain, **one}) for one in (first, last)
     ]
 
 
-def test_another_independent_noise_law_may_raise_the_plain_error(line) -> None:
-    """Readings then weigh differently; an effect may not."""
+def test_another_noise_law_may_raise_the_plain_error(line) -> None:
+    """Readings then weigh differently, and a fit does not make the plain error least; an effect may not raise it."""
     assert gate(steps(line, {}, {"rmse_fitted": 1.5, "added": None})).ok
 
 
