@@ -146,10 +146,7 @@ def export(
     chosen = saved.single(calibrations or [], axis, device_id, own, member)
     if format_ == saved.DCC:
         text = saved.certified(chosen, certificate, local_gravity or STANDARD_GRAVITY)
-        print(
-            text if out is None else f"written: {write_text(text, out)}",
-            end="" if out is None else "\n",
-        )
+        print(text.rstrip("\n") if out is None else f"written: {write_text(text, out)}")
         return
     if out is None:
         from bayescal._compensation import code_writer

@@ -4,16 +4,14 @@ Two tables split the same variance, correlations included:
 
 - *by coefficient*: sensitivity c = ∂value/∂θ, contribution |c|·u(θ), and the share c_i·Σ_j C_ij·c_j/u², which adds up
   to one and may be negative where correlation reduces the variance (JCGM 100, 5.2.2);
-- *by source*: where the posterior's width comes from, linearised at the fit: the noise of the calibration's readings
-  (Type A) and the priors (Type B), the nuisance angles among them, which do not act in use and yet set how well a
-  bias is known.
-
-What the sampling of between-group standard deviations and shapes adds to that linear split is its own row,
-"between-group sd, shapes, curvature".
+- *by source*: where the posterior's width comes from, linearised at the fit: noise of the calibration's readings and
+  how its runs differ (Type A), priors (Type B), those of nuisance angles among them, which tell how well a bias is
+  known. What sampling between-group standard deviations and shapes adds has a row of its own.
 """
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -22,9 +20,10 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._compensation import inversion
+from bayescal._compensation.budget_notes import notes_on
 from bayescal._compensation.compensator import Compensator, compensator
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import number, table, with_error
+from bayescal._core.formatting import WIDTH, number, table, with_error
 from bayescal._diagnostics.prior_influence import variance_by_origin
 from bayescal._readings.unit_conversion import (
     coefficient_factor,
@@ -66,7 +65,7 @@ class Contribution:
 
 @dataclass(frozen=True)
 class SourceShare:
-    """One source's part: kind "A" (from the readings), "B" (a prior) or "" (the rest); share of the variance."""
+    """One source's part: kind "A" (readings and their runs), "B" (a prior) or "" (the rest); share of the variance."""
 
     name: str
     kind: str
@@ -89,6 +88,7 @@ class Budget:
         k: coverage factor.
         coefficients, sources: the two tables.
         covariance: of the coefficients, in their order, reported units.
+        notes: what to know, each a sentence.
     """
 
     stimulus: str
@@ -103,6 +103,7 @@ class Budget:
     coefficients: tuple[Contribution, ...]
     sources: tuple[SourceShare, ...]
     covariance: np.ndarray
+    notes: tuple[str, ...] = ()
 
     @property
     def expanded(self) -> float:
@@ -120,8 +121,7 @@ class Budget:
         return self.covariance / np.where(sd > 0, np.outer(sd, sd), 1.0)
 
     def shown(self) -> Budget:
-        """The same as people read it: in the unit of the readings where the stimulus is of their kind, angles of the
-        operating point in degrees."""
+        """The same in the readings' unit where the stimulus is of their kind, angles of the point in degrees."""
         to = self.output_unit
         if to == self.unit or not same_dimension(self.unit, to) or needs_gravity(self.unit, to):
             to = self.unit
@@ -163,7 +163,6 @@ def budget_text(found: Budget) -> str:
         for name, value in found.at.items()
     )
     tail = [f"contribution {unit}".strip(), "share"]
-    reading = found.expanded_reading / found.k
     parts = [
         f"Uncertainty budget of {found.stimulus} at {at}",
         table(
@@ -179,9 +178,10 @@ def budget_text(found: Budget) -> str:
             ],
         ),
         f"Combined standard uncertainty {number(found.uncertainty)} {unit}; with the noise of one reading "
-        f"({number(found.noise)} {unit}): {number(reading)} {unit}.",
+        f"({number(found.noise)} {unit}): {number(found.expanded_reading / found.k)} {unit}.",
         f"Expanded uncertainty (k = {found.k:g}): {number(found.expanded)} {unit}; with the noise of one reading: "
         f"{number(found.expanded_reading)} {unit}.",
+        textwrap.fill(" ".join(found.notes), WIDTH),
     ]
     return "\n\n".join(parts)
 
@@ -233,6 +233,7 @@ def budget(
         coefficients=_by_coefficient(chosen, gradient, variance),
         sources=_by_source(chosen, gradient, variance),
         covariance=covariance,
+        notes=notes_on(chosen, point),
     )
 
 
@@ -283,7 +284,7 @@ def _by_source(
     slopes: dict[str, float] = {}
     for i, unknown in enumerate(chosen._equation.unknowns()):
         if unknown.kind == "new":
-            parts[unknown.name, "B"] = gradient[i] ** 2 * chosen._moments.covariance[i, i]
+            parts[unknown.name, "A"] = gradient[i] ** 2 * chosen._moments.covariance[i, i]
         else:
             slopes[unknown.name] = float(gradient[i])
     split = variance_by_origin(chosen._calibration, slopes)
@@ -295,6 +296,5 @@ def _by_source(
         SourceShare(name, kind, value**0.5, value / variance if variance > 0 else 0.0)
         for (name, kind), value in sorted(parts.items(), key=lambda p: -p[1])
     ]
-    share = rest / variance if variance > 0 else 0.0
-    rows.append(SourceShare(REST, "", float(np.sign(rest) * abs(rest) ** 0.5), share))
-    return tuple(rows)
+    signed = float(np.sign(rest) * abs(rest) ** 0.5)
+    return (*rows, SourceShare(REST, "", signed, rest / variance if variance > 0 else 0.0))

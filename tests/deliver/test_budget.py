@@ -68,6 +68,23 @@ def test_k_and_noise_are_said_and_multiply(gyro) -> None:
     np.testing.assert_allclose(np.diag(gyro.correlation), 1.0)
 
 
+def test_what_the_numbers_do_not_say_is_said(gyro) -> None:
+    assert gyro.notes[-1].startswith("Not in it: errors that all readings share")
+    assert not any("outside" in note for note in gyro.notes)
+    beyond = bc.budget(bent_sensor.gyro(), {"temperature": 500.0})
+    assert "temperature = 500 is outside its calibrated range" in beyond.notes[0]
+    assert "an extrapolation" in " ".join(str(beyond).split())
+
+
+def test_of_few_runs_the_coverage_is_said_to_be_short_and_their_spread_is_type_a() -> None:
+    readings = mems_gyro.simulate({"bias.run": 0.05}, seed=2, campaign=mems_gyro.Campaign(runs=3))
+    model = mems_gyro.INSTRUMENT.baseline() + "bias.run"
+    found = bc.budget(bc.fit(model, readings, bc.LeastSquares(draws=200)))
+    assert any("bias.run of a new run is known from 3 of them" in note for note in found.notes)
+    spread = next(s for s in found.sources if s.name.startswith("bias.run"))
+    assert spread.kind == "A"
+
+
 def test_it_is_shown_in_the_unit_in_which_the_instrument_reports(gyro) -> None:
     """A tilt is kept in rad; of an inclinometer that reads arcsec the budget says arcsec, and its tilt in degrees."""
     made = replace(

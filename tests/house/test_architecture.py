@@ -49,7 +49,7 @@ ROOMS = {
     "calibrate describe",
     "_channels": "shared_shape channels calibrate_channels",
     "_compensation": "operating_equation posterior_moments inversion expression_graph jaxpr_to_graph inputs provenance "
-    "compensation_program code_writer compensator compensate_file budget",
+    "compensation_program code_writer compensator compensate_file budget_notes budget",
     "_firmware": "thermal_polynomial autopilots parameters",
     "_population": "device_sums spread_draws population",
     "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack "

@@ -110,14 +110,8 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
     )
     plain = {
         **{"rmse_fitted": 1.0, "left_out": None, "holdout_rmse": None, "title": "+ bias.x"},
-        **{
-            "discovery": None,
-            "holdout_sd": None,
-            "noise_floor": 1.0,
-            "against": (),
-            "doubts": (),
-            "added": "bias.x",
-        },
+        **{"holdout_sd": None, "noise_floor": 1.0, "discovery": None},
+        **{"against": (), "doubts": (), "added": "bias.x"},
     }
     return [
         SimpleNamespace(calibration=line, check=check, **{**plain, **one}) for one in (first, last)

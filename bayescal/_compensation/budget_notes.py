@@ -1,0 +1,45 @@
+"""What a reader of an uncertainty budget has to know beside its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bayescal._compensation.compensator import Compensator
+
+SHARED = (
+    "Not in it: errors that all readings share and no prior states, such as that of a reference or of the thermometer. "
+    "Add their variances."
+)
+FEW = 10  # groups, below which a spread between them is not known well enough for a normal distribution
+
+
+def notes_on(chosen: Compensator, point: Mapping[str, float]) -> tuple[str, ...]:
+    """Where the operating point is outside the calibrated range, which coverage is short, and what is not counted.
+
+    Args:
+        chosen: whose budget it is.
+        point: the operating point, fixed units.
+    """
+    ranges = {
+        i.name: (i.low, i.high, i.unit) for i in chosen.inputs if i.kind in ("column", "elapsed")
+    }
+    if chosen.stimulus_range is not None:
+        ranges[chosen.stimulus] = (*chosen.stimulus_range, chosen.unit)
+    notes = [
+        f"{name} = {point[name]:.6g} is outside its calibrated range, {low:.6g} to {high:.6g} {unit}: an "
+        "extrapolation, whose uncertainty does not say by how much the equation itself may fail."
+        for name, (low, high, unit) in ranges.items()
+        if not low <= point[name] <= high
+    ]
+    assert chosen.calibration is not None and chosen.equation is not None
+    levels = chosen.calibration.levels
+    for block in chosen.equation.blocks:
+        per = block.coefficient.per
+        if per is not None and per not in dict(chosen.equation.members):
+            count = len(levels.get(per, ()))
+            if count < FEW:
+                notes.append(
+                    f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less "
+                    "than that of a normal distribution."
+                )
+    return (*dict.fromkeys(notes), SHARED)
