@@ -20,7 +20,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._compensation import inversion
-from bayescal._compensation.budget_notes import notes_on
+from bayescal._compensation.budget_notes import learned_spreads, notes_on
 from bayescal._compensation.compensator import Compensator, compensator
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, table, with_error
@@ -258,22 +258,20 @@ def _by_coefficient(
     chosen: Compensator, gradient: np.ndarray, variance: float
 ) -> tuple[Contribution, ...]:
     moments = chosen._moments
-    pulled = moments.covariance @ gradient
-    rows = []
-    for i, unknown in enumerate(chosen._equation.unknowns()):
-        sd, c = float(moments.covariance[i, i] ** 0.5), float(gradient[i])
-        rows.append(
-            Contribution(
-                name=unknown.name,
-                unit=unknown.unit,
-                value=float(moments.mean[i]),
-                uncertainty=sd,
-                sensitivity=c,
-                contribution=abs(c) * sd,
-                share=c * float(pulled[i]) / variance if variance > 0 else 0.0,
-            )
+    sd = np.sqrt(np.diag(moments.covariance))
+    share = gradient * (moments.covariance @ gradient) / (variance or np.inf)
+    return tuple(
+        Contribution(
+            name=unknown.name,
+            unit=unknown.unit,
+            value=float(moments.mean[i]),
+            uncertainty=float(sd[i]),
+            sensitivity=float(gradient[i]),
+            contribution=float(abs(gradient[i]) * sd[i]),
+            share=float(share[i]),
         )
-    return tuple(rows)
+        for i, unknown in enumerate(chosen._equation.unknowns())
+    )
 
 
 def _by_source(
@@ -281,10 +279,11 @@ def _by_source(
 ) -> tuple[SourceShare, ...]:
     """The split by what the calibration knew: noise, each prior, each deviation that is new in use."""
     parts: dict[tuple[str, str], float] = {}
-    slopes: dict[str, float] = {}
+    slopes, learned = dict[str, float](), learned_spreads(chosen._equation)
     for i, unknown in enumerate(chosen._equation.unknowns()):
         if unknown.kind == "new":
-            parts[unknown.name, "A"] = gradient[i] ** 2 * chosen._moments.covariance[i, i]
+            kind = "A" if unknown.key in learned else "B"
+            parts[unknown.name, kind] = gradient[i] ** 2 * chosen._moments.covariance[i, i]
         else:
             slopes[unknown.name] = float(gradient[i])
     split = variance_by_origin(chosen._calibration, slopes)

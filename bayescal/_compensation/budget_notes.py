@@ -5,12 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bayescal._compensation.compensator import Compensator
+from bayescal._compensation.operating_equation import OperatingEquation
 
 SHARED = (
     "Not in it: errors that all readings share and no prior states, such as that of a reference or of the thermometer. "
     "Add their variances."
 )
 FEW = 10  # groups, below which a spread between them is not known well enough for a normal distribution
+
+
+def learned_spreads(equation: OperatingEquation) -> set[str]:
+    """Coefficients of which a new member is drawn in use, from a spread that the readings told."""
+    given, fixed = dict(equation.members), dict(equation.layout.model.fixed)
+    return {
+        b.name
+        for b in equation.blocks
+        if b.coefficient.spread is not None
+        and b.coefficient.per not in given
+        and b.spread_name not in fixed
+    }
 
 
 def notes_on(chosen: Compensator, point: Mapping[str, float]) -> tuple[str, ...]:
@@ -32,11 +45,11 @@ def notes_on(chosen: Compensator, point: Mapping[str, float]) -> tuple[str, ...]
         if not low <= point[name] <= high
     ]
     assert chosen.calibration is not None and chosen.equation is not None
-    levels = chosen.calibration.levels
+    learned = learned_spreads(chosen.equation)
     for block in chosen.equation.blocks:
         per = block.coefficient.per
-        if per is not None and per not in dict(chosen.equation.members):
-            count = len(levels.get(per, ()))
+        if per is not None and block.name in learned:
+            count = len(chosen.calibration.levels.get(per, ()))
             if count < FEW:
                 notes.append(
                     f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less "
