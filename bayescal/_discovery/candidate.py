@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
 from bayescal._calibration.guards import off_scale
+from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._engine.closed_form import Density
 from bayescal._engine.linear_model import linear_model
 from bayescal._model.unknown_effect import covariate_in
@@ -256,6 +257,8 @@ def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
         return replace(candidate, kind="finding")
     if (candidate.probability or 0.0) >= LEAD:
         return replace(candidate, kind="lead")
+    if (candidate.log_bayes_factor or 0.0) > STRONG:
+        return candidate  # to be seen well enough, and explained by what was found
     least = candidate.minimum_detectable
     hidden = (candidate.visibility or 0.0) < VISIBLE
     if least is None or least > HOPELESS * plausible or (hidden and least > plausible):

@@ -178,20 +178,23 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
                 f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
                 f"{after.rmse_fitted:.3g} {unit}: do not use it."
             )
-    first, last = steps[0], steps[-1]
+    last = steps[-1]
     group = last.left_out.group if last.left_out else "group"
-    pairs = {
-        f"each {group} from the others ({scheme(group)})": (
-            first.left_out and first.left_out.rmse,
-            last.left_out and last.left_out.rmse,
-        ),
-        "the hold-out data": (first.holdout_rmse, last.holdout_rmse),
+    errors = {
+        f"each {group} from the others ({scheme(group)})": [
+            s.left_out and s.left_out.rmse for s in steps
+        ],
+        "the hold-out data": [s.holdout_rmse for s in steps],
     }
-    for what, (early, late) in pairs.items():
-        if early is not None and late is not None and late > WORSE * early:
+    for what, (*earlier, late) in errors.items():
+        known = {
+            s.title: error for s, error in zip(steps, earlier, strict=False) if error is not None
+        }
+        if late is not None and known and late > WORSE * min(known.values()):
+            best = min(known, key=known.__getitem__)
             reasons.append(
-                f"The last model predicts {what} worse than the first, {early:.3g} → {late:.3g} {unit}: "
-                "what was added holds for these readings alone."
+                f"The last model predicts {what} worse than step {best!r}, {known[best]:.3g} → {late:.3g} {unit}: "
+                "what was changed since holds for these readings alone."
             )
     expected = last.holdout_sd
     if expected is not None and (last.holdout_rmse or 0.0) > EXPECTED * expected:

@@ -145,7 +145,7 @@ def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
         (
             {"left_out": SimpleNamespace(rmse=1.0, group="run")},
             {"left_out": SimpleNamespace(rmse=1.06, group="run")},
-            "predicts each run from the others (leave-one-run-out) worse than the first",
+            "predicts each run from the others (leave-one-run-out) worse than step",
         ),
     ],
 )

@@ -19,9 +19,6 @@ INSTRUMENT = mems_gyro.INSTRUMENT
 CANDIDATES = tuple(name for name in SIZES if name != "bias.temperature")
 SAMPLE = ("bias.thermal_lag",)  # the fast tests; the slow ones hide every candidate
 # Claims that are not met, and why; docs/hidden_effects.md counts how often.
-LATE = pytest.mark.xfail(
-    reason="a short lag predicts better than a rate known half a minute late", strict=True
-)
 ALIAS = pytest.mark.xfail(
     reason="the circuit's temperature is an exact alias, and stands first", strict=True
 )
@@ -90,9 +87,7 @@ def test_a_hidden_effect_is_found_and_the_error_falls(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [11, 12, 13])
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=LATE if n == "bias.rate" else ()) for n in CANDIDATES]
-)
+@pytest.mark.parametrize("name", CANDIDATES)
 def test_every_candidate_hidden_in_turn(name: str, seed: int) -> None:
     hidden_and_found(name, seed)
 
