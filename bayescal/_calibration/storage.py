@@ -156,9 +156,7 @@ def _fields(
     layout = Layout(model, bound.counts, tuple(described["promoted"]))
     if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
         raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")
-    told = described["verdict"]
-    words = {name: tuple(told[name]) for name in ("reasons", "notes")}
-    verdict = Verdict(**{**told, **words, "against": tuple(told.get("against", ()))})
+    verdict = Verdict.read(described["verdict"])
     joint = _draws_from(tree, layout, len(readings), finite=verdict.ok)
     mode = _mode_from(tree, layout, len(readings), finite=verdict.ok)
     _refuse_other_posterior(tree, named(layout, levels, joint.x, joint.rows, joint.v))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -60,6 +60,11 @@ class Verdict:
     def why_not(self) -> str:
         """Why the result is not to be used, in words; empty where it may be."""
         return " ".join(self.reasons if not self.ok else self.against)
+
+    @classmethod
+    def read(cls, told: dict[str, Any]) -> Verdict:
+        """A verdict that was written as JSON, whose tuples come back as lists."""
+        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in told.items()})
 
     def __str__(self) -> str:
         head = "converged" if self.ok else "NOT converged: " + " ".join(self.reasons)
@@ -124,14 +129,12 @@ def kept_outcome(layout: Layout, run: Callable[[], Outcome]) -> Outcome:
     x, rows, v, stats, mode = jax.tree.map(
         np.asarray, checkpoint.filled(like, store.arrays["outcome"])
     )
-    verdict = told["verdict"]
-    words = {name: tuple(verdict[name]) for name in ("reasons", "notes")}
     evidence = told["log_evidence"]
     return Outcome(
         layout=Layout(layout.model, layout.counts, tuple(told["promoted"])),
         draws=Draws(x, rows, v, stats),  # pyright: ignore[reportArgumentType]
         mode=mode,
-        verdict=Verdict(**{**verdict, **words}),
+        verdict=Verdict.read(told["verdict"]),
         log_evidence=None if evidence is None else (evidence[0], evidence[1]),
     )
 
