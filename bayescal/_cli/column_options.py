@@ -40,7 +40,10 @@ Decimal = Annotated[
 ]
 MappingFile = Annotated[
     Path | None,
-    typer.Option("--mapping", help="TOML file that --save-mapping wrote; other options go first."),
+    typer.Option(
+        "--mapping",
+        help="TOML file that --save-mapping wrote; options on the command line take precedence.",
+    ),
 ]
 SaveMapping = Annotated[
     Path | None,

@@ -129,7 +129,7 @@ def export(
     member: options.Members = None,
     own: OwnParts,
 ) -> None:
-    """Write what leaves: a C99 header, a Python function, JSON, an autopilot's parameters, a digital certificate."""
+    """Write the calibration for use elsewhere: C99, Python, JSON, an autopilot's parameters, a digital certificate."""
     from bayescal._cli import saved
     from bayescal._core.atomic_file import write_text
 

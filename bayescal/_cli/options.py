@@ -231,7 +231,7 @@ AcceptConflict = Annotated[
     list[str] | None,
     typer.Option(
         "--accept-conflict",
-        help="bias.constant: may stand far from its plausible size; repeat for others.",
+        help="bias.constant: may differ greatly from its plausible size; repeat for others.",
     ),
 ]
 Certificate = Annotated[

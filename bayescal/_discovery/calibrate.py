@@ -74,7 +74,7 @@ def calibrate(
         reference: constants of the bases to use in place of the readings' own.
         time_limit: seconds of search after which the best so far is taken; Ctrl-C does the same at any time.
         seeds: structures to weigh first: `trail.search.structures` of a search of these readings that was ended early.
-        accept_conflicts: coefficients or effects that may stand far from their priors; else nothing is looked for.
+        accept_conflicts: coefficients or effects that may differ greatly from their priors; else nothing is looked for.
         follow: called with the trail so far, as soon as the first model stands and whenever it grows.
 
     Raises:

@@ -2,7 +2,7 @@
 
 A law that is Gaussian given its parameters offers `gram`, through which coefficients are integrated out in
 closed form. The others (Student-t, rounding) offer a density. Of Student-t it has one maximum in the coefficients where
-there are readings enough, about which a Gaussian stands for it (Laplace).
+there are enough readings, about which a Gaussian stands for it (Laplace).
 """
 
 from __future__ import annotations

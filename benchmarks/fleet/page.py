@@ -35,14 +35,14 @@ def _throughput(r: dict[str, Any]) -> str:
     return f"""## {r["devices"]:,} devices by least squares
 
 A line in temperature for each of {r["devices"]:,} simulated gyroscopes, {r["readings"]:,} readings in
-{r["partitions"]} files, with two workers: {r["processor_s"]:.0f} s of the processor
+{r["partitions"]} files, with two workers: {r["processor_s"]:.0f} CPU seconds
 in the workers, reading, fitting, writing and
-checksums together, {r["clock_s"]:.0f} s by the clock of a machine that had other work.
+checksums together, {r["clock_s"]:.0f} s wall-clock on a machine that had other work.
 At most {r["peak_memory_mb"]:.0f} MB in a process
 (goal 1 GiB). The peers fit arrays that are in memory already, one call a device, in the same run.
 
 {table(["", "devices per core-second", "bayescal over it"], rows)}
-From one worker to two, on {pair["devices"]:,} devices: {pair["ratio"]:.2f} × by the clock (goal 1.7).
+From one worker to two, on {pair["devices"]:,} devices: {pair["ratio"]:.2f} × wall-clock (goal 1.7).
 """
 
 
@@ -92,7 +92,7 @@ def _finding(r: dict[str, Any]) -> str:
     return f"""## Each device's structure searched
 
 {r["devices"]} simulated gyroscopes of {r["readings"]} readings, `--find`:
-{r["devices_per_core_second"]:.2f} devices per core-second ({r["processor_s"]:.0f} s of the processor).
+{r["devices_per_core_second"]:.2f} devices per core-second ({r["processor_s"]:.0f} CPU seconds).
 Devices with an effect where nothing is hidden: {proportion(r["false"], r["empty"])}.
 Devices whose model has a substitute of what is hidden: {proportion(r["wrongly_named"], r["devices"] - r["empty"])}.
 
@@ -113,7 +113,7 @@ def _wafer(r: dict[str, Any]) -> str:
     return f"""## Pairs of a wafer
 
 The twelve best of {r["pairs"]:,} pairs of {r["devices"]:,} made-up resonators:
-{r["processor_s"]:.0f} s of the processor, {r["peak_memory_mb"]:.0f} MB.
+{r["processor_s"]:.0f} CPU seconds, {r["peak_memory_mb"]:.0f} MB.
 {r["classes_excluded"]:,} of {r["classes"]:,} pairs of classes were excluded by their bound
 ({r["pairs_of_excluded_classes"]:,} pairs), {r["bounded"]:,} pairs by one of their own;
 {r["evaluated"]:,} were computed.

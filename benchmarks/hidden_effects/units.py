@@ -193,7 +193,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         "found where there is none",
         "structure right, where clear",
         "channels with a false effect",
-        "processor, s",
+        "CPU, s",
     ]
     return PAGE + table(head, body_rows)
 

@@ -122,7 +122,7 @@ def _of_unit(results: dict[str, Any], split: str) -> list[str]:
         for name, probability, middle, low, high, _ in unit["shared"]
         if probability > 0.5
     ]
-    head = [f"{split} held out, {unit['cpu_seconds']:.0f} s of processor", *CHANNELS]
+    head = [f"{split} held out, {unit['cpu_seconds']:.0f} CPU s", *CHANNELS]
     return [table(head, rows), f"Shared by the unit: {'; '.join(shared) or 'nothing found'}.\n"]
 
 
@@ -139,7 +139,7 @@ def _incomplete(channels: dict[str, Any]) -> list[str]:
 def _table(channels: dict[str, Any], split: str) -> str:
     head = [
         *("channel", "added, in order", "noise", "fitted error", "held-out error"),
-        *("in the record", "floor", "evidence", "trusted", "time (processor)"),
+        *("in the record", "floor", "evidence", "trusted", "CPU time"),
     ]
     rows = []
     for name, splits in channels.items():

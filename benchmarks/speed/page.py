@@ -45,12 +45,12 @@ BATCHES = """## Ten thousand devices by least squares
 
 WORKBENCH = """## The workbench
 
-In a headless Chromium, from the press to what it brings being on the page; beside it the processor's time of the server
-alone, since other work on the machine lengthens the clock's. A page that says what is being done stands from the first
-second; the whole page comes when Panel is loaded and the first model is fitted, a process with its compiled code on
-the disk. Preview and *Add*: 2,000 readings, the median of four candidates, each
-pointed at for the first time. Redraw: a further panel of 10⁵ readings, while the search for what is missing goes on
-beside it, whose processor's time is in that row too.
+In a headless Chromium, from the press to what it brings being on the page; beside it the CPU seconds of the server
+alone, since other work on the machine lengthens wall-clock times. A page that says what is being done stands from the
+first second; the whole page comes when Panel is loaded and the first model is fitted, a process with its compiled code
+on the disk. Preview and *Add*: 2,000 readings, the median of four candidates, each pointed at for the first time.
+Redraw: a further panel of 10⁵ readings, while the search for what is missing goes on beside it, whose CPU seconds are
+in that row too.
 
 """
 WORKBENCH_ROWS = {
@@ -109,7 +109,7 @@ def _scaling(found: dict[str, Any]) -> str:
 
 
 def _start_up(found: dict[str, Any]) -> str:
-    head = ("start", "bayescal, s", "PyMC + nutpie cold, s", "ratio by the clock")
+    head = ("start", "bayescal, s", "PyMC + nutpie cold, s", "ratio, wall-clock")
     peer = found["rows"]["cold"]["peer"]
     rows = [
         [
@@ -122,11 +122,11 @@ def _start_up(found: dict[str, Any]) -> str:
         ]
         for start, r in found["rows"].items()
     ]
-    return table([*head, "ratio by the processor", "goal"], rows)
+    return table([*head, "ratio, CPU", "goal"], rows)
 
 
 def _batches(found: dict[str, Any]) -> str:
-    head = ("peer, on both cores", "its seconds over ours", "by the processor")
+    head = ("peer, on both cores", "its seconds over ours", "by CPU seconds")
     rows = [
         [
             name,
@@ -150,7 +150,7 @@ def _workbench(found: dict[str, Any]) -> str:
         for name, words in WORKBENCH_ROWS.items()
         if (r := found["rows"].get(name))
     ]
-    shown = table(["what", "clock, s", "server's processor, s", "goal, s"], rows)
+    shown = table(["what", "wall-clock, s", "server, CPU s", "goal, s"], rows)
     return f"{shown}\nOver the last quarter of an hour {found['load']:.0f} processes wanted these cores.\n"
 
 
