@@ -152,7 +152,7 @@ class _Channel:
         then = {n: self.says[n].concluded(self.heard[n], shapes[n]) for n in told}
         now = {n: self.says[n].concluded(told[n], shapes[n]) for n in told}
         searched = any(now[n].likelier(then[n]) for n in told)
-        news = {n for n in told if now[n].likelier(then[n]) or now[n].aside(then[n])}
+        news = {n for n in told if now[n].likelier(then[n]) or now[n].tells(then[n])}
         if not news:
             return False
         candidates = dict(before.candidates)

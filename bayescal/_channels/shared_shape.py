@@ -26,10 +26,8 @@ SHARES = (np.arange(10) + 0.5)[:, None] / 10  # of the channels that show what t
 REACH, STEP = 3.5, 0.25  # of the shape's grid, prior standard deviations
 RAGGED_STEP = 0.02
 CLOSE = np.linspace(-4.0, 4.0, 25)  # about what a channel found, in its standard deviations
-LIKELIER = (
-    0.1  # by which an effect's probability in a channel moves before the channel is searched again
-)
-ASIDE = 0.5  # standard deviations by which a shape moves before its structures are weighed again
+LIKELIER = 0.1  # by which an effect's probability moves before the channel is searched again
+NEWS = 0.125  # nats that others tell of a shape before its structures are weighed again: half a standard deviation
 ASKED = 3  # most probable structures with the effect and without, of which a channel is asked
 
 
@@ -71,10 +69,11 @@ class Conclusion(NamedTuple):
         """Whether the effect is more or less probable than it was, by what counts."""
         return abs(self.probability - then.probability) > LIKELIER
 
-    def aside(self, then: Conclusion) -> bool:
-        """Whether the shape of an effect that may be there stands elsewhere."""
+    def tells(self, then: Conclusion) -> bool:
+        """Whether more is known of the shape of an effect that may be there (Kullback–Leibler, both as normal)."""
         may_be = max(self.probability, then.probability) > LIKELIER
-        return may_be and abs(self.v - then.v) > ASIDE * max(self.sd, then.sd)
+        narrower, moved = self.sd / then.sd, (self.v - then.v) / then.sd
+        return may_be and (narrower**2 + moved**2 - 1) / 2 - math.log(narrower) > NEWS
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._channels.shared_shape import SHARES, FromOthers, Said, SharedShape, log_mass, said
+from bayescal._channels.shared_shape import (
+    SHARES,
+    Conclusion,
+    FromOthers,
+    Said,
+    SharedShape,
+    log_mass,
+    said,
+)
 from bayescal._discovery.discover import structures_over
 from bayescal._model.frame import reference_of
 from bayescal._search.library import Library
@@ -66,7 +74,18 @@ def test_only_a_channel_in_doubt_concludes_something_else(channel: str, learns: 
     one = Said(shared.v, log_ratio)
     now = one.concluded(shared.from_others(channel), shape)
     then = one.concluded(alone, shape)
-    assert (now.likelier(then) or now.aside(then)) == learns
+    assert (now.likelier(then) or now.tells(then)) == learns
+
+
+@pytest.mark.parametrize(
+    ("moved", "narrower", "tells"),
+    [(0.0, 1.0, False), (0.3, 1.0, False), (0.6, 1.0, True), (0.0, 0.9, False), (0.0, 0.5, True)],
+)
+def test_a_shape_that_others_move_or_narrow_is_news(moved, narrower, tells) -> None:
+    then = Conclusion(0.9, 0.2, 0.4)
+    now = Conclusion(0.9, 0.2 + moved * 0.4, narrower * 0.4)
+    assert now.tells(then) == tells
+    assert not now._replace(probability=0.0).tells(then._replace(probability=0.0))
 
 
 def test_what_a_channel_concludes_alone_is_the_posterior_of_its_own_prior() -> None:

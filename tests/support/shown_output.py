@@ -9,7 +9,6 @@ import pytest
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?!\w)")
 BOUND = re.compile(r"[<>] (?=\d)")  # of a probability: "< 0.01" is compared as 0.01
 RELATIVE = 0.02
-LAST_DIGITS = 2
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -17,8 +16,8 @@ def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
 
 
-def assert_as_shown(printed: str, shown: str) -> None:
-    """Words exactly; numbers within two of the last digit shown, or 2 %.
+def assert_as_shown(printed: str, shown: str, last_digits: float = 2) -> None:
+    """Words exactly; numbers within some of the last digit shown, or 2 %.
 
     Rules under a table's head and the spaces between columns are not compared: their lengths depend
     on the numbers.
@@ -29,7 +28,7 @@ def assert_as_shown(printed: str, shown: str) -> None:
         if NUMBER.sub("#", one) != NUMBER.sub("#", other):
             pytest.fail(f"the words differ:\n  {one}\n  {other}{where}")
         for a, b in zip(NUMBER.findall(one), NUMBER.findall(other), strict=True):
-            if abs(float(a) - float(b)) > max(LAST_DIGITS * _last(b), RELATIVE * abs(float(b))):
+            if abs(float(a) - float(b)) > max(last_digits * _last(b), RELATIVE * abs(float(b))):
                 pytest.fail(f"{a} is not {b}, in:\n  {one}\n  {other}{where}")
     if len(ours) != len(theirs):
         pytest.fail(f"{len(ours)} lines, not {len(theirs)}{where}")
