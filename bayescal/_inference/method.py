@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -63,8 +63,13 @@ class Verdict:
 
     @classmethod
     def read(cls, told: dict[str, Any]) -> Verdict:
-        """A verdict that was written as JSON, whose tuples come back as lists."""
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in told.items()})
+        """A verdict that was written as JSON, whose tuples come back as lists.
+
+        Raises:
+            KeyError: a field is missing.
+        """
+        known = ((f.name, {"against": (), **told}[f.name]) for f in fields(cls))
+        return cls(**{name: tuple(v) if isinstance(v, list) else v for name, v in known})
 
     def __str__(self) -> str:
         head = "converged" if self.ok else "NOT converged: " + " ".join(self.reasons)
