@@ -196,7 +196,7 @@ CHANGES = {
     "sizes of no use": (described(counts=3), "its group sizes are 3"),
     "strange promotion": (described(promoted=["bias.colour"]), "bias.colour is no coefficient"),
     "no verdict": (described(verdict=None), "it lacks 'verdict'"),
-    "a verdict of no use": (described(verdict={"fine": True}), "it lacks 'reasons'"),
+    "a verdict of no use": (described(verdict={"fine": True}), "it lacks 'ok'"),
     "no such noise": (described(noise={"law": "Pink"}), "it lacks 'Pink'"),
     "no constants": (described(reference={}), "its constants are"),
 }
