@@ -64,6 +64,7 @@ def compensate(
     """Turn readings back into what was measured, with standard uncertainty: two columns more."""
     from bayescal._cli.saved import compensator_from
     from bayescal._compensation.compensate_file import compensate_file
+    from bayescal._compensation.provenance import NOT_RELIABLE
 
     chosen = compensator_from(calibration, own, member)
     how = columns.for_read()
@@ -78,7 +79,7 @@ def compensate(
         noise=not without_noise,
     )
     columns.keep()
-    print_notes(done.flags)
+    print_notes((*(n for n in chosen.notes if not n.startswith(NOT_RELIABLE)), *done.flags))
     print_notes(
         f"{name} is outside its calibrated range in {count} of {done.rows} readings: an "
         "extrapolation there"

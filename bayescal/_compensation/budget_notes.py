@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from bayescal._compensation.compensator import Compensator
 from bayescal._compensation.operating_equation import OperatingEquation
+from bayescal._compensation.provenance import bias_only
 
 SHARED = (
     "Not in it: errors that all readings share and no prior states, such as that of a reference or of the thermometer. "
@@ -55,4 +56,6 @@ def notes_on(chosen: Compensator, point: Mapping[str, float]) -> tuple[str, ...]
                     f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less "
                     "than that of a normal distribution."
                 )
+    if not chosen.equation.slope_calibrated(chosen.calibration):
+        notes.append(bias_only(chosen.stimulus))
     return (*dict.fromkeys(notes), SHARED)

@@ -34,9 +34,8 @@ from bayescal._compensation.operating_equation import (
     input_names,
 )
 from bayescal._compensation.posterior_moments import PosteriorMoments, posterior_moments
-from bayescal._compensation.provenance import provenance_of
+from bayescal._compensation.provenance import notes_on_use, provenance_of
 from bayescal._core.errors import InputError
-from bayescal._model.instrument import Use
 from bayescal._readings.column import UNCERTAINTY, Column
 from bayescal._readings.measurements import Measurements
 
@@ -129,17 +128,22 @@ class Compensator:
             warn_outside(masks, told, len(value))
         return Compensated(value, np.sqrt(variance), self.unit, masks)
 
-    # What it is.
-
     @property
     def stimulus(self) -> str:
         """Name of what is compensated for."""
-        return self.loaded.about.stimulus if self.loaded else self._use.stimulus
+        return self.loaded.about.stimulus if self.loaded else self._equation.use.stimulus
 
     @property
     def unit(self) -> str:
         """Its fixed unit."""
-        return self.loaded.about.unit if self.loaded else self._use.unit
+        return self.loaded.about.unit if self.loaded else self._equation.use.unit
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know before a reading is compensated, each a sentence."""
+        if self.loaded:
+            return self.loaded.about.notes
+        return notes_on_use(self._calibration, self._equation, self.stimulus_range)
 
     @property
     def output_unit(self) -> str:
@@ -213,8 +217,6 @@ class Compensator:
         """
         return code_writer.export(self.program, path, format)
 
-    # How it does it.
-
     @property
     def _calibration(self) -> Calibration:
         assert self.calibration is not None
@@ -224,10 +226,6 @@ class Compensator:
     def _equation(self) -> OperatingEquation:
         assert self.equation is not None
         return self.equation
-
-    @property
-    def _use(self) -> Use:
-        return self._equation.use
 
     @cached_property
     def _inverse(self) -> inversion.Inverse:
@@ -250,8 +248,8 @@ class Compensator:
         """Of the stimulus in the calibration; None where it was not varied, or is no column."""
         if self.loaded:
             return self.loaded.stimulus_range
-        readings, name = self._calibration.readings, self._use.stimulus
-        if self._use.equation is not None or not readings.has(name):
+        readings, name = self._calibration.readings, self._equation.use.stimulus
+        if self._equation.use.equation is not None or not readings.has(name):
             return None
         low, high = float(readings[name].min()), float(readings[name].max())
         return (low, high) if high > low else None

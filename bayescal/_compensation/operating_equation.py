@@ -16,6 +16,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -182,6 +183,16 @@ class OperatingEquation(eqx.Module):
             lags=tuple(one[lag.name] for lag in self.lags),
         )
 
+    def slope_calibrated(self, calibration: Calibration) -> bool:
+        """Whether an unknown acts on how the output follows the stimulus."""
+        names = input_names(self, calibration.frame)
+        inputs = {n: jnp.ones(()) for n in names}
+        slope = jax.grad(self.point, argnums=1)
+        found = jax.grad(slope)(
+            _theta(self, calibration), jnp.ones(()), inputs, calibration.frame.reference
+        )
+        return any(bool(value != 0) for value in found.values())
+
     def asked_of_the_past(
         self, theta: Scalars, inputs: Scalars, reference: Scalars
     ) -> list[tuple[str, Any]]:
@@ -238,10 +249,7 @@ def equation_in_use(
 
 def _lags(found: OperatingEquation, calibration: Calibration) -> tuple[Lag, ...]:
     """Ask the equation once, at the posterior mean, which lags it needs."""
-    theta = {
-        u.key: jnp.asarray(m)
-        for u, m in zip(found.unknowns(), _means(found, calibration), strict=True)
-    }
+    theta = _theta(found, calibration)
     inputs = {n: jnp.ones(()) for n in input_names(found, calibration.frame)}
     lags: list[Lag] = []
     for column, tau in found.asked_of_the_past(theta, inputs, calibration.frame.reference):
@@ -277,11 +285,14 @@ def samples_in_use(
     return values[:, calibration.levels[per].index(dict(equation.members)[per])]
 
 
-def _means(equation: OperatingEquation, calibration: Calibration) -> list[float]:
+def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, Array]:
+    """Posterior means of the unknowns in use, by their key; of a new member, that of its prior."""
     blocks = {b.name: b for b in equation.blocks}
-    return [
-        blocks[u.key].coefficient.mean
-        if u.kind == "new"
-        else float(samples_in_use(equation, calibration, u).mean())
+    return {
+        u.key: jnp.asarray(
+            float(blocks[u.key].coefficient.mean)
+            if u.kind == "new"
+            else samples_in_use(equation, calibration, u).mean()
+        )
         for u in equation.unknowns()
-    ]
+    }

@@ -72,17 +72,26 @@ def provenance_of(
         reference=reference,
         sources=tuple((s.file, s.sha256) for s in sources_of(calibration.readings)),
         raw=(scale.unit, scale.gain, scale.offset) if scale else None,
-        notes=tuple(_notes(calibration, equation, stimulus_range)),
+        notes=notes_on_use(calibration, equation, stimulus_range),
         made_by=f"bayescal {__version__}",
         calibration=identity(calibration),
     )
 
 
-def _notes(
+def bias_only(stimulus: str) -> str:
+    """What is said where no unknown acts on how the output follows the stimulus."""
+    return (
+        f"Only the bias was calibrated: the scale factor for {stimulus} is taken as known, and its error is in no "
+        "uncertainty."
+    )
+
+
+def notes_on_use(
     calibration: Calibration,
     equation: OperatingEquation,
     stimulus_range: tuple[float, float] | None,
-) -> list[str]:
+) -> tuple[str, ...]:
+    """What to know before a reading is compensated, each a sentence."""
     notes = []
     new = [u.name for u in equation.unknowns() if u.kind == "new"]
     if new:
@@ -95,8 +104,11 @@ def _notes(
                 f"{lag.name} is the lag for {lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
                 f"counted through {lag.slope}."
             )
-    if stimulus_range is None:
-        notes.append(f"The range of {equation.use.stimulus} in the calibration is not stated.")
+    stimulus = equation.use.stimulus
+    if not equation.slope_calibrated(calibration):
+        notes.append(bias_only(stimulus))
+    elif stimulus_range is None:
+        notes.append(f"The range of {stimulus} in the calibration is not stated.")
     if not calibration.verdict.reliable:
         notes.append(f"{NOT_RELIABLE}{calibration.verdict.why_not}")
-    return notes
+    return tuple(notes)

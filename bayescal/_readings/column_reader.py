@@ -20,7 +20,7 @@ from bayescal._tables.raw_table import Header, Table
 
 _TEXTS = 3  # of a column, that are quoted
 _LIKELY_UNITS = (
-    *("deg", "arcsec", "rad", "deg/s", "rad/s", "g", "mg", "ug", "degC", "degF", "K"),
+    *("deg", "arcsec", "rad", "deg/s", "rad/s", "g", "mg", "ug", "degC", "K", "degF"),
     *("s", "ms", "us", "min", "h", "V", "mV", "Hz", "kHz", "1", "%", "ppm"),
 )
 

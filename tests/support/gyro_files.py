@@ -22,7 +22,7 @@ class Gyro:
         Column("group", None, required=False, allowed=("outer", "inner")),
         Column("temperature_point", "degC", required=False),
         Column("time", "s", required=False),
-        Column("temperature", "degC", "thermometer", low=-273.15, high=400.0),
+        Column("temperature", "degC", "thermometer", low=-273.15, high=250.0),
         Column("lab_temperature", "degC", required=False),
         Column("position_angle", "rad", required=False, low=-6.3, high=6.3),
         Column("rate_input", "deg/s", required=False, default=0.0),

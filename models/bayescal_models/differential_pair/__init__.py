@@ -13,7 +13,7 @@ COLUMNS = (
     bc.Column("group", None, "side of the arm", allowed=("outer", "inner")),
     bc.Column("time", "s", "the same for every device"),
     bc.Column("acceleration", "ug", "commanded, outward along the arm", low=0.0),
-    bc.Column("temperature", "degC", "of the fixture", required=False, low=-273.15, high=400.0),
+    bc.Column("temperature", "degC", "of the fixture", required=False, low=-273.15, high=250.0),
     bc.Column("output", "ug", "output, or V with a nominal scale"),
 )
 NOMINAL_SCALE = bc.NominalScale("V", gain=1e-6, offset=0.0)

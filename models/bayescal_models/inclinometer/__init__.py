@@ -25,7 +25,7 @@ COLUMNS = (
         "true_angle", "rad", "known tilt (none: no tilt)", required=False, low=-1.6, high=1.6
     ),
     bc.Column(
-        "temperature", "degC", "of the inclinometer", required=False, low=-273.15, high=400.0
+        "temperature", "degC", "of the inclinometer", required=False, low=-273.15, high=250.0
     ),
     bc.Column("time", "s", "one origin over all runs", required=False),
     bc.Column("direction", None, "of the sweep", required=False, allowed=("forward", "backward")),

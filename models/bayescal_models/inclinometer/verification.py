@@ -39,7 +39,7 @@ class _FileOfTilts:
         bc.Column("device", None, "label of the inclinometer", required=False),
         bc.Column("run", None, "label of the run", required=False),
         bc.Column(
-            "temperature", "degC", "of the inclinometer", required=False, low=-273.15, high=400.0
+            "temperature", "degC", "of the inclinometer", required=False, low=-273.15, high=250.0
         ),
         bc.Column("time", "s", "one origin over all runs", required=False),
     )

@@ -23,10 +23,10 @@ COLUMNS = (
         "degC",
         "ambient thermometer",
         low=-273.15,
-        high=400.0,
+        high=250.0,
         known=(("thermometer", THERMOMETER_SD),),
     ),
-    bc.Column("board_temperature", "degC", "electronics", required=False, low=-273.15, high=400.0),
+    bc.Column("board_temperature", "degC", "electronics", required=False, low=-273.15, high=250.0),
     bc.Column("rate_input", "deg/s", "rate of the table about the input axis", required=False),
     bc.Column(
         "output",

@@ -10,9 +10,9 @@ import bayescal as bc
 
 COLUMNS = (
     bc.Column("run", None, "label of the run, or of the set-up", required=False),
-    bc.Column("temperature_point", "degC", "set point of the chamber", low=-273.15, high=400.0),
+    bc.Column("temperature_point", "degC", "set point of the chamber", low=-273.15, high=250.0),
     bc.Column("time", "s", "one origin over all runs"),
-    bc.Column("temperature", "degC", "the device's own thermometer", low=-273.15, high=400.0),
+    bc.Column("temperature", "degC", "the device's own thermometer", low=-273.15, high=250.0),
     bc.Column("lab_temperature", "degC", "of the laboratory", required=False, low=-50.0, high=60.0),
     bc.Column("position_angle", "rad", "θ, to which the face is turned", low=-7.0, high=7.0),
     bc.Column("tilt", "rad", "γ, of the face", low=-3.2, high=3.2),

@@ -12,7 +12,7 @@ COLUMNS = (
     bc.Column("run", None, "label of the run", required=False),
     bc.Column("time", "s", "one origin over all runs"),
     bc.Column(
-        "temperature", "degC", "any thermometer near by", required=False, low=-273.15, high=400.0
+        "temperature", "degC", "any thermometer near by", required=False, low=-273.15, high=250.0
     ),
     bc.Column("output", "any", "the logged channel"),
 )
