@@ -53,7 +53,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     """Coefficients, and spreads with noise and shapes: name, effect, unit, mean, sd, interval95, contraction.
 
     Contraction is 1 − (posterior variance)/(prior variance): 1 where the readings said everything, 0 where they
-    said nothing; None where the prior is flat or has no variance.
+    said nothing; None where the prior is flat or has no variance, and of a value that the method holds.
     """
     layout, levels = calibration.layout, calibration.levels
     coefficients, spreads = [], []
@@ -92,7 +92,7 @@ def _row(
         "mean": float(values.mean()),
         "sd": sd,
         "interval95": [float(low), float(high)],
-        "contraction": None if prior is None else float(1 - (sd / prior) ** 2),
+        "contraction": None if prior is None or sd == 0 else float(1 - (sd / prior) ** 2),
     }
 
 

@@ -70,7 +70,8 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
     new = [r["name"] for r in chapter.data["spreads"] if r["name"].endswith(".spread")]
     if new:
         not_for.append(
-            f"As it stands for one new member of a group: each brings its own deviation ({', '.join(new)})."
+            f"By its coefficients' uncertainties alone: a new member of a group brings a deviation of its own "
+            f"({', '.join(new)}). The uncertainty budget and compensated readings contain it."
         )
     return not_for
 
@@ -113,6 +114,12 @@ def unexplained(chapter: Chapter) -> list[str]:
     if new > ABOVE_NOISE * rms:
         said.append(
             f"A new run has an rms error of {measured(new, unit, 3)}: it brings a deviation of its own."
+        )
+    if step["holdout_rmse"] is not None:
+        first = chapter.data["steps"][0]["holdout_rmse"]
+        said.append(
+            f"Readings that no fit saw are predicted with an rms error of {measured(step['holdout_rmse'], unit, 3)} "
+            f"(first model: {measured(first, unit, 3)})."
         )
     for e in chapter.check.entries:
         if e.log_bayes_factor > STRONG:
