@@ -38,7 +38,9 @@ def compensate(
     *,
     calibration: Annotated[
         Path,
-        typer.Argument(help="A saved calibration (.nc), or its JSON export.", show_default=False),
+        typer.Argument(
+            help="Folder of results, its calibration (.nc), or a JSON export.", show_default=False
+        ),
     ],
     file: Annotated[
         Path, typer.Argument(help="Readings: .csv, .parquet or .nc.", show_default=False)
@@ -102,7 +104,9 @@ def export(
     *,
     calibrations: Annotated[
         list[Path] | None,
-        typer.Argument(help="A saved calibration (.nc); for parameters, one for each axis."),
+        typer.Argument(
+            help="A folder of results, or its calibration (.nc); for parameters, one for each axis."
+        ),
     ] = None,
     format_: Annotated[
         str | None,

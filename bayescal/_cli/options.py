@@ -109,7 +109,9 @@ Files = Annotated[
         callback=refuse_missing,
     ),
 ]
-Saved = Annotated[Path, typer.Argument(help="A saved calibration (.nc).", show_default=False)]
+Saved = Annotated[
+    Path, typer.Argument(help="A folder of results, or its calibration (.nc).", show_default=False)
+]
 Name = Annotated[
     str,
     typer.Option(

@@ -22,11 +22,16 @@ PROGRAMS, PARAMETERS, DCC = ("json", "c", "python"), tuple(AUTOPILOTS), "dcc"
 
 
 def load_saved(path: Path, own: OwnParts) -> Calibration:
-    """A saved calibration; of an instrument of the user's own, if one is named.
+    """A saved calibration, or the one of a folder of results; of an instrument of the user's own, if one is named.
 
     Raises:
         InputError: it cannot be loaded, or is not the one that its folder's manifest lists.
     """
+    if (path / CHANNELS).is_file():
+        raise InputError(
+            f"{path} holds several channels: name the folder of one, such as {of_units([path])[0]}"
+        )
+    path = path / CALIBRATION if path.is_dir() else path
     refuse_mixed(path.parent, path.name)
     return load(path, effects=user_effects(own.effects_file), instruments=_own_instruments(own))
 

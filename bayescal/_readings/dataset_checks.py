@@ -169,7 +169,7 @@ def flags_of(
         number = values.dtype.kind == "f" and name not in unchecked
         if number and len(values) > 1 and (values == values[0]).all():
             flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
-        elif number and (stuck := _stuck(values)) is not None:
+        elif number and (stuck := stuck_rows(values)) is not None:
             first, last = (where(row) for row in stuck)
             flags.append(
                 f"{names}: column {name!r} stands still at {values[stuck[0]]:g} from {first} to {last}: was it stuck?"
@@ -177,12 +177,14 @@ def flags_of(
     return flags
 
 
-def _stuck(values: np.ndarray) -> tuple[int, int] | None:
+def stuck_rows(values: np.ndarray) -> tuple[int, int] | None:
     """First and last row of a stretch, far longer than any other, in which a column that else changes does not."""
     ends = np.append(np.flatnonzero(values[1:] != values[:-1]), len(values) - 1)
     lengths = np.diff(ends, prepend=-1)
     worst = int(np.argmax(lengths))
     length, others = int(lengths[worst]), np.delete(lengths, worst)
+    if not others.size:
+        return None
     again = int(np.sum(others - 1))  # readings outside that repeat the one before
     longest = int(np.max(others, initial=1))
     if length < max(_STUCK, _LONGER * longest) or again > _AGAIN * int(np.sum(others)):

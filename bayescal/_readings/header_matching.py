@@ -25,6 +25,8 @@ _SYNONYMS = {
     "time": ("t", "timestamp", "time_stamp", "date_time", "datetime", "date", "epoch", "unix_time")
     + ("utc", "time_utc", "utc_time"),
     "temperature": ("T",),
+    "run": ("run_no", "run_nr", "run_number", "run_id", "test_run"),
+    "device": ("device_id", "serial", "serial_no", "serial_number", "sn"),
 }
 # What is logged under a name that begins so, for a column that is missing.
 _LIKELY = {

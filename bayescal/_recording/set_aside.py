@@ -1,4 +1,4 @@
-"""Readings that say nothing of the sensor are set aside before a calibration, by name: clipped ones, and spikes."""
+"""Readings that say nothing of the sensor are set aside before a calibration: clipped or stuck ones, and spikes."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayescal._readings.dataset_checks import clip_levels, once, repeated_rows
+from bayescal._readings.dataset_checks import clip_levels, once, repeated_rows, stuck_rows
 from bayescal._readings.measurements import Measurements
 from bayescal._recording.rounding import rounding_step
 from bayescal._recording.spikes import find_spikes
 
 
 def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements:
-    """The readings without clipped ones and spikes, each named in a flag; the same readings where there is none.
+    """The readings without clipped and stuck ones and spikes, named in flags; the same readings where there is none.
 
     Args:
         readings: as recorded.
         keep_spikes: leave spikes in.
     """
-    readings = _without_clipped(_once(readings))
+    readings = _without_stuck(_without_clipped(_once(readings)))
     return readings if keep_spikes else _without_spikes(readings)
 
 
@@ -49,6 +49,21 @@ def _without_clipped(readings: Measurements) -> Measurements:
         "what lies beyond was not measured, and no calibration holds there"
     )
     return replace(readings.select(np.flatnonzero(~clipped)), flags=(*readings.flags, flag))
+
+
+def _without_stuck(readings: Measurements) -> Measurements:
+    """Without repeats of one reading by an output that stood still: only the first was measured."""
+    output = readings["output"]
+    stuck = None if len(output) < 2 or rounding_step(output) else stuck_rows(output)
+    if stuck is None:
+        return readings
+    first, last = stuck
+    flag = (
+        f"{readings.file}: {last - first} reading(s) set aside: the output stands still at {output[first]:.6g} "
+        f"(rows {first + 2} to {last + 1})"
+    )
+    kept = np.r_[: first + 1, last + 1 : len(output)]
+    return replace(readings.select(kept), flags=(*readings.flags, flag))
 
 
 def _without_spikes(readings: Measurements) -> Measurements:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -168,3 +169,20 @@ def test_the_commands_refuse_in_one_sentence(saved, tmp_path) -> None:
         ran = run(*arguments)
         assert ran.status == 2 and said in ran.err, (arguments, ran.err)
         assert len(ran.said) == 1 and not list(tmp_path.iterdir())
+
+
+def test_a_folder_of_results_stands_for_its_calibration(saved, tmp_path) -> None:
+    shutil.copy(saved, tmp_path / "calibration.nc")
+    own = ("--instrument", f"{Path(mems_gyro.__file__).parent / 'model.py'}:INSTRUMENT")
+    assert run("budget", tmp_path, *own).out == run("budget", saved, *own).out
+    (tmp_path / "channels.json").write_text('{"channels": {"x": {"folder": "gyro_x"}}}')
+    ran = run("budget", tmp_path, *own)
+    assert ran.status == 2 and "gyro_x" in ran.err
+
+
+def test_what_was_never_turned_has_no_scale_factor_and_says_so(gyro) -> None:
+    still = bc.fit(mems_gyro.INSTRUMENT.baseline(), mems_gyro.simulate(seed=1), bc.LeastSquares())
+    said = "Only the bias was calibrated: the scale factor for rate_input is taken as known"
+    assert any(note.startswith(said) for note in bc.compensator(still).notes)
+    assert said in " ".join(bc.budget(still).notes)
+    assert not any(note.startswith(said) for note in gyro.notes)

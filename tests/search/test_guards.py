@@ -213,20 +213,6 @@ def test_nothing_is_said_that_so_few_readings_cannot_show(line: bc.Calibration) 
     assert "3 readings are too few for 2 unknowns" in gate([only]).reason
 
 
-def test_an_output_that_never_changes_is_refused() -> None:
-    readings = mems_gyro.simulate({}, seed=1)
-    stuck = readings.with_column("output", np.full(len(readings), 1.5))
-    with pytest.raises(bc.ModelError, match=r"the output reads 1\.5 in all 330 readings"):
-        bc.fit(INSTRUMENT.baseline(), stuck)
-
-
-def test_noise_below_the_resolution_of_doubles_is_no_crash() -> None:
-    readings = mems_gyro.simulate({}, seed=1)
-    exact = 20.0 + 0.05 * (readings["temperature"] - 55.0)
-    found = fitted(readings.with_column("output", exact))
-    assert np.mean(found.samples("bias.temperature")) == pytest.approx(0.05, rel=1e-9)
-
-
 def test_nothing_is_looked_for_where_readings_and_prior_contradict_each_other() -> None:
     readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
     off = readings.with_column("output", readings["output"] + OFFSET)
@@ -238,39 +224,6 @@ def test_nothing_is_looked_for_where_readings_and_prior_contradict_each_other() 
         INSTRUMENT.baseline(), off, method=bc.LeastSquares(), accept_conflicts=["bias.constant"]
     )
     assert waived.ok and waived.final.calibration.model.names[-1] == "bias.thermal_lag"
-
-
-def test_a_rounded_output_is_said_and_nothing_finer_is_looked_for() -> None:
-    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
-    coarse = readings.with_column("output", np.round(readings["output"]))
-    trail = bc.calibrate(INSTRUMENT.baseline(), coarse, method=bc.LeastSquares())
-    assert len(trail.steps) == 1 and not trail.ok
-    assert "The output is rounded in steps of 1 °/s" in trail.gate.reason
-    fine = readings.with_column("output", np.round(readings["output"], 2))
-    assert bc.calibrate(INSTRUMENT.baseline(), fine, method=bc.LeastSquares()).ok
-
-
-def test_clipped_readings_are_set_aside_and_said() -> None:
-    readings = mems_gyro.simulate({}, seed=1)
-    low, high = np.quantile(readings["output"], [0.1, 0.9])
-    clipped = readings.with_column("output", np.clip(readings["output"], low, high))
-    trail = bc.calibrate(INSTRUMENT.baseline(), clipped, method=bc.LeastSquares())
-    (flag,) = (f for f in trail.final.calibration.readings.flags if "clipped" in f)
-    cut = int(((readings["output"] <= low) | (readings["output"] >= high)).sum())
-    assert f"{cut} clipped reading(s) of the output set aside" in flag
-    assert "at its maximum" in flag and "at its minimum" in flag
-    whole = bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares())
-    for name in ("bias.constant", "bias.temperature"):
-        difference = np.mean(trail.final.calibration.samples(name)) - np.mean(whole.samples(name))
-        assert abs(difference) < 3 * np.std(trail.final.calibration.samples(name))
-    assert len(trail.steps) == 1
-
-
-def test_an_output_of_too_few_digits_is_refused() -> None:
-    readings = mems_gyro.simulate({}, seed=1)
-    far = readings.with_column("output", readings["output"] + 1e14)
-    with pytest.raises(bc.ModelError, match="too few of its digits are left"):
-        bc.fit(INSTRUMENT.baseline(), far)
 
 
 @pytest.mark.parametrize("between", [True, False])
