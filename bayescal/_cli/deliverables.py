@@ -66,7 +66,6 @@ def compensate(
     """Turn readings back into what was measured, with standard uncertainty: two columns more."""
     from bayescal._cli.saved import compensator_from
     from bayescal._compensation.compensate_file import compensate_file
-    from bayescal._compensation.provenance import NOT_RELIABLE
 
     chosen = compensator_from(calibration, own, member)
     how = columns.for_read()
@@ -81,12 +80,11 @@ def compensate(
         noise=not without_noise,
     )
     columns.keep()
-    print_notes((*(n for n in chosen.notes if not n.startswith(NOT_RELIABLE)), *done.flags))
-    print_notes(
-        f"{name} is outside its calibrated range in {count} of {done.rows} readings: an "
-        "extrapolation there"
+    beyond = (
+        f"{name} is outside its calibrated range in {count} of {done.rows} readings: an extrapolation there"
         for name, count in done.outside.items()
     )
+    print_notes((*chosen.notes, *done.flags, *beyond))
     text = (
         f"{out}: {done.rows} readings, columns {' and '.join(done.columns)} [{chosen.unit}] added"
     )

@@ -142,7 +142,7 @@ class Compensator:
     def notes(self) -> tuple[str, ...]:
         """What to know before a reading is compensated, each a sentence."""
         if self.loaded:
-            return self.loaded.about.notes
+            return self.loaded.about.notes_on_use
         return notes_on_use(self._calibration, self._equation, self.stimulus_range)
 
     @property

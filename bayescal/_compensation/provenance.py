@@ -47,6 +47,11 @@ class Provenance:
         told = (n for n in self.notes if n.startswith(NOT_RELIABLE))
         return next(told, "").removeprefix(NOT_RELIABLE)
 
+    @property
+    def notes_on_use(self) -> tuple[str, ...]:
+        """The notes but what stands against using it."""
+        return tuple(n for n in self.notes if not n.startswith(NOT_RELIABLE))
+
 
 def provenance_of(
     calibration: Calibration,
@@ -62,6 +67,8 @@ def provenance_of(
         for k, v in calibration.reference.items()
         if not isinstance(v, dict) and not k.endswith(("_low", "_high"))
     }
+    why_not = calibration.verdict.why_not
+    unreliable = (f"{NOT_RELIABLE}{why_not}",) if why_not else ()
     return Provenance(
         instrument=instrument.name,
         title=instrument.title,
@@ -72,7 +79,7 @@ def provenance_of(
         reference=reference,
         sources=tuple((s.file, s.sha256) for s in sources_of(calibration.readings)),
         raw=(scale.unit, scale.gain, scale.offset) if scale else None,
-        notes=notes_on_use(calibration, equation, stimulus_range),
+        notes=(*notes_on_use(calibration, equation, stimulus_range), *unreliable),
         made_by=f"bayescal {__version__}",
         calibration=identity(calibration),
     )
@@ -109,6 +116,4 @@ def notes_on_use(
         notes.append(bias_only(stimulus))
     elif stimulus_range is None:
         notes.append(f"The range of {stimulus} in the calibration is not stated.")
-    if not calibration.verdict.reliable:
-        notes.append(f"{NOT_RELIABLE}{calibration.verdict.why_not}")
     return tuple(notes)
