@@ -52,7 +52,8 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     spread = {n: float(rng.choice(sizes, p=shares)) for n in names}
     spread = {n: f for n, f in spread.items() if not structures.candidates[n].is_placeholder}
     assembly = Assembly(Layout(model, structures.layout.counts), structures.record, spread)
-    v = np.array([base.values.get(h.name, _coordinate(h, rng)) for h in assembly.hypers])
+    known = {h.name: v for h, v in zip(base.assembly.hypers, base.mode.v, strict=True)}
+    v = np.array([known.get(h.name, _coordinate(h, rng)) for h in assembly.hypers])
     hyper = assembly.hyper(v)
     prior = assembly.prior(hyper, np.ones(assembly.size))
     own = {t.known.of: t.at for t in base.assembly.in_x}
