@@ -11,7 +11,7 @@ from bokeh.events import Reset, SelectionGeometry
 from bokeh.models import ColumnDataSource, Range1d
 
 from bayescal._workbench.panes.fails_data import AGAINST, Shown
-from bayescal._workbench.panes.fails_panel import dress_panel, residual_panel, show_curve
+from bayescal._workbench.panes.fails_panel import AT, dress_panel, residual_panel, show_curve
 from bayescal._workbench.parts.decimate import drawn_rows, sentence
 from bayescal._workbench.parts.pieces import choice, column, row, several, words
 from bayescal._workbench.parts.style import INSIDE, LIGHT, Palette, fixed_range, span
@@ -39,6 +39,7 @@ class Fails:
         self._curve: np.ndarray | None = None
         self._views: dict[str, tuple[float, float]] = {}
         self._figures: dict[str, Any] = {}
+        self._panes: dict[str, pn.pane.Bokeh] = {}
         self._y = Range1d()
         self._waiting = self._showing = False
         self.choice = several([], [], "Columns that residuals are laid against")
@@ -75,7 +76,7 @@ class Fails:
         self.when.param.update(disabled=not same, value=self.when.value if same else AFTER)
         self.choice.param.update(options=names, value=kept or self.shown.start())
         self._showing = False
-        self._lay_out()
+        self._begin()
         self._say_selected()
 
     def widen(self, wide: bool) -> None:
@@ -128,27 +129,31 @@ class Fails:
             n: (v, shown.units[n], shown.levels.get(n, ())) for n, v in shown.covariates.items()
         }
 
-    def _lay_out(self) -> None:
-        """Make the panels anew: other columns, or another state."""
-        if self.shown is None:
-            return
-        self._y = fixed_range(-1, 1)
-        names = [n for n in self.choice.value if n in self.shown.covariates]
-        self.source = ColumnDataSource(
-            {}
-        )  # panels that go keep theirs, with the columns that they draw
-        self._fill_source(names)
+    def _begin(self) -> None:
+        """A source and panels of another state: those that go keep theirs."""
+        assert self.shown is not None
+        self._y, self.source = fixed_range(-1, 1), ColumnDataSource({})
+        self._figures, self._panes = {}, {}
+        self._lay_out()
+        self._fit_range()
         self.source.selected.on_change("indices", self._brushed_in_source)
         self._say_runs()
-        self._figures = {name: self._panel(name) for name in names}
-        self._fit_range()
-        for made in self._figures.values():
-            dress_panel(made, self.palette)
+
+    def _lay_out(self) -> None:
+        """A panel for each column chosen; those that stay are left as they are."""
+        if self.shown is None:
+            return
+        names = [n for n in self.choice.value if n in self.shown.covariates]
+        self._fill_source(names)
+        self._figures = {name: self._figures.get(name) or self._panel(name) for name in names}
+        for name in names:
+            if name not in self._panes:
+                dress_panel(self._figures[name], self.palette)
+                made = {"sizing_mode": "stretch_both", "margin": 0, "min_height": 0}
+                self._panes[name] = pn.pane.Bokeh(self._figures[name], **made)
+        self._panes = {name: self._panes[name] for name in names}
         self.panels.css_classes = ["panels", f"of{len(names)}"]
-        self.panels[:] = [
-            pn.pane.Bokeh(made, sizing_mode="stretch_both", margin=0, min_height=0)
-            for made in self._figures.values()
-        ]
+        self.panels[:] = list(self._panes.values())
 
     def _fill(self) -> None:
         """The same panels with other residuals."""
@@ -168,7 +173,8 @@ class Fails:
         residual = self._now()
         covariates = {n: shown.covariates[n] for n in names}
         rows = drawn_rows(covariates, residual, self._views) if names else np.array([], int)
-        data: dict[str, Any] = {f"x{i}": v[rows] for i, v in enumerate(covariates.values())}
+        drawn = dict.fromkeys([*names, *self._figures])  # panels that go are drawn once more
+        data: dict[str, Any] = {AT + n: shown.covariates[n][rows] for n in drawn}
         both = self.when.value == BOTH and shown.before is not None
         data |= {
             "row": rows,
@@ -202,19 +208,15 @@ class Fails:
         return np.full(len(rows), np.nan) if self._curve is None else self._curve[rows]
 
     def _panel(self, name: str) -> Any:
-        shown, x = self.shown, f"x{self._names().index(name)}"
+        shown = self.shown
         assert shown is not None
-        made = residual_panel(shown, name, x, self.source, self._y)
+        made = residual_panel(shown, name, self.source, self._y)
         show_curve(made, self._curve is not None)
         made.on_event(SelectionGeometry, lambda event: self._brushed_in_panel(name, event))
         made.on_event(Reset, lambda _: self.select(np.array([], int)))
         for end in ("start", "end"):
             made.x_range.on_change(end, lambda attr, old, new: self._moved(name, made.x_range))
         return made
-
-    def _names(self) -> list[str]:
-        assert self.shown is not None
-        return [n for n in self.choice.value if n in self.shown.covariates]
 
     def _moved(self, name: str, view: Any) -> None:
         """A panel was zoomed: of many readings, others are drawn; once, when it rests."""

@@ -13,22 +13,20 @@ from bayescal._workbench.parts.style import RED, Palette, dress, fixed_range, ne
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
 SHORT = 48  # letters of a label
 FEW = 600  # readings up to which points are large
-NOISE, CURVE = "#8a939b", "curve"
+NOISE, CURVE, AT = "#8a939b", "curve", "at "
 
 
-def residual_panel(
-    shown: Shown, name: str, x: str, source: ColumnDataSource, y_range: Range1d
-) -> Any:
+def residual_panel(shown: Shown, name: str, source: ColumnDataSource, y_range: Range1d) -> Any:
     """A figure of one column; its readings come from the source of all panels, which are so brushed together.
 
     Args:
         shown: the state.
         name: of the column, or AGAINST: measured against predicted.
-        x: its name in the source.
-        source: of all panels.
+        source: of all panels; the column stands in it as `AT` and its name.
         y_range: of the residuals, the same in all panels.
     """
     values, unit, against = shown.covariates[name], shown.units[name], name == AGAINST
+    x = AT + name
     low, high = float(values.min()), float(values.max())
     label = "predicted" if against else name[:SHORT]
     made = new_figure(
