@@ -31,7 +31,7 @@ def load_saved(path: Path, own: OwnParts) -> Calibration:
         raise InputError(
             f"{path} holds several channels: name the folder of one, such as {of_units([path])[0]}"
         )
-    path = path / CALIBRATION if path.is_dir() else path
+    path = inside if (inside := path / CALIBRATION).is_file() else path
     refuse_mixed(path.parent, path.name)
     return load(path, effects=user_effects(own.effects_file), instruments=_own_instruments(own))
 
