@@ -41,12 +41,22 @@ class Noise(eqx.Module):
 
     `gaussian` says whether coefficients can be integrated out in closed form; `independent` whether one reading's
     noise says nothing of another's; `needs` names the columns that its variance hangs on.
+
+    A law of one's own is a subclass of this class, not of a law that is here: those are computed by their own formulas.
     """
 
     gaussian: ClassVar[bool]
     law: ClassVar[str]
     independent: ClassVar[bool] = True
     __repr__ = in_full
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        given = next((b for b in cls.__mro__[1:] if "law" in vars(b)), None)
+        if given is not None:
+            raise TypeError(
+                f"{cls.__name__}: derive a noise law from bayescal.Noise, not from {given.__name__}"
+            )
 
     @property
     def needs(self) -> tuple[str, ...]:

@@ -271,6 +271,14 @@ def test_student_t_resists_outliers(rng) -> None:
     assert constant.std() == pytest.approx(chains.std(), rel=0.1)
 
 
+def test_a_law_of_ones_own_does_not_stand_on_one_that_is_here() -> None:
+    # The given laws are computed by formulas of their own: what a subclass changes would not be heard.
+    with pytest.raises(TypeError, match=r"Louder: derive a noise law from .*Noise, not from White"):
+
+        class Louder(bc.White):
+            pass
+
+
 @pytest.mark.slow
 def test_coarse_rounding_does_not_bias_a_quantised_fit(rng) -> None:
     # Noise of a fifth of the step, a mean near the edge of a rounding interval.
