@@ -20,15 +20,6 @@ from typing import Any
 HERE = Path(__file__).parent
 MODELS = HERE.parent / "models" / "bayescal_models"
 PART = re.compile(r"^<!-- (data sheet|commands|names)(?:: (.*?))? -->$", re.MULTILINE)
-# Pages that a benchmark writes: in the navigation where they exist.
-OPTIONAL = {"hidden_effects.md": "Hidden effects", "speed.md": "Speed"}
-
-
-def on_config(config: Any) -> Any:
-    """Offer the pages that a benchmark has written."""
-    evidence = next(part["Evidence"] for part in config["nav"] if "Evidence" in part)
-    evidence += [{title: page} for page, title in OPTIONAL.items() if (HERE / page).is_file()]
-    return config
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

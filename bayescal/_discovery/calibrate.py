@@ -273,7 +273,6 @@ def step_of(
     return Step(
         calibration=calibration,
         added=None,
-        dropped=(),
         rmse=predict(calibration).rmse,
         rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
         holdout_rmse=None if kept is None else kept.rmse,

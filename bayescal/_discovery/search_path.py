@@ -27,7 +27,6 @@ class Step:
         calibration: the fit.
         added: effect that this step added; None for the first and where something else was changed.
         changed: what was done to the model beside or in place of that, in words; empty if nothing.
-        dropped: effects that the addition made superfluous.
         rmse: of the fitted readings, group deviations at zero (what an unseen group would see).
         rmse_fitted: the same with group deviations as fitted.
         holdout_rmse: of the hold-out data; None without them.
@@ -41,7 +40,6 @@ class Step:
 
     calibration: Calibration
     added: str | None
-    dropped: tuple[str, ...]
     rmse: float
     rmse_fitted: float
     holdout_rmse: float | None
@@ -65,10 +63,7 @@ class Step:
     @property
     def title(self) -> str:
         """The step in a few words."""
-        if self.added is None:
-            return self.changed or "baseline"
-        dropped = f" (drops {', '.join(self.dropped)})" if self.dropped else ""
-        return f"+ {self.added}{dropped}"
+        return self.changed or "baseline" if self.added is None else f"+ {self.added}"
 
     def errors(self) -> dict[str, Any]:
         """Title and errors as plain data, output unit: what result.json says of them, and what pictures show."""

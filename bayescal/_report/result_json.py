@@ -160,7 +160,7 @@ def step_data(step: Step) -> dict[str, Any]:
     return {
         "effects": list(calibration.model.names),
         "added": step.added,
-        "dropped": list(step.dropped),
+        "dropped": [],  # a search adds; the key is of the schema
         **step.errors(),
         "log_evidence": None if evidence is None else {"value": evidence[0], "se": evidence[1]},
         "noise": {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import tomllib
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
@@ -239,6 +240,13 @@ def test_functions_can_be_seen_at_once() -> None:
 def test_one_version() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     assert project["version"] == bayescal.__version__
+    cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)
+    assert cited is not None and cited[1] == bayescal.__version__
+
+
+def test_names_that_are_to_go_are_gone_in_the_version_that_was_said() -> None:
+    renamed = set(bayescal._RENAMED)
+    assert not renamed or tuple(map(int, bayescal.__version__.split(".")[:2])) < (0, 3)
 
 
 def test_every_instrument_is_offered_to_the_command_line() -> None:
