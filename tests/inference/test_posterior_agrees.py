@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from arviz_stats.base.array import array_stats
@@ -11,8 +9,10 @@ from scipy import stats
 from scipy.integrate import quad
 
 import bayescal as bc
-from bayescal._inference import importance_sampling
-from bayescal._inference.laplace import compiled_mode
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.mode import find_mode
+from bayescal._engine.record import Record
+from bayescal._engine.sampling import weighted_draws
 from bayescal._model.frame import build_frame
 from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
@@ -215,12 +215,9 @@ def test_laplace_evidence_is_near(least_squares, table) -> None:
 def test_evidence_says_its_own_error(marginal, table) -> None:
     layout, _ = bind(BASELINE, table)
     frame = build_frame(table, marginal.reference)
-    y = jnp.asarray(table["output"])
-    mode = compiled_mode(layout, frame, y)
-    found = [
-        importance_sampling.sample_jit(layout, frame, y, mode, key, 256, 2)
-        for key in jax.random.split(jax.random.key(2), 100)
-    ]
+    assembly = Assembly(layout, Record(INSTRUMENT, frame, table["output"]))
+    mode = find_mode(assembly)
+    found = [weighted_draws(assembly, mode, seed, 256, 2) for seed in range(100)]
     values = np.array([float(f.log_evidence) for f in found])
     stated = np.sqrt(np.mean([float(f.log_evidence_error) ** 2 for f in found]))
     # The scatter over seeds is known to 1/√200 of itself, so this is 3 standard errors and 10 %.

@@ -12,7 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.importance_weights import smoothed
-from bayescal._inference import importance_sampling, laplace, sampled_products
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.mode import find_mode
+from bayescal._engine.record import Record
+from bayescal._engine.sampling import weighted_draws
+from bayescal._inference import sampled_products
 from benchmarks import chains
 from benchmarks.speed.samplers.peers import (
     Ran,
@@ -25,7 +29,10 @@ from benchmarks.speed.samplers.peers import (
 )
 from benchmarks.speed.samplers.targets import TARGETS, BoundProblem, in_plain_order
 
-PROPOSALS = {"its default": (8192, 3), "65536 proposals, 6 rounds": (65536, 6)}
+PROPOSALS: dict[str, tuple[int | None, int]] = {
+    "its default": (None, 3),
+    "65536 proposals, 6 rounds": (65536, 6),
+}
 Sampler = Callable[[Target], Ran]
 Row = Callable[[BoundProblem], dict[str, Any]]
 
@@ -54,15 +61,14 @@ def _where(seen: np.ndarray, values: np.ndarray) -> list[float | None]:
     return [float(v) if s else None for s, v in zip(seen, values, strict=True)]
 
 
-def ours(p: BoundProblem, proposals: int, rounds: int) -> dict[str, Any]:
+def ours(p: BoundProblem, proposals: int | None, rounds: int) -> dict[str, Any]:
     """`Marginal`: joint importance draws with their corrected weights."""
 
     def once(seed: int):
-        layout = sampled_products.choose(p.plain, p.frame, p.y, None)[0]
-        mode = laplace.compiled_mode(layout, p.frame, p.y)
-        key = jax.random.key(seed)
-        found = importance_sampling.sample_jit(layout, p.frame, p.y, mode, key, proposals, rounds)
-        return layout, jax.tree.map(np.asarray, found)
+        record = Record(p.plain.model.instrument, p.frame, np.asarray(p.y))
+        layout = sampled_products.choose_on(p.plain, record, None)[0]
+        assembly = Assembly(layout, record)
+        return layout, weighted_draws(assembly, find_mode(assembly), seed, proposals, rounds)
 
     begun = time.perf_counter()
     once(1)
