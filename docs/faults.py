@@ -24,6 +24,7 @@ INSTRUMENTS = (
     "mems_gyro",
     "ng_accelerometer",
     "quartz_beam_accelerometer",
+    "differential_pair",
     "inclinometer",
     "still_sensor",
 )
@@ -83,7 +84,7 @@ def page(all_: dict[str, list[dict[str, Any]]]) -> str:
     """The gallery in Markdown."""
     parts = [
         "# Faults, and what they look like\n",
-        "Drawn up by `python docs/faults.py`. Drawn up before a search weighed whole structures. Each effect alone "
+        "Drawn up by `python docs/faults.py`. Each effect alone "
         "was hidden in its instrument's standard campaign, at "
         "three times the size *needed* (the smallest that is found with 80 % power), and the baseline fitted. "
         "*Residuals depend on*: covariates with the strongest evidence of structure (natural logarithm). *Taken for*: "
