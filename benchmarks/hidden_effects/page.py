@@ -72,7 +72,9 @@ def write(banks: Banks, spoilt: dict[str, Any], path: Path) -> None:
         _reliability(prior),
         f"{len(law)} campaigns drawn from the search's own prior: each candidate in or out by its odds, unknown "
         "functions among them, its size times 1, 3 or 10, in the catalogue's own columns; white or correlated noise, "
-        "by the odds of the two laws. Here every statement should hold as often as it says.\n",
+        "by the odds of the two laws. Here every statement should hold as often as it says, but for the noise: its "
+        "white part stays the simulator's, so that correlated noise of short time often passes for white noise of "
+        "another size.\n",
         _reliability(law),
     ]
     path.write_text("\n".join(parts), encoding="utf-8")
