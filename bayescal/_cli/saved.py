@@ -8,6 +8,7 @@ from pathlib import Path
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import load
 from bayescal._cli.options import OwnParts, named_values
+from bayescal._compensation.code_writer import FORMATS
 from bayescal._compensation.compensator import Compensator, compensator, load_compensator
 from bayescal._core.errors import InputError
 from bayescal._discovery.own_files import instrument_named, user_effects
@@ -18,7 +19,7 @@ from bayescal._report.dcc import dcc_text
 from bayescal._report.section import CALIBRATION, Chapter, chapters, of_folder
 from bayescal._report.whole_folder import CHANNELS, refuse_mixed
 
-PROGRAMS, PARAMETERS, DCC = ("json", "c", "python"), tuple(AUTOPILOTS), "dcc"
+PROGRAMS, PARAMETERS, DCC = tuple(FORMATS.values()), tuple(AUTOPILOTS), "dcc"
 
 
 def load_saved(path: Path, own: OwnParts) -> Calibration:

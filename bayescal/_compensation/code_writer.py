@@ -20,7 +20,7 @@ from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import ascii_text
 
-FORMATS = {".h": "c", ".py": "python", ".json": "json"}
+FORMATS = {".json": "json", ".h": "c", ".py": "python"}
 LARGEST = 50_000_000  # bytes of an export that is read back
 
 

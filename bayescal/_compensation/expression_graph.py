@@ -30,8 +30,8 @@ def _infix(compute: Callable[..., Any], sign: str, boolean: bool = False) -> Ope
     return Operation(compute, f"{{0}} {sign} {{1}}", f"{{0}} {sign} {{1}}", boolean)
 
 
-def _function(compute: Callable[..., Any], name: str, python: str | None = None) -> Operation:
-    return Operation(compute, f"BAYESCAL_CALL({name}, {{0}})", f"math.{python or name}({{0}})")
+def _function(compute: Callable[..., Any], name: str) -> Operation:
+    return Operation(compute, f"BAYESCAL_CALL({name}, {{0}})", f"math.{name}({{0}})")
 
 
 OPERATIONS: dict[str, Operation] = {

@@ -14,9 +14,9 @@ def tell(what: str) -> None:
 
 
 @contextmanager
-def stage(what: str, after: float = 1.0) -> Iterator[None]:
-    """Say on stderr what is going on, once it has taken `after` seconds."""
-    timer = threading.Timer(after, tell, [what])
+def stage(what: str) -> Iterator[None]:
+    """Say on stderr what is going on, once it has taken a second."""
+    timer = threading.Timer(1.0, tell, [what])
     timer.daemon = True
     timer.start()
     try:

@@ -12,7 +12,7 @@ from scipy.special import chdtrc, logsumexp, ndtri
 from bayescal._calibration.guards import off_scale
 from bayescal._diagnostics.evidence_scale import STRONG
 from bayescal._engine.closed_form import Density
-from bayescal._engine.linear_model import linear_model
+from bayescal._engine.linear_model import learned_size, linear_model
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._search.library import Library
 from bayescal._search.posterior import FOUND
@@ -119,15 +119,8 @@ def _by_refit(effect, with_it: Weighed) -> dict:
     assembly, mode = with_it.assembly, with_it.mode
     hyper = assembly.hyper(mode.v)
     shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
-    first = effect.coefficients[0]
-    learned = f"{effect.coefficient_name(0)}.spread" if first.spread is not None else None
-    if effect.measure:
-        learned = f"{effect.name}.{effect.measure}"
-    if learned is not None:
-        i = [h.name for h in assembly.hypers].index(learned)
-        value = float(hyper[learned])
-        sd = abs(value * assembly.value_slope(mode.v, i)) * math.sqrt(mode.covariance[i, i])
-        return {"size": value, "size_sd": sd, "shape": shapes}
+    if learned := learned_size(effect, assembly, mode):
+        return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
     term = next(t for t in assembly.in_x if t.known.of == effect.name)
     _, got = Density(assembly, mode.point, mode.flat).at(mode.v)
     sd = 0.0 if got is None else math.sqrt(got.covariance[term.at.start, term.at.start])

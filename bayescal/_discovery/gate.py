@@ -28,7 +28,11 @@ EXPECTED = 2.0  # times the error that a model expects of hold-out data
 
 def gate(steps: Sequence[Step]) -> Gate:
     """Whether the last model is to be used and its probabilities believed; if not, every reason."""
-    if reasons := against(steps):
+    return _gate(steps, against(steps))
+
+
+def _gate(steps: Sequence[Step], reasons: Sequence[str]) -> Gate:
+    if reasons:
         return Gate(False, " ".join(reasons))
     if len(steps[-1].calibration.readings) < FEWEST:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
@@ -47,7 +51,7 @@ def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     reasons, last = against(steps), steps[-1]
     if reasons and last.calibration.verdict.ok:
         steps = (*steps[:-1], last.judged(reasons))
-    return tuple(steps), gate(steps)
+    return tuple(steps), _gate(steps, reasons)
 
 
 def wrong_question(

@@ -20,7 +20,7 @@ from bayescal._core.errors import ModelError
 from bayescal._core.formatting import Printed, number, with_error
 from bayescal._discovery.discover import placeholders
 from bayescal._engine.assembly import Assembly
-from bayescal._engine.linear_model import LinearModel, linear_model, sized
+from bayescal._engine.linear_model import LinearModel, learned_size, linear_model, sized
 from bayescal._engine.mode import find_mode
 from bayescal._engine.record import Record
 from bayescal._inference.least_squares import LeastSquares, solution_on
@@ -220,17 +220,9 @@ def _spread_of_draws(made: Calibration) -> np.ndarray:
 def _size(effect: Effect, line: LinearModel, covariance: np.ndarray) -> tuple[float, float]:
     """What says how large the effect is, with its standard uncertainty, in the unit of its first coefficient."""
     assembly, mode = line.assembly, line.mode
+    if learned := learned_size(effect, assembly, mode):
+        return learned
     layout: Layout = assembly.layout
-    first = effect.coefficients[0]
-    learned = f"{effect.coefficient_name(0)}.spread" if first.spread is not None else None
-    if effect.measure:
-        learned = f"{effect.name}.{effect.measure}"
-    names = [h.name for h in assembly.hypers]
-    if learned in names:
-        i = names.index(learned)
-        value = float(assembly.hyper(mode.v)[learned])
-        sd = abs(value * assembly.value_slope(mode.v, i)) * math.sqrt(mode.covariance[i, i])
-        return value, sd
     block = next(b for b in layout.blocks if b.name == effect.coefficient_name(0))
     if block.place == "x" and block.size == 1:
         i = block.start
@@ -239,4 +231,4 @@ def _size(effect: Effect, line: LinearModel, covariance: np.ndarray) -> tuple[fl
         return float(
             np.sqrt(np.mean(mode.point.x[block.start : block.start + block.size] ** 2))
         ), 0.0
-    return first.size, 0.0
+    return effect.coefficients[0].size, 0.0

@@ -47,7 +47,6 @@ class Density:
         self.even = (
             isinstance(noise, White) and not len(self.assembly.row_sd) and np.ndim(known) == 0
         )
-        self.evaluations = 0
         self._lines: dict[tuple[float, ...], tuple[Line, Gram | None]] = {}
         self._white: tuple[Whitening, np.ndarray, np.ndarray] | None = None  # of the last products
         self._mode = self.point.x  # of x, where it was sought
@@ -93,7 +92,6 @@ class Density:
 
     def gram(self, v: np.ndarray, hyper: Values) -> Gram:
         """Weighted products of the readings at φ."""
-        self.evaluations += 1
         line, gram = self._line(v, hyper)
         if gram is not None:
             variance = hyper["noise.white"] ** 2

@@ -17,6 +17,7 @@ from bayescal._engine.closed_form import Density
 from bayescal._engine.mode import Mode, in_numpy
 from bayescal._engine.record import Record
 from bayescal._engine.whitening import Whitening, variance_of, whitening
+from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
@@ -26,6 +27,19 @@ STEP = 1e-4  # of a shape's coordinate, for the slope of the output by it
 RANK = 1e-12  # of the largest eigenvalue, below which a direction was not fitted
 
 GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order of magnitude
+
+
+def learned_size(effect: Effect, assembly: Assembly, mode: Mode) -> tuple[float, float] | None:
+    """Spread or amplitude that says how large an effect is, with its standard uncertainty; None if nothing does."""
+    spread = effect.coefficients[0].spread is not None
+    learned = f"{effect.coefficient_name(0)}.spread" if spread else ""
+    if effect.measure:
+        learned = f"{effect.name}.{effect.measure}"
+    names = [h.name for h in assembly.hypers]
+    if learned not in names:
+        return None
+    i, value = names.index(learned), float(assembly.hyper(mode.v)[learned])
+    return value, abs(value * assembly.value_slope(mode.v, i)) * math.sqrt(mode.covariance[i, i])
 
 
 @dataclass(frozen=True, eq=False)

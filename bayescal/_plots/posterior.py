@@ -180,7 +180,7 @@ def _label_matrix(figure: Figure, data: xr.Dataset) -> None:
             )
 
 
-def most_correlated(data: xr.Dataset, count: int = PAIRED) -> list[str]:
+def most_correlated(data: xr.Dataset) -> list[str]:
     """The unknowns of the strongest correlations, in their own order."""
     names = list(map(str, data))
     correlation = np.abs(np.corrcoef([data[n].values.ravel() for n in names]))
@@ -190,9 +190,9 @@ def most_correlated(data: xr.Dataset, count: int = PAIRED) -> list[str]:
     chosen: list[int] = []
     for i, j in order[0]:
         chosen += [k for k in (int(i), int(j)) if k not in chosen]
-        if len(chosen) >= min(count, len(names)):
+        if len(chosen) >= min(PAIRED, len(names)):
             break
-    return [names[i] for i in sorted(chosen[:count])]
+    return [names[i] for i in sorted(chosen[:PAIRED])]
 
 
 def predictive(calibration: Calibration) -> Figure:

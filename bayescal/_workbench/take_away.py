@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from bayescal._compensation import code_writer
 from bayescal._compensation.compensator import compensator
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
@@ -23,7 +24,7 @@ from bayescal._report.section import of_folder
 from bayescal._workbench.origin import Origin
 from bayescal._workbench.state import State
 
-SUFFIXES = {"c": "h", "json": "json", "python": "py"}
+SUFFIXES = {format: suffix for suffix, format in code_writer.FORMATS.items()}
 FORMATS = (*SUFFIXES, *AUTOPILOTS, "dcc")
 
 
@@ -68,7 +69,7 @@ def write_export(
     refuse_unknown(what)
     made = compensator(trail.final.calibration)
     if what in SUFFIXES:
-        return made.export(folder / f"compensation.{SUFFIXES[what]}", what)
+        return made.export(folder / f"compensation{SUFFIXES[what]}", what)
     if what == "dcc":
         if certificate is None:
             raise InputError(
