@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -36,8 +35,8 @@ class OrnsteinUhlenbeck(Noise):
         correlated: prior of the correlated part's, output unit, at the geometric middle of the correlation times.
     """
 
-    shortest: float = eqx.field(static=True)
-    longest: float = eqx.field(static=True)
+    shortest: float
+    longest: float
     scale: Positive = HalfCauchy(1.0)
     correlated: Positive = HalfCauchy(1.0)
     gaussian: ClassVar[bool] = True
@@ -48,7 +47,7 @@ class OrnsteinUhlenbeck(Noise):
     def in_words(self) -> str:
         return "Ornstein–Uhlenbeck"
 
-    def __check_init__(self) -> None:
+    def __post_init__(self) -> None:
         if not 0 < self.shortest < self.longest:
             raise ValueError(
                 f"correlation times must be positive and in order, not {self.shortest} and {self.longest}"

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 
 from bayescal._core.jit import given
 from bayescal._model.effect import Effect, Shape
+from bayescal._model.static import static
 from bayescal._model.unknown_effect import (
     process_along,
     process_sizes,
@@ -24,6 +24,7 @@ Basis = tuple[Callable[..., Any], int, str]  # with the number of its columns, a
 Rows = tuple[tuple[float, ...], ...]
 
 
+@static
 class Departure(Effect):
     """A Gaussian process along a covariate of a named effect, less what this effect's own columns would take of it.
 
@@ -35,12 +36,12 @@ class Departure(Effect):
         own, curves: basis of the effect, and of the process.
     """
 
-    of: str = eqx.field(static=True, default="")
-    size: float = eqx.field(static=True, default=0.0)
-    at: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
-    shares: Rows = eqx.field(static=True, default=())
-    own: Basis | None = eqx.field(static=True, default=None)
-    curves: Basis | None = eqx.field(static=True, default=None)
+    of: str = ""
+    size: float = 0.0
+    at: tuple[tuple[str, float], ...] = ()
+    shares: Rows = ()
+    own: Basis | None = None
+    curves: Basis | None = None
 
 
 def departure(

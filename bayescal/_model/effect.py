@@ -8,27 +8,30 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import field, replace
+from functools import cached_property
 from typing import Any, Literal
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jit import by_value, importable, written_by_value
 from bayescal._model.frame import Frame
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal, in_full
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
+from bayescal._model.static import set_once, static
 from bayescal._readings.measurements import Measurements
 
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
 
 
 CENTRAL_95 = 1.959963984540054  # standard deviations to either end of the central 95 % of a normal distribution
+FUNCTIONS = ("basis", "weights", "untestable")  # of an effect
 OPEN = (0.0, math.inf)  # low and high of a shape whose plausible range the readings say
 
 
-class Coefficient(eqx.Module):
+@static
+class Coefficient:
     """One unknown that a slot is linear in.
 
     Attributes:
@@ -42,15 +45,14 @@ class Coefficient(eqx.Module):
             None leaves it at the prior's own sd.
     """
 
-    unit: str = eqx.field(static=True)
-    prior: Normal | Flat = eqx.field(default_factory=Normal)
-    part: str = eqx.field(static=True, default="")
-    slot: str | None = eqx.field(static=True, default=None)
-    per: Group | None = eqx.field(static=True, default=None)
+    unit: str
+    prior: Normal | Flat = field(default_factory=Normal)
+    part: str = ""
+    slot: str | None = None
+    per: Group | None = None
     spread: HalfNormal | HalfCauchy | Flat | None = None
-    __repr__ = in_full
 
-    def __check_init__(self) -> None:
+    def __post_init__(self) -> None:
         if self.spread is not None and self.per is None:
             raise ValueError("a `spread` between groups needs a group: give `per`")
         if self.per == "reading" and self.spread is not None:
@@ -72,7 +74,8 @@ class Coefficient(eqx.Module):
         return self.prior.sd if isinstance(self.prior, Normal) else self.prior.scale
 
 
-class Shape(eqx.Module):
+@static
+class Shape:
     """One unknown that the model is not linear in: a lag time, a period, a ratio of frequencies.
 
     The prior puts 95 % between `low` and `high`; its coordinate is standard normal.
@@ -86,16 +89,15 @@ class Shape(eqx.Module):
         shared: whether it is one for all channels of a unit, as the time of a body that they share.
     """
 
-    name: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
-    low: float = eqx.field(static=True)
-    high: float = eqx.field(static=True)
-    scale: Literal["log", "linear"] = eqx.field(static=True, default="log")
-    ragged: bool = eqx.field(static=True, default=False)
-    shared: bool = eqx.field(static=True, default=False, repr=False)
-    __repr__ = in_full
+    name: str
+    unit: str
+    low: float
+    high: float
+    scale: Literal["log", "linear"] = "log"
+    ragged: bool = False
+    shared: bool = field(default=False, repr=False)
 
-    def __check_init__(self) -> None:
+    def __post_init__(self) -> None:
         positive = self.low > 0 or self.open
         if not self.low < self.high or (self.scale == "log" and not positive):
             raise ValueError(f"shape {self.name!r} needs low < high, and positive if logarithmic")
@@ -123,7 +125,8 @@ class Shape(eqx.Module):
         return Normal((self.low + self.high) / 2, (self.high - self.low) / (2 * CENTRAL_95))
 
 
-class Effect(eqx.Module):
+@static
+class Effect:
     """One named physical term of a measurement equation.
 
     The author of an effect writes one small function of the readings:
@@ -155,25 +158,27 @@ class Effect(eqx.Module):
             rate such as "temperature rate". None stands for the one column that it needs; "" for no such covariate.
     """
 
-    name: str = eqx.field(static=True)
-    slot: str = eqx.field(static=True)
-    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float] = eqx.field(
-        static=True, converter=by_value
-    )
+    name: str
+    slot: str
+    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float]
     coefficients: tuple[Coefficient, ...]
     shapes: tuple[Shape, ...] = ()
-    columns: tuple[str, ...] = eqx.field(static=True, default=())
-    equation: str = eqx.field(static=True, default="")
-    source: str = eqx.field(static=True, default="the user's own")
-    varies: tuple[str, ...] = eqx.field(static=True, default=())
-    weights: Callable[..., Any] | None = eqx.field(static=True, default=None, converter=by_value)
-    measure: str | None = eqx.field(static=True, default=None)
-    untestable: Callable[[Measurements], str | None] | None = eqx.field(
-        static=True, default=None, converter=by_value
-    )
-    along: str | None = eqx.field(static=True, default=None)
+    columns: tuple[str, ...] = ()
+    equation: str = ""
+    source: str = "the user's own"
+    varies: tuple[str, ...] = ()
+    weights: Callable[..., Any] | None = None
+    measure: str | None = None
+    untestable: Callable[[Measurements], str | None] | None = None
+    along: str | None = None
 
-    def __check_init__(self) -> None:
+    def __post_init__(self) -> None:
+        set_once(
+            self,
+            coefficients=tuple(self.coefficients),
+            shapes=tuple(self.shapes),
+            **{role: by_value(getattr(self, role)) for role in FUNCTIONS},
+        )
         if not self.coefficients:
             raise ModelError(f"effect {self.name!r} has no coefficient: give at least one")
         parts = [c.part for c in self.coefficients]
@@ -183,9 +188,7 @@ class Effect(eqx.Module):
             )
         taken = inspect.signature(self.basis).parameters
         shapes = {s.name for s in self.shapes} - set(self.weight_shapes)
-        needed = {
-            name for name, p in taken.items() if p.default is p.empty
-        }  # not `lambda r, k=k: …`
+        needed = {n for n, p in taken.items() if p.default is p.empty}  # not `lambda r, k=k: …`
         if not shapes <= set(taken) or len(needed - shapes) != 1:
             raise ModelError(
                 f"effect {self.name!r}: its basis must take the readings and then its shapes "
@@ -198,7 +201,7 @@ class Effect(eqx.Module):
         Raises:
             ModelError: one of them has no name that another process could import.
         """
-        for role in ("basis", "weights", "untestable"):
+        for role in FUNCTIONS:
             if not importable(getattr(self, role)) and not written_by_value():
                 raise ModelError(
                     f"effect {self.name!r} cannot be pickled, because its {role} is a lambda or a local function, "
@@ -223,8 +226,7 @@ class Effect(eqx.Module):
 
     def sized(self, low: float, high: float) -> Effect:
         """The effect with this range of its amplitude, in the shape's unit, where it is open."""
-        shapes = (replace(s, low=low, high=high) if s.open else s for s in self.shapes)
-        return replace(self, shapes=tuple(shapes))
+        return self.ranging({s.name: (low, high) for s in self.shapes if s.open})
 
     @property
     def departs_along(self) -> str:
@@ -236,12 +238,12 @@ class Effect(eqx.Module):
             return self.columns[0] if len(self.columns) == 1 else ""
         return self.along
 
-    @property
+    @cached_property
     def weight_shapes(self) -> tuple[str, ...]:
         """Shapes that say how large the coefficients may be, and not how the columns run."""
         return () if self.weights is None else tuple(inspect.signature(self.weights).parameters)
 
-    @property
+    @cached_property
     def column_shapes(self) -> tuple[Shape, ...]:
         """Shapes that the columns depend on."""
         apart = self.weight_shapes

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
 from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
@@ -19,6 +18,7 @@ from bayescal._core.jit import importable, written_by_value
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_laws import Noise, White
+from bayescal._model.static import static
 from bayescal._model.unknown_effect import covariate_in, placeholder
 from bayescal._readings.column import Column, NominalScale
 from bayescal._readings.measurements import Measurements
@@ -28,15 +28,17 @@ Slots = Mapping[str, Float[Array, "n"]]
 Columns = Mapping[str, Any]  # arrays by name, as a simulator gives them
 
 
-class Slot(eqx.Module):
+@static
+class Slot:
     """A quantity in a measurement equation that effects add to; zero where none does."""
 
-    name: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
-    meaning: str = eqx.field(static=True, default="")
+    name: str
+    unit: str
+    meaning: str = ""
 
 
-class Use(eqx.Module):
+@static
+class Use:
     """How a calibrated instrument is used: which quantity a reading is turned back into.
 
         use=bc.Use("rate_input", "deg/s")                  # a column that the response is a function of
@@ -50,15 +52,15 @@ class Use(eqx.Module):
         slots: those that act in use; empty for all. A test rig's own (fixture tilt, base tilt) do not.
     """
 
-    stimulus: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
-    equation: Callable[[Float[Array, "n"], Slots, Frame], Float[Array, "n"]] | None = eqx.field(
-        static=True, default=None
-    )
-    slots: tuple[str, ...] = eqx.field(static=True, default=())
+    stimulus: str
+    unit: str
+    equation: Callable[[Float[Array, "n"], Slots, Frame], Float[Array, "n"]] | None = None
+
+    slots: tuple[str, ...] = ()
 
 
-class Instrument(eqx.Module):
+@static
+class Instrument:
     """What is measured, by which equation, and which effects may play a part.
 
     Attributes:
@@ -85,24 +87,24 @@ class Instrument(eqx.Module):
         settings: what a tailored instrument was made with, by name; saved with its calibrations.
     """
 
-    name: str = eqx.field(static=True)
-    title: str = eqx.field(static=True)
-    columns: tuple[Column, ...] = eqx.field(static=True)
-    slots: tuple[Slot, ...] = eqx.field(static=True)
-    response: Callable[[Slots, Frame], Float[Array, "n"]] = eqx.field(static=True)
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    slots: tuple[Slot, ...]
+    response: Callable[[Slots, Frame], Float[Array, "n"]]
     effects: tuple[Effect, ...]
     candidates: tuple[Effect, ...] = ()
-    noise: Noise = eqx.field(default_factory=White)
-    nominal_scale: NominalScale | None = eqx.field(static=True, default=None)
-    structures: tuple[tuple[str, Callable[[], Any]], ...] = eqx.field(static=True, default=())
-    simulator: Callable[..., Columns] | None = eqx.field(static=True, default=None)
-    experiments: tuple[tuple[str, Callable[[], Columns]], ...] = eqx.field(static=True, default=())
+    noise: Noise = field(default_factory=White)
+    nominal_scale: NominalScale | None = None
+    structures: tuple[tuple[str, Callable[[], Any]], ...] = ()
+    simulator: Callable[..., Columns] | None = None
+    experiments: tuple[tuple[str, Callable[[], Columns]], ...] = ()
     use: Use | None = None
-    source: str = eqx.field(static=True, default="")
-    tailor: Callable[..., Instrument] | None = eqx.field(static=True, default=None)
-    settings: tuple[tuple[str, str | float], ...] = eqx.field(static=True, default=())
+    source: str = ""
+    tailor: Callable[..., Instrument] | None = None
+    settings: tuple[tuple[str, str | float], ...] = ()
 
-    def __check_init__(self) -> None:
+    def __post_init__(self) -> None:
         if self.use is None:
             return
         names = [s.name for s in self.slots]

@@ -7,8 +7,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-import equinox as eqx
-
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import Printed, number, table
 from bayescal._model.effect import Coefficient, Effect
@@ -16,12 +14,14 @@ from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument, slot_of
 from bayescal._model.noise_laws import Noise
 from bayescal._model.prior import Normal
+from bayescal._model.static import static
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._readings.unit_parsing import ANY
 
 
-class Model(Printed, eqx.Module):
+@static
+class Model(Printed):
     """An instrument, the effects believed present, and a noise law. Frozen; `+` and `-` give new models.
 
         model = instrument.baseline() + "bias.thermal_lag" - "bias.temperature"
@@ -36,9 +36,9 @@ class Model(Printed, eqx.Module):
     instrument: Instrument
     effects: tuple[Effect, ...]
     noise: Noise
-    fixed: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+    fixed: tuple[tuple[str, float], ...] = ()
 
-    def __check_init__(self) -> None:
+    def __post_init__(self) -> None:
         for effect in self.effects:
             for coefficient in effect.coefficients:
                 slot_of(self.instrument, coefficient.slot or effect.slot)

@@ -17,9 +17,11 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
+from typing_extensions import dataclass_transform
 
 from bayescal._model.frame import Frame
-from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive, in_full
+from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
+from bayescal._model.static import static
 from bayescal._readings.column import UNCERTAINTY
 
 Parameters = dict[str, Float[Array, ""]]
@@ -36,27 +38,26 @@ class Gram(NamedTuple):
     logdet: Float[Array, ""]
 
 
-class Noise(eqx.Module):
+@static
+@dataclass_transform(frozen_default=True)
+class Noise(abc.ABC):
     """A noise law.
 
     `gaussian` says whether coefficients can be integrated out in closed form; `independent` whether one reading's
-    noise says nothing of another's; `needs` names the columns that its variance hangs on.
-
-    A law of one's own is a subclass of this class, not of a law that is here: those are computed by their own formulas.
+    noise says nothing of another's; `needs` names the columns that its variance hangs on. A law of one's own is a
+    subclass of this class, not of a law that is here: those are computed by their own formulas.
     """
 
     gaussian: ClassVar[bool]
     law: ClassVar[str]
     independent: ClassVar[bool] = True
-    __repr__ = in_full
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        given = next((b for b in cls.__mro__[1:] if "law" in vars(b)), None)
+        given = next((b.__name__ for b in cls.__mro__[1:] if "law" in vars(b)), None)
         if given is not None:
-            raise TypeError(
-                f"{cls.__name__}: derive a noise law from bayescal.Noise, not from {given.__name__}"
-            )
+            raise TypeError(f"{cls.__name__}: derive a noise law from Noise, not from {given}")
+        static(cls)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -173,7 +174,7 @@ class Heteroscedastic(Noise):
         slope, curvature: priors of a and b.
     """
 
-    column: str = eqx.field(static=True)
+    column: str
     scale: Positive = HalfCauchy(1.0)
     slope: Normal = Normal(0.0, 1.0)
     curvature: Normal = Normal(0.0, 1.0)
@@ -264,12 +265,12 @@ class Quantised(Noise):
         scale: prior of the standard deviation before rounding, output unit.
     """
 
-    step: float = eqx.field(static=True)
+    step: float
     scale: Positive = HalfCauchy(1.0)
     gaussian: ClassVar[bool] = False
     law: ClassVar[str] = "quantised"
 
-    def __check_init__(self) -> None:
+    def __post_init__(self) -> None:
         if not self.step > 0:
             raise ValueError(f"a rounding step must be positive, not {self.step}")
 

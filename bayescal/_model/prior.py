@@ -9,8 +9,7 @@ value at v and its log density *in v* (the Jacobian included), so that nothing e
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,30 +17,12 @@ import numpy as np
 from jax.scipy import special as in_jax
 from jaxtyping import Array, Float
 from scipy import special as on_host
-from typing_extensions import dataclass_transform
 
-from bayescal._core.jax_setup import configure_jax
+from bayescal._model.static import static
 
-configure_jax()
-
-_T = TypeVar("_T")
 _LOG_2 = math.log(2.0)
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 _EDGE = 1e-15  # of the probability, within which a bounded value counts as at its bound: Φ⁻¹ is ±7.9 there
-
-
-@dataclass_transform(frozen_default=True)
-def _static(cls: type[_T]) -> type[_T]:
-    """A frozen dataclass that JAX takes as structure and not as data."""
-    return jax.tree_util.register_static(dataclass(frozen=True)(cls))
-
-
-def in_full(self: Any) -> str:
-    """The `repr` of a module by the values of its fields, those at their defaults left out: the same after pickling."""
-    said = {f.name: getattr(self, f.name) for f in fields(self) if f.repr}
-    plain = {f.name: f.default for f in fields(self)}
-    parts = (f"{name}={value!r}" for name, value in said.items() if value != plain[name])
-    return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def _of(v: Any) -> Any:
@@ -59,7 +40,7 @@ class _StandardNormal:
         return jax.random.normal(key)
 
 
-@_static
+@static
 class _Scaled:
     """A prior of a positive quantity with a scale, in its own unit; its coordinate is log(value/scale)."""
 
@@ -79,7 +60,7 @@ class _Improper:
         raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
 
 
-@_static
+@static
 class Normal(_StandardNormal):
     """A Gaussian prior; `mean` and `sd` in the coefficient's own unit."""
 
@@ -97,7 +78,7 @@ class Normal(_StandardNormal):
         return (value - self.mean) / self.sd
 
 
-@_static
+@static
 class LogNormal(_StandardNormal):
     """A positive quantity whose logarithm is Gaussian; `median` in its own unit, `sd` of the logarithm."""
 
@@ -111,7 +92,7 @@ class LogNormal(_StandardNormal):
         return _of(value).log(value / self.median) / self.sd
 
 
-@_static
+@static
 class LogUniform(_StandardNormal):
     """A positive quantity between two bounds, its logarithm uniform between theirs; `low` and `high` in its own unit.
 
@@ -137,7 +118,7 @@ class LogUniform(_StandardNormal):
         return special.ndtri(xp.clip(share, _EDGE, 1 - _EDGE))
 
 
-@_static
+@static
 class HalfNormal(_Scaled):
     """The positive half of N(0, scale²), for spreads and noise scales."""
 
@@ -148,7 +129,7 @@ class HalfNormal(_Scaled):
         return jnp.log(jnp.abs(jax.random.normal(key)))
 
 
-@_static
+@static
 class HalfCauchy(_Scaled):
     """The positive half of a Cauchy: a scale known to an order of magnitude or two."""
 
@@ -159,7 +140,7 @@ class HalfCauchy(_Scaled):
         return jnp.log(jnp.abs(jax.random.cauchy(key)))
 
 
-@_static
+@static
 class Flat(_Improper, _Scaled):
     """No preference at all. Improper: the evidence of a model that holds one is not defined.
 
@@ -171,7 +152,7 @@ class Flat(_Improper, _Scaled):
         return v + math.log(self.scale)
 
 
-@_static
+@static
 class FlatLine(_Improper):
     """A flat prior on the whole line, for a flat coefficient that is sampled with the hyper-parameters."""
 

@@ -33,7 +33,7 @@ ROOMS = {
     "_readings": "unit_parsing unit_conversion header_reading column dataset_checks averaging column_matching "
     "header_matching column_reader column_conversion measurements read",
     "_recording": "time_in_runs rounding spikes set_aside allan_terms allan_fit allan_deviation",
-    "_model": "prior frame effect unknown_effect departure noise_laws correlated_noise instrument "
+    "_model": "static prior frame effect unknown_effect departure noise_laws correlated_noise instrument "
     "installed model parameters forward",
     "effects": "constant temperature thermal thermometer time",
     "_engine": "pieces terms record assembly whitening noise_slopes closed_form mode linear_model joint products "

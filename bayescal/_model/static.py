@@ -1,0 +1,37 @@
+"""Values that a model is made of: frozen, equal by their fields, and structure to JAX."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
+
+import jax
+from typing_extensions import dataclass_transform
+
+from bayescal._core.jax_setup import configure_jax
+
+configure_jax()
+
+_T = TypeVar("_T")
+
+
+@dataclass_transform(frozen_default=True)
+def static(cls: type[_T]) -> type[_T]:
+    """A frozen dataclass that JAX takes as structure and not as data: equal values share a compiled program."""
+    if cls.__repr__ is object.__repr__:
+        cls.__repr__ = in_full
+    return jax.tree_util.register_static(dataclass(frozen=True, repr=False)(cls))
+
+
+def in_full(self: Any) -> str:
+    """The `repr` by the values of its fields, those at their defaults left out: the same after pickling."""
+    said = {f.name: getattr(self, f.name) for f in fields(self) if f.repr}
+    plain = {f.name: f.default for f in fields(self)}
+    parts = (f"{name}={value!r}" for name, value in said.items() if value != plain[name])
+    return f"{type(self).__name__}({', '.join(parts)})"
+
+
+def set_once(self: Any, **values: Any) -> None:
+    """Put fields of a frozen value in their form, in its `__post_init__`."""
+    for name, value in values.items():
+        object.__setattr__(self, name, value)
