@@ -20,8 +20,8 @@ state a speed. Machines differ and are busy: read the ratios. No graphics proces
 SAMPLERS = """## Effective draws per second
 
 The least effective sample size over all unknowns, coefficients and φ, by the seconds of everything after compilation:
-Laplace fit, choice of what is sampled, adaptation, warm-up and draws. All samplers get the same log density, compiled
-by JAX. *Plain* is the NumPyro program as anyone would write it; *whitened* and *marginal* are our programs of the same
+Laplace fit, choice of what is sampled, adaptation, warm-up and draws. Ours is what `bc.fit` runs, on the host; the
+others get the same log density, compiled by JAX. *Plain* is the NumPyro program as anyone would write it; *whitened* and *marginal* are our programs of the same
 posterior, handed to the samplers of others. *Means* and *sds*: the largest distance of a mean from those of the
 reference chains, in their standard deviations, and the range of ratios of standard deviations. A row with R̂ above
 1.01 has not converged, and its effective draws are not to be believed. A row that had not ended was given up after
@@ -97,7 +97,7 @@ def _sampler(r: dict[str, Any]) -> list[str]:
         f"{r['least_ess']:.0f}",
         f"{r['seconds']:.2f}",
         f"{r['per_second']:.3g}",
-        f"{r['compiling']:.0f}",
+        f"{max(r['compiling'], 0.0):.0f}",
         f"k̂ {r['pareto_k']:.2f}" if "pareto_k" in r else f"R̂ {r['max_r_hat']:.2f}",
         "reference" if apart is None else f"{apart:.2f}",
         "–" if ratio is None else f"{ratio[0]:.2f} … {ratio[1]:.2f}",
