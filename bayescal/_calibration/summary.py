@@ -11,6 +11,7 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, table, with_error
 from bayescal._model.parameters import CoefficientBlock
+from bayescal._model.prior import deviation
 from bayescal._readings.unit_conversion import unit_label
 
 WEAK = 0.1  # information against the prior below which a direction counts as not measured
@@ -75,7 +76,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
         if h.kind != "promoted":
             effect = "noise" if h.kind == "noise" else h.name.rpartition(".")[0]
             spreads.append(
-                _row(h.name, effect, h.unit, calibration.samples(h.name), _prior_sd(h.prior))
+                _row(h.name, effect, h.unit, calibration.samples(h.name), deviation(h.prior))
             )
     return coefficients, spreads
 
@@ -94,22 +95,6 @@ def _row(
         "interval95": [float(low), float(high)],
         "contraction": None if prior is None or sd == 0 else float(1 - (sd / prior) ** 2),
     }
-
-
-def _prior_sd(prior: Any) -> float | None:
-    """Standard deviation of a hyper-parameter's prior, where it has one."""
-    kind = type(prior).__name__
-    if kind == "HalfNormal":
-        return prior.scale * float(np.sqrt(1 - 2 / np.pi))
-    if kind == "LogNormal":
-        s2 = prior.sd**2
-        return float(prior.median * np.sqrt((np.exp(s2) - 1) * np.exp(s2)))
-    if kind == "LogUniform":
-        low, high = prior.low, prior.high
-        width = np.log(high / low)
-        mean = (high - low) / width
-        return float(np.sqrt((high**2 - low**2) / (2 * width) - mean**2))
-    return prior.sd if kind == "Normal" else None
 
 
 def null_directions(calibration: Fitted) -> list[dict[str, str]]:

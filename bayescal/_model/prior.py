@@ -168,6 +168,21 @@ class FlatLine(_Improper):
         return 0.0 * v + math.log(self.scale)
 
 
+def deviation(prior: Any) -> float | None:
+    """Standard deviation of the value that a prior is of, in its own unit; None where it has none."""
+    match prior:
+        case Normal():
+            return prior.sd
+        case HalfNormal():
+            return prior.scale * math.sqrt(1 - 2 / math.pi)
+        case LogNormal(median, sd):
+            return median * math.sqrt(math.expm1(sd**2) * math.exp(sd**2))
+        case LogUniform(low, high):
+            width = math.log(high / low)
+            return math.sqrt((high**2 - low**2) / (2 * width) - ((high - low) / width) ** 2)
+    return None
+
+
 Positive = HalfNormal | HalfCauchy | LogNormal | LogUniform | Flat
 
 
