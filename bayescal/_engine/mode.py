@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import partial
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,14 +23,10 @@ from bayescal._engine.whitening import variance_of
 STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ among which the start is chosen,
-AHEAD = np.arange(
-    -3.5, 3.5, 0.02
-)  # where along a shape a higher maximum is looked for, if it has many
-HALVINGS = 8  # of a Gauss–Newton step that makes the sum of squares larger
-CURVED = 1e-4  # step of a coordinate for the curvature
-LEAST_CURVATURE = 0.05  # a coordinate is known to a few units, where its prior takes over
-CLIMB = 100  # steps uphill at most
-LONGEST = 1.5  # of them, in prior standard deviations
+AHEAD = np.arange(-3.5, 3.5, 0.02)  # where along a shape of many maxima a higher one may be
+HALVINGS = 8  # of a step that makes things worse
+CURVED, LEAST_CURVATURE = 1e-4, 0.05  # step for the curvature; the least that counts as one
+CLIMB, LONGEST = 100, 1.5  # steps uphill at most; the longest, in prior standard deviations
 NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found
 
 
@@ -50,9 +48,7 @@ def in_numpy(mode: Mode) -> Mode:
     point = Point(np.asarray(mode.point.x), np.asarray(mode.point.rows))
     return mode._replace(
         point=point,
-        v=np.asarray(mode.v),
-        covariance=np.asarray(mode.covariance),
-        flat=np.asarray(mode.flat),
+        **{name: np.asarray(getattr(mode, name)) for name in ("v", "covariance", "flat")},
     )
 
 
@@ -77,8 +73,7 @@ def find_mode(
         curved: whether the Gaussian fit there is asked for too; without, its covariance is the climb's guess.
     """
     point, dim = assembly.start if point is None else point, len(assembly.hypers)
-    hyper = assembly.hyper(np.zeros(dim))
-    flat = column_scale(assembly.linearise(point, hyper).jacobian)
+    flat = column_scale(assembly.linearise(point, assembly.hyper(np.zeros(dim))).jacobian)
     density = Density(assembly, point, flat)
     wanted = prior_draws(assembly) if starts is None else list(starts)
     if starts is None and density.even and assembly.kinds == ["noise"]:  # one hill
@@ -88,33 +83,28 @@ def find_mode(
     def climbed(start: np.ndarray, point: Point) -> _Summit:
         return _climbed(assembly, start, covariance, point, flat, still)
 
-    found = climbed(v, point)
+    top, highest = climbed(v, point), partial(max, key=attrgetter("value"))
     if starts is None:
         promoted = np.array([h.kind == "promoted" for h in assembly.hypers], dtype=bool)
         if promoted.any():  # of a product both factors may have the other sign
-            found = max(found, climbed(np.where(promoted, -found.v, found.v), point), key=_value)
-        for along in across(assembly, found.v):  # and one of many maxima may be higher
-            there = Density(assembly, found.point, flat)
+            top = highest(top, climbed(np.where(promoted, -top.v, top.v), point))
+        for along in across(assembly, top.v):  # and one of many maxima may be higher
+            there = Density(assembly, top.point, flat)
             start = max(along, key=lambda v: there.at(v)[0])
-            found = max(found, climbed(start, found.point), key=_value)
-    if not curved and found.value > NOWHERE:
-        value = found.value
-        return Mode(found.point, found.v, found.wide, value, value, found.change, flat, False)
-    return at_mode(Density(assembly, found.point, flat), found.v, found.change)
-
-
-def _value(summit: _Summit) -> float:
-    return summit.value
+            top = highest(top, climbed(start, top.point))
+    if not curved and top.value > NOWHERE:
+        return Mode(top.point, top.v, top.wide, top.value, top.value, top.change, flat, False)
+    return at_mode(Density(assembly, top.point, flat), top.v, top.change)
 
 
 class _Summit(NamedTuple):
-    """Where a climb ended: the log density there, by how much the last round still moved anything, a covariance."""
+    """Where a climb ended."""
 
-    value: float
-    change: float
+    value: float  # the log density there
+    change: float  # in the last round
     v: np.ndarray
     point: Point
-    wide: np.ndarray
+    wide: np.ndarray | None
 
 
 def _climbed(
@@ -125,26 +115,41 @@ def _climbed(
     flat: np.ndarray,
     still: float,
 ) -> _Summit:
-    """The mode of φ and of x in turn, from one start."""
-    density, change, value = Density(assembly, point, flat), math.inf, NOWHERE
-    wide = np.eye(len(v))
+    """The mode of φ from one start: each round climbs the density about x̂ given φ, and must raise it about the next x̂.
+
+    Otherwise it goes part of the way: rounds that lost again what they had gained could go in circles.
+    """
+    nothing = max(NOTHING_LEFT, 0.01 * still**2)
+    if assembly.affine:
+        density = Density(assembly, point, flat)
+        v, wide = climb(density, v, covariance, nothing)
+        value, found = density.at(v)
+        point = point if found is None else _with_rows(assembly, density, found, v)
+        return _Summit(value, 0.0, v, point, wide)
+    density, value = _about_x(assembly, point, v, flat, still)
+    change, wide = math.inf, covariance
     for _ in range(ROUNDS):
-        if not assembly.affine:
-            point = mode_of_x(assembly, point, v, flat, still)
-            density = Density(assembly, point, flat)
-        best, wide = climb(density, v, covariance, max(NOTHING_LEFT, 0.01 * still**2))
-        value, found = density.at(best)
-        if found is None:
-            return _Summit(NOWHERE, math.inf, best, point, wide)
-        width = np.sqrt(np.diag(found.covariance)) + 1e-300
-        moved = float(np.max(np.abs((found.mean - point.x) / width), initial=0.0))
-        change = max(moved, float(np.max(np.abs(best - v), initial=0.0)))
-        v, point = best, _with_rows(assembly, density, found, best)
-        if assembly.affine:
-            return _Summit(value, 0.0, v, point, wide)
+        goal, wide = climb(density, v, wide, nothing)
+        for _ in range(HALVINGS):
+            there, higher = _about_x(assembly, density.point, goal, flat, still)
+            if higher > value - nothing:
+                break
+            goal = v + 0.3 * (goal - v)
+        else:
+            break
+        change = float(np.max(np.abs(goal - v), initial=0.0))
+        v, density, value = goal, there, higher
         if change < still:
             break
-    return _Summit(value, change, v, point, wide)
+    return _Summit(value, change, v, density.point, wide)
+
+
+def _about_x(
+    assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray, still: float
+) -> tuple[Density, float]:
+    """The density of φ about x̂ given φ, and its value there."""
+    density = Density(assembly, mode_of_x(assembly, point, v, flat, still), flat)
+    return density, density.at(v)[0]
 
 
 def across(assembly: Assembly, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
@@ -167,8 +172,7 @@ def climb(
     """φ̂ of a density, uphill from a coordinate: BFGS, until what is left to gain is nothing; the inverse curvature.
 
     Args:
-        density: of φ.
-        start: where to begin.
+        density, start: of φ, and where to begin.
         covariance: first guess of the inverse curvature.
         nothing: what counts as such, nats.
     """
