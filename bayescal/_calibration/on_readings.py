@@ -16,7 +16,7 @@ from bayescal._core.parallel import on_one_thread, over
 from bayescal._engine.assembly import Assembly
 from bayescal._engine.joint import expected, expected_with_slopes
 from bayescal._engine.terms import Term
-from bayescal._engine.whitening import Batch, log_densities, variance_of, whitening
+from bayescal._engine.whitening import Each, log_densities, variance_of, whitening
 from bayescal._model.correlated_noise import CORRELATION_TIME, OrnsteinUhlenbeck, correlated_size
 from bayescal._model.frame import Frame
 from bayescal._model.noise_laws import Heteroscedastic, Noise, StudentT, White
@@ -88,7 +88,7 @@ def replicate(
     return found
 
 
-def _stretches(assembly: Assembly, draws: Vectors) -> Iterator[tuple[slice, Vectors, Batch]]:
+def _stretches(assembly: Assembly, draws: Vectors) -> Iterator[tuple[slice, Vectors, Each]]:
     """Some draws at a time, with their φ by name, one number each."""
     many, count = max(1, CELLS // max(1, assembly.record.size)), len(draws.x)
     for start in range(0, count, many):
@@ -98,7 +98,7 @@ def _stretches(assembly: Assembly, draws: Vectors) -> Iterator[tuple[slice, Vect
         yield part, some, {k: np.broadcast_to(value, len(some.x)) for k, value in values.items()}
 
 
-def _with_beside(assembly: Assembly, draws: Vectors, hyper: Batch) -> tuple[np.ndarray, Any]:
+def _with_beside(assembly: Assembly, draws: Vectors, hyper: Each) -> tuple[np.ndarray, Any]:
     """Expected output, and its variance from per-reading coefficients and from members that are not known."""
     own = [t for t in assembly.terms if t.place == "row" or _unseen(assembly, t).any()]
     if not own:
@@ -121,13 +121,13 @@ def _unseen(assembly: Assembly, term: Term) -> np.ndarray:
     return assembly.record.codes[term.known.per] < 0
 
 
-def _variance(assembly: Assembly, hyper: Batch) -> Float[np.ndarray, "b n"]:
+def _variance(assembly: Assembly, hyper: Each) -> Float[np.ndarray, "b n"]:
     """Of the noise."""
     columns: Any = {name: value[:, None] for name, value in hyper.items()}
     return variance_of(assembly.noise, columns, assembly.record, 0.0)
 
 
-def _densities(assembly: Assembly, draws: Vectors, hyper: Batch) -> Float[np.ndarray, "b n"]:
+def _densities(assembly: Assembly, draws: Vectors, hyper: Each) -> Float[np.ndarray, "b n"]:
     noise, record = assembly.noise, assembly.record
     if len(assembly.row_sd) and noise.gaussian:
         mean, beside = _with_beside(assembly, draws._replace(rows=np.zeros_like(draws.rows)), hyper)
@@ -149,7 +149,7 @@ def _densities(assembly: Assembly, draws: Vectors, hyper: Batch) -> Float[np.nda
 
 
 def _with_noise(
-    assembly: Assembly, mean: Float[np.ndarray, "b n"], hyper: Batch, random: np.random.Generator
+    assembly: Assembly, mean: Float[np.ndarray, "b n"], hyper: Each, random: np.random.Generator
 ) -> Float[np.ndarray, "b n"]:
     noise, record = assembly.noise, assembly.record
     if not noise.gaussian:
@@ -170,7 +170,7 @@ def _with_noise(
     return found
 
 
-def _own(noise: Noise, hyper: Batch) -> dict[str, Any]:
+def _own(noise: Noise, hyper: Each) -> dict[str, Any]:
     """The entries of φ that a noise law takes."""
     return {name: jnp.asarray(hyper[name]) for name in noise.parameters()}
 

@@ -97,14 +97,13 @@ class Products:
 
     def _computed(self, v: Float[np.ndarray, "b d"]) -> Grams:
         assembly, record = self.assembly, self.assembly.record
-        hyper = {k: np.broadcast_to(one, len(v)) for k, one in assembly.hyper(v.T).items()}
-        table = linearise_draws(
-            assembly, self.density.point, hyper, len(v) if assembly.moving else 1
-        )
+        hyper, count = assembly.hyper(v.T), len(v) if assembly.moving else 1
+        table = linearise_draws(assembly, self.density.point, hyper, count)
+        each = {name: np.broadcast_to(value, len(v)) for name, value in hyper.items()}
         if isinstance(assembly.noise, OrnsteinUhlenbeck):
-            whole, logdet = gram_matrices(assembly.noise, record, table, hyper)
+            whole, logdet = gram_matrices(assembly.noise, record, table, each)
         else:
-            columns = {name: value[:, None] for name, value in hyper.items()}
+            columns = {name: value[:, None] for name, value in each.items()}
             variance = variance_of(assembly.noise, columns, record, 0.0)
             variance = np.broadcast_to(variance, (len(v), self.size))
             table, logdet = table / np.sqrt(variance)[:, :, None], np.sum(np.log(variance), axis=1)
@@ -150,7 +149,7 @@ class Products:
         return NOWHERE if found is None else found.log_marginal + assembly.log_prior(v)
 
     def _with_noise(self, polynomials: _Polynomials, hyper: Batch, v: np.ndarray) -> Grams:
-        unit = self._axes.unit(hyper)
+        unit = np.broadcast_to(self._axes.unit(hyper), len(v))
         jtj, jtr, rtr, logdet = polynomials.at(self._axes.of(hyper, v))
         return Grams(
             jtj / unit[:, None, None],
@@ -162,7 +161,7 @@ class Products:
     def _row(self, coordinates: np.ndarray) -> np.ndarray:
         """Products at one point of the axes, in units of the noise there, as one row of numbers."""
         hyper = self._axes.values(coordinates)
-        unit = float(self._axes.unit({k: np.array([v]) for k, v in hyper.items()})[0])
+        unit = float(self._axes.unit(hyper))
         density, assembly = self.density, self.assembly
         line = assembly.linearise(density.point, hyper)
         white = whitening(assembly.noise, hyper, assembly.record, density.extra(line))
@@ -206,14 +205,14 @@ class _Axes:
         self.floor = float(extra)
         self.names = (*self.shapes, *self.promoted, *self.noise)
 
-    def unit(self, hyper: Batch) -> Float[np.ndarray, "b"]:
+    def unit(self, hyper: Batch) -> Float[np.ndarray, "b"] | float:
         """A variance that the products are about inversely proportional to."""
         found = hyper["noise.white"] ** 2 + self.floor
         return found + hyper[DIFFUSION] ** 2 * self.step if self.step else found
 
     def of(self, hyper: Batch, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b m"]:
         """Coordinates along the axes."""
-        found = [v[:, i] for i in self.shapes.values()]
+        found: list[np.ndarray | float] = [v[:, i] for i in self.shapes.values()]
         for name in self.promoted:
             spread = self.spreads.get(name)
             found.append(hyper[name] * (hyper[spread] if spread else 1.0))

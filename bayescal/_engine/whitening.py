@@ -18,7 +18,8 @@ from bayescal._model.noise_laws import Heteroscedastic, Noise, StudentT, White
 from bayescal._readings.column import UNCERTAINTY
 
 Values = dict[str, float]
-Batch = Mapping[str, np.ndarray]  # φ by name, one value a draw
+Each = Mapping[str, np.ndarray]  # φ by name, one value a draw
+Batch = Mapping[str, np.ndarray | float]  # the same, where what is held may be one for all draws
 BY_DRAW = (
     10  # readings a draw, from which it is faster to whiten draw by draw than reading by reading
 )
@@ -201,7 +202,7 @@ def whitening(
 
 
 def gram_matrices(
-    noise: OrnsteinUhlenbeck, record: Record, tables: Float[np.ndarray, "... n m"], hyper: Batch
+    noise: OrnsteinUhlenbeck, record: Record, tables: Float[np.ndarray, "... n m"], hyper: Each
 ) -> tuple[Float[np.ndarray, "b m m"], Float[np.ndarray, "b"]]:
     """TᵀΣ⁻¹T and log|Σ| at each of several φ.
 
@@ -242,7 +243,8 @@ def log_likelihood(
         return np.sum(log_densities(noise, record, left, hyper), axis=1)
     (order, step), count = record.in_time, len(left)
     if len(step) > BY_DRAW * count:
-        squares, volume = gram_matrices(noise, record, left[:, :, None], hyper)
+        each = {name: np.broadcast_to(value, count) for name, value in hyper.items()}
+        squares, volume = gram_matrices(noise, record, left[:, :, None], each)
         return -0.5 * (squares[:, 0, 0] + volume + len(step) * LOG_2PI)
     # By the Kalman filter, one reading after the other, all draws at once.
     white = {"noise.white": np.asarray(hyper["noise.white"])[..., None]}

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._core.gaussian_algebra import column_scale
+from bayescal._core.gaussian_algebra import LOG_2PI, column_scale
 from bayescal._engine import pieces
 from bayescal._engine.assembly import Assembly, Point
 from bayescal._engine.closed_form import Density
 from bayescal._engine.linear_model import sized
 from bayescal._engine.mode import across, find_mode
+from bayescal._engine.products import Products
 from bayescal._engine.record import INTERPOLATED, Record
 from bayescal._engine.terms import ColumnsOf
-from bayescal._engine.whitening import whitening
+from bayescal._engine.whitening import log_likelihood, whitening
 from bayescal._inference import gaussian, laplace
 from bayescal._model import forward
 from bayescal._model.correlated_noise import over_record
@@ -82,7 +83,7 @@ CASES: dict[str, tuple[Any, Any]] = {
 def assembled(case: str, *promoted: str) -> Assembly:
     model, simulate = CASES[case]
     readings = simulate()
-    model = model(readings) if callable(model) else model
+    model = model if isinstance(model, bc.Model) else model(readings)
     frame = build_frame(readings, reference_of(readings))
     model = sized(model, readings, frame)
     layout = bind(model, readings)[0].promote(*promoted)
@@ -142,6 +143,32 @@ def test_slopes_of_the_density_are_its_differences(case: str) -> None:
         down[i] -= step
         difference = (density.at(up)[0] - density.at(down)[0]) / (2 * step)
         assert slope == pytest.approx(difference, rel=2e-3, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        LAG.fix({"noise.white": 0.1}),
+        LAG.with_noise(SCATTER).fix({"noise.white": 0.1}),
+        LAG.with_noise(WANDER).fix({"noise.white": 0.1, "bias.thermal_lag.tau": 300.0}),
+    ],
+    ids=["white", "scatter", "wander"],
+)
+def test_what_is_held_is_the_same_for_several_draws(monkeypatch, model: bc.Model) -> None:
+    monkeypatch.setitem(CASES, "held", (model, lambda: mems_gyro.simulate({}, seed=1)))
+    a = assembled("held")
+    products = Products(a, find_mode(a))
+    v = products.mode.v + 0.1 * np.random.default_rng(0).standard_normal((3, len(a.hypers)))
+    each = [products.density.gram(one, a.hyper(one)) for one in v]
+    for found, one in zip(products.directly(v), zip(*each, strict=True), strict=True):
+        np.testing.assert_allclose(found, one, atol=1e-9 * np.max(np.abs(one)))
+    squares = [gram.rtr for gram in each]
+    np.testing.assert_allclose(products.at(a.hyper(v.T), v).rtr, squares, rtol=1e-3)
+    left = np.tile(a.record.y, (3, 1))
+    white = [whitening(a.noise, a.hyper(one), a.record, 0.0) for one in v]
+    sums = [np.sum(w(left.T) ** 2, axis=0)[0] + w.logdet + a.record.size * LOG_2PI for w in white]
+    found = log_likelihood(a.noise, a.record, left, a.hyper(v.T))
+    np.testing.assert_allclose(found, -0.5 * np.array(sums), rtol=1e-9)
 
 
 def test_the_mode_is_that_of_the_traced_search() -> None:
