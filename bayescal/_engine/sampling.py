@@ -50,8 +50,8 @@ class WeightedDraws(NamedTuple):
     v: Float[np.ndarray, "s d"]
     log_weight: Float[np.ndarray, "s"]
     log_weight_phi: Float[np.ndarray, "s"]  # of φ alone, before the correction
-    log_evidence: Float[np.ndarray, ""]
-    log_evidence_error: Float[np.ndarray, ""]
+    log_evidence: Float[np.ndarray | np.float64, ""]
+    log_evidence_error: Float[np.ndarray | np.float64, ""]
 
 
 class _Mixture(NamedTuple):
@@ -209,7 +209,7 @@ def _placed(density: _Density, v, log_proposal, random: np.random.Generator) -> 
         if width:
             rows[pick[some]] = own[some]
         log_weight[pick[some]] = (of_phi + correction)[some]
-    evidence = logsumexp(log_weight) - math.log(count)
+    evidence = logsumexp(log_weight) - math.log(count)  # pyright: ignore[reportOperatorIssue]
     error = np.std(np.exp(log_weight - evidence)) / math.sqrt(count)
     return WeightedDraws(
         x, rows, v, log_weight, log_weight_phi, np.float64(evidence), np.float64(error)

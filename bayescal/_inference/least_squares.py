@@ -8,7 +8,7 @@ divided by the degrees of freedom that the coefficients leave.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,11 +44,14 @@ ROUNDS = 30  # at most
 
 
 class Solution(NamedTuple):
-    """x̂ and shapes at the maximum, scales by restricted likelihood, and the covariance of (x, shapes)."""
+    """x̂ and shapes at the maximum, scales by restricted likelihood, and the covariance of (x, shapes).
+
+    Its arrays are NumPy's, or JAX's in a program.
+    """
 
     mode: laplace.Mode
-    covariance: Float[Array, "q q"]
-    converged: Array
+    covariance: Float[Any, "q q"]
+    converged: Any
 
 
 class LeastSquares(Method):

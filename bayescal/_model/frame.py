@@ -7,6 +7,7 @@ the mean time, the span, the start of every run): stored at the fit and never re
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -32,6 +33,8 @@ Reference = dict[str, float | dict[str, float]]
 class Frame(eqx.Module):
     """The readings that a basis is a function of. All columns in the instrument's fixed units.
 
+    Its arrays are JAX's in a program and NumPy's on the host.
+
     Attributes:
         columns: measured columns, (n,) each.
         labels: for each label of a column of text that is no group of its own ("group=outer"), 1 where a reading
@@ -44,14 +47,14 @@ class Frame(eqx.Module):
         record: the columns as they were measured, whatever has been corrected since.
     """
 
-    columns: dict[str, Float[Array, "n"]]
-    labels: dict[str, Float[Array, "n"]]
-    rates: dict[str, Float[Array, "n"]]
-    codes: dict[str, Int[Array, "n"]]
-    reference: dict[str, Float[Array, ""]]
-    order: Int[Array, "n"]
-    step: Float[Array, "n"]
-    record: dict[str, Float[Array, "n"]]
+    columns: dict[str, Float[Any, "n"]]
+    labels: dict[str, Float[Any, "n"]]
+    rates: dict[str, Float[Any, "n"]]
+    codes: dict[str, Int[Any, "n"]]
+    reference: dict[str, Float[Any, ""]]
+    order: Int[Any, "n"]
+    step: Float[Any, "n"]
+    record: dict[str, Float[Any, "n"]]
 
     @property
     def size(self) -> int:
@@ -206,7 +209,7 @@ def build_frame(
         for name in label_groups(readings)
         for label in readings.groups(name)[0]
     }
-    rates: dict[str, Array] = {}
+    rates: dict[str, np.ndarray] = {}
     order, step = np.arange(len(readings)), -np.ones(len(readings))
     if readings.has("time"):
         time, (names, codes) = readings["time"], run_codes(readings)
@@ -240,7 +243,7 @@ def label_groups(readings: Measurements) -> list[str]:
 
 def _member_codes(
     readings: Measurements, group: str, levels: Mapping[str, tuple[str, ...]] | None
-) -> Int[Array, "n"]:
+) -> Int[np.ndarray, "n"]:
     """Each reading's member of a group, as it was numbered at the fit."""
     if group not in GROUPS and not readings.has(group):  # of no member that was fitted
         return np.full(len(readings), -1, dtype=np.int8)

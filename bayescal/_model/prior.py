@@ -3,7 +3,8 @@
 Coefficients take `Normal` or `Flat`; spreads and noise scales take `HalfNormal`, `HalfCauchy` or `Flat`;
 what has an order of magnitude takes `LogNormal`, what has bounds `LogUniform`.
 A hyper-parameter is sampled in a coordinate v on the whole real line; each positive prior here knows its
-value at v and its log density *in v* (the Jacobian included), so that nothing else transforms anything.
+value at v and its log density *in v* (the Jacobian included), so that nothing else transforms anything. Values and
+coordinates are JAX's arrays within programs, NumPy's arrays or numbers on the host.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def _of(v: Any) -> Any:
 class _StandardNormal:
     """A prior whose coordinate is standard normal."""
 
-    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    def log_density(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
         return -0.5 * v**2 - _HALF_LOG_2PI
 
     def sample(self, key: Array) -> Float[Array, ""]:
@@ -46,7 +47,7 @@ class _Scaled:
 
     scale: float = 1.0
 
-    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    def value(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
         return self.scale * _of(v).exp(v)
 
     def coordinate(self, value: Any) -> Any:
@@ -71,7 +72,7 @@ class Normal(_StandardNormal):
         if not (math.isfinite(self.mean) and math.isfinite(self.sd) and self.sd > 0):
             raise ValueError(f"Normal needs a finite mean and a positive sd, not {self}")
 
-    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    def value(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
         return self.mean + self.sd * v
 
     def coordinate(self, value: Any) -> Any:
@@ -85,7 +86,7 @@ class LogNormal(_StandardNormal):
     median: float
     sd: float
 
-    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    def value(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
         return self.median * _of(v).exp(self.sd * v)
 
     def coordinate(self, value: Any) -> Any:
@@ -106,7 +107,7 @@ class LogUniform(_StandardNormal):
         if not (0 < self.low < self.high and math.isfinite(self.high)):
             raise ValueError(f"LogUniform needs finite bounds with 0 < low < high, not {self}")
 
-    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    def value(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
         share = (in_jax if isinstance(v, jax.Array) else on_host).ndtr(v)
         return self.low * _of(v).exp(math.log(self.high / self.low) * share)
 
@@ -122,7 +123,7 @@ class LogUniform(_StandardNormal):
 class HalfNormal(_Scaled):
     """The positive half of N(0, scale²), for spreads and noise scales."""
 
-    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    def log_density(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
         return _LOG_2 - _HALF_LOG_2PI - 0.5 * _of(v).exp(2 * v) + v
 
     def sample(self, key: Array) -> Float[Array, ""]:
@@ -133,7 +134,7 @@ class HalfNormal(_Scaled):
 class HalfCauchy(_Scaled):
     """The positive half of a Cauchy: a scale known to an order of magnitude or two."""
 
-    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    def log_density(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
         return math.log(2 / math.pi) - _of(v).logaddexp(0.0, 2 * v) + v
 
     def sample(self, key: Array) -> Float[Array, ""]:
@@ -148,7 +149,7 @@ class Flat(_Improper, _Scaled):
     `scale` only setting the unit of its coordinate.
     """
 
-    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    def log_density(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
         return v + math.log(self.scale)
 
 
@@ -158,13 +159,13 @@ class FlatLine(_Improper):
 
     scale: float = 1.0
 
-    def value(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    def value(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
         return self.scale * v
 
     def coordinate(self, value: Any) -> Any:
         return value / self.scale
 
-    def log_density(self, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    def log_density(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
         return 0.0 * v + math.log(self.scale)
 
 

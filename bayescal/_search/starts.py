@@ -33,7 +33,7 @@ def carried(
     for k, (i, j) in enumerate(zip(at, there, strict=True)):
         own, other = assembly.hypers[i].prior, near.hypers[j].prior
         if own != other:
-            ends = [own.coordinate(float(other.value(np.float64(v)))) for v in (0.0, 1.0)]  # pyright: ignore[reportArgumentType]
+            ends = [own.coordinate(float(other.value(np.float64(v)))) for v in (0.0, 1.0)]
             scale[k], middle[k] = ends[1] - ends[0], ends[0]
     values = middle + scale * mode.v[there]
     width = scale[:, None] * mode.covariance[np.ix_(there, there)] * scale
