@@ -53,7 +53,11 @@ class Channels(Printed):
         head = ["", *self.trails]
         parts = [table(head, [*self._errors(), *map(self._effect, self.effects), self._noise()])]
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
-        parts += [f"{n}: {t.search.stopped}" for n, t in self.trails.items() if _early(t)]
+        parts += [  # of a search that ended early; one that could not begin is not reliable, which is said
+            f"{n}: {t.search.stopped}"
+            for n, t in self.trails.items()
+            if t.search is not None and not t.search.complete
+        ]
         parts += [
             f"{n}: result not reliable: {t.gate.reason}" for n, t in self.trails.items() if not t.ok
         ]
@@ -99,11 +103,6 @@ class Channels(Printed):
 
     def _noise(self) -> list[str]:
         return ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
-
-
-def _early(trail: SearchPath) -> bool:
-    """Whether a search ended before its end; one that could not begin is not reliable, which is said."""
-    return trail.search is not None and not trail.search.complete
 
 
 def _size(calibration: Calibration, name: str) -> tuple[float | None, float]:

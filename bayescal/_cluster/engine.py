@@ -107,7 +107,8 @@ class OnDask:
         alone = 0.0
         while True:
             try:
-                return list(wait(running, timeout=LOOK, return_when="FIRST_COMPLETED").done)
+                found: Any = wait(running, timeout=LOOK, return_when="FIRST_COMPLETED")
+                return list(found.done)
             except TimeoutError:
                 alone = 0.0 if self.client.nthreads() else alone + LOOK
             except CancelledError:

@@ -6,10 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import (  # pyright: ignore[reportAttributeAccessIssue]
-    dpttrf,
-    dtbtrs,
-)
+from scipy.linalg.lapack import dpttrf, dtbtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class Tridiagonal(NamedTuple):

@@ -221,7 +221,7 @@ def _departures(structures: Structures, to: Structure, here: Weighed) -> dict[Ef
 def _rivals(posterior: Posterior, leads: list[str]) -> list[str]:
     """Names of what another experiment should tell apart, the most probable first."""
     first: list[str] = list(posterior.findings[0].effects) if posterior.findings else []
-    return list(dict.fromkeys([*first, *(leads if len(first) < 2 else [])]))[:RIVALS]
+    return list(dict.fromkeys(first + (leads if len(first) < 2 else [])))[:RIVALS]
 
 
 def _plausible(effect: Effect) -> float:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dgeqrf, dtrtri
+from scipy.linalg.lapack import dgeqrf, dtrtri  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.optimize import minimize, root
 
 from bayescal._core.gaussian_algebra import LOG_2PI, QR, Prior, qr

@@ -69,7 +69,8 @@ class Verdict:
             KeyError: a field is missing.
         """
         known = ((f.name, {"against": (), **told}[f.name]) for f in fields(cls))
-        return cls(**{name: tuple(v) if isinstance(v, list) else v for name, v in known})
+        made: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in known}
+        return cls(**made)
 
     def __str__(self) -> str:
         head = "converged" if self.ok else "NOT converged: " + " ".join(self.reasons)

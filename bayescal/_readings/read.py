@@ -46,7 +46,7 @@ def read(
     outputs: Sequence[str],
     **options: Any,
 ) -> dict[str, Measurements]: ...
-def read(
+def read(  # pyright: ignore[reportInconsistentOverload]
     path_or_paths: str | Path | Sequence[str | Path],
     instrument: InstrumentLike,
     *,

@@ -58,5 +58,5 @@ class Rows(JSComponent):
             if row["id"] == data.get("row"):
                 open_now = {a["id"] for a in row.get("actions", ()) if not a.get("off")}
                 if (action := str(data.get("action"))) in open_now:
-                    self._on_press(row["id"], action)
+                    self._on_press(row["id"], action)  # pyright: ignore[reportArgumentType]
                 return
