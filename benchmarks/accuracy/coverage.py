@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -63,7 +63,7 @@ class Ground:
     name: str
     model: bc.Model
     plan: bc.Measurements
-    chunk: ClassVar[int] = 50
+    chunk: int = 50
 
     @classmethod
     def of(cls, name: str) -> Ground:

@@ -135,7 +135,8 @@ def scatter(rng: np.random.Generator, noise: str) -> np.ndarray:
         tau = np.exp(rng.uniform(*np.log(LAW_TIMES)))
         decay = np.exp(-STEP / tau)
         kicks[1:] *= np.sqrt(1 - decay**2)
-        return white + rng.uniform(0.5, 3.0) * lfilter([1.0], [1.0, -decay], kicks)
+        wander: Any = lfilter([1.0], [1.0, -decay], kicks)
+        return white + rng.uniform(0.5, 3.0) * wander
     if noise == "random_walk":
         return white + rng.uniform(0.05, 0.5) * np.cumsum(kicks)
     return white

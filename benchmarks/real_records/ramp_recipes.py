@@ -65,7 +65,7 @@ def shared_lag(time, temperature, outputs, kept) -> float:
     grid = np.log(np.geomspace(LAGS[0], LAGS[1], 25))
     best = int(np.argmin([left(v) for v in grid]))
     ends = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    return float(np.exp(minimize_scalar(left, bounds=ends, method="bounded")["x"]))
+    return float(np.exp(minimize_scalar(left, bounds=ends, method="bounded")["x"]))  # pyright: ignore[reportIndexIssue]
 
 
 def lag(time: np.ndarray, temperature: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray]:

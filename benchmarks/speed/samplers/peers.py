@@ -76,7 +76,7 @@ def blackjax_nuts(target: Target, warmup: int) -> Ran:
     """BlackJAX's NUTS after its window adaptation, chains one after another."""
     import blackjax  # pyright: ignore[reportMissingImports]
 
-    adapt = blackjax.window_adaptation(
+    adapt: Any = blackjax.window_adaptation(
         blackjax.nuts,
         target.log_density,
         is_mass_matrix_diagonal=False,
@@ -86,7 +86,7 @@ def blackjax_nuts(target: Target, warmup: int) -> Ran:
     def chain(key, start):
         k1, k2 = jax.random.split(key)
         (state, parameters), _ = adapt.run(k1, start, num_steps=warmup)
-        step = blackjax.nuts(target.log_density, **parameters).step
+        step: Any = blackjax.nuts(target.log_density, **parameters).step
 
         def one(state, key):
             state, told = step(key, state)
@@ -111,7 +111,7 @@ def blackjax_laplace(target: Target, warmup: int) -> Ran:
 
     zero = jnp.zeros(len(inner))
     laplace = laplace_marginal_factory(joint, zero)
-    adapt = blackjax.window_adaptation(
+    adapt: Any = blackjax.window_adaptation(
         blackjax.hmc,
         lambda phi: laplace(phi)[0],
         is_mass_matrix_diagonal=False,
@@ -122,7 +122,7 @@ def blackjax_laplace(target: Target, warmup: int) -> Ran:
     def chain(key, start):
         k1, k2 = jax.random.split(key)
         (state, found), _ = adapt.run(k1, start[outer], num_steps=warmup)
-        own = blackjax.laplace_mhmc(joint, theta_init=zero, **found)
+        own: Any = blackjax.laplace_mhmc(joint, theta_init=zero, **found)
 
         def one(state, key):
             state, told = own.step(key, state)
@@ -215,23 +215,23 @@ def pymc_nuts(target: Target, warmup: int) -> Ran:
     both, compiling = _both(target)
 
     class Slope(Op):
-        itypes, otypes = (pt.dvector,), (pt.dvector,)
+        itypes, otypes = (pt.dvector,), (pt.dvector,)  # pyright: ignore[reportPrivateImportUsage]
 
         def perform(self, node, inputs, output_storage):
             output_storage[0][0] = np.array(both(inputs[0])[1])
 
     class Density(Op):
-        itypes, otypes = (pt.dvector,), (pt.dscalar,)
+        itypes, otypes = (pt.dvector,), (pt.dscalar,)  # pyright: ignore[reportPrivateImportUsage]
 
         def perform(self, node, inputs, output_storage):
             output_storage[0][0] = np.array(both(inputs[0])[0])
 
         def L_op(self, inputs, outputs, output_grads):  # the name that PyTensor asks for
-            return [output_grads[0] * Slope()(inputs[0])]
+            return [output_grads[0] * Slope()(inputs[0])]  # pyright: ignore[reportOperatorIssue]
 
     with pm.Model():
         q = pm.Flat("q", shape=target.start.shape[1])
-        pm.Potential("density", Density()(q))
+        pm.Potential("density", Density()(q))  # pyright: ignore[reportArgumentType]
         begun = time.perf_counter()
         trace = pm.sample(
             draws=DRAWS,

@@ -36,8 +36,9 @@ def forward(searched: Searched) -> list[str]:
         table = record.columns(ColumnsOf.of(effect), values)
         for c, column in zip(effect.coefficients, table.T, strict=True):
             column = slopes[c.slot or effect.slot] * column
-            members = range(counts[c.per]) if c.per else (None,)
-            made += [column if m is None else column * (record.codes[c.per] == m) for m in members]
+            codes = np.zeros(record.size) if c.per is None else record.codes[c.per]
+            members = 1 if c.per is None else counts[c.per]
+            made += [column * (codes == m) for m in range(members)]
         return np.column_stack(made)
 
     def bic(names: list[str]) -> float:
