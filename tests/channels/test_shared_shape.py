@@ -58,7 +58,7 @@ def test_the_unit_has_it_as_enumeration_says() -> None:
     with_it = sum(one.sum() for one in found.values())
     expected = with_it / (with_it + 1 - shared.prior)
     assert shared.probability == pytest.approx(expected, rel=1e-9)
-    weight = sum(found.values())
+    weight = np.sum(list(found.values()), axis=0)
     mean = weight @ shared.v / weight.sum()
     assert shared.shape.prior.coordinate(shared.posterior[0]) == pytest.approx(mean, abs=1e-9)
 
@@ -127,6 +127,7 @@ def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
     readings = still_sensor.simulate({LAG: 8.0}, seed=3, runs=1, interval=20)
     made = weighed(readings)
     effect = made.candidates[LAG]
+    assert effect.shared_shape is not None
     v, log_ratio = said(made, LAG, effect.shared_shape)
     assert LAG in made.best.structure.effects
     prior = effect.shared_shape.prior

@@ -185,7 +185,9 @@ def test_what_a_cubic_cannot_hold_is_projected_and_said() -> None:
         ([], "ardupilot-params", "ArduPilot: give at least one calibration"),
     ],
 )
-def test_what_makes_no_parameters_is_refused(axes, names, format, said) -> None:
+def test_what_makes_no_parameters_is_refused(
+    axes: dict[str, bc.Calibration], names, format, said
+) -> None:
     with pytest.raises(bc.InputError, match=said):
         bc.firmware_parameters(dict.fromkeys(names, axes["gyro_x"]), format)
 

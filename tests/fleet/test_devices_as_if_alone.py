@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -23,7 +25,7 @@ def restricted(one: bc.Measurements) -> tuple[np.ndarray, np.ndarray, float]:
         return 0.5 * (np.linalg.slogdet(v)[1] + y @ np.linalg.solve(v, y))
 
     low = np.log(NOISE) - 2
-    best = minimize_scalar(
+    best: Any = minimize_scalar(
         negative, bounds=(low, low + 4), method="bounded", options={"xatol": 1e-10}
     )
     sd = float(np.exp(best.x))

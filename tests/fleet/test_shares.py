@@ -38,7 +38,7 @@ def test_a_fleet_of_one_device_is_its_search(rng) -> None:
     weight = {s: v + len(s) * np.log(0.2 / 0.8) for s, v in log.items()}
     for name in NAMES:
         inside = logsumexp([v for s, v in weight.items() if name in s])
-        exact = np.exp(inside - logsumexp(list(weight.values())))
+        exact = np.exp(inside - logsumexp(list(weight.values())))  # pyright: ignore[reportOperatorIssue]
         assert found[name].expected == pytest.approx(exact, abs=0.02)
 
 
@@ -55,7 +55,7 @@ def test_substitutes_are_told_apart_by_many_devices(rng) -> None:
 def _alone(device: Evidence, name: str) -> float:
     weight = {s: v + len(s) * np.log(PRIOR / (1 - PRIOR)) for s, v in device.log_evidence.items()}
     inside = logsumexp([v for s, v in weight.items() if name in s])
-    return float(np.exp(inside - logsumexp(list(weight.values()))))
+    return float(np.exp(inside - logsumexp(list(weight.values()))))  # pyright: ignore[reportOperatorIssue]
 
 
 def test_intervals_of_shares_cover() -> None:

@@ -245,7 +245,7 @@ def test_one_version() -> None:
 
 
 def test_names_that_are_to_go_are_gone_in_the_version_that_was_said() -> None:
-    renamed = set(bayescal._RENAMED)
+    renamed = set(bayescal._RENAMED)  # pyright: ignore[reportAttributeAccessIssue]
     assert not renamed or tuple(map(int, bayescal.__version__.split(".")[:2])) < (0, 3)
 
 

@@ -81,7 +81,7 @@ def test_a_whole_search_traces_a_few_pieces_and_another_one_none() -> None:
     """However many structures are weighed: the pieces know none of them."""
     count = 0
 
-    def heard(event: str, _: float, **__: object) -> None:
+    def heard(event: str, duration_secs: float, **_: object) -> None:
         nonlocal count
         count += event == "/jax/core/compile/jaxpr_trace_duration"
 

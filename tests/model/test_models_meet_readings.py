@@ -134,7 +134,7 @@ def test_an_effect_of_an_unknown_group_is_refused_when_the_model_is_made() -> No
         bc.ModelError,
         match="one coefficient for each 'station', and instrument 'mems_gyro' has no such group; it has run, ",
     ):
-        mems_gyro.INSTRUMENT.baseline() + STATION
+        _ = mems_gyro.INSTRUMENT.baseline() + STATION
 
 
 def test_each_member_of_a_declared_group_has_its_deviation(tmp_path) -> None:

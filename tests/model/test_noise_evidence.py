@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -31,10 +32,11 @@ def summed(joint: Any, law: bc.Noise, axes: list[np.ndarray]) -> float:
     total = joint(at, values) + sum(
         p.log_density(x) for p, x in zip(priors.values(), v, strict=True)
     )
-    return float(logsumexp(total) + sum(np.log(a[1] - a[0]) for a in axes if a.size > 1))
+    volume = sum(np.log(a[1] - a[0]) for a in axes if a.size > 1)
+    return float(logsumexp(total) + volume)  # pyright: ignore[reportOperatorIssue]
 
 
-def around(centre: np.ndarray, reach: np.ndarray) -> list[np.ndarray]:
+def around(centre: np.ndarray, reach: Iterable[float]) -> list[np.ndarray]:
     return [c + r * np.linspace(-1, 1, 41) for c, r in zip(centre, reach, strict=True)]
 
 
@@ -81,6 +83,7 @@ def test_evidence_under_other_laws_is_that_of_quadrature(law: str, heavy: bool, 
     fit = bc.fit(model, readings, bc.Marginal(), strict=False)
     assert fit.log_evidence is not None
     sampled, error = fit.log_evidence
+    assert error is not None
     exact = by_quadrature(fit, readings["output"])
     assert sampled == pytest.approx(exact, abs=4 * error + 0.02)
     assert float(fit.mode.log_evidence) == pytest.approx(exact, abs=0.2)
@@ -92,10 +95,10 @@ def test_a_heavy_tailed_mode_is_the_maximum_of_the_joint_density(rng) -> None:
     hyper, y = fit.assembly.hyper(fit.mode.v), readings["output"]
 
     def negative(at: float) -> float:
-        law = stats.t(hyper["noise.freedom"], at, hyper["noise.white"])
-        return -float(law.logpdf(y).sum() + stats.norm.logpdf(at))
+        each = stats.t.logpdf(y, hyper["noise.freedom"], at, hyper["noise.white"])
+        return -float(each.sum() + stats.norm.logpdf(at))
 
-    found = optimize.minimize_scalar(
+    found: Any = optimize.minimize_scalar(
         negative, bounds=(0.0, 0.6), method="bounded", options={"xatol": 1e-9}
     )
     bend = (negative(found.x + 1e-3) + negative(found.x - 1e-3) - 2 * found.fun) / 1e-6

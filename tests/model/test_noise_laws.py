@@ -265,6 +265,7 @@ def test_student_t_resists_outliers(rng) -> None:
     assert constant.std() < 0.04
     assert robust.samples("noise.freedom").mean() < 4
     assert robust.verdict.sampler == "importance sampling"
+    assert robust.log_evidence is not None and white.log_evidence is not None
     assert robust.log_evidence[0] > white.log_evidence[0] + 20
     chains = bc.fit(robust.model, data, bc.NUTS(draws=1000)).samples("bias.constant")
     assert constant.mean() == pytest.approx(chains.mean(), abs=0.1 * chains.std())

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal import effects
 from bayescal._discovery.discover import structures_over
 from bayescal._model.frame import reference_of
 from bayescal_models import mems_gyro
@@ -97,7 +98,7 @@ def test_a_model_meets_no_readings_before_its_amplitude_is_known() -> None:
 def test_an_open_amplitude_of_another_unit_is_refused() -> None:
     readings = mems_gyro.simulate(seed=1)
     slot = next(s for s in mems_gyro.INSTRUMENT.slots if s.unit != mems_gyro.INSTRUMENT.unit)
-    effect = bc.effects.unknown("time", slot.name, 0.0, np.inf, slot.unit)
+    effect = effects.unknown("time", slot.name, 0.0, np.inf, slot.unit)
     with pytest.raises(bc.ModelError, match="give its plausible amplitudes, low and high"):
         bc.fit(mems_gyro.INSTRUMENT.baseline() + effect, readings)
 
@@ -116,7 +117,7 @@ def test_a_model_found_on_one_record_keeps_its_sizes_on_another(tmp_path) -> Non
 def test_the_prior_of_its_coefficients_is_in_their_unit() -> None:
     """An amplitude of 0.3 m, not one metre, is what a coefficient is measured against."""
     c = waved("start")
-    kept, of = c.tree["log_prior"], c.tree["posterior"]
+    kept, of = (c.tree.children[name].dataset for name in ("log_prior", "posterior"))
     name = "unknown(time, cycle)[1]"
     sd = of["unknown(time, cycle).amplitude"].values
     expected = -0.5 * (of[name].values / sd) ** 2 - np.log(sd * np.sqrt(2 * np.pi))

@@ -91,7 +91,7 @@ def test_names_of_files_models_and_effects_are_escaped(results) -> None:
     assert "&lt;script&gt;" in results["readings"]._repr_html_()
     assert "&lt;script&gt;" in results["comparison"]._repr_html_()
     effect = bc.Effect(
-        f"bias.{SCRIPT}", "bias", abs, (bc.Coefficient("deg/s"),), equation="<b>c</b> & d"
+        f"bias.{SCRIPT}", "bias", lambda r: 1.0, (bc.Coefficient("deg/s"),), equation="<b>c</b> & d"
     )
     found = (INSTRUMENT.baseline() + effect)._repr_html_()
     assert SCRIPT not in found

@@ -95,6 +95,7 @@ def test_its_gradient_is_finite_at_any_length() -> None:
     effect = INSTRUMENT.unknown("time")
 
     def total(length):
+        assert effect.weights is not None
         shapes = {"length": length, "amplitude": jnp.asarray(1.0)}
         return (effect.evaluate(frame, shapes) * effect.weights(**shapes)).sum()
 

@@ -32,7 +32,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
     files = [folder / "readings.csv", folder / "later.csv"]
     for seed, file in enumerate(files, start=SEED):
         instrument.simulate(HIDDEN, seed=seed).write(file)
-    return Campaign(*(bc.read(file, instrument) for file in files), *files)
+    readings, holdout = (bc.read(file, instrument) for file in files)
+    return Campaign(readings, holdout, *files)
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -73,7 +74,7 @@ def test_files_as_they_were_read(campaign: Campaign, tmp_path: Path) -> None:
     odd = tmp_path / 'it\'s "odd"; import os #<script>.csv'
     text = campaign.file.read_text().replace("output [deg/s]", "rate_z [deg/s]")
     odd.write_text(text)
-    how = {"columns": {"output": "rate_z"}}
+    how: dict[str, Any] = {"columns": {"output": "rate_z"}}
     instrument = mems_gyro.INSTRUMENT
     readings = bc.set_aside(bc.read(odd, instrument, **how)).average("1min")
     session = Session.begin(
