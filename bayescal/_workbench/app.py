@@ -59,7 +59,9 @@ class Workbench:
         self.view = self._page(framed)
         self._wear(False)
         self.refresh()
-        self.look()
+        pn.state.onload(
+            self.look
+        )  # what a page is told before the browser has answered may be lost
         document = pn.state.curdoc
         if document is not None and document.session_context is not None:
             document.on_session_destroyed(lambda _: self.work.close())
