@@ -63,7 +63,7 @@ class FleetResult:
 
     def dataset(self) -> pads.FileSystemDataset:
         """All rows as a dataset of pyarrow, which reads them in pieces."""
-        return pads.dataset(self.files, format="parquet")  # pyright: ignore[reportReturnType]
+        return pads.dataset(self.files, format="parquet")
 
     def rows(self) -> pd.DataFrame:
         """All rows, as `BatchResult.table` has them: a million devices take a gigabyte."""

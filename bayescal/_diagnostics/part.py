@@ -82,7 +82,7 @@ def _frame(whole: Record, rows: np.ndarray) -> Frame:
         rates=some(frame.rates),
         codes=some(frame.codes),
         reference=dict(frame.reference),
-        order=place[order[kept]],  # pyright: ignore[reportArgumentType]
-        step=steps,  # pyright: ignore[reportArgumentType]
+        order=place[order[kept]],
+        step=steps,
         record=some(frame.record),
     )

@@ -44,15 +44,15 @@ def padded(frame: Frame) -> Frame:
         return {name: longer(v) for name, v in values.items()}
 
     return Frame(
-        columns=all_of(frame.columns),  # pyright: ignore[reportArgumentType]
+        columns=all_of(frame.columns),
         labels=all_of(frame.labels),
         rates=all_of(frame.rates),
         codes={
             g: np.pad(np.asarray(c), (0, more), constant_values=-1) for g, c in frame.codes.items()
-        },  # pyright: ignore
-        reference={k: np.asarray(v) for k, v in frame.reference.items()},  # pyright: ignore
-        order=np.append(np.asarray(frame.order), np.arange(size, size + more, dtype=np.int32)),  # pyright: ignore
-        step=np.append(np.asarray(frame.step), -np.ones(more)),  # pyright: ignore
+        },
+        reference={k: np.asarray(v) for k, v in frame.reference.items()},
+        order=np.append(np.asarray(frame.order), np.arange(size, size + more, dtype=np.int32)),
+        step=np.append(np.asarray(frame.step), -np.ones(more)),
         record=all_of(frame.record),
     )
 
@@ -185,7 +185,7 @@ def slopes_of_draws(
     moves: dict[str, Float[Array, "b n"]],
 ) -> tuple[Float[Array, "b n"], dict[str, Float[Array, "b n"]]]:
     """Expected outputs of several sets of slots and moved columns, and their derivatives by each of these."""
-    return jax.vmap(partial(response_slopes.__wrapped__, response, frame))(slots, moves)  # pyright: ignore
+    return jax.vmap(partial(response_slopes.__wrapped__, response, frame))(slots, moves)
 
 
 def columns_or_refusal(bases: tuple[Basis, ...], leaves: Leaves, frame: Frame) -> list[Array]:
@@ -206,7 +206,7 @@ def moved_columns_along(
     moves: dict[str, Float[Array, "s n"]],
 ) -> tuple[Float[Array, "s n k"], dict[str, Float[Array, "s n k"]]]:
     """`shaped_columns` at several values of the shapes and moves, one after the other."""
-    return jax.lax.map(lambda one: shaped_columns.__wrapped__(basis, frame, *one), (shapes, moves))  # pyright: ignore
+    return jax.lax.map(lambda one: shaped_columns.__wrapped__(basis, frame, *one), (shapes, moves))
 
 
 def _moved(frame: Frame, moves: Mapping[str, Float[Array, "n"]]) -> Frame:

@@ -177,14 +177,14 @@ def _plain_stacks(
         shape = real.shape
         codes = {g: np.full(shape, -1 if g == "cell" else 0) for g in GROUPS}
         frame = Frame(  # NumPy arrays, until they are fitted
-            columns=columns,  # pyright: ignore[reportArgumentType]
+            columns=columns,
             labels={},
             rates={},
-            codes=codes,  # pyright: ignore[reportArgumentType]
-            reference=scalars,  # pyright: ignore[reportArgumentType]
-            order=np.broadcast_to(np.arange(rung), shape),  # pyright: ignore[reportArgumentType]
-            step=-np.ones(shape),  # pyright: ignore[reportArgumentType]
-            record=dict(columns),  # pyright: ignore[reportArgumentType]
+            codes=codes,
+            reference=scalars,
+            order=np.broadcast_to(np.arange(rung), shape),
+            step=-np.ones(shape),
+            record=dict(columns),
         )
         levels = {g: () if g == "cell" else ("1",) for g in GROUPS}
         own = [
@@ -223,5 +223,5 @@ def weighed(stack: DeviceStack) -> Frame:
         return stack.frame
     columns = dict(stack.frame.columns)
     known = np.asarray(columns.get(UNCERTAINTY, np.zeros_like(stack.y)))
-    columns[UNCERTAINTY] = np.where(stack.real == 1, known, NOTHING)  # pyright: ignore
+    columns[UNCERTAINTY] = np.where(stack.real == 1, known, NOTHING)
     return replace(stack.frame, columns=columns)

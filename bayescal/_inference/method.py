@@ -138,7 +138,7 @@ def kept_outcome(layout: Layout, run: Callable[[], Outcome]) -> Outcome:
     evidence = told["log_evidence"]
     return Outcome(
         layout=Layout(layout.model, layout.counts, tuple(told["promoted"])),
-        draws=Draws(x, rows, v, stats),  # pyright: ignore[reportArgumentType]
+        draws=Draws(x, rows, v, stats),
         mode=mode,
         verdict=Verdict.read(told["verdict"]),
         log_evidence=None if evidence is None else (evidence[0], evidence[1]),

@@ -62,7 +62,7 @@ class Sums(NamedTuple):
     pull: np.ndarray
     precision: np.ndarray
 
-    def __add__(self, other: Sums) -> Sums:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __add__(self, other: Sums) -> Sums:
         return Sums(*(a + b for a, b in zip(self, other, strict=True)))
 
 

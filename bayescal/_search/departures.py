@@ -63,7 +63,7 @@ def may_depart(effect: Effect, record: Record, wanders: bool) -> bool:
     along, reference = effect.departs_along, record.frame.reference
     if not along or (wanders and along == "time") or f"{along}_low" not in reference:
         return False
-    return float(reference[f"{along}_high"]) > float(reference[f"{along}_low"])  # pyright: ignore
+    return float(reference[f"{along}_high"]) > float(reference[f"{along}_low"])
 
 
 @on_one_thread

@@ -67,7 +67,7 @@ def _regressors(searched: Searched, record: Record) -> Regressors:
         if effect.is_placeholder:
             continue
         shapes = effect.column_shapes
-        middle = tuple(float(s.prior.value(0.0)) for s in shapes)  # pyright: ignore[reportArgumentType]
+        middle = tuple(float(s.prior.value(0.0)) for s in shapes)
         made = record.columns(ColumnsOf.of(effect), middle)
         for i, c in enumerate(effect.coefficients):
             slot = instrument.slot(c.slot or effect.slot)
