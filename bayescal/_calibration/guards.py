@@ -189,8 +189,8 @@ def _against_priors(
                 found.append(
                     f"{name} stands {away:.0f} times its plausible size from its prior's mean "
                     f"({number(where)} against {number(c.mean)} ± {number(c.size)} "
-                    f"{unit_label(c.unit)}; its log probability falls by {0.5 * away**2:.0f}): {_look_at(b.effect.name)}, "
-                    "or give it a wider prior."
+                    f"{unit_label(c.unit)}; its log probability falls by {0.5 * away**2:.0f}): "
+                    f"{_look_at(b.effect.name)}, or give it a wider prior."
                 )
     return found
 

@@ -21,11 +21,12 @@ SAMPLERS = """## Effective draws per second
 
 The least effective sample size over all unknowns, coefficients and φ, by the seconds of everything after compilation:
 Laplace fit, choice of what is sampled, adaptation, warm-up and draws. Ours is what `bc.fit` runs, on the host; the
-others get the same log density, compiled by JAX. *Plain* is the NumPyro program as anyone would write it; *whitened* and *marginal* are our programs of the same
-posterior, handed to the samplers of others. *Means* and *sds*: the largest distance of a mean from those of the
-reference chains, in their standard deviations, and the range of ratios of standard deviations. A row with R̂ above
-1.01 has not converged, and its effective draws are not to be believed. A row that had not ended was given up after
-the seconds stated, with other work on the machine: it bounds that sampler's speed, and measures none.
+others get the same log density, compiled by JAX. *Plain* is the NumPyro program as anyone would write it; *whitened*
+and *marginal* are our programs of the same posterior, handed to the samplers of others. *Means* and *sds*: the largest
+distance of a mean from those of the reference chains, in their standard deviations, and the range of ratios of standard
+deviations. A row with R̂ above 1.01 has not converged, and its effective draws are not to be believed. A row that had
+not ended was given up after the seconds stated, with other work on the machine: it bounds that sampler's speed, and
+measures none.
 
 """
 SCALING = """## Readings, candidates, single fits
