@@ -47,7 +47,7 @@ def _found(single: Rows) -> str:
                 _label(low, high),
                 len(own),
                 proportion(in_set, len(own)),
-                f"{size:.2f}",
+                "–" if np.isnan(size) else f"{size:.2f}",
                 proportion(added, len(own)),
                 proportion(wrong, len(own)),
                 f"{ratio:.2f}",
