@@ -12,7 +12,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._diagnostics.evidence_scale import VERY_STRONG
 from bayescal._diagnostics.leave_group_out import scheme
-from bayescal._discovery.search_path import Gate, Step
+from bayescal._discovery.search_path import WORSE, Gate, Step
 from bayescal._model.unknown_effect import FORMS, covariate_in
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._recording.rounding import AS_GOOD_AS_NOISE, rounding_step
@@ -20,7 +20,6 @@ from bayescal._recording.rounding import AS_GOOD_AS_NOISE, rounding_step
 AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
 NOTICEABLE = 0.1  # if the coefficient itself is above this
 FEWEST = int(AUTOCORRELATED**2) + 1  # readings, below which no correlation reaches that z
-WORSE = 1.05  # error against that of an earlier step, above which an effect does harm
 RARE = 1e-5  # p-value of a test that asks once for each covariate
 WITHIN = 0.05  # of the squares of a step, that lie within runs where it is one between them
 EXPECTED = 2.0  # times the error that a model expects of hold-out data

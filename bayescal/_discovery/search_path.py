@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,9 @@ from bayescal._discovery.discover import Discovery
 from bayescal._readings.measurements import Measurements
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._search.posterior import FOUND, OtherPath, Search
+
+WORSE = 1.05  # error against that of an earlier step, above which a step does harm
+RISES = " ↑"  # beside a hold-out error that is so
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,11 @@ class Step:
     def title(self) -> str:
         """The step in a few words."""
         return self.changed or "baseline" if self.added is None else f"+ {self.added}"
+
+    def raises_holdout(self, before: Step) -> bool:
+        """Whether its hold-out error is more than a twentieth above that of the step before."""
+        now, then = self.holdout_rmse, before.holdout_rmse
+        return now is not None and then is not None and now > WORSE * then
 
     def errors(self) -> dict[str, Any]:
         """Title and errors as plain data, output unit: what result.json says of them, and what pictures show."""
@@ -176,7 +185,7 @@ def trail_text(trail: SearchPath) -> str:
         ),
         *("floor", "log evidence", "P(complete)"),
     ]
-    rows = []
+    rows, rises = [], [False, *(a.raises_holdout(b) for b, a in pairwise(trail.steps))]
     for i, s in enumerate(trail.steps):
         evidence = s.calibration.log_evidence
         rows.append(
@@ -185,13 +194,14 @@ def trail_text(trail: SearchPath) -> str:
                 number(s.rmse_fitted),
                 number(s.rmse),
                 number(s.left_out.rmse if s.left_out else None),
-                *([number(s.holdout_rmse)] if held_out else []),
+                *([f"{number(s.holdout_rmse)}{RISES * rises[i]}"] if held_out else []),
                 number(s.noise_floor),
                 "–" if evidence is None else f"{evidence[0]:z.1f}",
                 probability(s.discovery.nothing_missing if s.discovery else None),
             ]
         )
-    return table(head, rows)
+    told = f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
+    return table(head, rows) + (told if any(rises) else "")
 
 
 def ending(found: Discovery | None, added: int, most: int | None, stopped: str) -> str:

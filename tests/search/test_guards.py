@@ -250,3 +250,14 @@ def test_an_input_of_the_wrong_sign_is_no_missing_effect() -> None:
     assert any("unknown(rate_input)" in words and "check the sign" in words for words in said)
     plain = bc.fit(model, readings, bc.LeastSquares(), strict=False).conflicts
     assert not any("unknown(rate_input)" in words for words in plain)
+
+
+def test_a_step_that_raises_the_holdout_error_is_marked(line: bc.Calibration) -> None:
+    first = bc.calibrate(line.model, line.readings, holdout=line.readings, max_effects=0)
+    assert "↑" not in str(first)
+    (one,) = first.steps
+    assert one.holdout_rmse is not None
+    worse = replace(one, holdout_rmse=1.06 * one.holdout_rmse, added="bias.x")
+    said = str(replace(first, steps=(one, worse, replace(worse, added="bias.y")))).splitlines()
+    assert [line.count("↑") for line in said if line[:1].isdigit()] == [0, 1, 0]
+    assert said[-1] == "↑ held-out error more than a twentieth above that of the step before"

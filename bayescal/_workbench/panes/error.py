@@ -9,6 +9,7 @@ import panel as pn
 from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormatter, Span
 
 from bayescal._core.formatting import number, probability
+from bayescal._discovery.search_path import RISES
 from bayescal._readings.unit_conversion import unit_label
 from bayescal._workbench.parts.pieces import button, column, row, words
 from bayescal._workbench.parts.rows import Rows
@@ -209,7 +210,15 @@ def step_rows(
             {"text": number(e["rmse"]), "kind": "number"},
         ]
         if kept_apart:
-            cells.append({"text": number(e["holdout_rmse"]), "kind": "number"})
+            before = states.get(state.parent)
+            worse = before is not None and state.step.raises_holdout(before.step)
+            cells.append(
+                {
+                    "text": f"{number(e['holdout_rmse'])}{RISES * worse}",
+                    "kind": "number",
+                    "title": "more than a twentieth above the step before" if worse else "",
+                }
+            )
         complete = None if state.discovery is None else state.discovery.nothing_missing
         cells += [
             {"text": number(e["noise_floor"]), "kind": "number"},
