@@ -246,7 +246,7 @@ def test_what_makes_no_report_is_refused(tmp_path: Path, given, name: str, said:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("width", [1280, pytest.param(390, marks=pytest.mark.slow)])
 def test_a_browser_shows_it_whole_and_asks_for_nothing(pages, folder: Path, width: int) -> None:
     """Skipped where there is no Chromium. The content policy would log a request that leaves the page."""
     chromium()

@@ -92,6 +92,7 @@ def stopped_at(monkeypatch, count: int) -> Iterator[None]:
             yield
 
 
+@pytest.mark.slow
 def test_chains_that_were_stopped_end_with_the_same_draws(
     tmp_path, data, whole, monkeypatch
 ) -> None:

@@ -58,6 +58,7 @@ def test_closed_form_is_the_multivariate_normal(model, known) -> None:
     )
 
 
+@pytest.mark.slow
 def test_members_eliminated_first_and_products_between_nodes_change_nothing() -> None:
     readings = ng_accelerometer.simulate(seed=4)
     layout, _ = bind(ng_accelerometer.INSTRUMENT.baseline(), readings)
