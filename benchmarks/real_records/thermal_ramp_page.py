@@ -18,8 +18,7 @@ ERRORS = ("fitted", "held_out", "held_out_in_record")
 TITLE = """\
 # A real record: one inertial unit on a temperature ramp
 
-Rendered by `python -m benchmarks thermal_ramp` from `benchmarks/results/thermal_ramp.json`. The chapters of single
-channels were measured before a search weighed whole structures and effects could depart from their forms.
+Rendered by `python -m benchmarks thermal_ramp` from `benchmarks/results/thermal_ramp.json`.
 """
 
 HEAD = """\
