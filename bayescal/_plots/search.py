@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.transforms import ScaledTranslation
 
 from bayescal._core.formatting import number
 from bayescal._diagnostics.leave_group_out import scheme
@@ -22,6 +23,7 @@ from bayescal._plots.residuals import residual_panel
 from bayescal._plots.style import axis_label, new_figure, open_sides, plain
 
 MOST = 12  # candidates
+BELOW = 0.45  # inch, from an axis to its legend: its numbers and its label stand between
 ON_GROUND = {
     "facecolor": "white",
     "edgecolor": "none",
@@ -94,12 +96,25 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
     ax.set_xlabel(axis_label("rms error", steps[-1].unit))
-    where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.26 / (0.3 + 0.4 * len(steps)))}
     handles, _ = ax.get_legend_handles_labels()
     handles.sort(key=lambda h: h.get_label().startswith("floor"))  # the last, as in the tables
-    ax.legend(handles=handles, frameon=False, fontsize=8, ncols=2, **where)
+    _legend_below(ax, handles, 2)
     open_sides(ax)
     return figure
+
+
+def _legend_below(ax: Any, handles: list[Any], columns: int) -> None:
+    """A legend below the axis' label, however tall the axes are."""
+    below = ax.transAxes + ScaledTranslation(0, -BELOW, ax.figure.dpi_scale_trans)
+    ax.legend(
+        handles=handles,
+        frameon=False,
+        fontsize=8,
+        ncols=columns,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0),
+        bbox_transform=below,
+    )
 
 
 def _fall(steps: list[_StepError], i: int) -> str:
@@ -140,8 +155,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     rest = "explained by the finding, or none" if "finding" in kinds else "no evidence"
     names = [Patch(color=KINDS.get(k or "", BLUE), label=k or rest) for k in kinds]
     if names:
-        below = {"loc": "upper center", "bbox_to_anchor": (0.4, -0.45 / (0.3 * max(1, len(shown))))}
-        ax.legend(handles=names, frameon=False, fontsize=8, ncols=len(names), **below)
+        _legend_below(ax, names, len(names))
     open_sides(ax)
     return figure
 
@@ -160,8 +174,9 @@ def is_quiet(c: Mapping[str, Any]) -> bool:
 
 def loop(found: SearchPath) -> Figure:
     """The loop in one picture: residuals before and after, what is missing, the error falling."""
-    figure = new_figure(11.0, 7.4)
-    axes = figure.subplots(2, 2)
+    lower = max(3.7, 0.9 + 0.8 * len(found.steps))  # inch: four bars and a title for each step
+    figure = new_figure(11.0, 3.7 + lower)
+    axes = figure.subplots(2, 2, height_ratios=(3.7, lower))
     first, final = found.steps[0], found.final
     entry = next((e for e in first.check.entries if not e.by_group), None)
     if entry is not None:
