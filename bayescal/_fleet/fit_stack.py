@@ -11,14 +11,19 @@ import numpy as np
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jit import compiled
 from bayescal._core.parallel import over
+from bayescal._engine.assembly import Assembly
+from bayescal._engine.record import Record
 from bayescal._fleet import closed_form
 from bayescal._fleet.stacks import DeviceStack, weighed
 from bayescal._inference import importance_sampling, least_squares, sampled_products, trust
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
+from bayescal._inference.method import by_engine
 from bayescal._model import forward
 from bayescal._model.parameters import Layout, Levels
 
+FEW = 8  # devices up to which the engine fits them one by one: a program of their own takes longer to compile
+NUDGE = 1e-5  # of a coordinate, for the slope of its value
 TOGETHER = 64  # devices that a program of many readings or proposals holds at once
 NO_SCATTER = (
     "The readings leave no scatter about the model, so that the noise cannot be told: too few readings for the "
@@ -60,11 +65,10 @@ def solve(
 ) -> StackFit:
     """Fit every device of a stack by itself; `straight` says that least squares may go the quick way."""
     few = len(stack.devices)
-    stack = _filled(stack)
     if isinstance(method, Marginal):
-        found = _sampled(layout, stack, method, seed)
+        found = _sampled(layout, _filled(stack), method, seed)
     elif straight:
-        found = _quick(layout, stack)
+        found = _quick(layout, _filled(stack))
     else:
         found = _ordinary(layout, stack, method)
     pareto_k = None if found.pareto_k is None else found.pareto_k[:few]
@@ -146,18 +150,42 @@ def _ordinary_batch(layout: Layout, frames, ys, full_hessian: bool):
     return over(one, (frames, ys), TOGETHER)
 
 
+def _one_by_one(layout: Layout, stack: DeviceStack, full_hessian: bool) -> tuple[np.ndarray, ...]:
+    """The same as `_ordinary_batch`, by the engine."""
+    _, places = least_squares.split_hypers(layout)
+    made = []
+    for i, y in enumerate(stack.y):
+        frame = jax.tree.map(lambda a, i=i: a[i], stack.frame)
+        assembly = Assembly(layout, Record(layout.model.instrument, frame, y))
+        found = least_squares.solution_on(assembly, full_hessian)
+        v, priors = found.mode.v, [layout.hypers[at].prior for at in places]
+        ends = [
+            [p.value(v[at] + d) for d in (-NUDGE, NUDGE)]
+            for at, p in zip(places, priors, strict=True)
+        ]
+        slopes = np.concatenate([np.ones(layout.size), [(b - a) / (2 * NUDGE) for a, b in ends]])
+        values = [float(h.prior.value(one)) for h, one in zip(layout.hypers, v, strict=True)]
+        covariance = slopes[:, None] * found.covariance * slopes
+        made.append((found.mode.point.x, values, covariance, found.converged))
+    return tuple(np.array(one, dtype=float) for one in zip(*made, strict=True))
+
+
 def _ordinary(layout: Layout, stack: DeviceStack, method: LeastSquares) -> StackFit:
-    """`LeastSquares` itself, mapped over the devices."""
+    """`LeastSquares` itself, mapped over the devices, or of a few by the engine one by one."""
     _, places = least_squares.split_hypers(layout)
     hessian = method.curvature == "hessian"
-    made = _ordinary_batch(layout, weighed(stack), stack.y, hessian)
+    if len(stack.devices) <= FEW and by_engine(layout) and np.all(stack.real):
+        made = _one_by_one(layout, stack, hessian)
+    else:
+        stack = _filled(stack)
+        made = _ordinary_batch(layout, weighed(stack), stack.y, hessian)
     x, values, own, converged = (np.asarray(a) for a in made)
     mean = np.concatenate([x, values], axis=1)
     at = np.array([*range(layout.size), *(layout.size + i for i in places)], dtype=int)
     covariance = np.full((len(mean), mean.shape[1], mean.shape[1]), np.nan)
     covariance[:, at[:, None], at] = own
     reasons = [""] * len(mean)
-    for i in np.flatnonzero(~converged):
+    for i in np.flatnonzero(converged == 0):
         reasons[i] = trust.NOT_CONVERGED
     for i in np.flatnonzero(~np.all(np.isfinite(own), axis=(1, 2)) | ~np.isfinite(mean).all(1)):
         reasons[i] = trust.SINGULAR

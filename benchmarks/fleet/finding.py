@@ -12,7 +12,7 @@ import bayescal as bc
 from bayescal._cluster.open_cluster import open_cluster
 from bayescal_models import mems_gyro
 
-DEVICES, EVERY, SEED = 96, 5, 4000  # every fifth reading of a campaign of 330
+DEVICES, EVERY, SEED = 1000, 5, 4000  # every fifth reading of a campaign of 330
 HIDDEN = {  # size, °/s per °C and °/s per °C², and in what share of the fleet
     "bias.thermal_lag": (0.05, 0.3),
     "bias.temperature_quadratic": (2e-4, 0.1),
@@ -32,7 +32,7 @@ def measured(work: Path) -> dict[str, Any]:
         made.select(np.arange(0, len(made), EVERY)).write(folder / f"unit-{i:04d}.csv")
         truth[f"unit-{i:04d}"] = set(hidden)
     with open_cluster(2) as client:
-        found = bc.fit_batch(MODEL, folder, out=out, find=True, client=client, partition_rows=1000)
+        found = bc.fit_batch(MODEL, folder, out=out, find=True, client=client, partition_rows=5000)
     rows = found.rows()
     own = set(MODEL.names) | {"noise.white"}
     added = {
