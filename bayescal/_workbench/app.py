@@ -51,6 +51,10 @@ class Workbench:
         self.session = session
         self.work = Work(self._tell)
         self.work.on_busy.append(self._busy)
+        self._found, self._ending = (
+            "",
+            False,
+        )  # of the last search: what it found, and whether it was stopped
         self.fails = Fails(lambda rows: self.tabs.selected(rows))
         self.model = ModelPane(self.act, self._ask)
         self.missing = Missing(lambda e: self.act("add", e), self._point, self.look)
@@ -107,6 +111,7 @@ class Workbench:
     def act(self, name: str, *arguments: Any) -> None:
         """Do something to the session beside the page, then show the state that it led to."""
         self.work.forget_preview()
+        self.error.searching(False)  # what the last search found is of another path
         told = f"{_DOING.get(name, name)} {' '.join(map(str, arguments))} …"
         self.work.begin(told, lambda: getattr(self.session, name)(*arguments), self._done)
 
@@ -176,13 +181,14 @@ class Workbench:
         self.work.preview(lambda: self.session.preview(effect), drawn)
 
     def _find_all(self) -> None:
+        self._found, self._ending = "", False
         self.error.searching(True, "searching …")
 
         def follow(trail: Any) -> None:
             self.work.on_page(lambda: self._searched(trail))
 
         def ended(_: Any) -> None:
-            self.error.searching(False, "")
+            self.error.searching(False, self._found)
             self._done(None)
 
         self.work.begin(
@@ -193,12 +199,15 @@ class Workbench:
         )
 
     def _searched(self, trail: Any) -> None:
-        self.error.searching(True, progress_in_words(trail))
+        self._found = progress_in_words(trail)
+        if not self._ending:
+            self.error.searching(True, self._found)
         if len(self.session.states) > len(self.error.rows.rows):
             self.error.show(self.session.states, self.session.current.number)
 
     def _stop(self) -> None:
         self.session.stop()
+        self._ending = True
         self.error.searching(True, "stopping …")
 
     def _busy(self, busy: bool) -> None:
@@ -211,11 +220,11 @@ class Workbench:
         self.status.css_classes = ["small", "status", *(["refused"] if refused else [])]
 
     def _prefer(self) -> None:
-        self.fails.widen(self.ground.wide)
         if self.ground.seen and self.ground.dark:
             self.light.value = "dark"
         elif self.ground.seen:
             self._wear(False)
+        self.fails.widen(self.ground.wide)  # the further panel is made in the page's colours
 
     def _wear(self, dark: bool) -> None:
         """Take a light or a dark ground."""
@@ -255,8 +264,9 @@ def progress_in_words(trail: Any) -> str:
     search = trail.search
     weighed = "" if search is None else f"{search.weighed:,} models weighed, "
     last = trail.steps[-1]
-    unit = unit_label(last.calibration.unit)
-    return f"{weighed}{len(trail.steps) - 1} steps, error {last.rmse_fitted:.3g} {unit}"
+    unit, made = unit_label(last.calibration.unit), len(trail.steps) - 1
+    steps = f"{made} step{'s' * (made != 1)}"
+    return f"{weighed}{steps}, error {last.rmse_fitted:.3g} {unit}"
 
 
 def page(session: Any, **settings: Any) -> Any:

@@ -134,8 +134,8 @@ class Fails:
         assert self.shown is not None
         self._y, self.source = fixed_range(-1, 1), ColumnDataSource({})
         self._figures, self._panes = {}, {}
+        self._fit_range()  # before the panels are laid out: a change after it may overtake them
         self._lay_out()
-        self._fit_range()
         self.source.selected.on_change("indices", self._brushed_in_source)
         self._say_runs()
 
