@@ -51,10 +51,7 @@ class Workbench:
         self.session = session
         self.work = Work(self._tell)
         self.work.on_busy.append(self._busy)
-        self._found, self._ending = (
-            "",
-            False,
-        )  # of the last search: what it found, and whether it was stopped
+        self._found, self._ending = "", False  # of the last search; whether it was stopped
         self.fails = Fails(lambda rows: self.tabs.selected(rows))
         self.model = ModelPane(self.act, self._ask)
         self.missing = Missing(lambda e: self.act("add", e), self._point, self.look)
@@ -63,9 +60,7 @@ class Workbench:
         self.view = self._page(framed)
         self._wear(False)
         self.refresh()
-        pn.state.onload(
-            self.look
-        )  # what a page is told before the browser has answered may be lost
+        pn.state.onload(self._opened)
         document = pn.state.curdoc
         if document is not None and document.session_context is not None:
             document.on_session_destroyed(lambda _: self.work.close())
@@ -126,6 +121,7 @@ class Workbench:
     def _begun(self, session: Any) -> None:
         self.session = session
         self.told.object = readings_in_words(session)
+        self.error.searching(False)
         self.tabs.open("The error")
         self._done(None)
 
@@ -136,6 +132,20 @@ class Workbench:
     def run(self, told: str, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Other work beside the page."""
         self.work.begin(told, job, then)
+
+    def _opened(self) -> None:
+        """The browser has answered: what it is told before may be lost, and another page may have looked meanwhile."""
+        if self.session.current.discovery is not None:
+            self._looked()
+        self.look()
+
+    def _looked(self) -> None:
+        """Show what is missing from the current state."""
+        now = self.session.current
+        self.missing.show(now.discovery)
+        self.model.show(now)
+        self.error.show(self.session.states, now.number)
+        self.tabs.looked(now)
 
     def look(self) -> None:
         """Look for what is missing from the current state, unless that is known."""
@@ -150,11 +160,7 @@ class Workbench:
 
         def found(_: Any) -> None:
             if self.session.current.number == state.number:
-                now = self.session.current
-                self.missing.show(now.discovery)
-                self.model.show(now)
-                self.error.show(self.session.states, now.number)
-                self.tabs.looked(now)
+                self._looked()
 
         self.work.look(self.session.look, found)
 
