@@ -163,6 +163,7 @@ class Seen:
 
     def steps(self) -> list[list[str]]:
         """The table of steps: a row's cells as text."""
+        self.page.locator("tr[data-row]").first.wait_for()
         rows = self.page.locator("tr[data-row]").all()
         return [row.locator("td").all_inner_texts() for row in rows]
 

@@ -123,6 +123,7 @@ def test_a_changed_state_is_refused(session: Session) -> None:
 @needs_installation
 def test_report_and_exports_are_the_command_lines(session: Session, tmp_path: Path) -> None:
     session.add("bias.thermal_lag")
+    session.add("bias.drift")
     for what, suffix in {"c": "h", "json": "json", "python": "py"}.items():
         made = session.export(what)
         kept = made.parent / "calibration.nc"
