@@ -134,7 +134,7 @@ def test_report_and_exports_are_the_command_lines(session: Session, tmp_path: Pa
     made = session.report()
     asked = tmp_path / "report.html"
     done = run("report", made.parent, "-o", asked)
-    assert done.status == 1 and "something is missing" in done.err 
+    assert done.status == 1 and "something is missing" in done.err
 
     def undated(path: Path) -> list[str]:
         return [x for x in path.read_text("utf-8").splitlines() if " UTC" not in x]
