@@ -163,8 +163,12 @@ def extra_columns(
         f"column {i + 1}, without a name" for i, h in enumerate(table.headers) if not h.name
     ]
     if without_unit:
+        needs_none = (n for n, c in expected.items() if c.unit is None or n == "time")
+        lacking = [n for n in needs_none if n not in positions]
+        meant = f"to say that one is {' or '.join(lacking)}: --columns NAME=HEADER; "
         flags.append(
-            f"{table.file}: ignored, because they have no unit: {', '.join(without_unit)} (to keep "
-            "one, write 'name [unit]' or give units=)"
+            f"{table.file}: ignored, because they have no unit: {', '.join(without_unit)} "
+            f"({meant if lacking else ''}to keep one beside the instrument's, write 'name [unit]' "
+            "or give units=)"
         )
     return kept, flags
