@@ -19,7 +19,8 @@ def proportion(count: int, total: int) -> str:
     if total == 0:
         return "–"
     low, high = stats.binomtest(count, total).proportion_ci(0.95, method="exact")
-    return f"{count}/{total} ({100 * low:.0f}–{100 * high:.0f} %)"
+    places = 1 if total > 2000 else 0
+    return f"{count}/{total} ({100 * low:.{places}f}–{100 * high:.{places}f} %)"
 
 
 def expected_counts(total: int, chance: float, level: float) -> tuple[int, int]:

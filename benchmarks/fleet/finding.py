@@ -12,7 +12,7 @@ import bayescal as bc
 from bayescal._cluster.open_cluster import open_cluster
 from bayescal_models import mems_gyro
 
-DEVICES, EVERY, SEED = 1000, 5, 4000  # every fifth reading of a campaign of 330
+DEVICES, EVERY, SEED = 10_000, 5, 4000  # every fifth reading of a campaign of 330
 HIDDEN = {  # size, °/s per °C and °/s per °C², and in what share of the fleet
     "bias.thermal_lag": (0.05, 0.3),
     "bias.temperature_quadratic": (2e-4, 0.1),

@@ -81,7 +81,7 @@ def _finding(r: dict[str, Any]) -> str:
     head += ["share of the fleet, 95 %"]
     rows = [
         [e["effect"], f"{e['size']:g}", f"{e['hidden_share']:.0%}", e["hidden"], e["found"]]
-        + [int(e["possible"]), f"{e['expected']:.1f}", f"{e['low']:.0%} to {e['high']:.0%}"]
+        + [int(e["possible"]), f"{e['expected']:.1f}", f"{e['low']:.1%} to {e['high']:.1%}"]
         for e in r["effects"]
     ]
     others = [
@@ -91,7 +91,7 @@ def _finding(r: dict[str, Any]) -> str:
     ]
     return f"""## Each device's structure searched
 
-{r["devices"]} simulated gyroscopes of {r["readings"]} readings, `--find`:
+{r["devices"]:,} simulated gyroscopes of {r["readings"]} readings, `--find`:
 {r["devices_per_core_second"]:.2f} devices per core-second ({r["processor_s"]:.0f} CPU seconds).
 Devices with an effect where nothing is hidden: {proportion(r["false"], r["empty"])}.
 Devices whose model has a substitute of what is hidden: {proportion(r["wrongly_named"], r["devices"] - r["empty"])}.
@@ -99,7 +99,8 @@ Devices whose model has a substitute of what is hidden: {proportion(r["wrongly_n
 {table(head, rows)}
 *Named in*: devices whose model has it. *Possible in*: devices in which it is one of the effects of which one is missing
 with a probability of 0.95; one device of so few readings cannot always tell which. *Expected*, and the share: from all
-devices together. Next in that table: {", ".join(others[:3]) or "nothing"}.
+devices together; every device that has an effect here has it at the one size, which the reckoning of shares does not
+know ([limits](limits.md#how-often-it-errs)). Next in that table: {", ".join(others[:3]) or "nothing"}.
 
 Where the time of a search goes: half to refits of structures (20 to 40 for a device, of 50 ms), a fifth to the
 scores of candidates, a tenth to their columns. Devices share compiled programs of a worker, not columns: every device
