@@ -14,12 +14,14 @@ from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices, gathered
 from bayescal._fleet.fit_devices import CHUNK, fit_devices, mappable
 from bayescal._fleet.split_devices import split_devices
+from bayescal._fleet.tailored import tailored
 from bayescal._inference.least_squares import LeastSquares
+from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._partitions.partitions import FIND_ROWS, ROWS
-from bayescal._population.population import Spread, chosen
+from bayescal._population.population import Asked, chosen
 from bayescal._readings.measurements import Measurements
 
 if TYPE_CHECKING:
@@ -41,7 +43,7 @@ def fit_batch(
     readings: Readings,
     *,
     method: Method | None = None,
-    population: bool | Sequence[str] | Mapping[str, Spread] = False,
+    population: Asked = False,
     seed: int = 0,
     chunk: int = CHUNK,
     reference: Reference | None = None,
@@ -54,7 +56,7 @@ def fit_batch(
     readings: str | Path | Sequence[str | Path],
     *,
     method: Method | None = None,
-    population: bool | Sequence[str] | Mapping[str, Spread] = False,
+    population: Asked = False,
     seed: int = 0,
     chunk: int = CHUNK,
     reference: Reference | None = None,
@@ -69,7 +71,7 @@ def fit_batch(
     readings: Readings,
     *,
     method: Method | None = None,
-    population: bool | Sequence[str] | Mapping[str, Spread] = False,
+    population: Asked = False,
     seed: int = 0,
     chunk: int = CHUNK,
     reference: Reference | None = None,
@@ -79,7 +81,7 @@ def fit_batch(
     columns: Mapping[str, Any] | None = None,
     find: bool | Find = False,
 ) -> BatchResult | FleetResult:
-    """Fit one model to many devices of one type, each by itself, in a few compiled programs.
+    """Fit one model to many devices of one type, each by itself.
 
         result = bc.fit_batch(mems_gyro.INSTRUMENT.baseline(), "lot.parquet", population=True)
         result["A17"], result.table()  # device, coefficient, mean, sd, unit, ok, reason
@@ -92,38 +94,50 @@ def fit_batch(
     linear model with Gaussian noise that is known; else each device is represented by its mean and covariance.
 
     **With `out`** files are cut into partitions that are read, fitted and written one by one, here or by the workers of
-    a Dask `client`. A partition leaves one Parquet file, whole or not at all: a run that was ended in any way goes on
-    with the same call, and ends with the same numbers. A device that is met in several partitions is refused.
+    a Dask `client`. A partition leaves one Parquet file, whole or not at all: a run that ended early goes on with the
+    same call, and ends with the same numbers. A device that is met in several partitions is refused.
 
     Args:
-        model: what is fitted.
+        model: what is fitted; what its instrument takes from readings (unit, sizes) is taken from the first device.
         readings: `split_devices(…)`, paths of files with a column `device`, or measurements, one a device (a mapping
             names them). With `out`: paths, of folders too.
         method: `LeastSquares()` if not given; or `Marginal()`, by importance sampling alone.
         population: True for all coefficients that a device has one of, or names, or names with priors of their spreads.
-        seed: of every random number.
-        chunk: devices fitted at once at most, which bounds memory.
+        seed, chunk: of every random number; devices fitted at once at most, which bounds memory.
         reference: constants of the bases, in place of each device's own; a population sets T0 to that of all readings.
         client: of a Dask cluster whose workers see the files and `out` under the same paths.
         out: folder for the results of partitions. What follows goes with it.
         partition_rows: readings in a partition, about; a process holds one at a time.
         columns: how files are read: arguments of `split_devices`, such as {"units": {"rate": "rad/s"}}.
-        find: whether each device's missing effects are searched (a second or two a device), or how.
+        find: whether each device's missing effects are searched (about a second a device), or how.
 
     Raises:
-        InputError: no device that can be used, files that cannot be read, a client without `out`, a cluster gone.
-        ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
+        InputError: no device can be used, a file cannot be read, a client without `out`, a cluster gone.
+        ModelError: a method that cannot be mapped, or a population of what is no coefficient.
     """
-    mapped, named = mappable(model, method or LeastSquares()), chosen(model, population)
-    shared = {"seed": seed, "chunk": chunk, "reference": reference}
+    mapped = mappable(model, method or LeastSquares())
+    chosen(model, population)  # a wrong name is refused before anything is read
+    shared: dict[str, Any] = {"seed": seed, "chunk": chunk, "reference": reference}
     if out is not None:
         rows = partition_rows or (FIND_ROWS if find else ROWS)
-        search = Find() if find is True else find or None
-        how = {"client": client, "rows": rows, "columns": columns, "find": search, **shared}
-        return fit_fleet(model, _paths(readings), Path(out), mapped, named, **how)
+        shared |= {"client": client, "rows": rows, "columns": columns}
+        shared["find"] = Find() if find is True else find or None
+        return fit_fleet(model, _paths(readings), Path(out), mapped, population, **shared)
     if client is not None or find:
         raise InputError("workers and searches write by partition: give out=, a folder")
-    return fit_devices(model, _devices(model, readings), mapped, named=named, **shared)
+    return _at_once(model, _devices(model, readings), mapped, population, shared)
+
+
+def _at_once(
+    model: Model,
+    devices: Devices,
+    method: LeastSquares | Marginal,
+    population: Asked,
+    shared: Mapping[str, Any],
+) -> BatchResult:
+    if devices.blocks:
+        model = tailored(model, devices.blocks[0].measurements(0))
+    return fit_devices(model, devices, method, named=chosen(model, population), **shared)
 
 
 def _paths(readings: Readings) -> list[Path]:

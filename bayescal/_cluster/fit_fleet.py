@@ -20,6 +20,7 @@ from bayescal._core.version import __version__
 from bayescal._finding.find_devices import Find
 from bayescal._finding.fleet_table import effects_table
 from bayescal._fleet.fit_devices import sized_for
+from bayescal._fleet.tailored import tailored
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
 from bayescal._model.frame import Reference, reference_name
@@ -27,7 +28,7 @@ from bayescal._model.model import Model
 from bayescal._partitions.partitions import Partition, partitions_of
 from bayescal._partitions.read_partition import read_partition
 from bayescal._partitions.request import Request
-from bayescal._population.population import Named, Population
+from bayescal._population.population import Asked, Population, chosen
 from bayescal._readings.column_matching import ReadOptions
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def fit_fleet(
     paths: Sequence[Path],
     out: Path,
     method: LeastSquares | Marginal,
-    named: Named,
+    population: Asked,
     *,
     seed: int,
     chunk: int,
@@ -63,17 +64,18 @@ def fit_fleet(
     partitions = partitions_of(paths, rows)
     options = ReadOptions(**(columns or {}))
     request = Request(model, method, seed, chunk, dict(reference or {}), options, find=find)
-    request = _with_common(request, partitions, engine, bool(named))
+    request = _with_common(request, partitions, engine, bool(population))
+    named = chosen(request.model, population)
     folder = out.resolve()
     run = Run(request, partitions, folder / ALONE, engine)
     run.fit()
     if not any(done.trusted for done in run.in_order):
         raise InputError(f"none of the devices can be used; {_first_reason(run)}")
-    population, apart = None, dict[str, float]()
+    learned, apart = None, dict[str, float]()
     if named:
         files = [folder / ALONE / partitions[done.number].file for done in run.in_order]
-        population, apart = learn_population(files, folder / POOLED, named, seed, engine)
-    found = _whole(run, out, population, apart, time.monotonic() - begun)
+        learned, apart = learn_population(files, folder / POOLED, named, seed, engine)
+    found = _whole(run, out, learned, apart, time.monotonic() - begun)
     found.save()
     return found
 
@@ -110,23 +112,25 @@ def temperature_sums(request: Request, partition: Partition) -> TemperatureSums:
 
 
 def sized_model(request: Request, partition: Partition) -> Model | None:
-    """The model, with the plausible amplitudes that are open taken from the partition's first device."""
+    """The model, with what it takes from readings taken from the partition's first device."""
     for block in read_partition(partition, request, {}).devices.blocks:
-        return sized_for(request.model, block.measurements(0), request.reference)
+        first = block.measurements(0)
+        return sized_for(tailored(request.model, first), first, request.reference)
     return None
 
 
 def _with_common(
     request: Request, partitions: Sequence[Partition], engine: Engine, pooled: bool
 ) -> Request:
-    """The request with what has to be the same in all partitions: T0 of a population, open amplitudes."""
+    """The request with what has to be the same in all partitions: T0 of a population, unit, open sizes."""
     known = {"T0"} <= set(request.reference)
     if pooled and not known:
         tell("reading all temperatures, for a common T0 (a reference given spares that)")
         sums = engine.tree(temperature_sums, [(request, p) for p in partitions])
         common = {reference_name(n): float(np.round(s / c)) for n, (s, c) in sums.of.items() if c}
         request = replace(request, reference={**common, **request.reference})
-    if any(e.open for e in request.model.effects):
+    model = request.model
+    if model.instrument.tailor is not None or any(e.open for e in model.effects):
         for partition in partitions:
             for outcome in engine.each(sized_model, [(request, partition)]):
                 if outcome.value is not None:

@@ -44,6 +44,7 @@ FEWEST = 3  # devices from which a spread can be learned
 ENOUGH = 50  # effective draws of τ, from which its mean and spread are known well enough
 
 Named = Mapping[str, tuple[Coefficient, Spread]]  # a population's coefficients by name
+Asked = bool | Sequence[str] | Mapping[str, Spread]  # which those are: all, or some, or with priors
 
 
 @dataclass(frozen=True)
@@ -70,9 +71,7 @@ class Population:
         return f"{head}{'' if self.ok else ': ' + self.reason}\n{self.table.to_string(index=False)}"
 
 
-def chosen(
-    model: Model, asked: bool | Sequence[str] | Mapping[str, Spread]
-) -> dict[str, tuple[Coefficient, Spread]]:
+def chosen(model: Model, asked: Asked) -> dict[str, tuple[Coefficient, Spread]]:
     """The coefficients of a population, each with the prior of its spread.
 
     Raises:

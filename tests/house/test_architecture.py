@@ -53,7 +53,7 @@ ROOMS = {
     "compensation_program code_writer compensator compensate_file budget_notes budget",
     "_firmware": "thermal_polynomial autopilots parameters",
     "_population": "device_sums spread_draws population",
-    "_fleet": "weighted_draws devices device_refusals split_devices stacks closed_form fit_stack "
+    "_fleet": "tailored weighted_draws devices device_refusals split_devices stacks closed_form fit_stack "
     "device_result batch_result partial_pooling fit_devices",
     "_finding": "shares find_devices fleet_table",
     "_partitions": "partitions request row_groups read_partition",
