@@ -22,9 +22,6 @@ SAMPLE = ("bias.thermal_lag",)  # the fast tests; the slow ones hide every candi
 ALIAS = pytest.mark.xfail(
     reason="the circuit's temperature is an exact alias, and stands first", strict=True
 )
-COVERED = pytest.mark.xfail(
-    reason="deviations of cells cover for it at an oracle of 8.2", strict=False
-)
 DETECTABLE = 8.0  # log Bayes factor of the true model against the baseline: the oracle
 
 
@@ -125,7 +122,7 @@ OTHERS = {
     "ng_accelerometer": ("base_tilt.lab_temperature", "second_order"),
     "still_sensor": ("bias.temperature_quadratic", "bias.thermal_lag"),
 }
-MISSED = {"bias.gradient": ALIAS, "base_tilt.lab_temperature": COVERED}
+MISSED = {"bias.gradient": ALIAS}
 
 
 @pytest.mark.parametrize("effect", OTHERS["inclinometer"][:2])
