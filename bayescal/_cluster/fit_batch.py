@@ -20,7 +20,6 @@ from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
-from bayescal._partitions.partitions import FIND_ROWS, ROWS
 from bayescal._population.population import Asked, chosen
 from bayescal._readings.measurements import Measurements
 
@@ -81,7 +80,7 @@ def fit_batch(
     columns: Mapping[str, Any] | None = None,
     find: bool | Find = False,
 ) -> BatchResult | FleetResult:
-    """Fit one model to many devices of one type, each by itself.
+    """Fit one model to many devices of one type, each by itself, in a few compiled programs.
 
         result = bc.fit_batch(mems_gyro.INSTRUMENT.baseline(), "lot.parquet", population=True)
         result["A17"], result.table()  # device, coefficient, mean, sd, unit, ok, reason
@@ -94,8 +93,8 @@ def fit_batch(
     linear model with Gaussian noise that is known; else each device is represented by its mean and covariance.
 
     **With `out`** files are cut into partitions that are read, fitted and written one by one, here or by the workers of
-    a Dask `client`. A partition leaves one Parquet file, whole or not at all: a run that ended early goes on with the
-    same call, and ends with the same numbers. A device that is met in several partitions is refused.
+    a Dask `client`. A partition leaves one Parquet file, whole or not at all: a run that was ended in any way goes on
+    with the same call, and ends with the same numbers. A device that is met in several partitions is refused.
 
     Args:
         model: what is fitted; what its instrument takes from readings (unit, sizes) is taken from the first device.
@@ -103,7 +102,8 @@ def fit_batch(
             names them). With `out`: paths, of folders too.
         method: `LeastSquares()` if not given; or `Marginal()`, by importance sampling alone.
         population: True for all coefficients that a device has one of, or names, or names with priors of their spreads.
-        seed, chunk: of every random number; devices fitted at once at most, which bounds memory.
+        seed: of every random number.
+        chunk: devices fitted at once at most, which bounds memory.
         reference: constants of the bases, in place of each device's own; a population sets T0 to that of all readings.
         client: of a Dask cluster whose workers see the files and `out` under the same paths.
         out: folder for the results of partitions. What follows goes with it.
@@ -112,17 +112,16 @@ def fit_batch(
         find: whether each device's missing effects are searched (about a second a device), or how.
 
     Raises:
-        InputError: no device can be used, a file cannot be read, a client without `out`, a cluster gone.
-        ModelError: a method that cannot be mapped, or a population of what is no coefficient.
+        InputError: no device that can be used, files that cannot be read, a client without `out`, a cluster gone.
+        ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
     """
     mapped = mappable(model, method or LeastSquares())
     chosen(model, population)  # a wrong name is refused before anything is read
-    shared: dict[str, Any] = {"seed": seed, "chunk": chunk, "reference": reference}
+    shared = {"seed": seed, "chunk": chunk, "reference": reference}
     if out is not None:
-        rows = partition_rows or (FIND_ROWS if find else ROWS)
-        shared |= {"client": client, "rows": rows, "columns": columns}
-        shared["find"] = Find() if find is True else find or None
-        return fit_fleet(model, _paths(readings), Path(out), mapped, population, **shared)
+        search = Find() if find is True else find or None
+        how = {"client": client, "rows": partition_rows, "columns": columns, "find": search}
+        return fit_fleet(model, _paths(readings), Path(out), mapped, population, **how, **shared)
     if client is not None or find:
         raise InputError("workers and searches write by partition: give out=, a folder")
     return _at_once(model, _devices(model, readings), mapped, population, shared)

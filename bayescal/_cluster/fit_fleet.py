@@ -25,7 +25,7 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
 from bayescal._model.frame import Reference, reference_name
 from bayescal._model.model import Model
-from bayescal._partitions.partitions import Partition, partitions_of
+from bayescal._partitions.partitions import FIND_ROWS, ROWS, Partition, partitions_of
 from bayescal._partitions.read_partition import read_partition
 from bayescal._partitions.request import Request
 from bayescal._population.population import Asked, Population, chosen
@@ -48,7 +48,7 @@ def fit_fleet(
     chunk: int,
     reference: Reference | None,
     client: Client | None,
-    rows: int,
+    rows: int | None,
     columns: Mapping[str, Any] | None,
     find: Find | None = None,
 ) -> FleetResult:
@@ -61,7 +61,7 @@ def fit_fleet(
     engine: Engine = Here() if client is None else OnDask(client)
     if client is not None and client.dashboard_link:
         tell(f"the cluster's dashboard: {client.dashboard_link}")
-    partitions = partitions_of(paths, rows)
+    partitions = partitions_of(paths, rows or (FIND_ROWS if find else ROWS))
     options = ReadOptions(**(columns or {}))
     request = Request(model, method, seed, chunk, dict(reference or {}), options, find=find)
     request = _with_common(request, partitions, engine, bool(population))

@@ -1,4 +1,4 @@
-"""Fleets of the sensor at rest, whose unit and plausible sizes come from readings: tables, logs, searches."""
+"""Fleets of the sensor at rest, whose unit and plausible sizes come from readings: logs, measurements."""
 
 from __future__ import annotations
 

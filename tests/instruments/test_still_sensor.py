@@ -222,8 +222,8 @@ def test_a_saved_calibration_keeps_the_sizes_it_was_made_with(tmp_path: Path) ->
             *("bias.thermal_lag", 5.0),
             marks=pytest.mark.xfail(
                 strict=True,
-                reason="three runs of one profile: a free curve of the elapsed time is 17 times as probable, for the "
-                "lag pays for a start of each run that it does not have",
+                reason="three runs of one profile: a free curve of the elapsed time is more probable (under white "
+                "noise 17 times); the lag has a start for each run, which is not there",
             ),
         ),
         ("bias.hysteresis", 80.0),
