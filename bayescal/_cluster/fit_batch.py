@@ -14,7 +14,7 @@ from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices, gathered
 from bayescal._fleet.fit_devices import CHUNK, fit_devices, mappable
 from bayescal._fleet.split_devices import split_devices
-from bayescal._fleet.tailored import tailored
+from bayescal._fleet.tailored import tailored_to_first
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
@@ -134,8 +134,7 @@ def _at_once(
     population: Asked,
     shared: Mapping[str, Any],
 ) -> BatchResult:
-    if devices.blocks:
-        model = tailored(model, devices.blocks[0].measurements(0))
+    model, _ = tailored_to_first(model, devices)
     return fit_devices(model, devices, method, named=chosen(model, population), **shared)
 
 

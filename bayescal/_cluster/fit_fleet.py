@@ -20,7 +20,7 @@ from bayescal._core.version import __version__
 from bayescal._finding.find_devices import Find
 from bayescal._finding.fleet_table import effects_table
 from bayescal._fleet.fit_devices import sized_for
-from bayescal._fleet.tailored import tailored
+from bayescal._fleet.tailored import tailored_to_first
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
 from bayescal._model.frame import Reference, reference_name
@@ -112,11 +112,9 @@ def temperature_sums(request: Request, partition: Partition) -> TemperatureSums:
 
 
 def sized_model(request: Request, partition: Partition) -> Model | None:
-    """The model, with what it takes from readings taken from the partition's first device."""
-    for block in read_partition(partition, request, {}).devices.blocks:
-        first = block.measurements(0)
-        return sized_for(tailored(request.model, first), first, request.reference)
-    return None
+    """The model, with what it takes from readings taken from the partition's first device that tells it."""
+    model, first = tailored_to_first(request.model, read_partition(partition, request, {}).devices)
+    return None if first is None else sized_for(model, first, request.reference)
 
 
 def _with_common(
@@ -130,11 +128,15 @@ def _with_common(
         common = {reference_name(n): float(np.round(s / c)) for n, (s, c) in sums.of.items() if c}
         request = replace(request, reference={**common, **request.reference})
     model = request.model
+    reason = ""
     if model.instrument.tailor is not None or any(e.open for e in model.effects):
         for partition in partitions:
             for outcome in engine.each(sized_model, [(request, partition)]):
                 if outcome.value is not None:
                     return replace(request, model=outcome.value)
+                reason = reason or outcome.error
+    if reason and model.instrument.tailor is not None:
+        raise InputError(f"none of the devices can be used; {reason}")
     return request
 
 
