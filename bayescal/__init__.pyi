@@ -1,35 +1,39 @@
 """The public names, each listed once. `lazy_loader` reads this file when `bayescal` is imported."""
 
 # the loop: read, fit, see where it fails, find what is missing, compare; all of it at once
-from ._readings.read import read as read
+from ._data.read import read as read
 from ._calibration.fit import fit as fit
 from ._calibration.fit import load as load
 from ._calibration.predict import predict as predict
-from ._diagnostics.check import check as check
-from ._diagnostics.compare import compare as compare
-from ._discovery.discover import discover as discover
-from ._discovery.preview import preview as preview
+from ._calibration.check import check as check
+from ._calibration.compare import compare as compare
+from ._search.discover import discover as discover
+from ._search.preview import preview as preview
 from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
 # beside the loop: which test to run next, how often a search reports what is not there, an effect's draft
-from ._discovery.next_experiment import next_experiment as next_experiment
-from ._discovery.false_reports import false_reports as false_reports
-from ._discovery.draft_effect import shape_of as shape_of
-from ._discovery.draft_effect import draft_effect as draft_effect
-from ._discovery.describe import Draft as Draft
-from ._discovery.describe import describe as describe
+from ._search.next_experiment import next_experiment as next_experiment
+from ._search.false_reports import false_reports as false_reports
+from ._search.draft_effect import shape_of as shape_of
+from ._search.draft_effect import draft_effect as draft_effect
+from ._search.describe import Draft as Draft
+from ._search.describe import describe as describe
+
+# an instrument of one's own, tried on itself
+from ._search.check_instrument import check_instrument as check_instrument
+from ._search.check_instrument import InstrumentCheck as InstrumentCheck
 
 # a sensor's noise, as data sheets give it
-from ._recording.set_aside import set_aside as set_aside
-from ._recording.allan_deviation import allan_deviation as allan_deviation
-from ._recording.allan_deviation import AllanDeviation as AllanDeviation
+from ._data.set_aside import set_aside as set_aside
+from ._data.allan_deviation import allan_deviation as allan_deviation
+from ._data.allan_deviation import AllanDeviation as AllanDeviation
 
 # what leaves: the compensation, its budget, pictures, the report for sign-off
-from ._compensation.compensator import compensator as compensator
-from ._compensation.compensator import load_compensator as load_compensator
-from ._compensation.budget import budget as budget
-from ._firmware.parameters import firmware_parameters as firmware_parameters
+from ._use.compensator import compensator as compensator
+from ._use.compensator import load_compensator as load_compensator
+from ._use.budget import budget as budget
+from ._use.firmware_parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot
 from ._workbench.start import workbench as workbench  # in a notebook; needs bayescal[workbench]
@@ -40,20 +44,22 @@ from ._model.instrument import Slot as Slot
 from ._model.instrument import Use as Use
 from ._model.model import Model as Model
 from ._model.effect import Effect as Effect
+from ._model.formula import effect as effect
 from ._model.effect import Coefficient as Coefficient
 from ._model.effect import Shape as Shape
 from ._model.frame import Frame as Frame
-from ._readings.column import Column as Column
-from ._readings.column import NominalScale as NominalScale
-from ._readings.measurements import Measurements as Measurements
+from ._data.column import Column as Column
+from ._data.column import NominalScale as NominalScale
+from ._data.measurements import Measurements as Measurements
 
 # noise laws and priors
-from ._model.noise_laws import Noise as Noise
-from ._model.noise_laws import White as White
-from ._model.noise_laws import Heteroscedastic as Heteroscedastic
+from ._model.noise_law import Noise as Noise
+from ._model.noise_law import offered as offered
+from ._model.white_noise import White as White
+from ._model.heteroscedastic_noise import Heteroscedastic as Heteroscedastic
 from ._model.correlated_noise import OrnsteinUhlenbeck as OrnsteinUhlenbeck
-from ._model.noise_laws import StudentT as StudentT
-from ._model.noise_laws import Quantised as Quantised
+from ._model.student_t_noise import StudentT as StudentT
+from ._model.quantised_noise import Quantised as Quantised
 from ._model.prior import Flat as Flat
 from ._model.prior import Normal as Normal
 from ._model.prior import HalfNormal as HalfNormal
@@ -63,32 +69,32 @@ from ._model.prior import HalfCauchy as HalfCauchy
 from ._inference.marginal import Marginal as Marginal
 from ._inference.least_squares import LeastSquares as LeastSquares
 from ._inference.nuts import NUTS as NUTS
+from ._inference.nuts import numpyro_program as numpyro_program
 
 # results
 from ._calibration.calibration import Calibration as Calibration
 from ._inference.method import Verdict as Verdict
-from ._diagnostics.check_result import Check as Check
-from ._diagnostics.compare import Comparison as Comparison
-from ._discovery.discover import Discovery as Discovery
-from ._discovery.preview import Preview as Preview
+from ._calibration.check_result import Check as Check
+from ._calibration.compare import Comparison as Comparison
+from ._search.discover import Discovery as Discovery
+from ._search.preview import Preview as Preview
 from ._report.save_search import (
     SearchPath as SearchPath,
 )  # with `save`, which save_search.py attaches
 from ._report.save_search import (
     Channels as Channels,
 )  # with `save`, which save_search.py attaches
-from ._discovery.next_experiment import NextExperiment as NextExperiment
-from ._discovery.false_reports import FalseReports as FalseReports
-from ._compensation.compensator import Compensator as Compensator
-from ._compensation.budget import Budget as Budget
-from ._firmware.parameters import FirmwareParameters as FirmwareParameters
-from ._numpyro.program_fit import ProgramFit as ProgramFit
+from ._search.next_experiment import NextExperiment as NextExperiment
+from ._search.false_reports import FalseReports as FalseReports
+from ._use.compensator import Compensator as Compensator
+from ._use.budget import Budget as Budget
+from ._use.firmware_parameters import FirmwareParameters as FirmwareParameters
 
 # many devices at once
-from ._cluster.fit_batch import fit_batch as fit_batch
-from ._cluster.fleet_result import FleetResult as FleetResult
-from ._finding.find_devices import Find as Find
-from ._cluster.fleet_result import load_fleet as load_fleet
+from ._fleet.fit_batch import fit_batch as fit_batch
+from ._fleet.fleet_result import FleetResult as FleetResult
+from ._fleet.find_devices import Find as Find
+from ._fleet.fleet_result import load_fleet as load_fleet
 from ._fleet.split_devices import split_devices as split_devices
 from ._fleet.devices import Devices as Devices
 from ._fleet.weighted_draws import weighted_draws as weighted_draws
@@ -101,6 +107,7 @@ from ._core.errors import BayescalError as BayescalError
 from ._core.errors import InputError as InputError
 from ._core.errors import ModelError as ModelError
 from ._core.errors import NotConverged as NotConverged
+from ._core.errors import TimeIsUp as TimeIsUp
 
 __version__: str
 __all__: list[str]

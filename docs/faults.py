@@ -16,7 +16,7 @@ from typing import Any
 
 import bayescal as bc
 from bayescal._core.formatting import number
-from bayescal._readings.unit_conversion import unit_label
+from bayescal._data.unit_conversion import unit_label
 
 HERE = Path(__file__).parent
 KEPT = HERE.parent / "benchmarks" / "results" / "faults.json"

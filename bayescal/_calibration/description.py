@@ -12,20 +12,21 @@ import numpy as np
 
 from bayescal._calibration.fitted import Fitted
 from bayescal._core.errors import InputError
-from bayescal._model.correlated_noise import OrnsteinUhlenbeck
+from bayescal._data.column import Source
+from bayescal._data.measurements import Measurements
 from bayescal._model.departure import Departure, departure
 from bayescal._model.effect import Effect
+from bayescal._model.formula import Formula, effect
 from bayescal._model.installed import installed_instruments
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
-from bayescal._model.noise_laws import Heteroscedastic, Noise, Quantised, StudentT, White
+from bayescal._model.noise_law import Noise
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
-from bayescal._model.unknown_effect import covariate_in
-from bayescal._readings.column import Source
-from bayescal._readings.measurements import Measurements
+from bayescal._model.unknown_effect import FREED, covariate_in, freed
 
 SCHEMA = "bayescal.calibration/1"
-_NOISES = {c.__name__: c for c in (White, Heteroscedastic, OrnsteinUhlenbeck, StudentT, Quantised)}
+UNKNOWNS = "unknowns"  # of a noise law of the user's own
+LAW_FILE = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal)}
 
 
@@ -75,6 +76,7 @@ def description(c: Fitted) -> dict[str, Any]:
             for e in c.model.effects
             if isinstance(e, Departure)
         },
+        **({"typed": typed} if (typed := typed_effects(c.model)) else {}),
         "unknowns": {e.name: stated(e) for e in c.model.effects},
         "ranges": {
             e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in c.model.effects if e.shapes
@@ -92,13 +94,19 @@ def description(c: Fitted) -> dict[str, Any]:
         "verdict": {k: v for k, v in asdict(c.verdict).items() if k != "against" or v},
         "sources": [asdict(s) for s in c.readings.sources],
         "flags": list(c.readings.flags),
+        **({"nominal_scale": asdict(scale)} if (scale := c.readings.scale) else {}),
     }
+
+
+def typed_effects(model: Model) -> dict[str, str]:
+    """The lines of the effects that were typed, by name: data, from which they are made again."""
+    return {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)}
 
 
 def _resized(model: Model) -> dict[str, float]:
     """Plausible sizes, by effect, of the instrument's own effects where they are others than its own."""
     own = _catalogue(model.instrument)
-    return {
+    return {e.name: e.coefficients[0].size for e in model.effects if e.name.endswith(FREED)} | {
         e.name: e.coefficients[0].size
         for e in model.effects
         if e.name in own
@@ -120,26 +128,47 @@ def stated(effect: Effect) -> str:
 
 
 def _noise_words(noise: Noise) -> dict[str, Any]:
-    name = type(noise).__name__
-    if name not in _NOISES:
-        raise InputError(
-            f"noise law {name!r} is not one of {', '.join(_NOISES)}: it cannot be saved by name"
-        )
-    found: dict[str, Any] = {"law": name}
+    """A noise law by the name of its class and its fields; of one that is not bayescal's own, its unknowns too."""
+    found: dict[str, Any] = {"law": type(noise).__name__}
     for key, value in vars(noise).items():
-        found[key] = (
-            [type(value).__name__, vars(value)] if type(value).__name__ in _PRIORS else value
-        )
+        prior = type(value).__name__ in _PRIORS
+        found[key] = [type(value).__name__, vars(value)] if prior else value
+    if not type(noise).__module__.startswith("bayescal."):
+        found[UNKNOWNS] = {name: repr(prior) for name, prior in noise.parameters().items()}
     return found
 
 
-def noise_from(described: dict[str, Any]) -> Noise:
-    """The noise law that a description names."""
-    arguments = {k: v for k, v in described.items() if k != "law"}
-    for key, value in arguments.items():
+def noise_from(path: Path, described: dict[str, Any]) -> Noise:
+    """The noise law that the description in a file names.
+
+    Raises:
+        InputError: no law of that name is loaded, or it is another one than then; names it.
+    """
+    name, fields = described["law"], dict[str, Any]()
+    if name not in Noise.known:
+        raise InputError(
+            f"{path.name} was fitted with the noise law {name}, which is not loaded (there are: "
+            f"{', '.join(Noise.known)}). {LAW_FILE}"
+        )
+    for key, value in described.items():
         if isinstance(value, list):
-            arguments[key] = _PRIORS[value[0]](**value[1])
-    return _NOISES[described["law"]](**arguments)
+            prior = len(value) == 2 and isinstance(value[1], dict)
+            value = _PRIORS[value[0]](**value[1]) if prior else tuple(value)
+        fields[key] = value
+    try:
+        law = Noise.known[name](**{k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)})
+    except TypeError as error:
+        raise InputError(
+            f"{path.name} was fitted with another noise law {name} than the one given now, which cannot be made as "
+            f"that was ({error}). {LAW_FILE}"
+        ) from None
+    then, now = described.get(UNKNOWNS), _noise_words(law).get(UNKNOWNS)
+    if then != now:
+        raise InputError(
+            f"{path.name} was fitted with another noise law {name} than the one given now: its unknowns were {then}; "
+            f"now {now}. {LAW_FILE}"
+        )
+    return law
 
 
 def _tailored(path: Path, instrument: Instrument, settings, readings: Measurements) -> Instrument:
@@ -171,10 +200,14 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
             f"{', '.join(known)}). Install the package that offers it"
         )
     instrument = _tailored(path, known[name], described["settings"], readings)
-    catalogue = {**_catalogue(instrument), **{e.name: e for e in effects}}
+    typed = described.get("typed", {})
+    made = {n: effect(text, readings=readings, instrument=instrument) for n, text in typed.items()}
+    catalogue = {**_catalogue(instrument), **{e.name: e for e in effects}, **made}
     for n in described["effects"]:
         if n not in catalogue and (covariate := covariate_in(n)):
             catalogue[n] = instrument.unknown(covariate)
+        elif n.endswith(FREED) and (stated_ := catalogue.get(n.removesuffix(FREED))):
+            catalogue[n] = freed(stated_)
     for n, d in described["departures"].items():
         if (of := catalogue.get(d["of"])) is not None:
             shares, unit = tuple(map(tuple, d["shares"])), instrument.slot(of.slot).unit
@@ -187,14 +220,14 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
         )
     ranges = described["ranges"]
     chosen = tuple(catalogue[n].ranging(ranges.get(n, {})) for n in described["effects"])
-    model = Model(instrument, chosen, noise_from(described["noise"]), ())
+    model = Model(instrument, chosen, noise_from(path, described["noise"]), ())
     for n, size in described.get("sizes", {}).items():
         model = model.resize(n, size)
-    for effect in model.effects:
-        then, now = described["unknowns"][effect.name], stated(effect)
+    for own in model.effects:
+        then, now = described["unknowns"][own.name], stated(own)
         if then != now:
             raise InputError(
-                f"{path.name} was fitted with another effect {effect.name!r} than the one given now: then {then}; "
+                f"{path.name} was fitted with another effect {own.name!r} than the one given now: then {then}; "
                 f"now {now}. Give the one it was fitted with: --effects my_effects.py (in Python: "
                 "load(path, effects=[…]))"
             )

@@ -2,36 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
 
-import jax
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.storage import load_calibration
+from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
-from bayescal._engine.linear_model import sized
+from bayescal._data.measurements import Measurements
 from bayescal._inference.checkpoint import fingerprint, keeping
+from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
-from bayescal._inference.method import Method, kept_outcome
+from bayescal._inference.method import Method, Outcome
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
-from bayescal._readings.measurements import Measurements
-
-if TYPE_CHECKING:
-    from bayescal._numpyro.program_fit import ProgramFit
-
 
 DIGITS = 1e6 * float(np.finfo(float).eps)  # of the largest output, by which it changes at least
 
 
-@overload
 def fit(
     model: Model,
     readings: Measurements,
@@ -41,56 +35,35 @@ def fit(
     strict: bool = True,
     reference: Reference | None = None,
     checkpoint: str | Path | None = None,
-) -> Calibration: ...
-
-
-@overload
-def fit(
-    model: Callable[..., Any],
-    readings: Any,
-    method: Method | None = None,
-    *,
-    seed: int = 0,
-    strict: bool = True,
-) -> ProgramFit: ...
-
-
-def fit(
-    model: Model | Callable[..., Any],
-    readings: Any,
-    method: Method | None = None,
-    *,
-    seed: int = 0,
-    strict: bool = True,
-    reference: Reference | None = None,
-    checkpoint: str | Path | None = None,
-) -> Calibration | ProgramFit:
+    time_limit: float | None = None,
+) -> Calibration:
     """Fit a model to readings.
 
-    A NumPyro program is fitted as it is: its Gaussian sites are integrated out where, given all others, every location
-    is affine in them, and the verdict says which. Where none is, NumPyro's NUTS runs.
-
     Args:
-        model: an instrument, effects, a noise law; or a NumPyro program.
-        readings: measurements of that instrument; for a program its arguments, as a dict by name, a tuple or list
-            in order, or anything else as the only one.
-        method: `Marginal()` if not given; or `LeastSquares()` (own models only), `NUTS()`. For a program,
-            `Marginal(promote=…)` names sites to sample rather than integrate out.
+        model: an instrument, effects, a noise law.
+        readings: measurements of that instrument.
+        method: `Marginal()` if not given; or `LeastSquares()`, `NUTS()`.
         seed: of every random number; the same seed gives the same draws on the same machine.
         strict: raise if the fit did not converge; False returns it with its verdict.
-        reference: constants of the bases, such as {"T0": 0.0}, in place of the data's own. Own models only.
-        checkpoint: a file, …nc, for finished pieces of the fit. A fit that was stopped, killed even, goes on from
-            there to the same draws, bit for bit; one that had ended does not sample again. Own models only.
+        reference: constants of the bases, such as {"T0": 0.0}, in place of the data's own.
+        checkpoint: a file, …nc, for the chains of NUTS. Chains that were stopped, killed even, go on from there to
+            the same draws, bit for bit; those that had ended are not run again.
+        time_limit: seconds, after which what there is is taken: the draws so far, or the Gaussian approximation about
+            the mode; the verdict says so. Ctrl-C does the same.
 
     Raises:
         InputError: `reference` names what is no constant of these readings; the checkpoint is none, or one of another
             model, readings, method, seed or version.
         ModelError: readings lack a column, have too few rows for the flat coefficients, or an output that never
-            changes; or a program observes nothing, has discrete unknowns, or does not take these readings.
+            changes; or the model is none.
         NotConverged: the verdict is not good; carries the calibration.
+        TimeIsUp: the time limit came before the mode was found.
     """
     if not isinstance(model, Model):
-        return _fit_program(model, readings, method, seed, strict, reference, checkpoint)
+        raise ModelError(
+            "A model is an instrument with effects, such as mems_gyro.INSTRUMENT.baseline(); this is a "
+            f"{type(model).__name__}"
+        )
     spare_memory_maps()
     method = Marginal() if method is None else method
     model.require(readings)
@@ -99,8 +72,15 @@ def fit(
     frame = build_frame(readings, reference)
     model = sized(model, readings, frame)
     layout, levels = bind(model, readings)
-    with keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)):
-        outcome = kept_outcome(layout, lambda: method.run(layout, frame, frame["output"], seed))
+
+    def run() -> Outcome:
+        return method.run(layout, frame, frame["output"], seed)
+
+    with (
+        keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)),
+        deadline.until(time_limit),
+    ):
+        outcome = deadline.within(run)
     calibration = Calibration(
         model=model,
         readings=readings,
@@ -111,7 +91,7 @@ def fit(
         reference=reference,
         levels=levels,
         layout=outcome.layout,
-        mode=jax.tree.map(np.asarray, outcome.mode),
+        mode=outcome.mode,
         log_evidence=outcome.log_evidence,
     )
     return _converged(calibration) if strict else calibration
@@ -158,33 +138,16 @@ def _refuse_stuck(readings: Measurements) -> None:
         )
 
 
-def _fit_program(model, readings, method, seed, strict, reference, checkpoint) -> ProgramFit:
-    if not callable(model):
-        raise ModelError(
-            f"A model is an instrument with effects, such as mems_gyro.INSTRUMENT.baseline(), or a NumPyro program; "
-            f"this is a {type(model).__name__}"
-        )
-    if reference is not None or checkpoint is not None:
-        name = "reference" if reference is not None else "checkpoint"
-        raise ModelError(
-            f"{name} is for bayescal's own models, and this is a program: leave it out"
-        )
-    # here, because it loads NumPyro, which the default fit does without
-    from bayescal._numpyro.fit_program import fit_program
-
-    return fit_program(model, readings, method, seed=seed, strict=strict)
-
-
 def load(
     path: str | Path, *, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
 ) -> Calibration:
     """Read a saved calibration.
 
-    Its instrument and effects are resolved by name against what is installed, `instruments` and `effects`; nothing in
-    the file is evaluated.
+    Its instrument and effects are resolved by name against what is installed, `instruments` and `effects`, its noise
+    law against the classes that are loaded; nothing in the file is evaluated.
 
     Raises:
-        InputError: not a calibration, another version, or an effect that is not installed.
+        InputError: not a calibration, another version, an effect that is not installed, or a noise law not loaded.
     """
     found, tree = load_calibration(Path(path), effects, instruments)
     calibration = Calibration(**found)

@@ -13,16 +13,16 @@ import xarray as xr
 from bayescal._calibration.named_draws import named
 from bayescal._calibration.on_readings import Vectors, pointwise
 from bayescal._core.errors import InputError
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.linear_model import LinearModel, linear_model
-from bayescal._engine.mode import Mode
-from bayescal._engine.pieces import padded_length
-from bayescal._engine.record import Record
+from bayescal._data.measurements import Measurements
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.method import Draws, Verdict
+from bayescal._inference.mode import Mode
+from bayescal._inference.programs import padded_length
+from bayescal._inference.record import Record
 from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
-from bayescal._readings.measurements import Measurements
 
 PREDICTIVE_CELLS = 2_000_000  # draws × readings kept in posterior_predictive and log_likelihood
 
@@ -47,10 +47,14 @@ class Fitted:
     log_evidence: tuple[float, float | None] | None
 
     def judged(self, against: Sequence[str]) -> Self:
-        """The same, with why it is not to be used though it converged; what was computed of it is kept."""
+        """The same, with why it is not to be used though it converged."""
+        return self.with_verdict(against=tuple(against))
+
+    def with_verdict(self, **changes: Any) -> Self:
+        """The same with another verdict; what was computed of it is kept."""
         made = object.__new__(type(self))
         kept = {name: value for name, value in vars(self).items() if name != "tree"}
-        vars(made).update(kept, verdict=replace(self.verdict, against=tuple(against)))
+        vars(made).update(kept, verdict=replace(self.verdict, **changes))
         return made
 
     def __getstate__(self) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,14 +12,14 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.closed_form import Density
-from bayescal._engine.mode import across, find_mode, in_numpy, prior_draws
-from bayescal._model.correlated_noise import CORRELATION_TIME
+from bayescal._data.unit_conversion import unit_label
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.density import Density
+from bayescal._inference.mode import across, find_mode, prior_draws
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
-from bayescal._readings.unit_conversion import same_dimension, unit_label
+from bayescal._model.prior import LogUniform
 
 CONFLICT = 4.0  # prior standard deviations from the prior's mean, beyond which readings and prior contradict each other
 OFF_SCALE = (
@@ -45,7 +45,7 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
     """
     coefficients, spreads = summary(calibration)
     stands = {row["name"]: (row["mean"], 0.0) for row in coefficients}
-    found = _against_priors(calibration, stands, accepted)
+    found = [one.said for one in _against_priors(calibration, stands, accepted)]
     coefficients, spreads = (
         [row for row in rows if row["name"] not in accepted and row["effect"] not in accepted]
         for rows in (coefficients, spreads)
@@ -75,8 +75,8 @@ def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> l
     shown = f"{number(contribution)} {unit_label(unit)}"
     return [
         f"{effect.name} contributes at most {shown} at its plausible size, where the noise is {number(noise)} "
-        f"{unit_label(unit)}: check the unit of its basis, which gets columns in fixed units, ratios as plain numbers "
-        f"(45 % is 0.45), and its prior, in {first.unit}."
+        f"{unit_label(unit)}: check the unit of its basis, which gets columns in the units that the instrument "
+        f"declares and others in base units (45 % is 0.45), and its prior, in {first.unit}."
     ]
 
 
@@ -92,7 +92,32 @@ def effects_off_scale(calibration: Fitted) -> list[str]:
     return found
 
 
-def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
+class Contradiction(NamedTuple):
+    """A coefficient that the readings put far from its prior's mean.
+
+    Attributes:
+        effect: whose it is.
+        name: the coefficient's.
+        away: from the mean, in plausible sizes.
+        said: in words.
+    """
+
+    effect: str
+    name: str
+    away: float
+    said: str
+
+
+def contradictions(
+    calibration: Fitted, accepted: Collection[str] = ()
+) -> tuple[Contradiction, ...]:
+    """Coefficients that contradict their priors: as fitted or, where none does, by the readings alone."""
+    stands = {row["name"]: (row["mean"], 0.0) for row in summary(calibration)[0]}
+    found = _against_priors(calibration, stands, accepted)
+    return tuple(found or without_priors(calibration, accepted))
+
+
+def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[Contradiction]:
     """Where the readings by themselves would put the first model's coefficients, if that is far from their priors.
 
     A prior that the readings contradict strongly enough wins: the noise takes up what the coefficient may not, and the
@@ -109,10 +134,10 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
         if len(e.coefficients) == 1 and instrument.slot(e.slot).unit in (instrument.unit, "1")
     }
     assembly = Assembly(calibration.layout, calibration.assembly.record, dict.fromkeys(own, FREE))
-    there = in_numpy(calibration.mode)
+    there = calibration.mode
     starts = [there.v, np.zeros_like(there.v)]
     mode = find_mode(assembly, starts, there.covariance, there.point, still=0.01)
-    _, found = Density(assembly, mode.point, mode.flat).at(mode.v)
+    _, found = Density(assembly, mode.point, mode.flat, mode.v).at(mode.v)
     if found is None:
         return []
     mean, sd = found.mean, np.sqrt(np.diag(found.covariance))
@@ -130,7 +155,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
     The curvature is not positive definite; or shapes far from the mode's explain the readings nearly as well, which is
     looked for from the best of some prior draws, and along shapes whose evidence has many maxima.
     """
-    assembly, mode = calibration.assembly, in_numpy(calibration.mode)
+    assembly, mode = calibration.assembly, calibration.mode
     if not math.isfinite(mode.log_evidence):
         return []
     if mode.indefinite:
@@ -144,10 +169,10 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
     def far(v: np.ndarray) -> np.ndarray:
         return np.abs(v - mode.v)[shapes] > APART * sd[shapes]
 
-    density = Density(assembly, mode.point, mode.flat)
+    density = Density(assembly, mode.point, mode.flat, mode.v)
     tried = np.concatenate([prior_draws(assembly), *across(assembly, mode.v)])
     starts = [v for v in tried if far(v).any()] if shapes else []
-    for start in sorted(starts, key=lambda v: -density.at(v)[0])[:TRIED]:
+    for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:TRIED]]:
         other = find_mode(assembly, [start], None, mode.point, still=0.01)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < NEARLY:
@@ -170,7 +195,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
 
 def _against_priors(
     calibration: Fitted, stands: Mapping[str, tuple[float, float]], accepted: Collection[str]
-) -> list[str]:
+) -> list[Contradiction]:
     """Coefficients that stand far from their priors' means, each (where, standard deviation)."""
     found = []
     baseline = {e.name for e in calibration.model.instrument.effects}
@@ -186,12 +211,14 @@ def _against_priors(
             where, give = stands.get(name, (c.mean, 0.0))
             away = abs(where - c.mean) / c.size
             if away - give / c.size > most and name not in accepted:
-                found.append(
+                said = (
                     f"{name} stands {away:.0f} times its plausible size from its prior's mean "
                     f"({number(where)} against {number(c.mean)} ± {number(c.size)} "
                     f"{unit_label(c.unit)}; its log probability falls by {0.5 * away**2:.0f}): "
-                    f"{_look_at(b.effect.name)}, or give it a wider prior."
+                    f"{_look_at(b.effect.name)}, give it a wider prior, or accept it (calibrate --accept-conflict "
+                    f"{name})."
                 )
+                found.append(Contradiction(b.effect.name, name, away, said))
     return found
 
 
@@ -199,8 +226,9 @@ def _look_at(effect: str) -> str:
     """Which number may be wrong where a coefficient of this effect contradicts its prior."""
     slot, _, cause = effect.partition(".")
     if cause == "constant":
-        return "check the nominal zero and scale" if slot != "scale" else "check the nominal scale"
-    return "check the units of the columns and the nominal scale"
+        zero = "zero (--nominal-zero '1.21 V') and scale " * (slot != "scale")
+        return f"check the nominal {zero or 'scale '}(--nominal-scale '250 V/g')"
+    return "check the units of the columns and the nominal scale (--nominal-scale '250 V/g')"
 
 
 def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[str]:
@@ -219,7 +247,7 @@ def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[st
             found.append(
                 f"{effect.name} changes the output by {number(here)} {unit} rms, where all effects known of the "
                 f"instrument, as large as is plausible, would change it by {number(known)} {unit}: check the sign, the "
-                "unit and the nominal scale of the output and of the inputs."
+                "unit and the nominal scale (--nominal-scale '250 V/g') of the output and of the inputs."
             )
     return found
 
@@ -238,13 +266,12 @@ def _known_effects(calibration: Fitted) -> float:
 
 
 def _too_large(calibration: Fitted, spreads: list[dict[str, Any]]) -> list[str]:
-    """Scales beyond the output's whole range, times beyond ten records."""
+    """Sizes of the output's quantity beyond its whole range, times of the model beyond ten records."""
     found, unit = [], calibration.unit
     reach = float(np.ptp(calibration.readings["output"]))
+    sizes = _sizes_of_output(calibration)
     for row in spreads:
-        if row["name"] == CORRELATION_TIME:
-            continue  # bounded by the longest run
-        if row["unit"] == unit and same_dimension(row["unit"], unit) and row["mean"] > reach > 0:
+        if row["name"] in sizes and row["unit"] == unit and row["mean"] > reach > 0:
             found.append(
                 f"{row['name']} is larger than the output's whole range ({number(row['mean'])} against "
                 f"{number(reach)} {unit_label(unit)}): the readings lie far from what the model can be. Check the "
@@ -252,9 +279,25 @@ def _too_large(calibration: Fitted, spreads: list[dict[str, Any]]) -> list[str]:
             )
     if calibration.readings.has("time"):
         record = float(np.ptp(calibration.readings["time"]))
+        hypers = calibration.layout.hypers
+        bounded = {h.name for h in hypers if isinstance(h.prior, LogUniform)}  # by the longest run
         found += [
             f"{row['name']} is longer than {RECORDS:.0f} records ({number(row['mean'])} s): it cannot be told."
             for row in spreads
-            if row["unit"] == "s" and record > 0 and row["mean"] > RECORDS * record
+            if row["name"] not in sizes | bounded
+            and row["unit"] == "s"
+            and record > 0
+            and row["mean"] > RECORDS * record
         ]
     return found
+
+
+def _sizes_of_output(calibration: Fitted) -> set[str]:
+    """Names of standard deviations and amplitudes of the output itself: no lengths, places, times or relative ones."""
+    model = calibration.model
+    sizes = set(model.noise.amplitudes)
+    for effect in model.effects:
+        for i, c in enumerate(effect.coefficients):
+            if model.instrument.slot(c.slot or effect.slot).unit == calibration.unit:
+                sizes |= {f"{effect.coefficient_name(i)}.spread", f"{effect.name}.{effect.measure}"}
+    return sizes

@@ -5,21 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.gaussian_algebra import LOG_2PI
-from bayescal._core.jit import compiled
-from bayescal._core.parallel import on_one_thread, over
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.joint import expected, expected_with_slopes
-from bayescal._engine.terms import Term
-from bayescal._engine.whitening import Each, log_densities, variance_of, whitening
-from bayescal._model.correlated_noise import CORRELATION_TIME, OrnsteinUhlenbeck, correlated_size
-from bayescal._model.frame import Frame
-from bayescal._model.noise_laws import Heteroscedastic, Noise, StudentT, White
+from bayescal._core.parallel import on_one_thread
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.gaussian import LOG_2PI
+from bayescal._inference.joint import expected, expected_with_slopes
+from bayescal._inference.noise_on_record import Each, log_densities, samples, variances
+from bayescal._inference.terms import Term
 
 CELLS = 2_000_000  # draws × readings worked out together
 
@@ -32,7 +26,7 @@ class Vectors(NamedTuple):
     v: Float[np.ndarray, "b d"]
 
 
-class Moments(NamedTuple):
+class PredictiveMoments(NamedTuple):
     """Mean and variance of the expected output over draws; mean variance of the noise, and of what is not known of a
     reading's own: (n,) each."""
 
@@ -43,7 +37,7 @@ class Moments(NamedTuple):
 
 
 @on_one_thread
-def moments(assembly: Assembly, draws: Vectors) -> Moments:
+def moments(assembly: Assembly, draws: Vectors) -> PredictiveMoments:
     """Of readings, per-reading coefficients and members of groups that are not known (of code −1) beside the mean.
 
     Draws are taken a stretch at a time and never held together; sums are of differences from the first.
@@ -61,7 +55,7 @@ def moments(assembly: Assembly, draws: Vectors) -> Moments:
         beside += many * np.mean(np.atleast_1d(own), axis=0)  # a single zero where there is none
     away = total / count
     variance = np.maximum(squares / count - away**2, 0.0)
-    return Moments(first + away, variance, noise / count, beside / count)
+    return PredictiveMoments(first + away, variance, noise / count, beside / count)
 
 
 @on_one_thread
@@ -110,8 +104,17 @@ def _with_beside(assembly: Assembly, draws: Vectors, hyper: Each) -> tuple[np.nd
             beside += (slope * t.prior_sd) ** 2
         else:
             spread = t.prior_sd if t.spread_name is None else hyper[t.spread_name][:, None]
+            spread = spread * _there(assembly, draws, t)[:, None]
             beside += np.where(_unseen(assembly, t), (slope * spread) ** 2, 0.0)
     return mean, beside
+
+
+def _there(assembly: Assembly, draws: Vectors, term: Term) -> Float[np.ndarray, "b"]:
+    """1 for draws of a structure that has a term's effect; of others all its coefficients are exactly zero."""
+    own = [t.at for t in assembly.terms if t.place == "x" and t.known.of == term.known.of]
+    if not own:
+        return np.ones(len(draws.x))
+    return np.any([np.any(draws.x[:, at] != 0, axis=1) for at in own], axis=0).astype(float)
 
 
 def _unseen(assembly: Assembly, term: Term) -> np.ndarray:
@@ -123,8 +126,7 @@ def _unseen(assembly: Assembly, term: Term) -> np.ndarray:
 
 def _variance(assembly: Assembly, hyper: Each) -> Float[np.ndarray, "b n"]:
     """Of the noise."""
-    columns: Any = {name: value[:, None] for name, value in hyper.items()}
-    return variance_of(assembly.noise, columns, assembly.record, 0.0)
+    return variances(assembly.noise, hyper, assembly.record)
 
 
 def _densities(assembly: Assembly, draws: Vectors, hyper: Each) -> Float[np.ndarray, "b n"]:
@@ -136,62 +138,10 @@ def _densities(assembly: Assembly, draws: Vectors, hyper: Each) -> Float[np.ndar
     if beside is not None:
         variance = _variance(assembly, hyper) + (0.0 if beside is None else beside)
         return -0.5 * ((record.y - mean) ** 2 / variance + np.log(variance) + LOG_2PI)
-    if isinstance(noise, (White, Heteroscedastic, StudentT)):
-        return log_densities(noise, record, record.y - mean, hyper)
-    if not isinstance(noise, OrnsteinUhlenbeck):
-        return np.asarray(_densities_of(noise, record.frame, record.y, mean, _own(noise, hyper)))
-    found = np.empty_like(mean)
-    for b, into in enumerate(found):
-        white = whitening(noise, {k: float(value[b]) for k, value in hyper.items()}, record, 0.0)
-        z = white((record.y - mean[b])[:, None])[:, 0]
-        into[white.order] = -0.5 * z**2 - np.log(white.sd) - 0.5 * LOG_2PI
-    return found
+    return log_densities(noise, record, record.y - mean, hyper)
 
 
 def _with_noise(
     assembly: Assembly, mean: Float[np.ndarray, "b n"], hyper: Each, random: np.random.Generator
 ) -> Float[np.ndarray, "b n"]:
-    noise, record = assembly.noise, assembly.record
-    if not noise.gaussian:
-        keys = jax.random.split(jax.random.key(int(random.integers(2**31))), len(mean))
-        return np.asarray(_sampled(noise, record.frame, mean, _own(noise, hyper), keys))
-    variance = _variance(assembly, hyper)
-    if not isinstance(noise, OrnsteinUhlenbeck):
-        return mean + np.sqrt(variance) * random.standard_normal(mean.shape)
-    tau, size = hyper[CORRELATION_TIME], np.asarray(correlated_size(hyper))
-    white = np.sqrt(np.maximum(variance - size[:, None] ** 2, 0.0))
-    found = mean + white * random.standard_normal(mean.shape)
-    state = np.zeros(len(mean))
-    for i, h in zip(*record.in_time, strict=True):
-        carry = np.exp(-h / tau) if h >= 0 else 0.0
-        fresh = np.sqrt(-np.expm1(-2 * h / tau)) if h >= 0 else 1.0
-        state = carry * state + fresh * size * random.standard_normal(len(mean))
-        found[:, i] += state
-    return found
-
-
-def _own(noise: Noise, hyper: Each) -> dict[str, Any]:
-    """The entries of φ that a noise law takes."""
-    return {name: jnp.asarray(hyper[name]) for name in noise.parameters()}
-
-
-@compiled
-def _densities_of(noise: Noise, frame: Frame, y, means, hyper):
-    """Of a noise law that is not Gaussian."""
-
-    def one(draw):
-        mean, values = draw
-        return noise.log_density(y, mean, values, frame)
-
-    return over(one, (means, hyper), 64)
-
-
-@compiled
-def _sampled(noise: Noise, frame: Frame, means, hyper, keys):
-    """Readings of a noise law that is not Gaussian."""
-
-    def one(draw):
-        mean, values, key = draw
-        return noise.sample(key, mean, values, frame)
-
-    return over(one, (means, hyper, keys), 64)
+    return samples(assembly.noise, assembly.record, mean, hyper, int(random.integers(2**31)))

@@ -10,10 +10,11 @@ import xarray as xr
 from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat
 from bayescal._calibration.named_draws import named
 from bayescal._calibration.on_readings import Vectors, replicate
+from bayescal._core.atomic_file import renamed, storable
+from bayescal._data.measurements import Measurements
 from bayescal._inference.method import Draws
 from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
-from bayescal._readings.measurements import Measurements
 
 PRIOR_DRAWS = 1000
 STEP = 1e-3  # of a coordinate, for the slope of a prior's value
@@ -52,13 +53,13 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
     groups = {name: _numbered(group, draws.x.shape[1]) for name, group in groups.items()}
     if prior is not None:
         groups["prior"] = _numbered(named(layout, levels, *prior), PRIOR_DRAWS)
-    return xr.DataTree.from_dict(groups)
+    return xr.DataTree.from_dict({n: renamed(group, storable) for n, group in groups.items()})
 
 
 def with_log_likelihood(tree: xr.DataTree, calibration: Fitted) -> xr.DataTree:
     """A copy of a calibration's tree with the group `log_likelihood`, all groups of the posterior thinned alike."""
     count = calibration.joint.x.shape[1]
-    density = _numbered(calibration.log_likelihood(), count)
+    density = renamed(_numbered(calibration.log_likelihood(), count), storable)
     groups = {name: child.to_dataset() for name, child in tree.children.items()}
     for name, group in groups.items():
         if name != "prior" and group.sizes.get("draw") == count:

@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-from scipy.linalg.lapack import dpttrf, dpttrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.mixture import with_columns
 from bayescal._calibration.on_readings import Vectors, moments
-from bayescal._engine.whitening import known_variance
-from bayescal._model.correlated_noise import CORRELATION_TIME, OrnsteinUhlenbeck, correlated_size
-from bayescal._readings.measurements import Measurements
-from bayescal._recording.time_in_runs import run_codes
+from bayescal._data.measurements import Measurements
+from bayescal._data.time_in_runs import going_on, run_codes
+from bayescal._inference.noise_on_record import variance
+from bayescal._model.frame import Frame
 
 
 @dataclass(frozen=True)
@@ -55,9 +54,13 @@ def predict(
 ) -> Prediction:
     """Predict readings.
 
+    Readings that go on with a run of the record that was fitted (its name, its clock, a time between or right after its
+    readings) continue it: lags, hysteresis, the run's own deviation and correlated noise go on from there, as they
+    would have had the file not been cut.
+
     Args:
-        calibration: a fit.
-        readings: to predict; the fitted ones if not given.
+        calibration: a fit, or an average over structures: over those that need no column which the readings lack.
+        readings: to predict; the fitted ones if not given. Without a column `run` they are one new run.
         new_groups: take every run, cell or device as one that the fit has not seen: its deviation is zero,
             give or take its spread. False uses the deviations of members that the fit knows by name. An axis
             is part of its instrument: one that the fit knows is itself either way.
@@ -70,6 +73,10 @@ def predict(
     """
     known = readings is None
     readings = calibration.readings if readings is None else readings
+    of_runs = calibration.readings.has("run")
+    if of_runs and not readings.has("run") and new_groups and not same_record:
+        readings = readings.with_column("run", np.full(len(readings), "new"))
+    calibration = with_columns(calibration, readings.columns)
     calibration.model.require(readings)
     frame = calibration.frame_of(readings)
     if same_record:
@@ -80,8 +87,31 @@ def predict(
             frame,
             {k: c if k == "axis" else -jnp.ones_like(c) for k, c in frame.codes.items()},
         )
+    going = (
+        {}
+        if known or same_record or not new_groups
+        else going_on(calibration.readings, readings)[0]
+    )
+    if going:
+        return _continued(calibration, readings, draws)
+    return _predicted(calibration, readings, frame, known and not new_groups, same_record, draws)
+
+
+def _predicted(
+    calibration: Calibration,
+    readings: Measurements,
+    frame: Frame,
+    as_fitted: bool,
+    same_record: bool,
+    draws: int,
+) -> Prediction:
+    """`predict` of a frame whose groups are known, or are not.
+
+    Args:
+        as_fitted: the readings are those fitted, with their own per-reading coefficients.
+    """
     x, rows, v = calibration.draws(draws)
-    if not (known and not new_groups) or rows.shape[1] != len(readings):
+    if not as_fitted or rows.shape[1] != len(readings):
         rows = np.zeros((len(x), len(readings), rows.shape[2]))
     assembly = calibration.assembly_on(readings, frame)
     found = moments(assembly, Vectors(x, rows, v))
@@ -89,65 +119,62 @@ def predict(
     total = np.sqrt(model_variance + found.noise)
     residual = readings["output"] - found.mean
     made = Prediction(found.mean, np.sqrt(model_variance), total, residual)
-    if not same_record or not isinstance(calibration.model.noise, OrnsteinUhlenbeck):
+    if not same_record or calibration.model.noise.independent:
         return made
     mean, sd = _wander(calibration, readings)
     return replace(made, wander=mean, wander_sd=sd)
 
 
-def _wander(calibration: Calibration, readings: Measurements) -> tuple[np.ndarray, np.ndarray]:
-    """The record's correlated noise at these readings' times, at the mode; NaN beyond the fitted ones of a run."""
+def _continued(calibration: Calibration, readings: Measurements, draws: int) -> Prediction:
+    """Readings of which some go on with the fitted record: these behind it, with its past, the others alone."""
+    fitted = calibration.readings
+    runs, at = going_on(fitted, readings)
+    rows = np.sort(np.concatenate([*runs.values()]))
+    names, codes = run_codes(fitted)
+    past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
+    later = readings.with_column("time", at).select(rows)
+    whole = fitted.select(past).followed_by(later)
+    found = _predicted(calibration, whole, calibration.frame_of(whole), False, False, draws)
+    tail = slice(len(past), None)
+    mean, model, sd = found.mean[tail], found.model_sd[tail], found.sd[tail]
+    if not calibration.model.noise.independent:
+        wander, wander_sd = _wander(calibration, later, beyond=True)
+        values = calibration.assembly.hyper(calibration.mode.v)
+        slow = float(calibration.model.noise.slow_variance(values))
+        rest = np.maximum(sd**2 - slow, model**2)
+        mean, sd = mean + wander, np.sqrt(rest + wander_sd**2)
+    made = {"mean": mean, "model_sd": model, "sd": sd}
+    others = np.setdiff1d(np.arange(len(readings)), rows)
+    if others.size:
+        apart = predict(calibration, readings.select(others), draws=draws)
+        every = {name: np.zeros(len(readings)) for name in made}
+        for name, values in made.items():
+            every[name][rows], every[name][others] = values, getattr(apart, name)
+        made = every
+    return Prediction(**made, residual=readings["output"] - made["mean"])
+
+
+def _wander(
+    calibration: Calibration, readings: Measurements, beyond: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """The record's correlated noise at these readings' times, at the mode.
+
+    Args:
+        beyond: also before and after a run's fitted readings, where it is NaN else.
+    """
     fitted, assembly = calibration.readings, calibration.assembly
     left = predict(calibration, new_groups=False).residual
     values = assembly.hyper(calibration.mode.v)
-    white = values["noise.white"] ** 2 + known_variance(assembly.record)
-    white = np.broadcast_to(white, left.shape)
+    law = calibration.model.noise
+    white = variance(law, values, assembly.record) - law.slow_variance(values)
     (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
-    mean, variance = np.full((2, len(readings)), np.nan)
+    mean, spread = np.full((2, len(readings)), np.nan)
     for code, name in enumerate(asked):
         rows = np.flatnonzero(known == names.index(name)) if name in names else []
         if not len(rows):
             continue
         time, at = fitted["time"][rows], readings["time"]
-        inside = (codes == code) & (at >= time.min()) & (at <= time.max())
-        found = wander_given(values, time, left[rows], white[rows], at[inside])
-        mean[inside], variance[inside] = found
-    return mean, np.sqrt(variance)
-
-
-def wander_given(
-    values: dict[str, float],
-    time: Float[np.ndarray, "n"],
-    left: Float[np.ndarray, "n"],
-    white: Float[np.ndarray, "n"],
-    at: Float[np.ndarray, "m"],
-) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """Mean and variance of correlated noise at some times of a run, given what a model leaves of its readings.
-
-    Args:
-        values: φ by name.
-        time: of the readings, s.
-        left: of the readings, output unit.
-        white: variance of each reading's own noise.
-        at: where it is asked for, s.
-
-    Source: H. Rue and L. Held, Gaussian Markov Random Fields (2005), ch. 2: its precision over sorted times
-    has three diagonals.
-    """
-    grid = np.union1d(time, at)
-    variance, step = float(correlated_size(values)) ** 2, np.diff(grid) / values[CORRELATION_TIME]
-    kept, fresh = np.exp(-step), -np.expm1(-2 * step)
-    diagonal = np.ones(grid.size)
-    diagonal[1:] = 1 / fresh
-    diagonal[:-1] += kept**2 / fresh
-    place, pull, diagonal = np.searchsorted(grid, time), np.zeros(grid.size), diagonal / variance
-    np.add.at(diagonal, place, 1 / white)
-    np.add.at(pull, place, left / white)
-    pivots, below, _ = dpttrf(diagonal, -kept / fresh / variance)
-    mean = dpttrs(pivots, below, pull[:, None])[0][:, 0]
-    spread, beyond = 1 / pivots, 0.0
-    for i in range(grid.size - 1, -1, -1):  # the diagonal of the inverse
-        spread[i] += beyond
-        beyond = below[i - 1] ** 2 * spread[i] if i else 0.0
-    asked = np.searchsorted(grid, at)
-    return mean[asked], spread[asked]
+        inside = (codes == code) & (beyond | ((at >= time.min()) & (at <= time.max())))
+        found = law.slow_part(values, time, left[rows], white[rows], at[inside])
+        mean[inside], spread[inside] = found
+    return mean, np.sqrt(spread)

@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
@@ -20,22 +19,26 @@ from bayescal._calibration.description import SCHEMA, description, identity, mod
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.named_draws import named
 from bayescal._core.atomic_file import (
+    named_back,
     netcdf_bytes,
+    renamed,
     replacing_for_user,
     verified,
     write_sealed,
 )
 from bayescal._core.errors import InputError, ModelError
-from bayescal._inference.gaussian import Point
-from bayescal._inference.laplace import Mode
+from bayescal._core.json_shape import parsed_json
+from bayescal._data.column import NominalScale, Source
+from bayescal._data.measurements import Measurements
+from bayescal._inference.assembly import Point
 from bayescal._inference.method import Draws, Verdict
+from bayescal._inference.mode import Mode
 from bayescal._model.effect import Effect
 from bayescal._model.frame import reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
-from bayescal._readings.column import Source
-from bayescal._readings.measurements import Measurements
+from bayescal._tables.unpacked import refuse_hdf5
 
 AGAIN = "Take a copy, or fit the readings again"
 IDENTITY = "bayescal_identity"
@@ -49,15 +52,11 @@ def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
     """Write a calibration and its tree to NetCDF.
 
     Raises:
-        InputError: the folder does not exist, cannot be written, or has no room.
+        InputError: the place cannot be written to, or has no room.
     """
     path = Path(path)
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
-    if not path.parent.is_dir():
-        raise InputError(
-            f"There is no folder {path.parent} to write {path.name!r} to: make it first"
-        )
     tree = tree.copy()
     tree["mode"] = xr.DataTree(_mode_dataset(calibration.mode))
     tree.attrs["bayescal"] = json.dumps(description(calibration))
@@ -101,8 +100,15 @@ def load_calibration(
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     content = io.BytesIO(verified(path, "a saved calibration", AGAIN))
     with _damage_in_words(path):
+        import h5py  # a tenth of a second that only a saved calibration needs
+
+        with h5py.File(content) as hdf5:
+            refuse_hdf5(hdf5, path.name, content.getbuffer().nbytes)
         with xr.open_datatree(content, engine="h5netcdf") as opened:
             tree = opened.load()
+            for node in tree.subtree:  # `load` passes over a variable that is called as a group is
+                for variable in node.variables.values():
+                    variable.load()
         described = _parsed(tree.attrs.pop("bayescal", None))
         if described.get("schema") != SCHEMA:
             raise InputError(
@@ -129,7 +135,7 @@ def _damage_in_words(path: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (KeyError, ValueError, TypeError, AttributeError, IndexError, OSError) as error:
+    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, OSError) as error:
         said = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(
             f"{path.name} is damaged, or was changed after it was saved: {said}. {AGAIN}"
@@ -231,7 +237,7 @@ def _refuse_other_posterior(tree: xr.DataTree, expected: xr.Dataset) -> None:
     Raises:
         ValueError: it is not.
     """
-    told = tree["posterior"].to_dataset()
+    told = renamed(tree["posterior"].to_dataset(), named_back)
     if set(told.data_vars) != set(expected.data_vars):
         raise ValueError(
             f"its posterior is of {', '.join(map(str, told.data_vars))}, its model has "
@@ -245,8 +251,8 @@ def _refuse_other_posterior(tree: xr.DataTree, expected: xr.Dataset) -> None:
 def _parsed(text: object) -> dict[str, Any]:
     """The description in a file, empty if it has none that can be read."""
     try:
-        found = json.loads(text) if isinstance(text, str) else {}
-    except json.JSONDecodeError:
+        found = parsed_json(text) if isinstance(text, str) else {}
+    except ValueError:
         return {}
     return found if isinstance(found, dict) else {}
 
@@ -257,7 +263,7 @@ def _mode_from(tree: xr.DataTree, layout: Layout, readings: int, finite: bool) -
     found = _arrays(tree, "mode", shapes, finite)
     scalars = {name: () for name in _MODE_FIELDS if name not in shapes}
     found |= _arrays(tree, "mode", scalars, finite=False)
-    values = {name: jnp.asarray(value) for name, value in found.items()}
+    values = {name: np.asarray(value) for name, value in found.items()}
     rest = {name: values[name] for name in _MODE_FIELDS}
     return Mode(
         Point(values["x"], values["rows"]), **{**rest, "indefinite": rest["indefinite"] > 0}
@@ -267,5 +273,9 @@ def _mode_from(tree: xr.DataTree, layout: Layout, readings: int, finite: bool) -
 def _readings_from(tree: xr.DataTree, described: dict[str, Any]) -> Measurements:
     _arrays(tree, "observed_data", {"output": (None,)})
     data = tree["constant_data"].to_dataset().merge(tree["observed_data"].to_dataset())
+    data = renamed(data, named_back)
     sources = tuple(Source(**s) for s in described["sources"])
-    return Measurements(data=data, sources=sources, flags=tuple(described["flags"]))
+    given = described.get("nominal_scale")
+    scale = None if given is None else NominalScale(**given)
+    flags = tuple(described["flags"])
+    return Measurements(data=data, sources=sources, flags=flags, scale=scale)

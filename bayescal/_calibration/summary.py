@@ -9,10 +9,12 @@ import numpy as np
 
 from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
-from bayescal._core.formatting import WIDTH, interval, table, with_error
+from bayescal._core.formatting import WIDTH, interval, number, table, with_error
+from bayescal._data.unit_conversion import unit_label
+from bayescal._model.departure import Departure
+from bayescal._model.frame import derived
 from bayescal._model.parameters import CoefficientBlock
 from bayescal._model.prior import deviation
-from bayescal._readings.unit_conversion import unit_label
 
 WEAK = 0.1  # information against the prior below which a direction counts as not measured
 SHARE = 0.1  # of a direction's squared length below which a coefficient is left out of its words
@@ -21,14 +23,35 @@ TRACE = 0.01  # of the largest entry, from which a coefficient is named
 
 
 def calibration_text(calibration: Fitted) -> str:
-    """Unknowns with standard uncertainty and 95 % credible interval; the verdict."""
-    rows = []
+    """Unknowns with standard uncertainty and 95 % credible interval; the verdict.
+
+    A curve (an unknown dependence, a departure) is one line, and so are the members of a large group: single
+    coefficients of these mean nothing by themselves.
+    """
+    rows, told = [], set[str]()
     coefficients, spreads = summary(calibration)
+    large = _large_groups(calibration)
     for s in (*coefficients, *spreads):
+        if s["effect"] in _curves(calibration):
+            if s["effect"] not in told:
+                rows.append(_curve_row(calibration, s["effect"]))
+                told.add(s["effect"])
+            continue
+        block = next((b for b, names in large.items() if s["name"] in names), None)
+        if block is not None:
+            if block not in told:
+                rows.append(
+                    _group_row(block, [c for c in coefficients if c["name"] in large[block]])
+                )
+                told.add(block)
+            continue
         contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
         low, high = s["interval95"]
         ends = interval(low, high, s["mean"], s["sd"])
-        value = with_error(s["mean"], s["sd"])
+        skewed = low > 0 and s["sd"] > 0.5 * s["mean"]
+        value = (
+            f"about {number(s['mean'], 2)}, skewed" if skewed else with_error(s["mean"], s["sd"])
+        )
         rows.append([s["name"], value, unit_label(s["unit"]), ends, contraction])
     head = [
         *("unknown", "mean ± standard uncertainty", "unit"),
@@ -48,6 +71,76 @@ def calibration_text(calibration: Fitted) -> str:
     lines += [f"not measured: {d['in_words']}" for d in null_directions(calibration)]
     lines.append(str(calibration.verdict))
     return "\n".join([lines[0], *(textwrap.fill(line, WIDTH) for line in lines[1:])])
+
+
+MOST_MEMBERS = 4  # of a group, that have a line each
+
+
+def _curves(calibration: Fitted) -> set[str]:
+    """Effects whose coefficients stand for a curve: unknown dependences and departures."""
+    return {
+        e.name for e in calibration.model.effects if e.is_placeholder or isinstance(e, Departure)
+    }
+
+
+def curve_extent(calibration: Fitted, name: str) -> tuple[float, float, str, float | None]:
+    """How large a curve is over the readings: rms and the largest, output unit; along what, and where that is."""
+    values = np.asarray(calibration.linear.contribution(name))
+    values = values - values.mean()
+    worst = int(np.argmax(np.abs(values)))
+    effect = calibration.model.effect(name)
+    covariate = (effect.along or "").split(",")[0] or next(iter(effect.columns), "")
+    of = derived(calibration.readings).get(covariate)
+    return (
+        float(values.std()),
+        float(values[worst]),
+        covariate,
+        None if of is None else float(of[worst]),
+    )
+
+
+def place_of(calibration: Fitted, covariate: str, at: float | None) -> str:
+    """A place along a covariate, for people: "humidity 0.55"."""
+    if at is None:
+        return covariate
+    readings = calibration.readings
+    unit = (
+        readings.unit(covariate)
+        if readings.has(covariate)
+        else "s"
+        if covariate == "elapsed"
+        else "degC/s"
+    )
+    return f"{covariate} {number(at, 3)} {unit_label(unit or '1')}".rstrip()
+
+
+def _curve_row(calibration: Fitted, name: str) -> list[str]:
+    rms, largest, covariate, at = curve_extent(calibration, name)
+    where = f"{number(rms, 2)} rms, {number(largest, 2)} at {place_of(calibration, covariate, at)}"
+    return [name, where, unit_label(calibration.unit), "–", "–"]
+
+
+def _large_groups(calibration: Fitted) -> dict[str, list[str]]:
+    """Names of the members' coefficients, by coefficient, of groups with many members."""
+    named = {
+        b.name: b.member_names(calibration.levels)
+        for b in calibration.layout.blocks
+        if b.place != "fixed" and b.coefficient.per not in (None, "reading")
+    }
+    return {name: members for name, members in named.items() if len(members) > MOST_MEMBERS}
+
+
+def _group_row(name: str, members: list[dict[str, Any]]) -> list[str]:
+    """The members of a group: from the least to the largest."""
+    means = [m["mean"] for m in members]
+    low, high = (number(v, 3) for v in (min(means), max(means)))
+    return [
+        f"{name} ({len(members)} members)",
+        f"{low} to {high}",
+        unit_label(members[0]["unit"]),
+        "–",
+        "–",
+    ]
 
 
 def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:

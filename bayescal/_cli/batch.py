@@ -15,7 +15,7 @@ from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_result
 from bayescal._cli.options import ModelOptions, named_numbers, with_groups
 from bayescal._core.errors import InputError
-from bayescal._discovery.own_files import in_a_file
+from bayescal._search.own_files import in_a_file
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -88,13 +88,20 @@ def batch(
     json_: options.Json = False,
 ) -> None:
     """Fit every device of files with a column 'device' by itself: one table of coefficients."""
-    from bayescal._cli.request import compose, instrument_named, method_named, user_effects
+    from bayescal._cli.request import (
+        compose,
+        instrument_named,
+        method_named,
+        typed_effects,
+        user_effects,
+    )
 
     apart = find or workers is not None or scheduler is not None
     apart = apart or any(path.is_dir() for path in files)
     _refuse_place(out, files, apart)
     chosen = instrument_named(instrument)
-    own = {effect.name: effect for effect in user_effects(choice.effects_file)}
+    typed = typed_effects(choice.typed, chosen, None)
+    own = {effect.name: effect for effect in (*user_effects(choice.effects_file), *typed)}
     model = compose(chosen, choice, own)
     asked: dict[str, Any] = {
         "method": method_named(method),
@@ -166,7 +173,7 @@ def _cluster(
         return
     if workers is not None and scheduler is not None:
         raise InputError("--workers and --scheduler: give one of them, a cluster here or elsewhere")
-    from bayescal._cluster.open_cluster import open_cluster
+    from bayescal._fleet.open_cluster import open_cluster
 
     with open_cluster(workers, scheduler) as client:
         for own in own_files:

@@ -28,12 +28,40 @@ PAIR_SELECTIONS = "bayescal.pair_selections"
 """`select(calibration, criterion=…)` gives a table of pairs that prints itself and has `data()`, plain JSON."""
 
 
-@commands.command(epilog="Example: bayescal instruments")
-def instruments(json_: options.Json = False) -> None:
-    """List the installed instruments."""
+@commands.command(epilog="Example: bayescal instruments --check level.py:INSTRUMENT")
+def instruments(
+    check: Annotated[
+        str | None,
+        typer.Option(
+            metavar="my.py:INSTRUMENT",
+            help="Try this instrument on itself: simulate its plausible sizes, fit them, say what came back.",
+        ),
+    ] = None,
+    readings: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="With --check: files whose columns, the output aside, are taken in place of made-up ones.",
+            callback=options.refuse_missing,
+        ),
+    ] = None,
+    seed: options.Seed = 0,
+    json_: options.Json = False,
+) -> None:
+    """List the installed instruments, or check one of your own."""
     from bayescal._cli import output
     from bayescal._model.installed import installed_instruments
 
+    if check is not None:
+        from bayescal._cli.request import instrument_named
+
+        chosen = instrument_named(check)
+        given = bc.read(list(readings), chosen) if readings else None
+        found = bc.check_instrument(chosen, given, seed=seed)
+        print_result(found.data() if json_ else found)
+        exit_unless(found.ok, " ".join(found.errors))
+        return
+    if readings:
+        raise InputError("--readings are for --check: say which instrument, my.py:INSTRUMENT")
     known = installed_instruments()
     print_result(output.instruments_data(known) if json_ else output.instruments_text(known))
 

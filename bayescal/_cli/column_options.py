@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from bayescal._cli.options import named_values
-from bayescal._readings.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
 Columns = Annotated[
@@ -38,6 +38,30 @@ Decimal = Annotated[
         "--decimal", metavar=".|,", help="In numbers of text files, where they do not show it."
     ),
 ]
+Scale = Annotated[
+    str | None,
+    typer.Option(
+        "--nominal-scale",
+        metavar="'250 V/g'",
+        help="Raw output per unit of output, in place of the instrument's own: turns V, mV, Hz, counts into it.",
+    ),
+]
+Zero = Annotated[
+    str | None,
+    typer.Option("--nominal-zero", metavar="'1.21 V'", help="Raw output at zero; 0 if not given."),
+]
+DateOrder = Annotated[
+    str | None,
+    typer.Option(
+        "--date-order",
+        metavar="mdy|dmy|ymd",
+        help="Of dates such as 05/06/2026, where no day above 12 shows it.",
+    ),
+]
+Ignore = Annotated[
+    list[str] | None,
+    typer.Option("--ignore", metavar="HEADER", help="Column to leave out; repeat for more."),
+]
 MappingFile = Annotated[
     Path | None,
     typer.Option(
@@ -60,6 +84,10 @@ class ColumnOptions:
     local_gravity: Gravity = None
     missing: Missing = None
     decimal: Decimal = None
+    date_order: DateOrder = None
+    nominal_scale: Scale = None
+    nominal_zero: Zero = None
+    ignore: Ignore = None
     mapping: MappingFile = None
     save_mapping: SaveMapping = None
 
@@ -70,7 +98,8 @@ class ColumnOptions:
             InputError: an option is not of its form, or the mapping cannot be used.
         """
         saved = {} if self.mapping is None else load_mapping(self.mapping)
-        single = {name: getattr(self, name) for name in ("local_gravity", "missing", "decimal")}
+        names = ("local_gravity", "missing", "decimal", "date_order", "nominal_scale")
+        single = {name: getattr(self, name) for name in (*names, "nominal_zero", "ignore")}
         usual = {"local_gravity": STANDARD_GRAVITY, "missing": "refuse", "decimal": ""}
         given = {name: value for name, value in single.items() if value is not None}
         return {

@@ -15,6 +15,7 @@ from typing import Any
 import typer
 
 from bayescal._core.errors import InputError
+from bayescal._core.quoting import one_line
 from bayescal._report.whole_folder import bring_back
 
 
@@ -28,7 +29,7 @@ def print_result(result: Any) -> None:
 def print_notes(notes: Iterable[str]) -> None:
     """What the user should know of and no reason to stop, on standard error."""
     for note in notes:
-        print(f"bayescal: note: {note}", file=sys.stderr)
+        print(f"bayescal: note: {one_line(note)}", file=sys.stderr)
 
 
 def exit_unless(reliable: bool, why: str) -> None:

@@ -15,9 +15,8 @@ import bayescal as bc
 from bayescal._cli import options
 from bayescal._cli.column_options import ColumnOptions, Gravity
 from bayescal._cli.console import exit_unless, print_notes, print_result
-from bayescal._cli.options import OwnParts, named_numbers, with_groups
-from bayescal._core.errors import InputError
-from bayescal._readings.unit_parsing import STANDARD_GRAVITY
+from bayescal._cli.options import OwnParts, UsedParts, named_numbers, with_groups
+from bayescal._data.unit_parsing import STANDARD_GRAVITY
 
 commands = typer.Typer()
 
@@ -43,11 +42,17 @@ def compensate(
         ),
     ],
     file: Annotated[
-        Path, typer.Argument(help="Readings: .csv, .parquet or .nc.", show_default=False)
+        Path,
+        typer.Argument(help="Readings: text, .parquet, .nc, .xlsx or .mat.", show_default=False),
     ],
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", help="File to write, of the same format.", show_default=False),
+        typer.Option(
+            "--out",
+            "-o",
+            help="File to write, of the same format (Excel, MATLAB: .csv).",
+            show_default=False,
+        ),
     ],
     first_order: Annotated[
         bool,
@@ -60,17 +65,15 @@ def compensate(
     ] = False,
     member: options.Members = None,
     columns: ColumnOptions,
-    own: OwnParts,
+    own: UsedParts,
     json_: options.Json = False,
 ) -> None:
     """Turn readings back into what was measured, with standard uncertainty: two columns more."""
     from bayescal._cli.saved import compensator_from
-    from bayescal._compensation.compensate_file import compensate_file
+    from bayescal._use.compensate_file import compensate_file
 
     chosen = compensator_from(calibration, own, member)
-    how = columns.for_read()
-    if how.pop("missing") == "drop":
-        raise InputError("--missing drop: a compensated file keeps every row; fill them in")
+    how = {**columns.for_read(), "missing": columns.missing or "drop"}
     done = compensate_file(
         chosen,
         file,
@@ -84,14 +87,17 @@ def compensate(
         f"{name} is outside its calibrated range in {count} of {done.rows} readings: an extrapolation there"
         for name, count in done.outside.items()
     )
-    print_notes((*chosen.notes, *done.flags, *beyond))
+    flags = (flag for flag in done.flags if "rows dropped" not in flag)
+    print_notes((*chosen.notes, *flags, *beyond))
     text = (
         f"{out}: {done.rows} readings, columns {' and '.join(done.columns)} [{chosen.unit}] added"
     )
+    gaps = f"; {done.missing} rows are empty, where a reading is missing" * bool(done.missing)
     said = {"file": str(out), "rows": done.rows, "columns": list(done.columns), "unit": chosen.unit}
-    print_result({**said, "outside": done.outside, "unsolved": done.unsolved} if json_ else text)
+    counts = {"outside": done.outside, "unsolved": done.unsolved, "missing": done.missing}
+    print_result({**said, **counts} if json_ else text + gaps)
     exit_unless(
-        done.unsolved == 0, f"{done.unsolved} readings have no solution and are written as nan"
+        done.unsolved == 0, f"{done.unsolved} readings have no solution and are written empty"
     )
     exit_unless_reliable({"": chosen})
 
@@ -130,7 +136,7 @@ def export(
     local_gravity: Gravity = None,
     certificate: options.Certificate = None,
     member: options.Members = None,
-    own: OwnParts,
+    own: UsedParts,
 ) -> None:
     """Write the calibration for use elsewhere: C99, Python, JSON, an autopilot's parameters, a digital certificate."""
     from bayescal._cli import saved
@@ -152,7 +158,7 @@ def export(
         print(text.rstrip("\n") if out is None else f"written: {write_text(text, out)}")
         return
     if out is None:
-        from bayescal._compensation import code_writer
+        from bayescal._use import code_writer
 
         print(code_writer.as_text(chosen.program, str(format_)), end="")
     else:
@@ -178,12 +184,12 @@ def budget(
         bool, typer.Option("--prior-sensitivity", help="Also how much the priors matter (psense).")
     ] = False,
     member: options.Members = None,
-    own: OwnParts,
+    own: UsedParts,
     json_: options.Json = False,
 ) -> None:
     """The uncertainty budget of a compensated value (JCGM 100): who contributes how much."""
+    from bayescal._calibration import prior_influence
     from bayescal._cli.saved import compensator_from
-    from bayescal._diagnostics import prior_influence
 
     chosen = compensator_from(calibration, own, member)
     found = bc.budget(chosen, named_numbers(at, "--at"), k=k)

@@ -15,7 +15,8 @@ import bayescal as bc
 from bayescal._cli import options
 from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
-from bayescal._cli.options import ModelOptions, OwnParts, with_groups
+from bayescal._cli.options import ModelOptions, OwnParts, UsedParts, with_groups
+from bayescal._core import deadline
 from bayescal._core.errors import InputError
 
 commands = typer.Typer()
@@ -29,17 +30,20 @@ def fit(
     columns: ColumnOptions,
     choice: ModelOptions,
     average: options.Average = None,
+    noise: options.NoiseName = None,
     method: options.MethodName = "marginal",
+    time_limit: options.TimeLimit = None,
     seed: options.Seed = 0,
     out: options.Folder = None,
     json_: options.Json = False,
 ) -> None:
     """Fit one model: coefficients with uncertainty."""
-    from bayescal._cli.request import Asked, method_named, open_request, reference_of
+    from bayescal._cli.request import Asked, law_named, method_named, open_request, reference_of
 
-    _, model, readings = open_request(Asked(instrument, files, columns, choice, average))
-    print_notes(readings.flags)
-    with result_folder(out) as folder:
+    with deadline.until(time_limit, apart=True), result_folder(out) as folder:
+        _, model, readings = open_request(Asked(instrument, files, columns, choice, average))
+        model = model if noise is None else model.with_noise(law_named(noise, model, readings))
+        print_notes(readings.flags)
         calibration = bc.fit(
             model,
             readings,
@@ -48,19 +52,23 @@ def fit(
             strict=False,
             reference=reference_of(choice.reference, readings),
         )
-        if calibration.verdict.ok:
-            calibration = calibration.judged(calibration.conflicts)
-        if folder is not None:
-            from bayescal._calibration.description import identity
-            from bayescal._report.whole_folder import whole_folder
+        from bayescal._calibration.description import identity
+        from bayescal._cli.output import fit_data
+        from bayescal._report.whole_folder import whole_folder
 
-            with whole_folder(folder, identity(calibration)) as hidden:
-                calibration.save(hidden / "calibration.nc")
-    from bayescal._cli.output import fit_data
+        def write() -> bc.Calibration:
+            judged = calibration
+            if calibration.verdict.ok:
+                judged = calibration.judged(calibration.conflicts)
+            if folder is not None:
+                with whole_folder(folder, identity(judged)) as hidden:
+                    judged.save(hidden / "calibration.nc")
+            print_result(fit_data(judged) if json_ else judged)
+            if folder is not None and not json_:
+                print(f"\nwritten: {folder / 'calibration.nc'}")
+            return judged
 
-    print_result(fit_data(calibration) if json_ else calibration)
-    if folder is not None and not json_:
-        print(f"\nwritten: {folder / 'calibration.nc'}")
+        calibration = deadline.finish(write)
     exit_unless(calibration.verdict.reliable, calibration.verdict.why_not)
 
 
@@ -84,32 +92,52 @@ def check(
 def discover(
     calibration: options.Saved,
     own: OwnParts,
+    typed: options.Typed = None,
     max_effects: options.MostEffects = 5,
+    time_limit: options.TimeLimit = None,
+    ignore: options.Ignore = None,
+    covariates: options.Covariates = None,
     next_experiment: options.Next = False,
     calibrate_screen: options.Screen = None,
     json_: options.Json = False,
 ) -> None:
     """Which effect is missing from a fitted model; and which experiment would tell rivals apart."""
     from bayescal._cli.output import unexplained_text
-    from bayescal._cli.request import user_effects
+    from bayescal._cli.request import typed_effects, user_effects
     from bayescal._cli.saved import load_saved
     from bayescal._report.result_json import clean, experiment_data, missing_data
 
     loaded = load_saved(calibration, own)
-    effects = user_effects(own.effects_file)
-    found = bc.discover(loaded, effects=effects, max_effects=max_effects)
-    checked = bc.check(loaded)
-    text = f"{found}\n{unexplained_text(loaded, checked, effects)}".rstrip()
-    data = missing_data(found, 0, checked)
-    if next_experiment:
-        ranked = bc.next_experiment(loaded, found.rivals) if len(found.rivals) > 1 else None
-        text += f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
-        data["next_experiment"] = None if ranked is None else experiment_data(ranked)
-    if calibrate_screen is not None:
-        rate = bc.false_reports(loaded, calibrate_screen, effects=effects, max_effects=max_effects)
-        text += f"\n\n{rate}"
-        data["false_reports"] = asdict(rate)
-    print_result(clean(data) if json_ else text)
+    model, readings = loaded.model, loaded.readings
+    effects = (
+        *user_effects(own.effects_file),
+        *typed_effects(typed, model.instrument, readings),
+    )
+    allowed = options.causes(ignore, covariates)
+    with deadline.until(time_limit, apart=True) as end:
+        found = bc.discover(loaded, effects=effects, max_effects=max_effects, **allowed)
+
+        def tell() -> None:
+            checked = bc.check(loaded)
+            text = f"{found}\n{unexplained_text(loaded, checked, effects)}".rstrip()
+            data = missing_data(found, 0, checked)
+            if next_experiment and not end.over:
+                ranked = bc.next_experiment(loaded, found.rivals) if len(found.rivals) > 1 else None
+                text += (
+                    f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
+                )
+                data["next_experiment"] = None if ranked is None else experiment_data(ranked)
+            if calibrate_screen is not None and not end.over:
+                rate = bc.false_reports(
+                    loaded, calibrate_screen, effects=effects, max_effects=max_effects
+                )
+                text += f"\n\n{rate}"
+                data["false_reports"] = asdict(rate)
+            if end.over and (next_experiment or calibrate_screen):
+                text += f"\n\nwhat was asked for beside the search was left out or cut short ({end.why})"
+            print_result(clean(data) if json_ else text)
+
+        deadline.finish(tell)
 
 
 @commands.command(
@@ -125,6 +153,7 @@ def compare(
     columns: ColumnOptions,
     reference: options.Ref = None,
     effects_file: options.OwnEffects = None,
+    typed: options.Typed = None,
     average: options.Average = None,
     method: options.MethodName = "marginal",
     seed: options.Seed = 0,
@@ -137,6 +166,7 @@ def compare(
         open_request,
         reference_of,
         structure_with,
+        typed_effects,
         user_effects,
     )
 
@@ -145,7 +175,7 @@ def compare(
     names = structure or [name for name, _ in chosen.structures]
     if len(set(names)) < 2:
         raise InputError("compare needs two structures or more: give --structure twice, or never")
-    own = user_effects(effects_file)
+    own = (*user_effects(effects_file), *typed_effects(typed, chosen, readings))
     models = {name: structure_with(chosen, name, own) for name in names}
     for model in models.values():
         model.require(readings)
@@ -184,7 +214,7 @@ def predict(
     ] = False,
     columns: ColumnOptions,
     average: options.Average = None,
-    own: OwnParts,
+    own: UsedParts,
     json_: options.Json = False,
 ) -> None:
     """Predict readings with a calibration, and compare."""
@@ -192,10 +222,11 @@ def predict(
     from bayescal._cli.request import averaged
     from bayescal._cli.saved import load_saved
     from bayescal._core.formatting import number
-    from bayescal._readings.unit_conversion import unit_label
+    from bayescal._data.unit_conversion import unit_label
 
     loaded = load_saved(calibration, own)
-    readings = bc.read(list(files), loaded.model.instrument, **columns.for_read())
+    how = {"nominal_scale": loaded.readings.scale, **columns.for_read()}
+    readings = bc.read(list(files), loaded.model.instrument, **how)
     columns.keep()
     readings = averaged(readings, average)
     print_notes(readings.flags)

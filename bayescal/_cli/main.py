@@ -1,7 +1,9 @@
 """The command line.
 
-Exit status: 0 done; 1 not converged, or the noise gate failed (results are written all the same);
-2 bad input: one sentence on stderr, or a table of all that is wrong with the files; nothing written.
+Exit status: 0 done; 1 not converged, or the noise gate failed (results are written all the same), or a time limit
+came before there was a result; 2 bad input: one sentence on stderr, or a table of all that is wrong with the files;
+nothing written. Ctrl-C ends with what there is, and the status that this has; 130 where there is nothing yet, and where
+it is pressed again.
 
 Heavy modules load inside the commands, so that `bayescal --help` answers at once.
 """
@@ -16,9 +18,13 @@ from typing import NoReturn
 
 import typer
 
-from bayescal._cli import batch, calibrate, catalogue, deliverables, fitting
-from bayescal._core.errors import BayescalError, NotConverged
-from bayescal._discovery.own_files import in_one_line, own_file_line
+from bayescal._cli import batch, calibrate_command, catalogue, deliverables, fitting
+from bayescal._core import deadline
+from bayescal._core.errors import BayescalError, NotConverged, TimeIsUp
+from bayescal._core.quoting import one_line
+from bayescal._search.own_files import in_one_line, own_file_line
+
+INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 app = typer.Typer(
     name="bayescal",
@@ -30,7 +36,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-for group in (catalogue, calibrate, fitting, deliverables, batch):
+for group in (catalogue, calibrate_command, fitting, deliverables, batch):
     app.add_typer(group.commands)
 
 
@@ -42,16 +48,16 @@ def main() -> None:
     try:
         status = app(standalone_mode=False, prog_name="bayescal")
         sys.stdout.flush()
-        sys.exit(status if isinstance(status, int) else 0)
-    except NotConverged as error:
+        _leave(status if isinstance(status, int) else 0)
+    except (NotConverged, TimeIsUp) as error:
         _fail(str(error), 1)
     except BayescalError as error:
         _fail(str(error), 2, table=len(getattr(error, "problems", ())) > 1)
     except typer.Abort:
-        _fail("stopped", 1)
+        _fail("stopped: what was written before stays as it was", INTERRUPTED)
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+        _leave(0)
     except OSError as error:
         _fail(f"{error.filename or 'standard output, or a file'}: {error.strerror or error}", 2)
     except BaseException as error:
@@ -69,7 +75,18 @@ def main() -> None:
 def _fail(message: str, status: int, table: bool = False) -> NoReturn:
     with contextlib.suppress(OSError):  # nowhere to say it: the status still does
         text = message if table else " ".join(message.split())
+        text = "\n".join(map(one_line, text.split("\n")))  # no name moves the cursor
         print(f"bayescal: {text}", file=sys.stderr)
+    _leave(status)
+
+
+def _leave(status: int) -> NoReturn:
+    """End; at once where a call was left behind that the interpreter would wait for."""
+    if deadline.unfinished():
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError):
+                stream.flush()
+        os._exit(status)
     sys.exit(status)
 
 

@@ -68,6 +68,12 @@ def channel_names(given: str) -> list[str]:
     return names
 
 
+def causes(ignore: list[str] | None, covariates: str | None) -> dict[str, Any]:
+    """--ignore and --covariates as `calibrate` and `discover` take them."""
+    named = None if covariates is None else [n for p in covariates.split(",") if (n := p.strip())]
+    return {"ignore": tuple(ignore or ()), "covariates": named}
+
+
 def refuse_missing(files: list[Path] | None) -> list[Path] | None:
     """Refuse files that are not there before an instrument loads, which takes seconds.
 
@@ -95,7 +101,7 @@ def _refuse_no_time(seconds: float | None) -> float | None:
 
 def _refuse_no_duration(text: str | None) -> str | None:
     if text is not None:
-        from bayescal._readings.averaging import duration  # a second that `--help` does without
+        from bayescal._data.averaging import duration  # a second that `--help` does without
 
         duration(text)
     return text
@@ -155,7 +161,15 @@ Structures = Annotated[
 ]
 OwnEffects = Annotated[
     Path | None,
-    typer.Option("--effects", help="Python file with EFFECTS of your own."),
+    typer.Option("--effects", help="Python file with effects or a noise law of your own."),
+]
+Typed = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect",
+        metavar="'NAME: FORMULA; s = SIZE'",
+        help="An effect of your own in one line, as a candidate: 'supply: s * (supply_voltage - 5); s = 0.1 V/V'.",
+    ),
 ]
 Members = Annotated[
     list[str] | None,
@@ -193,6 +207,14 @@ Hidden = Annotated[
     list[str] | None,
     typer.Option("--effect", help="name=size: an effect to hide; repeat for more."),
 ]
+NoiseName = Annotated[
+    str | None,
+    typer.Option(
+        "--noise",
+        metavar="NAME",
+        help="Noise law by name: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of --effects.",
+    ),
+]
 NoiseLaw = Annotated[str, typer.Option(help="white, student_t or ornstein_uhlenbeck.")]
 Channels = Annotated[
     str | None,
@@ -213,7 +235,7 @@ TimeLimit = Annotated[
     typer.Option(
         "--time-limit",
         metavar="SECONDS",
-        help="End the search after this time with the best so far, as Ctrl-C does; the same command takes it up again.",
+        help="End after this time with what there is, as Ctrl-C does at any time, and say what was left out.",
         callback=_refuse_no_time,
     ),
 ]
@@ -236,6 +258,18 @@ AcceptConflict = Annotated[
         help="bias.constant: may differ greatly from its plausible size; repeat for others.",
     ),
 ]
+Ignore = Annotated[
+    list[str] | None,
+    typer.Option("--ignore", metavar="COLUMN", help="A column that is no cause; repeat for more."),
+]
+Covariates = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME,NAME,…",
+        help="Of the columns that the instrument does not know, those that may be causes; all but other channels "
+        "of the unit if not given.",
+    ),
+]
 Certificate = Annotated[
     Path | None,
     typer.Option(
@@ -246,6 +280,10 @@ Certificate = Annotated[
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
 Folder = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
+Verbose = Annotated[
+    bool,
+    typer.Option("--verbose", help="With all candidates of every step, and drafts of effects."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 
 
@@ -258,6 +296,16 @@ class ModelOptions:
     add: Add = None
     structure: Structure = None
     effects_file: OwnEffects = None
+    typed: Typed = None
+
+
+OneStructure = Annotated[
+    str,
+    typer.Option(
+        help="'average' over the structures that share the probability, where the folder has several; or 'best', "
+        "the one of calibration.nc."
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -266,6 +314,13 @@ class OwnParts:
 
     effects_file: OwnEffects = None
     instrument: OwnInstrument = None
+
+
+@dataclass(frozen=True)
+class UsedParts(OwnParts):
+    """The same where a number leaves: it comes from all structures that share the probability, or from one."""
+
+    structure: OneStructure = "average"
 
 
 def with_groups(command: Callable[..., None]) -> Callable[..., None]:

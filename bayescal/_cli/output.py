@@ -10,22 +10,24 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check_result import Check
+from bayescal._calibration.compare import Comparison
+from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.formatting import WIDTH, number, probability, table
 from bayescal._core.progress import tell
-from bayescal._diagnostics.check_result import Check
-from bayescal._diagnostics.compare import Comparison
-from bayescal._diagnostics.evidence_scale import STRONG
-from bayescal._discovery.calibrate import SearchPath
-from bayescal._discovery.draft_effect import draft_effect
+from bayescal._data.measurements import Measurements
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.unknown_effect import covariate_in
-from bayescal._readings.measurements import Measurements
-from bayescal._readings.unit_conversion import unit_label
 from bayescal._report.result_json import clean
 from bayescal._report.under_way import Keeper
+from bayescal._search.calibrate import SearchPath
+from bayescal._search.channels import Channels
+from bayescal._search.draft_effect import draft_effect
+from bayescal._search.search_path import Step
 
 Kinds = Mapping[str, Sequence[Effect]]
 
@@ -160,7 +162,7 @@ def progress_text(trail: SearchPath) -> str:
     )
 
 
-class Told:
+class ConsoleReporter:
     """Follows a search: the first table at once, a line for each step, result.json where there is a folder.
 
     Attributes:
@@ -181,36 +183,81 @@ class Told:
             self.keep(trail)
 
 
-def loop_text(trail: SearchPath, own: Sequence[Effect] = (), begun: bool = False) -> str:
+def loop_text(
+    trail: SearchPath,
+    own: Sequence[Effect] = (),
+    begun: bool = False,
+    verbose: bool = False,
+) -> str:
     """`calibrate` from its first model to its last.
 
     Args:
         trail: what it did.
         own: effects of the user's own.
         begun: the first table stands already.
+        verbose: with all candidates of every step, and drafts of effects.
     """
     final = trail.final
     parts = [""] if begun else [first_text(trail)]
-    for i, step in enumerate(trail.steps):
-        reasons = " ".join(step.calibration.verdict.reasons)
-        said = str(step.discovery) if step.discovery else f"no probabilities: {reasons}"
-        parts.append(f"WHAT IS MISSING FROM STEP {i} ({step.title})\n\n{said}")
+    parts += _candidates_of_steps(trail) if verbose else [_findings_text(trail)]
     unexplained = unexplained_text(final.calibration, final.check, own)
     parts += [unexplained] if unexplained else []
-    unknown = (e.name for e in final.calibration.model.effects if covariate_in(e.name))
-    for name in unknown:
+    unknown = [e.name for e in final.calibration.model.effects if covariate_in(e.name)]
+    for name in unknown if verbose else ():
         draft = draft_effect(final.calibration, name)
         parts.append(
             f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"
         )
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
     parts.append(f"COEFFICIENTS\n\n{final.calibration}")
-    if trail.other_path is not None:
-        parts.append(textwrap.fill(f"undecided: {trail.other_path}", WIDTH))
     if trail.ending:
         parts.append(textwrap.fill(f"end: {trail.ending}", WIDTH))
     parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))
+    parts.append(f"IN SHORT\n\n{textwrap.fill(trail.in_short, WIDTH)}")
     return "\n\n".join(parts).removeprefix("\n")
+
+
+def channels_in_short(found: Channels) -> str:
+    """A paragraph for each channel."""
+    said = (f"{name}: {trail.in_short}" for name, trail in found.trails.items())
+    return "\n".join(textwrap.fill(one, WIDTH, subsequent_indent="  ") for one in said)
+
+
+def _candidates_of_steps(trail: SearchPath) -> list[str]:
+    parts = []
+    for i, step in enumerate(trail.steps):
+        said = str(step.discovery or _not_asked(step))
+        parts.append(f"WHAT IS MISSING FROM STEP {i} ({step.title})\n\n{said}")
+    return parts
+
+
+def _not_asked(step: Step) -> str:
+    reasons = " ".join(step.calibration.verdict.reasons)
+    return f"no probabilities: {reasons or 'the search was ended before'}"
+
+
+def _findings_text(trail: SearchPath) -> str:
+    """A line for each step: what is missing from it, and what comes nearest; questions of units once."""
+    rows, asked = [], dict[str, None]()
+    for i, step in enumerate(trail.steps):
+        found = step.discovery
+        if found is None:
+            rows.append([f"{i} {step.title}", "–", _not_asked(step)])
+            continue
+        asked |= dict.fromkeys(found.off_scale)
+        missing = [f"{' or '.join(s.effects)} ({probability(s.probability)})" for s in found.sets]
+        named = {name for s in found.sets for name in s.effects}
+        tested = [
+            c for c in found.candidates if c.probability is not None and c.effect not in named
+        ]
+        nearest = max(tested, key=lambda c: c.probability or 0.0, default=None)
+        beside = f"next: {nearest.effect} ({probability(nearest.probability)})" if nearest else ""
+        said = "; ".join([*missing, *map(str, found.departures), beside] if beside else missing)
+        rows.append([f"{i} {step.title}", probability(found.nothing_missing), said or "–"])
+    head = ["step", "P(complete)", "missing, with its probability"]
+    lines = [f"WHAT IS MISSING (all candidates: --verbose)\n\n{table(head, rows, left=1, fold=40)}"]
+    lines += [textwrap.fill(f"unit? {words}", WIDTH) for words in asked]
+    return "\n".join(lines)
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:

@@ -18,22 +18,23 @@ from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import print_notes
 from bayescal._cli.options import METHODS, ModelOptions, named_numbers
 from bayescal._core.errors import InputError
-from bayescal._discovery.own_files import (
+from bayescal._data.read import read
+from bayescal._model.installed import FileColumns, file_columns
+from bayescal._search.own_files import (
     in_a_file,
     instrument_named,
     known_instrument,
     user_effects,
 )
-from bayescal._model.installed import FileColumns, file_columns
-from bayescal._readings.read import read
 
 if TYPE_CHECKING:
+    from bayescal._data.measurements import Measurements
     from bayescal._inference.method import Method
     from bayescal._model.effect import Effect
     from bayescal._model.frame import Reference
     from bayescal._model.instrument import Instrument
     from bayescal._model.model import Model
-    from bayescal._readings.measurements import Measurements
+    from bayescal._model.noise_law import Noise
 
 Early = tuple[Any, FileColumns | None]  # readings, or None; and by which columns they were read
 LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
@@ -75,14 +76,38 @@ def open_request(
     """
     general, readings = _opened(asked, early)
     own = {effect.name: effect for effect in user_effects(asked.choice.effects_file)}
-    model = compose(general, asked.choice, own)
+    model = general.baseline() if asked.choice.typed else compose(general, asked.choice, own)
     asked.columns.keep()
     if asked.average is None:
         print_notes(long_log(readings))
     readings = averaged(readings, asked.average, asked.keep_spikes)
     tailored = general.for_readings(readings)
-    model = model if tailored is general else compose(tailored, asked.choice, own)
+    if tailored is not general or asked.choice.typed:
+        own |= {e.name: e for e in typed_effects(asked.choice.typed, tailored, readings)}
+        model = compose(tailored, asked.choice, own)
     return tailored, model, readings
+
+
+def own_effects(
+    choice: ModelOptions, instrument: Instrument, readings: Measurements
+) -> tuple[Effect, ...]:
+    """Effects of the user's own: of a file, and typed.
+
+    Raises:
+        InputError: the file fails, or a formula is none; the place is marked.
+    """
+    return (*user_effects(choice.effects_file), *typed_effects(choice.typed, instrument, readings))
+
+
+def typed_effects(
+    typed: Sequence[str] | None, instrument: Instrument, readings: Measurements | None
+) -> tuple[Effect, ...]:
+    """The effects that --effect gives.
+
+    Raises:
+        InputError: a formula is none, its units do not go together, or a size is missing; the place is marked.
+    """
+    return tuple(bc.effect(line, readings=readings, instrument=instrument) for line in typed or ())
 
 
 def open_channels(
@@ -96,10 +121,14 @@ def open_channels(
     general, read_ = _opened(asked, outputs=list(names))
     own = {effect.name: effect for effect in user_effects(asked.choice.effects_file)}
     asked.columns.keep()
+    if asked.average is None:
+        print_notes(dict.fromkeys(note for one in read_.values() for note in long_log(one)))
     readings = {n: averaged(one, asked.average, asked.keep_spikes) for n, one in read_.items()}
-    models = {
-        n: compose(general.for_readings(one), asked.choice, own) for n, one in readings.items()
-    }
+    models: dict[str, Model] = {}
+    for n, one in readings.items():
+        tailored = general.for_readings(one)
+        typed = {e.name: e for e in typed_effects(asked.choice.typed, tailored, one)}
+        models[n] = compose(tailored, asked.choice, own | typed)
     return general, models, readings
 
 
@@ -152,7 +181,7 @@ def averaged(
     """The means that --average asks for; clipped readings and spikes are set aside before, for a mean hides them."""
     if average is None:
         return readings
-    from bayescal._recording.set_aside import set_aside
+    from bayescal._data.set_aside import set_aside
 
     return set_aside(readings, keep_spikes).average(average)
 
@@ -205,6 +234,26 @@ def structure_with(instrument: Instrument, text: str, own: Sequence[Effect]) -> 
     for name in added:
         model = model + known.get(name, name)
     return model
+
+
+def law_named(name: str, model: Model, readings: Measurements) -> Noise:
+    """A noise law by its name: the model's own, or one of those that a search would weigh on these readings.
+
+    Raises:
+        InputError: there is none of that name; says which there are.
+    """
+    from bayescal._model.frame import build_frame
+    from bayescal._model.frame import reference_of as constants_of
+    from bayescal._search.noise_laws import laws_over
+
+    frame = build_frame(readings, constants_of(readings))
+    laws = {model.noise.name: model.noise, **laws_over(model, frame)}
+    if name not in laws:
+        raise InputError(
+            f"--noise {name!r}: for this model and these readings there are {', '.join(laws)}. A law of your own is "
+            "offered by its file: --effects my_law.py"
+        )
+    return laws[name]
 
 
 def method_named(name: str) -> Method:

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import load
-from bayescal._cli.options import OwnParts, named_values
-from bayescal._compensation.code_writer import FORMATS
-from bayescal._compensation.compensator import Compensator, compensator, load_compensator
+from bayescal._cli.options import OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
-from bayescal._discovery.own_files import instrument_named, user_effects
-from bayescal._firmware.autopilots import AUTOPILOTS
-from bayescal._firmware.parameters import FirmwareParameters, axis_of, firmware_parameters
+from bayescal._core.json_shape import read_json
 from bayescal._model.instrument import Instrument
 from bayescal._report.dcc import dcc_text
 from bayescal._report.section import CALIBRATION, Chapter, chapters, of_folder
-from bayescal._report.whole_folder import CHANNELS, refuse_mixed
+from bayescal._report.whole_folder import AVERAGED, CHANNELS, is_inside, refuse_mixed
+from bayescal._search.own_files import instrument_named, user_effects
+from bayescal._use.autopilots import AUTOPILOTS
+from bayescal._use.code_writer import FORMATS
+from bayescal._use.compensator import Compensator, compensator, load_compensator
+from bayescal._use.firmware_parameters import FirmwareParameters, axis_of, firmware_parameters
 
 PROGRAMS, PARAMETERS, DCC = tuple(FORMATS.values()), tuple(AUTOPILOTS), "dcc"
 
 
 def load_saved(path: Path, own: OwnParts) -> Calibration:
     """A saved calibration, or the one of a folder of results; of an instrument of the user's own, if one is named.
+
+    Args:
+        path: of the file or folder.
+        own: the user's own effects and instrument; and whether the average over structures stands for it, where the
+            folder has one.
 
     Raises:
         InputError: it cannot be loaded, or is not the one that its folder's manifest lists.
@@ -33,11 +38,16 @@ def load_saved(path: Path, own: OwnParts) -> Calibration:
             f"{path} holds several channels: name the folder of one, such as {of_units([path])[0]}"
         )
     path = inside if (inside := path / CALIBRATION).is_file() else path
+    if isinstance(own, UsedParts) and path.name == CALIBRATION:
+        if own.structure not in ("average", "best"):
+            raise InputError(f"--structure {own.structure!r} is neither 'average' nor 'best'")
+        if own.structure == "average" and (average := path.with_name(AVERAGED)).is_file():
+            path = average
     refuse_mixed(path.parent, path.name)
     return load(path, effects=user_effects(own.effects_file), instruments=_own_instruments(own))
 
 
-def compensator_from(path: Path, own: OwnParts, members: list[str] | None) -> Compensator:
+def compensator_from(path: Path, own: UsedParts, members: list[str] | None) -> Compensator:
     """The compensator of a saved calibration, or one exported as JSON.
 
     Raises:
@@ -76,7 +86,7 @@ def single(
     paths: list[Path],
     axes: list[str] | None,
     devices: list[str] | None,
-    own: OwnParts,
+    own: UsedParts,
     members: list[str] | None,
 ) -> Compensator:
     """The one calibration of a program.
@@ -106,15 +116,17 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
             found.append(path)
             continue
         try:
-            channels = json.loads(listed.read_text("utf-8"))["channels"].values()
-            found += [path / Path(c["folder"]).name / file for c in channels]
+            names = [c["folder"] for c in read_json(listed)["channels"].values()]
+            if strange := [n for n in names if not (isinstance(n, str) and is_inside(n))]:
+                raise ValueError(f"{strange[0]!r} is no folder in it")
+            found += [path / name / file for name in names]
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(f"{listed} cannot be read ({error}): calibrate again") from None
     return found
 
 
 def by_axis(
-    paths: list[Path], named: list[str] | None, own: OwnParts, members: list[str] | None
+    paths: list[Path], named: list[str] | None, own: UsedParts, members: list[str] | None
 ) -> dict[str, Compensator]:
     """Calibrations by their axis: as their readings name it, or as the user does.
 

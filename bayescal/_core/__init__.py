@@ -1,4 +1,1 @@
-"""What everything stands on, and nothing of calibration: refusals, JAX's set-up, linear algebra, text.
-
-Imports no other room.
-"""
+"""What everything stands on, and nothing of calibration: refusals, JAX's set-up, files, text, time limits."""

@@ -12,8 +12,8 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -67,21 +67,23 @@ def _runs(process: str) -> bool:
 
 @contextmanager
 def replacing_for_user(path: Path) -> Iterator[Path]:
-    """The same for a place that the user chose: what stands against it is said in words.
+    """The same for a place that the user chose, its folder made if need be: what stands against it is said in words.
 
     Raises:
-        InputError: no such folder, a place that cannot be written to, or no room; the old file is as it was.
+        InputError: a place that cannot be written to, or no room; the old file is as it was.
     """
-    if not path.parent.is_dir():
-        raise InputError(
-            f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}. Make it, "
-            "or choose another"
-        )
+    missing = [folder for folder in path.parents if not folder.exists()]
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as partial:
             yield partial
-    except OSError as error:
-        raise InputError(f"{str(path)!r} cannot be written: {why(error)}") from error
+    except BaseException as error:
+        for made in missing:
+            with suppress(OSError):  # not empty: something was written
+                made.rmdir()
+        if isinstance(error, OSError):
+            raise InputError(f"{str(path)!r} cannot be written: {why(error)}") from error
+        raise
 
 
 def why(error: OSError) -> str:
@@ -130,6 +132,24 @@ def netcdf_bytes(data: Any, **options: Any) -> memoryview:
     dask: Any = sys.modules.get("dask")
     with dask.config.set(scheduler="synchronous") if dask else nullcontext():
         return data.to_netcdf(engine="h5netcdf", **options)
+
+
+def storable(name: str) -> str:
+    """A name as NetCDF can hold it, in which a / parts groups: it is written %2F."""
+    if "/" in name or name != named_back(name):
+        return name.replace("%", "%25").replace("/", "%2F")
+    return name
+
+
+def named_back(stored: str) -> str:
+    """The name that `storable` made this of."""
+    return stored.replace("%2F", "/").replace("%25", "%")
+
+
+def renamed(data: Any, how: Callable[[str], str]) -> Any:
+    """A data set whose variables and dimensions have other names."""
+    names = {n: how(str(n)) for n in (*data.variables, *data.dims)}
+    return data.rename({old: new for old, new in names.items() if old != new})
 
 
 def write_sealed(content: bytes | memoryview, path: Path) -> None:

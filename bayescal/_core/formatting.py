@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import html
 import re
 import textwrap
 import unicodedata
 from collections.abc import Mapping, Sequence
 from math import floor, log10
 from typing import TYPE_CHECKING, Any
+
+from bayescal._core.quoting import html_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,27 +76,31 @@ def _scaled(value: float, error: float) -> tuple[int, int]:
     return power, max(0, 1 - place + power)
 
 
+_MOST_PLACES = 6  # decimal places beyond which an error is written in brackets
+
+
 def with_error(value: float, error: float) -> str:
     """value ± error, the error to two significant digits and the value to the same place.
 
-    A value without a sizeable error (held at an estimate, not sampled) stands alone.
+    Where that takes more than six places, the error stands in brackets and counts the last digits of the value,
+    0.88819219(31) (JCGM 100, 7.2.2). A value without a sizeable error (held at an estimate, not sampled) stands alone.
     """
-    if not error > 1e-9 * abs(value):
+    if not error > 1e-12 * abs(value):
         return number(value, 4)
     power, places = _scaled(value, error)
-    if places > 8:
-        return f"{value:.6g} ± {error:.2g}"
+    if places > _MOST_PLACES:
+        digits = round(error / 10 ** (power - places))
+        text = f"{value / 10**power:z.{places}f}({digits})"
+        return f"{text}e{power}" if power else text
     text = f"{value / 10**power:z.{places}f} ± {error / 10**power:.{places}f}"
     return f"({text})e{power}" if power else text
 
 
 def interval(low: float, high: float, mean: float, error: float) -> str:
     """The two ends, to the place of the error, or one further where that is coarse."""
-    if not error > 1e-9 * abs(mean):
+    if not error > 1e-12 * abs(mean):
         return "–"
     power, places = _scaled(mean, error)
-    if places > 8:
-        return f"{low:.6g} to {high:.6g}"
     text = f"{low / 10**power:z.{places}f} to {high / 10**power:z.{places}f}"
     return f"({text})e{power}" if power else text
 
@@ -106,57 +111,6 @@ def probability(p: float | None) -> str:
     if p > 0.995:
         return "> 0.99"
     return f"{p:.2f}" if p >= 0.005 else "< 0.01"
-
-
-_SPELLED: dict[str, str] = dict(
-    [
-        *(("·", "*"), ("×", "x"), ("−", "-"), ("–", "-"), ("—", "-"), ("√", "sqrt"), ("±", "+-")),
-        *(
-            ("°", "deg "),
-            ("µ", "u"),
-            ("≤", "<="),
-            ("≥", ">="),
-            ("≈", "~"),
-            ("∞", "inf"),
-            ("∂", "d"),
-        ),
-        *(
-            ("→", "->"),
-            ("∫", "int "),
-            ("′", "'"),
-            ("’", "'"),
-            ("‘", "'"),
-            ("“", '"'),
-            ("”", '"'),
-            ("‰", "per mille"),
-            ("\u2044", "/"),
-            ("ß", "ss"),
-        ),
-        *(("\u0303", "~"), ("\u0302", "^"), ("\u0304", "_mean"), ("\u0307", "_dot")),
-    ]
-)
-_GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)")
-
-
-def ascii_text(text: str) -> str:
-    """Text in ASCII, with a spelling for every character: T̃ as T~, τ as tau, ² as ^2, € as <U+20AC>.
-
-    Marks that make another symbol of one stay (ẋ as x_dot), accents of a language go (é as e).
-    """
-    spelled = "".join(map(_spelled, unicodedata.normalize("NFC", text)))
-    return re.sub(r"(?<=[\^_][-+0-9])[\^_](?=[0-9])", "", spelled)  # ^-^6 is ^-6
-
-
-def _spelled(character: str) -> str:
-    if character.isascii() or character in _SPELLED:
-        return _SPELLED.get(character, character)
-    if found := _GREEK.fullmatch(unicodedata.name(character, "")):
-        return found[2].lower() if found[1] == "SMALL" else found[2].capitalize()
-    kind, _, parts = unicodedata.decomposition(character).rpartition("> ")
-    if parts:
-        before = {"<super": "^", "<sub": "_"}.get(kind, "")
-        return before + "".join(_spelled(chr(int(part, 16))) for part in parts.split())
-    return "" if unicodedata.combining(character) else f"<U+{ord(character):04X}>"
 
 
 class Printed:
@@ -259,7 +213,7 @@ def _table_in_html(rows: list[list[str]], left: list[bool]) -> str:
     def row(cells: list[str], tag: str) -> str:
         made = (
             f'<{tag} style="text-align: {"left" if flush else "right"}">'
-            f"{html.escape(cell).replace(chr(10), '<br>')}</{tag}>"
+            f"{html_text(cell).replace(chr(10), '<br>')}</{tag}>"
             for cell, flush in zip(cells, left, strict=True)
         )
         return f"<tr>{''.join(made)}</tr>"
@@ -269,5 +223,5 @@ def _table_in_html(rows: list[list[str]], left: list[bool]) -> str:
 
 
 def _said(lines: list[str]) -> str:
-    said = "<br>".join(html.escape(line) for line in lines)
+    said = "<br>".join(html_text(line) for line in lines)
     return f"<p>{said}</p>" if said.strip("<br>") else ""

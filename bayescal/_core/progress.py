@@ -13,6 +13,11 @@ def tell(what: str) -> None:
     print(f"bayescal: {what} …", file=sys.stderr, flush=True)
 
 
+def note(what: str) -> None:
+    """Say on stderr what the user should know of and no reason to stop."""
+    print(f"bayescal: note: {what}", file=sys.stderr, flush=True)
+
+
 @contextmanager
 def stage(what: str) -> Iterator[None]:
     """Say on stderr what is going on, once it has taken a second."""

@@ -1,4 +1,1 @@
-"""Many devices at once: stacks of equal shape, closed forms, what the devices have in common.
-
-Imports `_calibration` and what is below.
-"""
+"""Many devices of one type: stacks, partitions, runs here or on Dask, populations, searches, results."""

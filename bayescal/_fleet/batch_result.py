@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._fleet.device_result import BatchPart, DeviceResult
-from bayescal._population.population import Population
+from bayescal._fleet.population import Population
 
 SCHEMA = "bayescal.batch/1"
 AGAIN = "Take a copy, or run the batch again"

@@ -21,18 +21,16 @@ import numpy as np
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
-from bayescal._core.gaussian_algebra import triangle
 from bayescal._core.jit import compiled
+from bayescal._data.column import UNCERTAINTY
 from bayescal._inference import sampled_products
-from bayescal._inference.laplace import start_point
 from bayescal._model import forward
 from bayescal._model.frame import Frame
-from bayescal._model.noise_laws import White
 from bayescal._model.parameters import Layout
-from bayescal._readings.column import UNCERTAINTY
 
 GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
 STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits
+STRETCH = 8192  # rows that are factored at once: little memory, and they stay in cache
 LEAST = 1e-24  # share of the readings' variance, below which the noise counts as none
 NOISE = "noise.white"
 
@@ -52,7 +50,7 @@ def applies(layout: Layout, frame: Frame) -> bool:
     noise = layout.model.noise
     only_noise = all(h.kind == "noise" for h in layout.hypers)
     return (
-        type(noise) is White
+        noise.first
         and only_noise
         and layout.size > 0
         and not layout.row_blocks
@@ -96,9 +94,9 @@ def _order(layout: Layout) -> tuple[np.ndarray, int]:
 def _reduced(
     layout: Layout, frame: Frame, y: Float[Array, "n"], real: Float[Array, "n"]
 ) -> _Reduced:
-    point, (places, f) = start_point(layout, frame), _order(layout)
+    centre, (places, f) = forward.prior_mean(layout), _order(layout)
     hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
-    line = forward.linearise(layout, frame, point.x, point.rows, hyper)
+    line = forward.linearise(layout, frame, centre, jnp.zeros((frame.size, 0)), hyper)
     norm = jnp.sqrt(jnp.sum((line.jacobian * real[:, None]) ** 2, axis=0))
     scale = forward.prior_sd(layout, hyper, 1 / jnp.where(norm > 0, norm, 1.0))
     table = jnp.column_stack([(line.jacobian * scale)[:, places], y - line.mean])
@@ -106,7 +104,7 @@ def _reduced(
     u, d, vt = jnp.linalg.svd(upper[f:p, f:p])
     return _Reduced(
         scale=scale,
-        centre=point.x,
+        centre=centre,
         upper=upper,
         d=d,
         vt=vt,
@@ -145,9 +143,23 @@ def _placed(layout: Layout, own: _Reduced, variance: Float[Array, ""]) -> Closed
 
 
 def _triangle(table: Float[Array, "n q"]) -> Float[Array, "q q"]:
-    """R of the QR factors, square however few rows there are."""
-    upper = triangle(table)
-    missing = table.shape[1] - upper.shape[0]
+    """R of the QR factors up to the signs of its rows, square however few rows there are.
+
+    A stretch of rows at a time.
+    """
+    whole, columns = len(table) // STRETCH, table.shape[1]
+
+    def further(i: Array, upper: Float[Array, "q q"]) -> Float[Array, "q q"]:
+        rows = jax.lax.dynamic_slice_in_dim(table, i * STRETCH, STRETCH)
+        return jnp.linalg.qr(jnp.concatenate([upper, rows]), mode="r")
+
+    if whole < 2 or columns > STRETCH:
+        upper = jnp.linalg.qr(table, mode="r")
+    else:
+        upper = jax.lax.fori_loop(1, whole, further, jnp.linalg.qr(table[:STRETCH], mode="r"))
+        rest = table[whole * STRETCH :]
+        upper = jnp.linalg.qr(jnp.concatenate([upper, rest]), mode="r") if len(rest) else upper
+    missing = columns - upper.shape[0]
     return jnp.pad(upper, ((0, missing), (0, 0))) if missing > 0 else upper
 
 

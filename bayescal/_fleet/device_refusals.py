@@ -9,15 +9,15 @@ import numpy as np
 import pandas as pd
 
 from bayescal._core.errors import InputError
-from bayescal._fleet.devices import DeviceBlock, Devices, without
-from bayescal._readings.column import ConvertedColumns
-from bayescal._readings.column_conversion import convert_columns
-from bayescal._readings.column_matching import InstrumentLike, ReadOptions
-from bayescal._readings.dataset_checks import (
+from bayescal._data.column import ConvertedColumns
+from bayescal._data.column_conversion import convert_columns
+from bayescal._data.column_matching import InstrumentLike, ReadOptions
+from bayescal._data.dataset_checks import (
     LEAST_TEMPERATURE_SPAN,
     refuse_backward_time,
     refuse_one_temperature,
 )
+from bayescal._fleet.devices import DeviceBlock, Devices, without
 from bayescal._tables.cells import Cells
 from bayescal._tables.problems import Problem, Problems
 from bayescal._tables.raw_table import Table, load_whole

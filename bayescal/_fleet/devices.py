@@ -13,8 +13,8 @@ import numpy as np
 import xarray as xr
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import Source
-from bayescal._readings.measurements import Measurements
+from bayescal._data.column import Source
+from bayescal._data.measurements import Measurements
 from bayescal._tables.raw_table import ROW
 
 DEVICE = "device"

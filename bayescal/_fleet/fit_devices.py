@@ -6,22 +6,22 @@ import numpy as np
 
 from bayescal._core.errors import BayescalError, InputError, ModelError
 from bayescal._core.jax_setup import spare_memory_maps
-from bayescal._engine.linear_model import sized
+from bayescal._data.measurements import Measurements
 from bayescal._fleet import fit_stack
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.device_result import BatchPart
 from bayescal._fleet.devices import DeviceBlock, Devices
 from bayescal._fleet.fit_stack import StackFit
 from bayescal._fleet.partial_pooling import pooled
+from bayescal._fleet.population import Named
 from bayescal._fleet.stacks import DeviceStack, Refusal, stacks
 from bayescal._inference.least_squares import LeastSquares
+from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference, build_frame, reference_name, reference_of
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
-from bayescal._population.population import Named
-from bayescal._readings.measurements import Measurements
 
 CHUNK = 4096  # devices in one compiled program at most
 

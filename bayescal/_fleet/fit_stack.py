@@ -9,22 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.importance_weights import smoothed
-from bayescal._core.jit import compiled
-from bayescal._core.parallel import over
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.record import Record
 from bayescal._fleet import closed_form
-from bayescal._fleet.stacks import DeviceStack, weighed
-from bayescal._inference import importance_sampling, least_squares, sampled_products, trust
+from bayescal._fleet.stacks import DeviceStack
+from bayescal._inference import least_squares, sampled_products, trust
+from bayescal._inference.assembly import Assembly
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
-from bayescal._inference.method import by_engine
-from bayescal._model import forward
+from bayescal._inference.mode import Mode, find_mode
+from bayescal._inference.record import Record
+from bayescal._inference.sampling import WeightedDraws, weighted_draws
+from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout, Levels
 
-FEW = 8  # devices up to which the engine fits them one by one: a program of their own takes longer to compile
 NUDGE = 1e-5  # of a coordinate, for the slope of its value
-TOGETHER = 64  # devices that a program of many readings or proposals holds at once
 NO_SCATTER = (
     "The readings leave no scatter about the model, so that the noise cannot be told: too few readings for the "
     "coefficients, or made without noise."
@@ -66,7 +63,7 @@ def solve(
     """Fit every device of a stack by itself; `straight` says that least squares may go the quick way."""
     few = len(stack.devices)
     if isinstance(method, Marginal):
-        found = _sampled(layout, _filled(stack), method, seed)
+        found = _sampled(layout, stack, method, seed)
     elif straight:
         found = _quick(layout, _filled(stack))
     else:
@@ -130,28 +127,8 @@ def _widened(covariance: np.ndarray, size: int) -> np.ndarray:
     return wide
 
 
-@compiled
-def _ordinary_batch(layout: Layout, frames, ys, full_hessian: bool):
-    _, places = least_squares.split_hypers(layout)
-
-    def one(given):
-        frame, y = given
-        found = least_squares.solve(layout, frame, y, full_hessian)
-        hyper = forward.hyper_values(layout, found.mode.v)
-        values = jnp.stack([hyper[h.name] for h in layout.hypers] or [jnp.zeros(())])
-        slopes = [
-            jax.grad(lambda v, h=layout.hypers[i]: h.prior.value(v))(found.mode.v[i])
-            for i in places
-        ]
-        slopes = jnp.concatenate([jnp.ones(layout.size), jnp.asarray(slopes, dtype=float)])
-        covariance = slopes[:, None] * found.covariance * slopes
-        return found.mode.point.x, values[: len(layout.hypers)], covariance, found.converged
-
-    return over(one, (frames, ys), TOGETHER)
-
-
 def _one_by_one(layout: Layout, stack: DeviceStack, full_hessian: bool) -> tuple[np.ndarray, ...]:
-    """The same as `_ordinary_batch`, by the engine."""
+    """x̂, values of φ, covariance and convergence of each device."""
     _, places = least_squares.split_hypers(layout)
     made = []
     for i, y in enumerate(stack.y):
@@ -171,15 +148,9 @@ def _one_by_one(layout: Layout, stack: DeviceStack, full_hessian: bool) -> tuple
 
 
 def _ordinary(layout: Layout, stack: DeviceStack, method: LeastSquares) -> StackFit:
-    """`LeastSquares` itself, mapped over the devices, or of a few by the engine one by one."""
+    """`LeastSquares` itself, one device after the other: programs are those of the first."""
     _, places = least_squares.split_hypers(layout)
-    hessian = method.curvature == "hessian"
-    if len(stack.devices) <= FEW and by_engine(layout) and np.all(stack.real):
-        made = _one_by_one(layout, stack, hessian)
-    else:
-        stack = _filled(stack)
-        made = _ordinary_batch(layout, weighed(stack), stack.y, hessian)
-    x, values, own, converged = (np.asarray(a) for a in made)
+    x, values, own, converged = _one_by_one(layout, stack, method.curvature == "hessian")
     mean = np.concatenate([x, values], axis=1)
     at = np.array([*range(layout.size), *(layout.size + i for i in places)], dtype=int)
     covariance = np.full((len(mean), mean.shape[1], mean.shape[1]), np.nan)
@@ -196,47 +167,47 @@ def _ordinary(layout: Layout, stack: DeviceStack, method: LeastSquares) -> Stack
     return StackFit(layout, mean, covariance, reasons, notes=notes if places else ())
 
 
-@compiled
-def _values(layout: Layout, x, rows, v, weights):
-    """Weighted mean and covariance of all unknowns, from the draws of one device."""
+def _values(layout: Layout, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """All unknowns of draws (s, q), in the order of `unknowns`."""
+    hyper = {h.name: np.asarray(h.prior.value(v[:, i])) for i, h in enumerate(layout.hypers)}
+    parts = []
+    for b in layout.blocks:
+        if b.place == "x":
+            parts.append(x[:, b.start : b.start + b.size])
+        elif b.place == "phi":
+            value = np.stack([hyper[name] for name in b.member_names()], axis=1)
+            if b.coefficient.spread is not None:
+                value = b.coefficient.mean + hyper[b.spread_name][:, None] * value
+            parts.append(value)
+    parts += [hyper[h.name][:, None] for h in layout.hypers if h.kind != "promoted"]
+    return np.concatenate(parts, axis=1)
 
-    def one(x, rows, v):
-        hyper = forward.hyper_values(layout, v)
-        values = forward.coefficients(layout, x, rows, hyper)
-        parts = [values[b.name] for b in layout.blocks if b.place not in ("fixed", "row")]
-        parts += [hyper[h.name][None] for h in layout.hypers if h.kind != "promoted"]
-        return jnp.concatenate(parts)
 
-    values = jax.vmap(one)(x, rows, v)
-    mean = weights @ values
-    apart = values - mean
-    return mean, (weights[:, None] * apart).T @ apart
+def drawn(
+    layout: Layout, frame: Frame, y: np.ndarray, method: Marginal, seed: int, device: int
+) -> tuple[WeightedDraws, Mode]:
+    """Weighted joint draws of one device, and the mode that they were proposed around."""
+    assembly = Assembly(layout, Record(layout.model.instrument, frame, y))
+    mode = find_mode(assembly)
+    own = int(np.random.SeedSequence([seed, device]).generate_state(1)[0])
+    return weighted_draws(assembly, mode, own, method.proposals, method.rounds), mode
 
 
 def _sampled(layout: Layout, stack: DeviceStack, method: Marginal, seed: int) -> StackFit:
     """`Marginal` by importance sampling; where its weights fail, the verdict says so."""
-    frames, first = weighed(stack), _first(stack.frame)
-    layout, notes = sampled_products.choose(layout, first, jnp.asarray(stack.y[0]), method.promote)
-    key = jax.random.key(seed)
-    keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.asarray(stack.devices))
+    first = jax.tree.map(lambda a: a[0], stack.frame)
+    layout, notes = sampled_products.choose(layout, first, stack.y[0], method.promote)
     mean, covariance, reasons, k_hats = [], [], [], []
-    for begin in range(0, len(stack.y), TOGETHER):
-        some = slice(begin, begin + TOGETHER)
-        found = importance_sampling.sample_batch(
-            layout,
-            jax.tree.map(lambda a, some=some: a[some], frames),
-            jnp.asarray(stack.y[some]),
-            keys[some],
-            method.proposals or 8192,
-            method.rounds,
-        )
-        for i, log_weight in enumerate(np.asarray(found.log_weight)):
-            weights, k_hat = _weights(log_weight)
-            own = _values(layout, found.x[i], found.rows[i], found.v[i], weights)
-            mean.append(np.asarray(own[0]))
-            covariance.append(np.asarray(own[1]))
-            k_hats.append(k_hat)
-            reasons.append(_why_not(mean[-1], k_hat, weights))
+    for i, y in enumerate(stack.y):
+        frame = jax.tree.map(lambda a, i=i: a[i], stack.frame)
+        found, _ = drawn(layout, frame, y, method, seed, int(stack.devices[i]))
+        weights, k_hat = _weights(found.log_weight)
+        values = _values(layout, found.x, found.v)
+        mean.append(weights @ values)
+        apart = values - mean[-1]
+        covariance.append((weights[:, None] * apart).T @ apart)
+        k_hats.append(k_hat)
+        reasons.append(_why_not(mean[-1], k_hat, weights))
     return StackFit(
         layout,
         np.stack(mean),

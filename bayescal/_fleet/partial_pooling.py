@@ -9,7 +9,7 @@ import numpy as np
 
 from bayescal._core.errors import ModelError
 from bayescal._fleet.device_result import BatchPart
-from bayescal._population.population import FEWEST, Named, Population, pool
+from bayescal._fleet.population import FEWEST, Named, Population, pool
 
 
 def pooled(

@@ -5,26 +5,27 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from bayescal._core.errors import InputError
-from bayescal._fleet.device_refusals import TableRows, TakenRows, convert_most, without_useless
-from bayescal._fleet.devices import DEVICE, DeviceBlock, Devices
-from bayescal._readings.column import Column, NominalScale, Source
-from bayescal._readings.column_matching import (
+from bayescal._data.column import Column, NominalScale, Source
+from bayescal._data.column_matching import (
     InstrumentLike,
     ReadOptions,
     expected_columns,
     match,
     output_name,
     unit_of,
-    unused_units,
+    unused_options,
 )
-from bayescal._readings.header_matching import understood
-from bayescal._readings.unit_conversion import base_unit
-from bayescal._readings.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.header_matching import understood
+from bayescal._data.unit_conversion import base_unit
+from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._fleet.device_refusals import TableRows, TakenRows, convert_most, without_useless
+from bayescal._fleet.devices import DEVICE, DeviceBlock, Devices
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, open_table
 from bayescal._tables.problems import Problems
@@ -38,21 +39,21 @@ def split_devices(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     local_gravity: float = STANDARD_GRAVITY,
-    nominal_scale: NominalScale | None = None,
     missing: str = "refuse",
     decimal: str = "",
     needs: Sequence[str] = (),
     max_bytes: int = MAX_BYTES,
+    **more: Any,
 ) -> Devices:
     """Read files that hold many devices, split by the column `device`; a file without one is a device by itself.
 
     Args:
         paths: CSV, Parquet or NetCDF files. Devices in a file need not stand in order; their readings do.
         instrument: whose readings they are.
-        columns, units, local_gravity, nominal_scale, missing, decimal: as of `read`; {"device": "serial"} splits by
-            `serial`.
+        columns, units, local_gravity, missing, decimal: as of `read`; {"device": "serial"} splits by `serial`.
         needs: further columns that a model's effects use: a device that has no number there is refused.
         max_bytes: most that a file may take in memory.
+        more: nominal_scale, nominal_zero, date_order, ignore, as of `read`.
 
     Returns:
         The devices. Those with a cell that cannot be used, one temperature only or time that runs backwards are in
@@ -65,8 +66,14 @@ def split_devices(
     given = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     if not given:
         raise InputError("no file was given to split into devices: give at least one")
-    options = ReadOptions(
-        columns or {}, units or {}, local_gravity, nominal_scale, missing, decimal
+    options = ReadOptions.of(
+        instrument,
+        columns=columns or {},
+        units=units or {},
+        local_gravity=local_gravity,
+        missing=missing,
+        decimal=decimal,
+        **more,
     )
     names: list[str] = []
     blocks: list[DeviceBlock] = []
@@ -112,7 +119,7 @@ def split_table(
         InputError: as `split_devices`.
     """
     problems = Problems(table.problems)
-    unused_units([table], options, problems)
+    unused_options([table], options, problems)
     problems.refuse()
     expects = _Wider(instrument, _further(table, instrument, options, needs))
     table = understood(table, expects, options)

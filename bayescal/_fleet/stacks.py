@@ -8,7 +8,6 @@ and counts nothing.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.errors import BayescalError
+from bayescal._data.column import UNCERTAINTY
 from bayescal._fleet.devices import DEVICE, DeviceBlock
 from bayescal._model.frame import (
     GROUPS,
@@ -27,12 +27,9 @@ from bayescal._model.frame import (
 )
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
-from bayescal._readings.column import UNCERTAINTY
 
-EXACT = 3  # so many different numbers of readings have a program each; more are padded to a common ladder
 STEP = 1.25  # from one rung of the ladder to the next
 NUMBERS = 2_000_000  # readings in one stack at most
-NOTHING = 1e140  # standard uncertainty of a padded reading, in the output's unit: it weighs nothing
 POINT = "temperature_point"
 
 
@@ -88,12 +85,11 @@ def stacks(
         model: what is to be fitted.
         block: the devices.
         reference: constants of the bases in place of the devices' own.
-        padded: whether zero weight costs nothing, so that all shapes go to the ladder.
+        padded: whether padded readings are left out by their weights, so that shapes go to a common ladder.
         most: devices in one stack.
     """
     sizes = np.unique(block.counts)
-    ladder = padded or len(sizes) > EXACT
-    rungs = {int(n): _rung(int(n)) if ladder and plain(block) else int(n) for n in sizes}
+    rungs = {int(n): _rung(int(n)) if padded and plain(block) else int(n) for n in sizes}
     if plain(block):
         for rung in sorted(set(rungs.values())):
             members = np.flatnonzero(np.isin(block.counts, [n for n in rungs if rungs[n] == rung]))
@@ -215,13 +211,3 @@ def _matrices(
             scalars[f"{name}_low"] = columns[name].min(axis=1)
             scalars[f"{name}_high"] = columns[name].max(axis=1)
     return columns, real, scalars
-
-
-def weighed(stack: DeviceStack) -> Frame:
-    """The frame, padded readings of no weight: their known uncertainty is beyond all measure."""
-    if np.all(stack.real == 1):
-        return stack.frame
-    columns = dict(stack.frame.columns)
-    known = np.asarray(columns.get(UNCERTAINTY, np.zeros_like(stack.y)))
-    columns[UNCERTAINTY] = np.where(stack.real == 1, known, NOTHING)
-    return replace(stack.frame, columns=columns)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from bayescal._core.errors import InputError
+from bayescal._data.measurements import Measurements
+from bayescal._model.effect import Effect
 from bayescal._model.model import Model
-from bayescal._readings.measurements import Measurements
 
 
 def tailored(model: Model, readings: Measurements) -> Model:
     """The model with its instrument tailored to one device's readings; the same where nothing has to be.
 
-    What it has of the instrument's own (effects, the noise law) is that of the tailored one; what was changed stays.
+    What it has of the instrument's own (effects, the noise law) is that of the tailored one; what was changed stays. A
+    size that was changed is one in parts of what a record shows, as all of the general instrument's are.
     """
     general = model.instrument
     own = general.for_readings(readings)
@@ -20,9 +23,23 @@ def tailored(model: Model, readings: Measurements) -> Model:
         return model
     stated = {e.name: e for e in (*general.effects, *general.candidates)}
     sized = {e.name: e for e in (*own.effects, *own.candidates)}
-    effects = tuple(sized.get(e.name, e) if e == stated.get(e.name) else e for e in model.effects)
+    parts = {
+        e.name: e.coefficients[0].size / stated[e.name].coefficients[0].size
+        for e in model.effects
+        if e.name in stated and e == _sized_as(e, stated[e.name])
+    }
+    effects = tuple(sized.get(e.name, e) if e.name in parts else e for e in model.effects)
     noise = own.noise if model.noise == general.noise else model.noise
-    return Model(own, effects, noise, model.fixed)
+    made = Model(own, effects, noise, model.fixed)
+    for name, part in parts.items():
+        if part != 1:
+            made = made.resize(name, part * made.effect(name).coefficients[0].size)
+    return made
+
+
+def _sized_as(effect: Effect, stated: Effect) -> Effect:
+    """An effect as it is stated, of the sizes that this one has."""
+    return replace(stated, coefficients=effect.coefficients)
 
 
 def tailored_to_first(

@@ -1,4 +1,4 @@
-"""Weighted joint draws of many data sets of one shape, by importance sampling in one compiled program.
+"""Weighted joint draws of many data sets of one shape, by importance sampling: programs are compiled once.
 
 For simulation studies and for decisions that need whole draws; `fit_batch` keeps means and covariances.
 """
@@ -9,24 +9,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.posterior_tree import named
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.importance_weights import smoothed
-from bayescal._inference import importance_sampling, sampled_products
-from bayescal._inference.laplace import Mode
+from bayescal._data.measurements import Measurements
+from bayescal._fleet.fit_stack import drawn
+from bayescal._inference import sampled_products
 from bayescal._inference.marginal import Marginal
-from bayescal._model.frame import Frame, build_frame, reference_of
+from bayescal._inference.mode import Mode
+from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
-from bayescal._readings.measurements import Measurements
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Weighted joint draws of many data sets, fitted in one compiled program.
+    """Weighted joint draws of many data sets.
 
     Attributes:
         layout: of the model, common to all.
@@ -84,29 +84,27 @@ def weighted_draws(
         model.require(one)
     frames = [build_frame(one, reference_of(one)) for one in readings]
     shapes = {
-        (str(jax.tree.map(jnp.shape, f)), b[0].counts) for f, b in zip(frames, bound, strict=True)
+        (str(jax.tree.map(np.shape, f)), b[0].counts) for f, b in zip(frames, bound, strict=True)
     }
     if len(shapes) != 1:
         raise InputError(
             f"weighted_draws needs data sets of one shape; these {len(readings)} have {len(shapes)} different "
             "ones (rows, columns or group sizes differ)"
         )
-    stacked: Frame = jax.tree.map(lambda *a: jnp.stack(a), *frames)
-    ys = jnp.stack([jnp.asarray(one["output"]) for one in readings])
+    ys = [np.asarray(one["output"]) for one in readings]
     layout, _ = sampled_products.choose(bound[0][0], frames[0], ys[0], method.promote or ())
-    keys = jax.random.split(jax.random.key(seed), len(readings))
-    found = importance_sampling.sample_batch(
-        layout, stacked, ys, keys, method.proposals or 8192, method.rounds
-    )
-    k_hat = np.array([smoothed(np.asarray(w))[1] for w in found.log_weight])
+    each = zip(frames, ys, strict=True)
+    made = [drawn(layout, f, y, method, seed, i) for i, (f, y) in enumerate(each)]
+    draws = [one for one, _ in made]
+    k_hat = np.array([smoothed(one.log_weight)[1] for one in draws])
     return Batch(
         layout=layout,
         levels=bound[0][1],
-        log_weight=np.asarray(found.log_weight),
-        x=np.asarray(found.x),
-        rows=np.asarray(found.rows),
-        v=np.asarray(found.v),
-        mode=jax.tree.map(np.asarray, found.mode),
-        log_evidence=np.asarray(found.log_evidence),
+        log_weight=np.stack([one.log_weight for one in draws]),
+        x=np.stack([one.x for one in draws]),
+        rows=np.stack([one.rows for one in draws]),
+        v=np.stack([one.v for one in draws]),
+        mode=jax.tree.map(lambda *a: np.stack(a), *(mode for _, mode in made)),
+        log_evidence=np.array([float(one.log_evidence) for one in draws]),
         pareto_k=k_hat,
     )

@@ -1,9 +1,8 @@
-"""Checkpoints: a fit that was stopped goes on where it was, and ends with the same draws, bit for bit.
+"""Checkpoints: chains that were stopped go on where they were, and end with the same draws, bit for bit.
 
-While a fit runs under `keeping`, its method hands each finished piece to `once`, `noted` or `current()`, and the
+While a fit runs under `keeping`, NUTS hands each block of iterations with the sampler's state to `current()`, and the
 whole state is written beside the file, forced to the disk, and renamed over it: whatever moment the process is
-killed at, the file is whole. Pieces: what is promoted, the mode, the weighted draws; for NUTS blocks of iterations
-with the sampler's state. The pieces are the same whether a run is stopped or not.
+killed at, the file is whole. What comes before chains takes seconds, and is computed again.
 
 A checkpoint belongs to one model, one set of readings, one method, one seed and one set of versions. For anything
 else it is refused.
@@ -41,11 +40,11 @@ from bayescal._core.atomic_file import (
     write_sealed,
 )
 from bayescal._core.errors import InputError
+from bayescal._data.measurements import Measurements
 from bayescal._model.model import Model
-from bayescal._readings.measurements import Measurements
 
 SCHEMA = "bayescal.checkpoint/2"
-PAUSE = 1.0  # s between writes of unfinished chains; every other piece is written at once
+PAUSE = 1.0  # s between writes of unfinished chains; finished ones are written at once
 PACKAGES = ("bayescal", "jax", "jaxlib", "numpyro", "optimistix", "equinox", "numpy")
 T = TypeVar("T")
 
@@ -93,12 +92,6 @@ class Checkpoint:
         if time.monotonic() - self.written > PAUSE:
             self.write()
 
-    def drop(self, *names: str) -> None:
-        """Forget pieces that later ones contain."""
-        for name in names:
-            self.arrays.pop(name, None)
-            self.notes.pop(name, None)
-
 
 _CURRENT: ContextVar[Checkpoint | None] = ContextVar("checkpoint", default=None)
 
@@ -121,36 +114,6 @@ def keeping(path: str | Path | None, fingerprint: Callable[[], dict[str, str]]) 
         yield
     finally:
         _CURRENT.reset(token)
-
-
-def once(name: str, like: T, compute: Callable[[], T]) -> T:
-    """A piece made of arrays: from the checkpoint where it is there, else computed and written.
-
-    Args:
-        name: of the piece.
-        like: anything of the same structure.
-        compute: makes it.
-    """
-    store = current()
-    if store is None:
-        return compute()
-    if name not in store.arrays:
-        made = compute()
-        store.arrays[name] = leaves_of(made)
-        store.write()
-        return made
-    return filled(like, store.arrays[name])
-
-
-def noted(name: str, compute: Callable[[], Any]) -> Any:
-    """A piece that JSON can hold, likewise. Tuples come back as lists."""
-    store = current()
-    if store is None:
-        return compute()
-    if name not in store.notes:
-        store.notes[name] = compute()
-        store.write()
-    return store.notes[name]
 
 
 def leaves_of(tree: Any) -> list[np.ndarray]:

@@ -1,103 +1,106 @@
-"""The Gaussian core: integrate the coefficients out in closed form, and draw them back.
+"""The Gaussian core: coefficients integrated out in closed form, and drawn back.
 
-With y − μ(x̂) = r ≈ J(x − x̂) + noise and x ~ N(m, diag(s²)), everything follows from JᵀΣ⁻¹J, JᵀΣ⁻¹r and rᵀΣ⁻¹r.
-The solve is in the whitened z = (x − m)/s, so that a spread of zero is no special case.
+With y − μ(x̂) = r ≈ J(x − x̂) + noise and x ~ N(m, diag(s²)), everything follows from JᵀΣ⁻¹J, JᵀΣ⁻¹r and rᵀΣ⁻¹r. The
+solve is in the whitened z = (x − m)/s, so that a spread of zero takes its coefficient away exactly. The sum of squares
+is taken at the posterior mean, as the small difference that it is, and not as the difference of two large sums.
+
+These are small dense matrices, thousands of them in a search: LAPACK on the host, one call each, nothing to compile. A
+flat prior has weight 0 and the scale of its column in place of s.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
-from typing import NamedTuple
+import math
+from functools import cached_property
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Float
+from jaxtyping import Float
+from scipy.linalg.lapack import dpotrf, dtrtri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
-from bayescal._core.gaussian_algebra import triangle
-from bayescal._engine.assembly import Point
-from bayescal._inference import block_elimination
-from bayescal._model import forward as composition
-from bayescal._model.frame import Frame
-from bayescal._model.noise_laws import Gram
-from bayescal._model.parameters import Layout
-from bayescal._model.prior import Normal
+LOG_2PI = math.log(2 * math.pi)
 
-NODES = 7  # of each promoted coefficient
-REACH = 6.0  # prior standard deviations, up to which they stand
-MOST_BETWEEN = 2  # promoted coefficients, with whose number the nodes' number grows as a power
+
+class Gram(NamedTuple):
+    """Weighted products of a matrix J and a vector r, and log|Σ|: all that a Gaussian likelihood needs."""
+
+    jtj: Float[np.ndarray, "*b p p"]
+    jtr: Float[np.ndarray, "*b p"]
+    rtr: Any
+    logdet: Any
+
+    @classmethod
+    def of(cls, whole: Float[np.ndarray, "*b q q"], logdet: Any) -> Gram:
+        """Of the products of the whitened table [J r] with itself."""
+        return cls(whole[..., :-1, :-1], whole[..., :-1, -1], whole[..., -1, -1], logdet)
 
 
 class Prior(NamedTuple):
     """Prior of a Gaussian vector: mean, scale, and weight (1 proper, 0 flat)."""
 
-    mean: Float[Array, "p"]
-    sd: Float[Array, "p"]
-    weight: Float[Array, "p"]
-
-
-class DenseFactor(NamedTuple):
-    """A lower Cholesky factor."""
-
-    chol: Float[Array, "p p"]
+    mean: Float[np.ndarray, "p"]
+    sd: Float[np.ndarray, "*b p"]
+    weight: Float[np.ndarray, "p"]
 
     @property
-    def log_diagonal(self) -> Float[Array, ""]:
-        """Σ log Lᵢᵢ."""
-        return jnp.sum(jnp.log(jnp.diag(self.chol)))
-
-    def forward(self, vector: Float[Array, "p"]) -> Float[Array, "p"]:
-        """L⁻¹ times a vector."""
-        return solve_triangular(self.chol, vector, lower=True)
-
-    def back(self, vector: Float[Array, "p"]) -> Float[Array, "p"]:
-        """Lᵀ⁻¹ times a vector."""
-        return solve_triangular(self.chol, vector, lower=True, trans=1)
+    def flat_volume(self) -> Any:
+        """What flat priors, of density one, add to the log evidence: log s + ½·log 2π each."""
+        log_sd = np.where(self.weight > 0, 0.0, np.log(np.where(self.weight > 0, 1.0, self.sd)))
+        return np.sum(log_sd + 0.5 * LOG_2PI * (1 - self.weight), axis=-1)
 
 
-class Conditional(NamedTuple):
-    """x given φ and the readings, x = shift + sd·L⁻ᵀ(u + ε), and the log density of the readings given φ."""
+class Conditional:
+    """x given φ and the readings, x = shift + sd·L⁻ᵀ(u + ε), and the log density of the readings given φ.
 
-    log_marginal: Float[Array, ""]
-    shift: Float[Array, "p"]
-    sd: Float[Array, "p"]
-    factor: DenseFactor | block_elimination.ArrowFactor
-    u: Float[Array, "p"]
+    Attributes:
+        log_marginal: of the readings, x integrated out.
+        shift: where z is zero (p,).
+        sd: of the prior (p,).
+        chol: L, the lower factor of the precision of z (p, p).
+        u: L⁻¹ times the pull on z (p,).
+        rest: sum of squares at the mean, the prior's share included.
+        squares: of the whitened residuals at the mean alone.
+    """
 
-    @property
-    def mean(self) -> Float[Array, "p"]:
-        return self.place(jnp.zeros_like(self.u))
-
-    def place(self, normal: Float[Array, "p"]) -> Float[Array, "p"]:
-        """The x that standard normal numbers stand for."""
-        return self.shift + self.sd * self.factor.back(self.u + normal)
+    def __init__(self, log_marginal, shift, sd, chol, u, z, rest, squares) -> None:
+        self.log_marginal, self.shift, self.sd = float(log_marginal), shift, sd
+        self.chol, self.u, self.z = chol, u, z
+        self.rest, self.squares = float(rest), float(squares)
 
     @property
-    def log_jacobian(self) -> Float[Array, ""]:
-        """Log volume of the map from standard normal numbers to x."""
-        return jnp.sum(jnp.log(self.sd)) - self.factor.log_diagonal
+    def mean(self) -> Float[np.ndarray, "p"]:
+        return self.shift + self.sd * self.z
+
+    def first(self, p: int) -> Conditional:
+        """The same of the first p coefficients, where those after them have a prior of no width."""
+        if p == len(self.u):
+            return self
+        args = self.shift[:p], self.sd[:p], self.chol[:p, :p], self.u[:p], self.z[:p]
+        return Conditional(self.log_marginal, *args, self.rest, self.squares)
+
+    @cached_property
+    def root_of_z(self) -> Float[np.ndarray, "p p"]:
+        """L⁻ᵀ, a square root of the covariance of z."""
+        return dtrtri(self.chol, lower=1)[0].T if len(self.u) else self.chol
 
     @property
-    def covariance(self) -> Float[Array, "p p"]:
-        columns = jax.vmap(self.factor.back, out_axes=1)(jnp.eye(self.u.size))
-        root = self.sd[:, None] * columns
-        return root @ root.T
+    def root(self) -> Float[np.ndarray, "p p"]:
+        """A square root of the covariance of x."""
+        return self.sd[:, None] * self.root_of_z
 
+    @property
+    def variance_of_z(self) -> Float[np.ndarray, "p"]:
+        return np.einsum("ij,ij->i", self.root_of_z, self.root_of_z)
 
-def prior_of(layout: Layout, hyper: composition.Values, flat: Float[Array, "p"]) -> Prior:
-    return Prior(
-        composition.prior_mean(layout),
-        composition.prior_sd(layout, hyper, flat),
-        composition.prior_weight(layout),
-    )
+    @property
+    def covariance(self) -> Float[np.ndarray, "p p"]:
+        return self.root @ self.root.T
 
 
 def condition(
-    gram: Gram, size: int | Float[Array, ""], prior: Prior, at: Float[Array, "p"]
-) -> Conditional:
-    """Integrate x out.
+    gram: Gram, size: int, prior: Prior, at: Float[np.ndarray, "p"]
+) -> Conditional | None:
+    """Integrate x out; None where the precision has no Cholesky factor, or the sum of squares no digits.
 
     Args:
         gram: weighted products of J and r.
@@ -105,185 +108,124 @@ def condition(
         prior: prior of x.
         at: x̂, where r was taken.
     """
-    offset = jnp.where(prior.weight > 0, prior.mean - at, 0.0)
-    pulled = gram.jtj @ offset
-    jtr = gram.jtr - pulled
-    rtr = gram.rtr - offset @ (2 * gram.jtr - pulled)
-    if isinstance(gram.jtj, block_elimination.ArrowMatrix):
-        factor = block_elimination.factor(gram.jtj, prior.sd, prior.weight)
-    else:
-        precision = prior.sd[:, None] * gram.jtj * prior.sd + jnp.diag(prior.weight)
-        factor = DenseFactor(jnp.linalg.cholesky(precision))
-    u = factor.forward(prior.sd * jtr)
-    rest = rtr - u @ u
-    flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
-    log_marginal = flat_volume - 0.5 * (
-        size * jnp.log(2 * jnp.pi) + gram.logdet + 2 * factor.log_diagonal + rest
-    )
-    # A sum of squares that came out negative has no digits left (noise far below any residual): no density there.
-    log_marginal = jnp.where(rest > 0, log_marginal, -jnp.inf)
-    return Conditional(
-        log_marginal=log_marginal, shift=at + offset, sd=prior.sd, factor=factor, u=u
-    )
+    sd, weight = prior.sd, prior.weight
+    offset = weight * (prior.mean - at)
+    p = len(sd)
+    if not p:
+        log_marginal = -0.5 * (size * LOG_2PI + gram.logdet + gram.rtr)
+        nothing = np.zeros((0, 0))
+        return Conditional(log_marginal, at, sd, nothing, sd, sd, gram.rtr, gram.rtr)
+    pulled = sd * (gram.jtr - gram.jtj @ offset)
+    precision = sd[:, None] * gram.jtj * sd
+    precision.flat[:: p + 1] += weight
+    chol, failed = dpotrf(precision.T, lower=1, clean=1, overwrite_a=1)
+    if failed:
+        return None
+    u = dtrtrs(chol, pulled, lower=1)[0]
+    z = dtrtrs(chol, u, lower=1, trans=1)[0]
+    move = offset + sd * z
+    squares = gram.rtr - move @ (2 * gram.jtr - gram.jtj @ move)
+    rest = squares + weight @ (z * z)
+    if not rest > 0:  # no digits left: noise far below any residual
+        return None
+    volume = gram.logdet + 2 * float(np.log(chol.diagonal()).sum())
+    flat = 0.0 if weight.all() else float(prior.flat_volume)
+    log_marginal = flat - 0.5 * (size * LOG_2PI + volume + rest)
+    if not math.isfinite(log_marginal):
+        return None
+    return Conditional(log_marginal, at + offset, sd, chol, u, z, rest, squares)
 
 
-def condition_white(
-    jacobian: Float[Array, "n p"],
-    residual: Float[Array, "n"],
-    logdet: Float[Array, ""],
-    prior: Prior,
-    at: Float[Array, "p"],
-) -> Conditional:
-    """`condition` from whitened J and r by QR: without JᵀJ, no condition number is squared.
+class Drawn(NamedTuple):
+    """Coefficients drawn given each of several φ, and the log density of the readings given φ.
 
-    A direction that neither readings nor priors determine makes everything NaN.
+    Attributes:
+        log_marginal: −∞ where there is none.
+        x: drawn.
+        squares: of x from its prior mean, in standard deviations of its prior, where that is proper.
+        log_volume: of the map from standard normal numbers to x, proper coefficients in units of their prior's standard
+            deviation: so a standard deviation of zero is not asked for.
+    """
+
+    log_marginal: Float[np.ndarray, "b"]
+    x: Float[np.ndarray, "b p"]
+    squares: Float[np.ndarray, "b"]
+    log_volume: Float[np.ndarray, "b"]
+
+    def of(self, some: np.ndarray) -> Drawn:
+        """Those of some φ."""
+        return Drawn(*(a[some] for a in self))
+
+
+def draw(
+    grams: Gram, size: int, prior: Prior, at: Float[np.ndarray, "p"], normal: np.ndarray
+) -> Drawn:
+    """`condition` of many φ side by side, and the x that standard normal numbers stand for.
 
     Args:
-        jacobian, residual: whitened.
-        logdet: log |Σ| of the readings.
-        prior: prior of x.
-        at: x̂, where r was taken.
+        grams: of several φ (b, …).
+        size: number of readings.
+        prior: of x, its standard deviations (b, p).
+        at: x̂ (p,), where r was taken.
+        normal: (b, p).
     """
-    size = prior.sd.size
-    offset = jnp.where(prior.weight > 0, prior.mean - at, 0.0)
-    own = jnp.column_stack([jacobian * prior.sd, residual - jacobian @ offset])
-    table = jnp.concatenate([own, jnp.eye(size, size + 1) * prior.weight[:, None]])
-    upper = triangle(table)
-    upper = upper * jnp.where(jnp.diag(upper) < 0, -1.0, 1.0)[:, None]
-    root, u, rest = upper[:size, :size], upper[:size, size], upper[size, size]
-    scale = jnp.sqrt(jnp.sum(root**2, axis=0))
-    determined = jnp.all(jnp.diag(root) > 1e-14 * scale)
-    root = jnp.where(determined, root, jnp.nan)
-    flat_volume = jnp.sum((1 - prior.weight) * (jnp.log(prior.sd) + 0.5 * jnp.log(2 * jnp.pi)))
-    volume = logdet + 2 * jnp.sum(jnp.log(jnp.diag(root)))
-    log_marginal = flat_volume - 0.5 * (len(residual) * jnp.log(2 * jnp.pi) + volume + rest**2)
-    return Conditional(
-        log_marginal=log_marginal, shift=at + offset, sd=prior.sd, factor=DenseFactor(root.T), u=u
+    sd, weight = prior.sd, prior.weight
+    offset = weight * (prior.mean - at)
+    pulled = sd * (grams.jtr - grams.jtj @ offset)
+    precision = sd[:, :, None] * grams.jtj * sd[:, None, :]
+    diagonal = np.arange(len(at))
+    precision[:, diagonal, diagonal] += weight
+    chol = _factors(precision)
+    mean = _solve_upper(chol, _solve_lower(chol, pulled))
+    move = offset + sd * mean
+    across = np.einsum("bij,bj->bi", grams.jtj, move)
+    rest = grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1) + mean**2 @ weight
+    halves = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
+    flat = np.broadcast_to(prior.flat_volume, len(sd))
+    log_marginal = flat - 0.5 * (size * LOG_2PI + grams.logdet + 2 * halves + rest)
+    z = mean + _solve_upper(chol, normal)
+    log_sd = np.sum(np.log(np.where(weight > 0, 1.0, sd)), axis=1)
+    return Drawn(
+        np.where(np.isfinite(log_marginal) & (rest > 0), log_marginal, -np.inf),
+        at + offset + sd * z,
+        z**2 @ weight,
+        log_sd - halves,
     )
 
 
-def whitener(
-    layout: Layout, frame: Frame, table: Float[Array, "n m"], extra: Float[Array, "n"]
-) -> Callable[[composition.Values], tuple[Float[Array, "k m"], Float[Array, ""]]]:
-    """A function of φ's values: rows with the products of the whitened table, and log|Σ| for `condition_white`.
-
-    Where one variance holds for all readings it needs the table once, and its triangle stands for it.
-
-    Args:
-        table: J and r beside each other.
-        extra: variance that the per-reading coefficients add.
-    """
-    noise = layout.model.noise
-    if layout.row_blocks or not noise.constant(frame):
-        return lambda hyper: noise.whiten(table, extra, hyper, frame)
-    upper = triangle(table)
-    lost = frame.size - len(
-        upper
-    )  # readings without a row of their own, which are counted all the same
-
-    def scaled(hyper: composition.Values) -> tuple[Float[Array, "k m"], Float[Array, ""]]:
-        variance = noise.shared_variance(hyper, frame)
-        volume = frame.size * jnp.log(variance) + lost * jnp.log(2 * jnp.pi)
-        return upper / jnp.sqrt(variance), volume
-
-    return scaled
+def _factors(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]:
+    """Lower factors; NaN where there is none."""
+    try:
+        return np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        pass
+    found = np.full_like(matrices, np.nan)
+    for one, into in zip(matrices, found, strict=True):
+        chol, failed = dpotrf(one, lower=1, clean=1)
+        if not failed:
+            into[...] = chol
+    return found
 
 
-def gram_function(layout: Layout, frame: Frame, y: Float[Array, "n"], point: Point):
-    """A function of φ that gives the weighted products of the readings linearised at `point`.
-
-    Where one variance holds for all readings, the products are computed once; where J moves with a few promoted
-    coefficients, at a few values of each, with Chebyshev polynomials between them (the draws' weights hold for the
-    products that they were made with, so that this costs no exactness).
-    """
-    noise, split = layout.model.noise, block_elimination.arrow_of(layout)
-
-    def shaped(gram: Gram) -> Gram:
-        return gram if split is None else gram._replace(jtj=block_elimination.cut(split, gram.jtj))
-
-    def products(hyper: composition.Values, white: bool) -> Gram:
-        line = composition.linearise(layout, frame, point.x, point.rows, hyper)
-        r = y - line.mean + jnp.sum(line.rows * point.rows, axis=1)
-        if not white:
-            return shaped(noise.gram(line.jacobian, r, row_variance(layout, line), hyper, frame))
-        j = line.jacobian
-        return shaped(Gram(j.T @ j, j.T @ r, r @ r, jnp.zeros(())))
-
-    moving = layout.moving
-    once = not layout.row_blocks and noise.constant(frame)
-    if not once or not _interpolates(layout, moving):
-        return lambda hyper, v: products(hyper, white=False)
-    places = jnp.asarray(_nodes(len(moving)))
-    at = jnp.zeros((len(places), len(layout.hypers))).at[:, jnp.asarray(moving, int)].set(places)
-    grams = jax.lax.map(lambda v: products(composition.hyper_values(layout, v), white=True), at)
-
-    def between(hyper: composition.Values, v: Float[Array, "d"]) -> Gram:
-        share = _shares(v[jnp.asarray(moving, int)])
-        variance = noise.shared_variance(hyper, frame)
-        made = jax.tree.map(lambda g: jnp.tensordot(share, g, 1) / variance, grams)
-        return made._replace(logdet=frame.size * jnp.log(variance))
-
-    return between
+def _solve_lower(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
+    """L⁻¹ times vectors."""
+    z = np.empty_like(right)
+    for i in range(right.shape[1]):
+        known = np.einsum("bj,bj->b", chol[:, i, :i], z[:, :i])
+        z[:, i] = (right[:, i] - known) / chol[:, i, i]
+    return z
 
 
-def _interpolates(layout: Layout, moving: list[int]) -> bool:
-    """Whether J moves with nothing but one or two promoted coefficients of proper prior."""
-    hypers = [layout.hypers[i] for i in moving]
-    return len(hypers) <= MOST_BETWEEN and all(
-        h.kind == "promoted" and isinstance(h.prior, Normal) for h in hypers
-    )
+def _solve_upper(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
+    """L⁻ᵀ times vectors."""
+    z = np.empty_like(right)
+    for i in reversed(range(right.shape[1])):
+        known = np.einsum("bj,bj->b", chol[:, i + 1 :, i], z[:, i + 1 :])
+        z[:, i] = (right[:, i] - known) / chol[:, i, i]
+    return z
 
 
-def _nodes(count: int) -> np.ndarray:
-    """Values of the promoted coefficients' coordinates, (nodes, count), where products are computed."""
-    angles = (np.arange(NODES) + 0.5) * np.pi / NODES
-    return np.array(list(itertools.product(REACH * np.cos(angles), repeat=count)))
-
-
-def _shares(v: Float[Array, "m"]) -> Float[Array, "nodes"]:
-    """Weight of each node's products at these coordinates (Lagrange's polynomials on Chebyshev's points)."""
-    line = _nodes(1)[:, 0]
-    share = jnp.ones(1)
-    for one in v:
-        apart = [
-            jnp.prod((one - np.delete(line, i)) / (x - np.delete(line, i)))
-            for i, x in enumerate(line)
-        ]
-        share = (share[:, None] * jnp.stack(apart)).reshape(-1)
-    return share
-
-
-def row_variance(layout: Layout, line: composition.Linearised) -> Float[Array, "n"]:
-    """Variance that the per-reading coefficients add to each reading."""
-    return jnp.sum((line.rows * composition.row_sd(layout)) ** 2, axis=1)
-
-
-def draw_rows(
-    layout: Layout,
-    line: composition.Linearised,
-    residual: Float[Array, "n"],
-    variance: Float[Array, "n"],
-    normal: Float[Array, "n k"],
-) -> tuple[Float[Array, "n k"], Float[Array, ""]]:
-    """Per-reading coefficients given all else, reading by reading.
-
-    Args:
-        residual: y − μ with the per-reading coefficients at zero.
-        variance: of the noise alone.
-        normal: standard normal numbers (zeros give the mean).
-
-    Returns:
-        The coefficients, and the log volume of the map from `normal` to them.
-    """
-    precision = line.rows[:, :, None] * line.rows[:, None, :] / variance[:, None, None]
-    precision = precision + jnp.diag(1 / composition.row_sd(layout) ** 2)
-    chol = jnp.linalg.cholesky(precision)
-    pull = line.rows * (residual / variance)[:, None]
-
-    def solve(root, b, e):
-        return solve_triangular(
-            root, solve_triangular(root, b, lower=True) + e, lower=True, trans=1
-        )
-
-    volume = -jnp.sum(jnp.log(jnp.diagonal(chol, axis1=1, axis2=2)))
-    return jax.vmap(solve)(chol, pull, normal), volume
+def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
+    """A scale for coefficients with a flat prior: the change that moves the output by one unit."""
+    norm = np.sqrt(np.mean(jacobian**2, axis=0))
+    return np.where(norm > 0, 1 / np.where(norm > 0, norm, 1.0), 1.0)

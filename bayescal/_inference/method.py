@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from bayescal._inference import checkpoint
-from bayescal._inference.gaussian import Point
-from bayescal._inference.laplace import Mode
-from bayescal._model.correlated_noise import OrnsteinUhlenbeck
+from bayescal._inference.mode import Mode
 from bayescal._model.frame import Frame
-from bayescal._model.noise_laws import Heteroscedastic, StudentT, White
 from bayescal._model.parameters import Layout
 
 CHAINS = 4  # that draws are dealt into, so that what reads chains can read independent draws too
-MODE = Mode._make([Point._make((0, 0)), *range(7)])  # for its structure alone
 
 
 @dataclass(frozen=True)
@@ -87,14 +80,6 @@ class Draws:
     stats: dict[str, np.ndarray] = field(default_factory=dict)
 
 
-def by_engine(layout: Layout) -> bool:
-    """Whether the noise is of a law that the engine whitens by; any other is traced with its structure."""
-    law = type(layout.model.noise)
-    return law in (White, OrnsteinUhlenbeck, Heteroscedastic) or (
-        law is StudentT and not layout.row_blocks
-    )
-
-
 def by_chain(values: ArrayLike) -> np.ndarray:
     """Draws, as many as make `CHAINS` equal parts, as (chains, draws, …)."""
     values = np.asarray(values)
@@ -120,42 +105,3 @@ class Method(eqx.Module):
     @abc.abstractmethod
     def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
         """Fit. Never raises for lack of convergence: the verdict says it."""
-
-
-def kept_outcome(layout: Layout, run: Callable[[], Outcome]) -> Outcome:
-    """What a method hands back, from the fit's checkpoint where the method had ended."""
-    store = checkpoint.current()
-    if store is None:
-        return run()
-    if "outcome" not in store.notes:
-        _keep(store, run())
-    told = store.notes["outcome"]
-    names = told["stats"]
-    like = (0, 0, 0, dict.fromkeys(names, 0), MODE)
-    x, rows, v, stats, mode = jax.tree.map(
-        np.asarray, checkpoint.filled(like, store.arrays["outcome"])
-    )
-    evidence = told["log_evidence"]
-    return Outcome(
-        layout=Layout(layout.model, layout.counts, tuple(told["promoted"])),
-        draws=Draws(x, rows, v, stats),
-        mode=mode,
-        verdict=Verdict.read(told["verdict"]),
-        log_evidence=None if evidence is None else (evidence[0], evidence[1]),
-    )
-
-
-def _keep(store: checkpoint.Checkpoint, made: Outcome) -> None:
-    """Write an outcome in place of the pieces that led to it."""
-    store.drop(*{*store.arrays, *store.notes})
-    draws = made.draws
-    store.arrays["outcome"] = checkpoint.leaves_of(
-        (draws.x, draws.rows, draws.v, draws.stats, made.mode)
-    )
-    store.notes["outcome"] = {
-        "promoted": made.layout.promoted,
-        "stats": sorted(draws.stats),
-        "verdict": asdict(made.verdict),
-        "log_evidence": made.log_evidence,
-    }
-    store.write()

@@ -10,12 +10,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayescal._core import deadline
 from bayescal._core.progress import stage
-from bayescal._inference import laplace, nuts_chains, trust
+from bayescal._data.measurements import Measurements
+from bayescal._inference import nuts_chains, trust
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.linear_model import sized
+from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
+from bayescal._inference.mode import find_mode
+from bayescal._inference.record import Record
 from bayescal._model import forward
-from bayescal._model.frame import Frame
-from bayescal._model.parameters import Layout
+from bayescal._model.frame import Frame, build_frame, reference_of
+from bayescal._model.model import Model
+from bayescal._model.parameters import Layout, bind
 from bayescal._model.prior import (
     FlatLine,
     HalfCauchy,
@@ -44,6 +52,9 @@ class NUTS(Method):
 
     def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
         layout = Layout(layout.model, layout.counts)
+        assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
+        mode = find_mode(assembly)
+        deadline.offer(lambda why: Marginal().about_the_mode(assembly, mode, seed, (), why))
         found, sites = sampled(
             program(layout, frame),
             (y,),
@@ -54,7 +65,6 @@ class NUTS(Method):
             seed=seed,
         )
         x, rows, v = (np.asarray(sites[k]) for k in ("x", "rows", "v"))
-        mode = jax.tree.map(np.asarray, laplace.compiled_mode(layout, frame, y))
         joint = np.concatenate([x, v], axis=2)
         ran = nuts_chains.Chains(jnp.asarray(joint), found.divergences, found.steps)
         return Outcome(
@@ -117,6 +127,20 @@ def law_of(prior: Normal | FlatLine | Positive) -> Any:
     return dist.ImproperUniform(
         dist.constraints.real if real else dist.constraints.positive, (), ()
     )
+
+
+def numpyro_program(model: Model, readings: Measurements) -> Callable[[Array], None]:
+    """A model on its readings as a NumPyro program of the output, to take further with NumPyro.
+
+    Its sites are every unknown by name in its reported unit, group coefficients as `name.standard` in units of their
+    between-group standard deviation; `numpyro.infer.MCMC(NUTS(program)).run(key, readings["output"])` samples it.
+
+    Raises:
+        ModelError: readings lack a column, or have too few rows for the coefficients with a flat prior.
+    """
+    model.require(readings)
+    frame = build_frame(readings, reference_of(readings))
+    return program(bind(sized(model, readings, frame), readings)[0], frame)
 
 
 def program(layout: Layout, frame: Frame) -> Callable:

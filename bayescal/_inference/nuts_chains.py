@@ -1,11 +1,12 @@
 """NUTS on a log density, by NumPyro: the fallback where importance weights fail, and the exact method.
 
-Two densities are sampled: φ alone with x integrated out, and (φ, z) with x = x̂(φ) + L(φ)⁻ᵀz whitened, which
-is exact for any likelihood and still well conditioned.
+(φ, z) are sampled with x = x̂(φ) + L(φ)⁻ᵀz whitened, which is exact for any likelihood and still well conditioned.
 """
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,15 +14,22 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
+from bayescal._core import deadline
+from bayescal._core.errors import TimeIsUp
 from bayescal._core.jit import ALWAYS, known
-from bayescal._inference import checkpoint, gaussian, laplace
+from bayescal._inference import checkpoint
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.density import Density
+from bayescal._inference.mode import Mode
 from bayescal._model import forward
-from bayescal._model.frame import Frame
-from bayescal._model.parameters import Layout
 
-BLOCK = 100  # iterations between which a run can be stopped and taken up again
+BLOCK = 100  # iterations between which a run can be stopped and taken up again, at most,
+PIECE = 0.1  # s that they may take, so that a deadline is met and Ctrl-C heard
+FEWEST_STEPS = 7  # of an iteration, by which its cost is judged too low rather than too high: a tree of depth three
+PATIENCE = 300.0  # s that chains get that nobody asked for, where there is no time limit
 
 
 class Chains(NamedTuple):
@@ -84,10 +92,10 @@ def iterate(
     chains: int,
     name: str,
 ) -> Iterated:
-    """Run a NumPyro kernel, all chains side by side, in blocks of `BLOCK` iterations.
+    """Run a NumPyro kernel, all chains side by side, in pieces of a few iterations.
 
-    Where the fit keeps a checkpoint, the sampler's state is kept with the draws after each block. The blocks are
-    the same with a checkpoint and without one, hence the draws too.
+    Where the fit keeps a checkpoint, the sampler's state is kept with the draws after each piece. The draws do not
+    depend on where one ends. Chains that have no time to end are not begun, as far as the first iteration can tell.
 
     Args:
         kernel: of NumPyro.
@@ -96,33 +104,54 @@ def iterate(
         begin: first point of each chain; None where the kernel finds it.
         warmup, draws, chains: how many.
         name: of these chains, in the checkpoint.
+
+    Raises:
+        TimeIsUp: the deadline came first, or surely would.
     """
+    end = deadline.current()
+    end.ask()
     state = kernel.init(
         jax.random.split(key, chains), warmup, begin, model_args=arguments, model_kwargs={}
     )
-    block = _block_of(kernel, arguments)
     found = jax.tree.map(lambda a: np.zeros((draws, *a.shape), a.dtype), _kept(state))
     store, done = checkpoint.current(), 0
     if store is not None and name in store.arrays:
         done = int(store.notes[name])
         state, found = checkpoint.filled((state, found), store.arrays[name])
         found = jax.tree.map(np.array, found)  # arrays that can be written to
-    while done < warmup + draws:
-        # A block ends where warm-up does.
-        count = min(BLOCK, (warmup if done < warmup else warmup + draws) - done)
-        state, kept = block(state, count)
+    count, begun, all_of_them = 1, done, warmup + draws
+    if done < all_of_them:
+        block = _block_of(kernel, arguments)
+        state, _ = block(state, 0)  # compiles, which is no part of what an iteration costs
+    while done < all_of_them:
+        end.ask()
+        # A piece ends where warm-up does.
+        count = min(count, (warmup if done < warmup else all_of_them) - done)
+        since = time.monotonic()
+        state, kept = jax.block_until_ready(block(state, count))
+        took = (time.monotonic() - since) / count
+        if done == begun:
+            steps = max(1.0, float(np.mean(np.max(np.atleast_2d(kept[2])[:count], axis=-1))))
+            least = took * min(1.0, FEWEST_STEPS / steps) * (all_of_them - done)
+            if least > end.left:
+                raise TimeIsUp(f"{end.why}, where chains take {_duration(least)} or more")
         if done >= warmup:
             place = slice(done - warmup, done - warmup + count)
             for all_of_it, new in zip(jax.tree.leaves(found), jax.tree.leaves(kept), strict=True):
                 all_of_it[place] = np.asarray(new)[:count]
         done += count
+        count = max(1, min(BLOCK, math.ceil(PIECE / max(took, 1e-9))))
         if store is not None:
             store.notes[name] = done
             store.arrays[name] = checkpoint.leaves_of((state, found))
-            store.write_now_and_then()
+            store.write() if done == all_of_them else store.write_now_and_then()
     z, diverging, steps = found
     by_chain = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
     return Iterated(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} minutes"
 
 
 def _kept(state: Any) -> tuple:
@@ -147,35 +176,45 @@ def _block_of(kernel: Any, arguments: tuple) -> Callable:
     return block
 
 
-def whitened(layout: Layout, frame: Frame, y: Array, mode: laplace.Mode):
-    """The exact log density of (v, z, e), and the map from them to (x, rows, v)."""
-    density = laplace.density_of_phi(layout, frame, y, mode.point, mode.flat)
-    d, p = len(layout.hypers), layout.size
-    noise, shape = layout.model.noise, mode.point.rows.shape
+def whitened(assembly: Assembly, mode: Mode):
+    """The exact log density of (v, z, e), and the map from them to (x, rows, v).
+
+    z is x in units of its linearised posterior, by the products at the mode and φ's own prior and noise; e are the
+    per-reading coefficients in units of their priors. Any such map is exact.
+    """
+    layout, record = assembly.layout, assembly.record
+    frame = jax.tree.map(jnp.asarray, record.frame)
+    y, row_sd = jnp.asarray(record.y), jnp.asarray(assembly.row_sd)
+    d, p, shape = len(layout.hypers), layout.size, mode.point.rows.shape
+    density, there = Density(assembly, mode.point, mode.flat, mode.v), assembly.hyper(mode.v)
+    gram, prior = density.gram(mode.v, there), assembly.prior(there, mode.flat)
+    pull = gram.jtr - gram.jtj @ (prior.weight * (prior.mean - mode.point.x))
+    middle = jnp.asarray(np.where(prior.weight > 0, prior.mean, mode.point.x))
+    amplitude = next(iter(assembly.noise.amplitudes), None)
+
+    def place(v, z):
+        hyper = forward.hyper_values(layout, v)
+        sd = forward.prior_sd(layout, hyper, jnp.asarray(mode.flat))
+        larger = 1.0 if amplitude is None else (hyper[amplitude] / there[amplitude]) ** 2
+        precision = sd[:, None] * gram.jtj * sd / larger + jnp.diag(prior.weight)
+        chol = jnp.linalg.cholesky(precision)
+        u = solve_triangular(chol, sd * pull / larger, lower=True)
+        volume = jnp.sum(jnp.log(sd)) - jnp.sum(jnp.log(jnp.diagonal(chol)))
+        return middle + sd * solve_triangular(chol, u + z, lower=True, trans=1), volume
 
     def unpack(q: Float[Array, "dim"]):
         v, z, e = q[:d], q[d : d + p], q[d + p :].reshape(shape)
-        hyper = forward.hyper_values(layout, v)
-        found = density(v)[1]
-        x = found.place(z)
-        log_jacobian = found.log_jacobian
-        rows = mode.point.rows
-        if layout.row_blocks:
-            line = forward.linearise(layout, frame, mode.point.x, mode.point.rows, hyper)
-            back = jnp.sum(line.rows * mode.point.rows, axis=1)
-            rest = y - line.mean - line.jacobian @ (x - mode.point.x) + back
-            variance = noise.variance(hyper, frame)
-            rows, volume = gaussian.draw_rows(layout, line, rest, variance, e)
-            log_jacobian = log_jacobian + volume
-        return x, rows, v, hyper, log_jacobian
+        x, log_jacobian = place(v, z)
+        return x, row_sd * e, v, log_jacobian
 
     def log_density(q: Float[Array, "dim"]) -> Float[Array, ""]:
-        x, rows, v, hyper, log_jacobian = unpack(q)
+        x, rows, v, log_jacobian = unpack(q)
+        hyper = forward.hyper_values(layout, v)
         likelihood = jnp.sum(forward.log_likelihood(layout, frame, y, x, rows, hyper))
         prior = forward.log_prior_x(layout, x, rows, hyper)
         return likelihood + prior + forward.hyper_log_prior(layout, v) + log_jacobian
 
     dim = d + p + int(np.prod(shape))
-    start = jnp.concatenate([mode.v, jnp.zeros(dim - d)])
+    start = jnp.zeros(dim).at[:d].set(mode.v)
     covariance = jnp.eye(dim).at[:d, :d].set(mode.covariance)
     return log_density, unpack, start, covariance

@@ -13,11 +13,11 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import ModelError
-from bayescal._engine.assembly import Assembly, Point
-from bayescal._engine.closed_form import Density
-from bayescal._engine.joint import expected
-from bayescal._engine.mode import Mode, find_mode
-from bayescal._engine.record import Record
+from bayescal._inference.assembly import Assembly, Point
+from bayescal._inference.density import Density
+from bayescal._inference.joint import expected
+from bayescal._inference.mode import Mode, find_mode
+from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import CoefficientBlock, Layout
 

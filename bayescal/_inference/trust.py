@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.importance_weights import effective_size
-from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Verdict
+from bayescal._inference.mode import Mode
 from bayescal._inference.nuts_chains import Chains
 
 K_HAT = 0.7  # above it, importance weights are not reliable (Vehtari et al. 2024)
@@ -21,7 +21,8 @@ K_HAT = 0.7  # above it, importance weights are not reliable (Vehtari et al. 202
 # have; k̂ then shows too little: at 0.6 to 0.7, standard deviations came out up to a third too small, below 0.5 right.
 K_HAT_NONLINEAR = 0.5
 NONLINEAR = 0.3  # standard deviation of the log weights by nonlinearity, from which on that counts
-ENOUGH = 400  # effective draws, below which chains are run instead
+ENOUGH = 400  # effective draws, below which more are made,
+FEWEST = 100  # and which will do where there is no time for more: a standard deviation is then known to 7 %
 R_HAT = 1.02  # of chains that agree
 ENOUGH_OF_CHAINS = 200  # effective draws
 DIVERGENT = 0.005  # share of the transitions, up to which a corner of the posterior is none
@@ -56,12 +57,16 @@ def largest_k_hat(correction: Float[np.ndarray, "s"], weights: Float[np.ndarray,
 
 
 def weights_verdict(
-    weights: Float[np.ndarray, "s"], k_hat: float, notes: tuple[str, ...], mode: Mode | None = None
+    weights: Float[np.ndarray, "s"],
+    k_hat: float,
+    notes: tuple[str, ...],
+    mode: Mode | None = None,
+    reasons: tuple[str, ...] = (),
 ) -> Verdict:
-    """Of importance weights that are even enough, by the mode that they were proposed around."""
-    reasons = ()
+    """Of importance weights that are even enough but for `reasons`, by the mode that they were proposed around."""
     if mode is not None and not mode.change <= MOVING:
         reasons = (
+            *reasons,
             f"The mode was still moving by {float(mode.change):.2g} standard deviations "
             "when the optimiser stopped.",
         )

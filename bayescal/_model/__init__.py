@@ -1,4 +1,1 @@
-"""What a model is: priors, coefficients, effects, noise laws, instruments, and their one composition.
-
-Imports `_core`, `_readings` and `_recording`.
-"""
+"""What a model is: priors, coefficients, effects, noise laws, instruments, and their one composition."""

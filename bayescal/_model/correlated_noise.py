@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+from scipy.linalg.lapack import dpttrf, dpttrs  # pyright: ignore[reportAttributeAccessIssue]
 
+from bayescal._data import unit_conversion
 from bayescal._model.frame import Frame
-from bayescal._model.noise_laws import LOG_2PI, Noise, Parameters, White, known_variance
+from bayescal._model.noise_law import WHITE, Noise, Parameters, known_variance, offered
 from bayescal._model.prior import HalfCauchy, LogUniform, Positive, multiplied
 
 DIFFUSION, CORRELATION_TIME = "noise.diffusion", "noise.correlated.time"
-
-
-def correlated_size(parameters: Mapping[str, Any]) -> Float[Array, "..."]:
-    """σ = q·√(τ/2), the stationary standard deviation of correlated noise, output unit."""
-    return parameters[DIFFUSION] * jnp.sqrt(0.5 * parameters[CORRELATION_TIME])
+SHORT = 1e-5  # correlation times, below which correlated noise is a random walk to as many digits
 
 
 class OrnsteinUhlenbeck(Noise):
@@ -27,7 +25,7 @@ class OrnsteinUhlenbeck(Noise):
 
     The correlated part has the covariance (q²·τ/2)·exp(−|Δt|/τ) within a run; runs are independent. Readings close
     together against the time τ know only the diffusion q, the coefficient of the random walk (IEEE 952: rate random
-    walk); hence τ is bounded. Solves are linear in the readings (tinygp's quasi-separable solver).
+    walk); hence τ is bounded. Readings are whitened by the Kalman filter, in time linear in their number.
 
     Attributes:
         shortest, longest: bounds of the correlation time, s, its logarithm uniform between; see `over_record`.
@@ -41,11 +39,13 @@ class OrnsteinUhlenbeck(Noise):
     correlated: Positive = HalfCauchy(1.0)
     gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "ornstein_uhlenbeck"
+    words: ClassVar[str] = "Ornstein–Uhlenbeck"
+    looks_like: ClassVar[str] = "noise that is correlated in time"
     independent: ClassVar[bool] = False
 
     @property
-    def in_words(self) -> str:
-        return "Ornstein–Uhlenbeck"
+    def plain(self) -> Noise:
+        return OrnsteinUhlenbeck(1.0, 2.0)
 
     def __post_init__(self) -> None:
         if not 0 < self.shortest < self.longest:
@@ -56,56 +56,161 @@ class OrnsteinUhlenbeck(Noise):
     def parameters(self) -> dict[str, Positive]:
         middle = math.sqrt(self.shortest * self.longest)
         return {
-            "noise.white": self.scale,
+            WHITE: self.scale,
             DIFFUSION: multiplied(self.correlated, math.sqrt(2 / middle)),
             CORRELATION_TIME: LogUniform(self.shortest, self.longest),
         }
 
-    def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
-        return (
-            parameters["noise.white"] ** 2
-            + correlated_size(parameters) ** 2
-            + known_variance(frame)
-        )
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        return (WHITE, DIFFUSION)
 
-    def _solver(self, extra: Float[Array, "n"] | float, parameters: Parameters, frame: Frame):
-        """Cholesky factor of the covariance, in the order of time within runs."""
-        from tinygp.kernels.quasisep import Exp  # a second that only correlated noise needs
-        from tinygp.noise import Diagonal
-        from tinygp.solvers import QuasisepSolver
+    def unit(self, name: str, output: str) -> str:
+        if name == CORRELATION_TIME:
+            return "s"
+        spread_in_time = name == DIFFUSION and output != unit_conversion.ANY
+        return f"{output}/s^0.5" if spread_in_time else output
 
-        tau = parameters[CORRELATION_TIME]
-        # Runs follow each other on one axis, so far apart that they share nothing. Readings at one time share it.
-        axis = jnp.cumsum(jnp.where(frame.step < 0, 60.0 * tau, frame.step))
-        white = parameters["noise.white"] ** 2 + known_variance(frame) + extra
-        kernel = Exp(scale=tau, sigma=correlated_size(parameters))
-        return QuasisepSolver(kernel, axis, Diagonal(white[frame.order]), assume_sorted=True)
+    @property
+    def coefficients_in_time(self) -> dict[str, str]:
+        return {DIFFUSION: "K"}
+
+    def slow_variance(self, values: Parameters) -> Any:
+        """σ² = q²·τ/2, the stationary variance of the correlated part."""
+        return 0.5 * values[DIFFUSION] ** 2 * values[CORRELATION_TIME]
+
+    def derived(self, values):
+        return {"noise.correlated": np.sqrt(np.asarray(self.slow_variance(values), float))}
+
+    def fresh_variance(self, values, step):
+        return values[WHITE] ** 2 + step * values[DIFFUSION] ** 2
+
+    def variance(self, parameters, frame):
+        return parameters[WHITE] ** 2 + known_variance(frame) + self.slow_variance(parameters)
 
     def whiten(self, columns, extra, parameters, frame):
-        solver = self._solver(extra, parameters, frame)
-        white = solver.solve_triangular(columns[frame.order])
-        logdet = 2 * jnp.sum(jnp.log(solver.factor.diag.d))
-        return jnp.zeros_like(white).at[frame.order].set(white), logdet
+        """By the Kalman filter: each reading less what those before it in its run say of it.
 
-    def log_density(self, y, mean, parameters, frame):
-        """Of each reading given those before it in its run."""
-        solver = self._solver(0.0, parameters, frame)
-        z = solver.solve_triangular((y - mean)[frame.order])
-        each = -0.5 * z**2 - jnp.log(solver.factor.diag.d) - 0.5 * LOG_2PI
-        return jnp.zeros_like(each).at[frame.order].set(each)
+        With a = exp(−Δt/τ) the differences eₜ = yₜ − aₜ·yₜ₋₁ hold no memory but that of the white part of the reading
+        before, so that their covariance has three diagonals. The filter's variances are its pivots: pₜ of the
+        correlated part given the readings before, sₜ = pₜ + wₜ of the reading, pₜ₊₁ = qₜ₊₁ + a²·pₜ·wₜ/sₜ; and what is
+        new in a reading is zₜ = eₜ + aₜ·wₜ₋₁/sₜ₋₁·zₜ₋₁.
+        """
+        size, tau = self.slow_variance(parameters), parameters[CORRELATION_TIME]
+        white = parameters[WHITE] ** 2 + known_variance(frame) + extra
+        white = jnp.broadcast_to(white, (frame.size,))
+        first = frame.step < 0
+        h = jnp.where(first, 0.0, frame.step) / tau
+        carry = jnp.where(first, 0.0, jnp.exp(-h))
+        fresh = size * jnp.where(first, 1.0, -jnp.expm1(-2 * h))
 
-    def sample(self, key, mean, parameters, frame):
-        solver = self._solver(0.0, parameters, frame)
-        made = solver.dot_triangular(jax.random.normal(key, mean.shape))
-        return mean + jnp.zeros_like(made).at[frame.order].set(made)
+        def ahead(before, reading):
+            a, q, w_before = reading
+            made = q + a * a * before * w_before / (before + w_before)
+            return made, made
+
+        white_before = jnp.concatenate([white[:1], white[:-1]])
+        start = jnp.asarray(size, dtype=float)
+        _, slow = jax.lax.scan(ahead, start, (carry, fresh, white_before), unroll=4)
+        total = slow + white
+        share = jnp.concatenate([jnp.zeros(1), carry[1:] * white[:-1] / total[:-1]])
+        before = jnp.concatenate([jnp.zeros_like(columns[:1]), columns[:-1]])
+
+        def further(last, reading):
+            kept, difference = reading
+            made = difference + kept * last
+            return made, made
+
+        nothing = jnp.zeros(columns.shape[1])
+        _, new = jax.lax.scan(further, nothing, (share, columns - carry[:, None] * before))
+        log_sd = 0.5 * jnp.log(total)
+        return new * jnp.exp(-log_sd)[:, None], log_sd
+
+    def sample(self, key: Array, mean, parameters, frame):
+        of_white, of_slow = jax.random.split(key)
+        tau, first = parameters[CORRELATION_TIME], frame.step < 0
+        h = jnp.where(first, 0.0, frame.step) / tau
+        carry = jnp.where(first, 0.0, jnp.exp(-h))
+        fresh = jnp.where(first, 1.0, jnp.sqrt(-jnp.expm1(-2 * h)))
+        push = (
+            fresh * jnp.sqrt(self.slow_variance(parameters)) * jax.random.normal(of_slow, h.shape)
+        )
+
+        def advance(state, step):
+            state = step[0] * state + step[1]
+            return state, state
+
+        _, states = jax.lax.scan(advance, jnp.zeros(()), (carry, push))
+        own = jnp.sqrt(parameters[WHITE] ** 2 + known_variance(frame))
+        return mean + own * jax.random.normal(of_white, mean.shape) + states
+
+    def allan_variance(self, values, variance, factors, step):
+        """White noise of variance σ² has σ²/m. The correlated part, with ρ = exp(−Δ/τ), a fall E = 1 − ρᵐ and the
+        variance s² = q²·τ/2, has (s²/m)·[(1 + ρ)/(1 − ρ) − ρ·E·(2 + E)/(m·(1 − ρ)²)]: from the variance V of a mean of
+        m readings of such a sequence, as 2·V(m) − 2·V(2m). Over times short against τ it is a random walk,
+        q²·Δ·(2m² + 1)/(6m); IEEE 952 has the limits of continuous averages.
+        """
+        q, time = (np.asarray(values[n], float)[..., None] for n in (DIFFUSION, CORRELATION_TIME))
+        size = np.asarray(self.slow_variance(values), float)[..., None]
+        m, a = factors, step / time
+        rho, fall, gap = np.exp(-a), -np.expm1(-m * a), -np.expm1(-a)
+        stationary = size / m * ((1 + rho) / gap - rho * fall * (2 + fall) / (m * gap**2))
+        walk = q**2 * step * (2 * m**2 + 1) / (6 * m)
+        white = np.maximum(np.asarray(variance)[..., None] - size, 0.0)
+        return white / m + np.where(m * a < SHORT, walk, stationary)
+
+    def slow_part(
+        self,
+        values: Parameters,
+        time: Float[np.ndarray, "n"],
+        left: Float[np.ndarray, "n"],
+        white: Float[np.ndarray, "n"],
+        at: Float[np.ndarray, "m"],
+    ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+        """Its precision over sorted times has three diagonals.
+
+        Source: H. Rue and L. Held, Gaussian Markov Random Fields (2005), ch. 2.
+        """
+        grid = np.union1d(time, at)
+        variance = float(self.slow_variance(values))
+        step = np.diff(grid) / values[CORRELATION_TIME]
+        kept, fresh = np.exp(-step), -np.expm1(-2 * step)
+        diagonal = np.ones(grid.size)
+        diagonal[1:] = 1 / fresh
+        diagonal[:-1] += kept**2 / fresh
+        place, pull, diagonal = (
+            np.searchsorted(grid, time),
+            np.zeros(grid.size),
+            diagonal / variance,
+        )
+        np.add.at(diagonal, place, 1 / white)
+        np.add.at(pull, place, left / white)
+        pivots, below, _ = dpttrf(diagonal, -kept / fresh / variance)
+        mean = dpttrs(pivots, below, pull[:, None])[0][:, 0]
+        spread, beyond = 1 / pivots, 0.0
+        for i in range(grid.size - 1, -1, -1):  # the diagonal of the inverse
+            spread[i] += beyond
+            beyond = below[i - 1] ** 2 * spread[i] if i else 0.0
+        asked = np.searchsorted(grid, at)
+        return mean[asked], spread[asked]
 
 
-def over_record(white: White, step: float, span: float) -> OrnsteinUhlenbeck:
+def over_record(scale: Positive, step: float, span: float) -> OrnsteinUhlenbeck:
     """White noise beside correlated noise whose correlation time the record can tell: from one step to its span.
 
     Args:
-        white: whose prior is kept, for both parts.
+        scale: prior of the standard deviation of either part, output unit.
         step: usual time between neighbours, s.
         span: of the longest run, s.
     """
-    return OrnsteinUhlenbeck(step, max(span, 10 * step), white.scale, white.scale)
+    return OrnsteinUhlenbeck(step, max(span, 10 * step), scale, scale)
+
+
+@offered
+def _within_runs(scale: Positive, frame: Frame) -> list[Noise]:
+    """Where there is time."""
+    steps = np.asarray(frame.step)
+    if not (steps > 0).any():
+        return []
+    span = float(np.max(np.asarray(frame.columns["elapsed"])))
+    return [over_record(scale, float(np.median(steps[steps > 0])), span)]

@@ -17,10 +17,10 @@ from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jit import by_value, importable, written_by_value
+from bayescal._data.measurements import Measurements
 from bayescal._model.frame import Frame
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
 from bayescal._model.static import set_once, static
-from bayescal._readings.measurements import Measurements
 
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
 
@@ -133,7 +133,7 @@ class Effect:
 
         humidity = bc.Effect(
             "bias.humidity", slot="bias", columns=("humidity",),
-            basis=lambda r: r["humidity"] - 50.0,
+            basis=lambda r: r["humidity"] - 0.5,  # a column that no instrument declares, in base units
             coefficients=(bc.Coefficient("deg/s/%", bc.Normal(0, 0.01)),),
             equation="c·(H − 50 %)",
         )
@@ -143,7 +143,8 @@ class Effect:
         slot: the slot of the instrument that it adds to. A slot named after a column corrects that column
             before any other effect sees it (errors in variables).
         basis: function of a `Frame` and, as keywords, of the shapes; one column (n,) or several (n, p),
-            one for each coefficient, in the instrument's fixed units.
+            one for each coefficient. It gets columns in the units that the instrument declares, others in base
+            units; coefficient × basis is in the slot's unit, converted between the units declared.
         coefficients: the unknowns, in the order of the basis columns.
         shapes: unknowns that the basis is not linear in.
         columns: what the readings must have.

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
+from bayescal._model.noise_law import in_time
 from bayescal._model.parameters import CoefficientBlock, Layout
 
 Values = dict[str, Float[Array, "..."]]
@@ -221,8 +222,10 @@ def log_likelihood(
     rows: Float[Array, "n k"],
     hyper: Values,
 ) -> Float[Array, "n"]:
-    """Log density of each reading given every unknown."""
-    return layout.model.noise.log_density(y, mean(layout, frame, x, rows, hyper), hyper, frame)
+    """Log density of each reading given every unknown; in the order of time under correlated noise."""
+    noise = layout.model.noise
+    ordered, y, expected = in_time(noise, frame, y, mean(layout, frame, x, rows, hyper))
+    return noise.log_density(y, expected, hyper, ordered)
 
 
 def log_prior_x(
@@ -259,8 +262,10 @@ def draw_readings(
     layout: Layout, frame: Frame, x: Array, rows: Array, v: Array, key: Array
 ) -> Array:
     """Readings simulated by the model's own equation and noise."""
-    hyper = hyper_values(layout, v)
-    return layout.model.noise.sample(key, mean(layout, frame, x, rows, hyper), hyper, frame)
+    hyper, noise = hyper_values(layout, v), layout.model.noise
+    ordered, expected = in_time(noise, frame, mean(layout, frame, x, rows, hyper))
+    drawn = noise.sample(key, expected, hyper, ordered)
+    return drawn if noise.independent else jnp.zeros_like(drawn).at[frame.order].set(drawn)
 
 
 def effect_slope(

@@ -6,7 +6,7 @@ the mean time, the span, the start of every run): stored at the fit and never re
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -15,9 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from bayescal._core.errors import ModelError
 from bayescal._core.jax_setup import configure_jax
-from bayescal._readings.measurements import Measurements
-from bayescal._recording.time_in_runs import causal_slope, first_times, run_codes, sequence
+from bayescal._data.column import UNCERTAINTY
+from bayescal._data.measurements import Measurements
+from bayescal._data.time_in_runs import causal_slope, first_times, run_codes, sequence
 
 configure_jax()
 
@@ -64,11 +66,30 @@ class Frame(eqx.Module):
         return self.columns[name]
 
     def centred(self, name: str = "temperature") -> Float[Array, "n"]:
-        """A column minus its reference value, such as T − T0, °C."""
+        """A column minus its reference value, such as T − T0, °C.
+
+        Raises:
+            ModelError: it has none, since it is no temperature in °C.
+        """
+        if reference_name(name) not in self.reference:
+            raise ModelError(
+                f"the column {name!r} has no reference value, which columns in [degC] have: declare it in [degC], or "
+                f'subtract a constant of your own: r["{name}"] - 1013.0'
+            )
         return self.columns[name] - self.reference[reference_name(name)]
 
     def has_label(self, name: str, label: str) -> Float[Array, "n"]:
-        """1 where the column of text `name` reads `label`, 0 elsewhere."""
+        """1 where the column of text `name` reads `label`, 0 elsewhere.
+
+        Raises:
+            ModelError: the column is one of numbers, or a group that every instrument has ("run", "device", …).
+        """
+        if name in GROUPS or name in self.columns:
+            what = "is a group" if name in GROUPS else "holds numbers"
+            raise ModelError(
+                f"has_label({name!r}, {label!r}): {name!r} {what}, and only another column of labels can be asked for "
+                f"one. Give the coefficient per={name!r} for one value each, or write the label in a column of its own"
+            )
         return self.labels.get(f"{name}={label}", jnp.zeros(self.size))
 
     def position(self, name: str) -> Float[Array, "n"]:
@@ -133,17 +154,56 @@ class Frame(eqx.Module):
         turned = self._followed(share, jnp.where(first, 0.0, (1.0 - share) * jnp.sign(change)))
         return turned, self._followed(share, jnp.where(first, 1.0, 0.0))
 
+    def only(self, names: Sequence[str]) -> Frame:
+        """The same readings with some of their columns, rates of these and what is known of both; with time, elapsed.
+
+        Each reading's known uncertainty stays.
+        """
+        kept = {*names, UNCERTAINTY} | ({"elapsed"} if "time" in names else set())
+        known = {reference_name(name) for name in kept} | {"time_mean", "time_span"}
+        known |= {
+            f"{n}{rate}_{end}" for n in kept for rate in ("", " rate") for end in ("low", "high")
+        }
+
+        def some(values: Mapping[str, Any], wanted: Collection[str] = kept) -> dict[str, Any]:
+            return {name: value for name, value in values.items() if name in wanted}
+
+        return Frame(
+            columns=some(self.columns),
+            labels={},
+            rates=some(self.rates),
+            codes={},
+            reference=some(self.reference, known),
+            order=self.order,
+            step=self.step,
+            record=some(self.record),
+        )
+
+    def in_time(self) -> Frame:
+        """The same readings in the order of time within runs, in which they then stand."""
+        order, size = self.order, self.size
+
+        def sorted_(values: Any) -> Any:
+            return values[order]
+
+        columns, labels, rates, codes, record = jax.tree.map(
+            sorted_, (self.columns, self.labels, self.rates, self.codes, self.record)
+        )
+        places = (jnp if isinstance(order, jax.Array) else np).arange(size, dtype=order.dtype)
+        return Frame(columns, labels, rates, codes, self.reference, places, self.step, record)
+
     def with_column(self, name: str, values: Float[Array, "n"]) -> Frame:
         """The same readings with one measured column corrected (its rate stays that of the record)."""
         return eqx.tree_at(lambda f: f.columns[name], self, values)
 
 
-def derived(readings: Measurements) -> dict[str, np.ndarray]:
+def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray]:
     """What a dependence can be on: numeric columns but the output, time within the run, rates of temperatures, °C/s.
 
-    A rate is called "temperature rate".
+    A rate is called "temperature rate". Columns that are no causes are left out, unless `every` one is wanted.
     """
-    own = ("output", "output_uncertainty", "temperature_point")
+    own = {"output", "output_uncertainty", "temperature_point"}
+    own |= set() if every else readings.no_causes
     found = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in own}
     if readings.has("time"):
         time, (names, codes) = readings["time"], run_codes(readings)
@@ -168,7 +228,7 @@ def reference_of(readings: Measurements) -> Reference:
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
             found[reference_name(name)] = _round_middle(readings[name])
-    for name, values in derived(readings).items():
+    for name, values in derived(readings, every=True).items():
         found[f"{name}_low"], found[f"{name}_high"] = float(values.min()), float(values.max())
     if readings.has("time"):
         time = readings["time"]

@@ -12,8 +12,8 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
-from bayescal._readings.column import Column, NominalScale
-from bayescal._readings.column_matching import InstrumentLike
+from bayescal._data.column import Column, NominalScale
+from bayescal._data.column_matching import InstrumentLike
 
 if TYPE_CHECKING:
     from bayescal._model.instrument import Instrument

@@ -13,16 +13,22 @@ from typing import TYPE_CHECKING, Any
 
 from jaxtyping import Array, Float
 
-from bayescal._core.errors import ModelError
+import bayescal._model.correlated_noise  # the laws that there are: a search weighs them, files name them
+import bayescal._model.heteroscedastic_noise
+import bayescal._model.quantised_noise
+import bayescal._model.student_t_noise
+import bayescal._model.white_noise  # noqa: F401
+from bayescal._core.errors import InputError, ModelError
 from bayescal._core.jit import importable, written_by_value
-from bayescal._model.effect import Effect
+from bayescal._data.column import Column, NominalScale
+from bayescal._data.measurements import Measurements
+from bayescal._data.unit_conversion import basis_factor
+from bayescal._data.unit_parsing import ANY
+from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import GROUPS, Frame
-from bayescal._model.noise_laws import Noise, White
+from bayescal._model.noise_law import Noise
 from bayescal._model.static import static
-from bayescal._model.unknown_effect import covariate_in, placeholder
-from bayescal._readings.column import Column, NominalScale
-from bayescal._readings.measurements import Measurements
-from bayescal._readings.unit_parsing import ANY
+from bayescal._model.unknown_effect import FREED, covariate_in, freed, placeholder
 
 Slots = Mapping[str, Float[Array, "n"]]
 Columns = Mapping[str, Any]  # arrays by name, as a simulator gives them
@@ -72,6 +78,7 @@ class Instrument:
         effects: of the baseline model.
         candidates: further effects that `discover` considers.
         noise: law of the baseline.
+        noise_laws: further laws that a search weighs, beside those that are offered for any record.
         nominal_scale: how raw outputs (V, Hz) become input units.
         structures: further models to compare, by name, and what makes each.
         simulator: `simulator(effects, seed=…, **options)` gives the columns of a simulated campaign, by name; one
@@ -94,7 +101,8 @@ class Instrument:
     response: Callable[[Slots, Frame], Float[Array, "n"]]
     effects: tuple[Effect, ...]
     candidates: tuple[Effect, ...] = ()
-    noise: Noise = field(default_factory=White)
+    noise: Noise = field(default_factory=Noise.usual)
+    noise_laws: tuple[Noise, ...] = ()
     nominal_scale: NominalScale | None = None
     structures: tuple[tuple[str, Callable[[], Any]], ...] = ()
     simulator: Callable[..., Columns] | None = None
@@ -105,6 +113,23 @@ class Instrument:
     settings: tuple[tuple[str, str | float], ...] = ()
 
     def __post_init__(self) -> None:
+        """Refuse what contradicts itself.
+
+        Raises:
+            ModelError: units of an effect, its slot and its columns that do not agree, a clock in another unit than
+                seconds, a use of slots or columns that are not there.
+        """
+        clock = next((c for c in self.columns if c.name == "time"), None)
+        if clock is not None and clock.unit != "s":
+            raise ModelError(
+                f"instrument {self.name!r}: its column 'time' is in [{clock.unit}]: declare it in [s], which lags and "
+                "times are in (a file may have its time in any unit)"
+            )
+        places = {s.name for s in self.slots}
+        for effect in (*self.effects, *self.candidates):
+            for coefficient in effect.coefficients:
+                if (coefficient.slot or effect.slot) in places:
+                    factor_of(self, effect, coefficient)
         if self.use is None:
             return
         names = [s.name for s in self.slots]
@@ -210,6 +235,8 @@ class Instrument:
                 return effect
         if covariate := covariate_in(name):
             return self.unknown(covariate)
+        if name.endswith(FREED):
+            return freed(self.effect(name.removesuffix(FREED)))
         raise ModelError(
             f"instrument {self.name!r} knows no effect {name!r}; it knows "
             f"{', '.join(e.name for e in (*self.effects, *self.candidates))}. "
@@ -252,6 +279,38 @@ def _again(
     if settings:
         return instrument.tailor(None, **settings)
     return replace(instrument, **more) if more else instrument
+
+
+def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) -> float:
+    """What a coefficient times its basis column is in the slot's unit.
+
+    The coefficient is in its reported unit; the basis is made of columns in the units that the instrument declares, and
+    in base units of columns that it does not.
+
+    Raises:
+        ModelError: these units do not agree.
+    """
+    declared = {c.name: c.unit for c in instrument.columns if c.unit not in (None, ANY)}
+    slot = slot_of(instrument, coefficient.slot or effect.slot)
+    labels = {*GROUPS, "temperature_point", *(c.name for c in instrument.columns)}
+    named = {name: declared[name] for name in effect.columns if name in declared}
+    others = {name: unit for name, unit in declared.items() if name not in (*named, "output")}
+    shapes = tuple(s.unit for s in effect.shapes)
+    try:
+        return basis_factor(
+            coefficient.unit,
+            slot.unit,
+            tuple(sorted({str(u) for u in named.values()})),
+            bool({*effect.columns} - labels - {"time", "elapsed"}),
+            (*shapes, *sorted({str(u) for u in others.values()})),
+        )
+    except InputError as error:
+        columns = ", ".join(f"{name} [{unit}]" for name, unit in named.items()) or "none"
+        raise ModelError(
+            f"effect {effect.name!r}: {error}. Its columns: {columns}. A basis gets each column in the unit that the "
+            "instrument declares, and coefficient × basis is in the unit of the slot: correct the unit of the "
+            f"coefficient or of the column, or name in `columns` all that the basis takes (columns={effect.columns})"
+        ) from None
 
 
 def slot_of(instrument: Instrument, name: str) -> Slot:

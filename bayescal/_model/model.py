@@ -9,15 +9,16 @@ from typing import Any
 
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import Printed, number, table
+from bayescal._data.measurements import Measurements
+from bayescal._data.unit_conversion import unit_label
+from bayescal._data.unit_parsing import ANY
 from bayescal._model.effect import Coefficient, Effect
+from bayescal._model.formula import require_units
 from bayescal._model.frame import GROUPS
-from bayescal._model.instrument import Instrument, slot_of
-from bayescal._model.noise_laws import Noise
+from bayescal._model.instrument import Instrument, factor_of, slot_of
+from bayescal._model.noise_law import Noise
 from bayescal._model.prior import Normal
 from bayescal._model.static import static
-from bayescal._readings.measurements import Measurements
-from bayescal._readings.unit_conversion import unit_label
-from bayescal._readings.unit_parsing import ANY
 
 
 @static
@@ -41,7 +42,8 @@ class Model(Printed):
     def __post_init__(self) -> None:
         for effect in self.effects:
             for coefficient in effect.coefficients:
-                slot_of(self.instrument, coefficient.slot or effect.slot)
+                if slot_of(self.instrument, coefficient.slot or effect.slot).unit != ANY:
+                    factor_of(self.instrument, effect, coefficient)
                 _require_group(self.instrument, effect, coefficient.per)
 
     def __str__(self) -> str:
@@ -212,6 +214,7 @@ class Model(Printed):
                 "model's own instrument, or tailor the instrument to these readings"
             )
         for effect in self.effects:
+            require_units(effect, readings, self.instrument)
             for column in effect.columns:
                 if not readings.has(column):
                     raise ModelError(
@@ -290,9 +293,10 @@ def testable(effect: Effect, readings: Measurements) -> str | None:
         if (values == values[0]).all():
             return f"needs {column} to vary; it is {values[0]:g} throughout"
     for coefficient in effect.coefficients:
+        own = coefficient.per not in (None, "reading", *GROUPS)
+        if own and not readings.has(str(coefficient.per)):
+            return f"needs the column {coefficient.per}"
         if coefficient.spread is not None and coefficient.per is not None:
-            if coefficient.per not in GROUPS and not readings.has(coefficient.per):
-                return f"needs the column {coefficient.per}"
             _, codes = readings.groups(coefficient.per)
             if len(set(codes[codes >= 0].tolist())) < 2:
                 return f"needs more than one {coefficient.per}"

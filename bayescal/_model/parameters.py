@@ -8,7 +8,7 @@ unknown matters. Each entry of φ has a coordinate v on the whole line.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -16,26 +16,15 @@ from typing import Literal
 import jax
 
 from bayescal._core.errors import ModelError
-from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION
+from bayescal._data.measurements import Measurements
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import GROUPS
-from bayescal._model.instrument import slot_of
+from bayescal._model.instrument import factor_of, slot_of
 from bayescal._model.model import Model
-from bayescal._model.noise_laws import CURVATURE, SLOPE
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
-from bayescal._readings import unit_conversion
-from bayescal._readings.measurements import Measurements
 
 HyperKind = Literal["noise", "spread", "shape", "promoted"]
 MOVING: tuple[HyperKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
-_NOISE_UNITS = {
-    "noise.freedom": "1",
-    SLOPE: "1",
-    CURVATURE: "1",
-    CORRELATION_TIME: "s",
-}  # the others: from that of the output
-
-
 Levels = Mapping[str, Sequence[str]]  # the members of each group
 
 
@@ -116,7 +105,7 @@ class Layout:
                     place = "row"
                 elif name in self.promoted:
                     place = "phi"
-                factor = unit_conversion.coefficient_factor(coefficient.unit, slot.unit)
+                factor = factor_of(self.model.instrument, effect, coefficient)
                 blocks.append(
                     CoefficientBlock(
                         effect=effect,
@@ -152,7 +141,7 @@ class Layout:
         unit, fixed = self.model.instrument.unit, dict(self.model.fixed)
         found: list[Hyper] = []
         for name, prior in self.model.noise.parameters().items():
-            found.append(Hyper(name, _noise_unit(name, unit), prior, "noise"))
+            found.append(Hyper(name, self.model.noise.unit(name, unit), prior, "noise"))
         for block in self.blocks:
             if block.coefficient.spread is not None and block.place != "fixed":
                 found.append(
@@ -197,26 +186,29 @@ class Layout:
         )
 
 
-def _noise_unit(name: str, unit: str) -> str:
-    """Of a noise law's unknown, where the output is in `unit`."""
-    if name == DIFFUSION and unit != unit_conversion.ANY:
-        return f"{unit}/s^0.5"
-    return _NOISE_UNITS.get(name, unit)
-
-
 def _promoted_prior(coefficient: Coefficient) -> Normal | FlatLine:
     if coefficient.spread is not None:
         return Normal(0.0, 1.0)  # in units of its learned spread
     return FlatLine(coefficient.size) if coefficient.flat else coefficient.prior  # pyright: ignore
 
 
-def bind(model: Model, readings: Measurements) -> tuple[Layout, dict[str, tuple[str, ...]]]:
+def bind(
+    model: Model, readings: Measurements, more: Iterable[Effect] = ()
+) -> tuple[Layout, dict[str, tuple[str, ...]]]:
     """The model's layout for these readings, and the members of each group.
+
+    Args:
+        model: the model.
+        readings: that it is fitted to.
+        more: effects that may be added to it, whose groups are counted too.
 
     Raises:
         ModelError: fewer readings than flat coefficients, or a group effect without its group.
     """
-    groups = dict.fromkeys((*GROUPS, *model.groups))
+    further = (
+        c.per for effect in more for c in effect.coefficients if c.per not in (None, "reading")
+    )
+    groups = dict.fromkeys((*GROUPS, *model.groups, *map(str, further)))
     there = {group for group in groups if group in GROUPS or readings.has(group)}
     levels = {group: readings.groups(group)[0] if group in there else () for group in groups}
     counts = {**{g: len(names) for g, names in levels.items()}, "reading": len(readings)}

@@ -34,7 +34,8 @@ def _of(v: Any) -> Any:
 class _StandardNormal:
     """A prior whose coordinate is standard normal."""
 
-    def log_density(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
+    def log_density(self, v: Any) -> Any:
+        """Log density in the coordinate."""
         return -0.5 * v**2 - _HALF_LOG_2PI
 
     def sample(self, key: Array) -> Float[Array, ""]:
@@ -47,7 +48,8 @@ class _Scaled:
 
     scale: float = 1.0
 
-    def value(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
+    def value(self, v: Any) -> Any:
+        """The value at a coordinate, in its own unit."""
         return self.scale * _of(v).exp(v)
 
     def coordinate(self, value: Any) -> Any:
@@ -72,7 +74,7 @@ class Normal(_StandardNormal):
         if not (math.isfinite(self.mean) and math.isfinite(self.sd) and self.sd > 0):
             raise ValueError(f"Normal needs a finite mean and a positive sd, not {self}")
 
-    def value(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
+    def value(self, v: Any) -> Any:
         return self.mean + self.sd * v
 
     def coordinate(self, value: Any) -> Any:
@@ -86,7 +88,7 @@ class LogNormal(_StandardNormal):
     median: float
     sd: float
 
-    def value(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
+    def value(self, v: Any) -> Any:
         return self.median * _of(v).exp(self.sd * v)
 
     def coordinate(self, value: Any) -> Any:
@@ -107,7 +109,7 @@ class LogUniform(_StandardNormal):
         if not (0 < self.low < self.high and math.isfinite(self.high)):
             raise ValueError(f"LogUniform needs finite bounds with 0 < low < high, not {self}")
 
-    def value(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
+    def value(self, v: Any) -> Any:
         share = (in_jax if isinstance(v, jax.Array) else on_host).ndtr(v)
         return self.low * _of(v).exp(math.log(self.high / self.low) * share)
 
@@ -123,7 +125,7 @@ class LogUniform(_StandardNormal):
 class HalfNormal(_Scaled):
     """The positive half of N(0, scale²), for spreads and noise scales."""
 
-    def log_density(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
+    def log_density(self, v: Any) -> Any:
         return _LOG_2 - _HALF_LOG_2PI - 0.5 * _of(v).exp(2 * v) + v
 
     def sample(self, key: Array) -> Float[Array, ""]:
@@ -134,7 +136,7 @@ class HalfNormal(_Scaled):
 class HalfCauchy(_Scaled):
     """The positive half of a Cauchy: a scale known to an order of magnitude or two."""
 
-    def log_density(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
+    def log_density(self, v: Any) -> Any:
         return math.log(2 / math.pi) - _of(v).logaddexp(0.0, 2 * v) + v
 
     def sample(self, key: Array) -> Float[Array, ""]:
@@ -149,7 +151,7 @@ class Flat(_Improper, _Scaled):
     `scale` only setting the unit of its coordinate.
     """
 
-    def log_density(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
+    def log_density(self, v: Any) -> Any:
         return v + math.log(self.scale)
 
 
@@ -159,13 +161,13 @@ class FlatLine(_Improper):
 
     scale: float = 1.0
 
-    def value(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
+    def value(self, v: Any) -> Any:
         return self.scale * v
 
     def coordinate(self, value: Any) -> Any:
         return value / self.scale
 
-    def log_density(self, v: Float[Any, "..."]) -> Float[Array, "..."]:
+    def log_density(self, v: Any) -> Any:
         return 0.0 * v + math.log(self.scale)
 
 
@@ -182,6 +184,9 @@ def deviation(prior: Any) -> float | None:
             width = math.log(high / low)
             return math.sqrt((high**2 - low**2) / (2 * width) - ((high - low) / width) ** 2)
     return None
+
+
+KINDS = (Normal, LogNormal, LogUniform, HalfNormal, HalfCauchy, Flat, FlatLine)
 
 
 Positive = HalfNormal | HalfCauchy | LogNormal | LogUniform | Flat

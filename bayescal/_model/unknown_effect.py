@@ -18,6 +18,7 @@ import functools
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -25,9 +26,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.jit import given
+from bayescal._data.measurements import Measurements
 from bayescal._model.effect import OPEN, Coefficient, Effect, Shape
 from bayescal._model.prior import Normal
-from bayescal._readings.measurements import Measurements
 
 TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
 LENGTHS = (0.1, 0.8)  # plausible lengths of the process, in parts of the range
@@ -42,7 +43,8 @@ CYCLES = (1.5, 15.0)  # in the record
 FEWEST = 30  # different times, twice the most cycles: fewer leave a period undetermined
 
 SOURCE = "ours: not in the catalogue; find out what it is, and name it"
-_NAME = re.compile(r"unknown\((.+)\)")
+FREED = ".freed"  # after the name of an effect: its own, once more, with a wide prior
+_NAME = re.compile(r"unknown\((.+)\)", re.DOTALL)
 
 
 def covariate_in(name: str) -> str | None:
@@ -63,6 +65,18 @@ def placeholder(covariate: str, slot: str, unit: str) -> Effect:
     if covariate in FORMS:
         return FORMS[covariate](slot, *OPEN, unit)
     return unknown(covariate, slot, *OPEN, unit)
+
+
+def freed(effect: Effect, times: float = 1.0) -> Effect:
+    """An effect once more beside itself, with a prior that many times as wide: that its stated value is wrong."""
+    wide = tuple(replace(c, prior=Normal(0.0, times * c.size)) for c in effect.coefficients)
+    return replace(
+        effect,
+        name=effect.name + FREED,
+        coefficients=wide,
+        equation=f"{effect.equation or 'c'}, beside its stated value",
+        source=f"ours: the stated value of {effect.name} may be wrong",
+    )
 
 
 def process_columns(position: Any, terms: int) -> Any:

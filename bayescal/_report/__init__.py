@@ -1,4 +1,1 @@
-"""What is kept of a search and signed: result.json, its saved folder, the report.
-
-Imports `_plots` and what is below.
-"""
+"""What is shown and kept of a result: result.json, its folder, pictures, tables, the report."""

@@ -6,13 +6,13 @@ anyone who wants none: a report without such a file is as it was.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 from bayescal._core.errors import InputError
+from bayescal._core.json_shape import read_toml
 
 # Section → key → what a person reads. A section in lists may stand several times.
 _PLACE = {"street": "street", "city": "city", "postcode": "postcode", "country": "country"}
@@ -97,12 +97,12 @@ def read_certificate(path: str | Path) -> Certificate:
     """
     path = Path(path)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        data = read_toml(path)
     except OSError as error:
         raise InputError(
             f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the folder"
         ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise InputError(f"{path.name!r} is not TOML: {error}") from None
     known = [*SECTIONS, CONDITIONS]
     stated: dict[str, Any] = {}

@@ -5,7 +5,7 @@ Source: D. Hutzschenreuter et al., SmartCom Digital System of Units (D-SI) Guide
 
 from __future__ import annotations
 
-from bayescal._readings.unit_parsing import STANDARD_GRAVITY, parse
+from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
 
 _D_SI = {
     "s": "second",

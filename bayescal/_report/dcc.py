@@ -19,8 +19,9 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity, sources_of
 from bayescal._calibration.summary import summary
 from bayescal._core.errors import InputError
+from bayescal._core.quoting import xml_text
 from bayescal._core.version import __version__
-from bayescal._readings.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._report.certificate import Certificate, read_certificate
 from bayescal._report.d_si import d_si
 
@@ -74,7 +75,7 @@ def dcc_text(
 
 def _add(parent: ET.Element, name: str, text: str | None = None, space: str = DCC) -> ET.Element:
     made = ET.SubElement(parent, f"{{{space}}}{name}")
-    made.text = text
+    made.text = None if text is None else xml_text(text)
     return made
 
 
@@ -82,7 +83,7 @@ def _said(parent: ET.Element, name: str, *texts: str) -> ET.Element:
     """An element that holds text in a language."""
     made = _add(parent, name)
     for text in texts:
-        ET.SubElement(made, f"{{{DCC}}}content", lang="en").text = text
+        ET.SubElement(made, f"{{{DCC}}}content", lang="en").text = xml_text(text)
     return made
 
 

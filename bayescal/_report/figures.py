@@ -12,12 +12,12 @@ from markupsafe import Markup, escape
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from bayescal import plot
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check_result import Check
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
-from bayescal._diagnostics.check_result import Check
-from bayescal._readings.unit_conversion import unit_label
+from bayescal._data.unit_conversion import unit_label
+from bayescal._report import plot_allan, plot_posterior, plot_residuals, plot_search
 from bayescal._report.section import Chapter
 
 SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
@@ -77,7 +77,7 @@ class Pictures:
         if found.allan is None:
             return None
         return self.draw(
-            lambda: plot.allan(found),
+            lambda: plot_allan.allan(found),
             f"Allan deviation of the residuals of {which}, and what its noise law lets one expect (grey, 95 %)",
             f"Allan deviation over averaging time: {found.allan.sentence()}.",
         )
@@ -88,7 +88,7 @@ class Pictures:
         told = "; ".join(f"{s['title']} {number(s['rmse_fitted'])} {unit}" for s in steps)
         floor = number(steps[-1]["noise_floor"])
         return self.draw(
-            lambda: plot.trail(chapter.data),
+            lambda: plot_search.trail(chapter.data),
             "The error, step by step",
             f"Bars of the rms error of each step, as fitted: {told}; noise floor {floor} {unit}.",
         )
@@ -99,35 +99,35 @@ class Pictures:
             return None
         told = "; ".join(f"{c['effect']} {c['log_bayes_factor']:.1f}" for c in tested[:5])
         return self.draw(
-            lambda: plot.missing(found),
+            lambda: plot_search.missing(found),
             f"What is missing from {title}",
             f"Bars of the log Bayes factor of each candidate; the first of them: {told}.",
         )
 
     def coefficients(self, calibration: Calibration) -> Picture | None:
         return self._of(
-            lambda: plot.coefficients(calibration, columns=2),
+            lambda: plot_posterior.coefficients(calibration, columns=2),
             "Posterior of each unknown, its mean and its 95 % credible interval",
             "Posterior densities; the numbers are in the table of coefficients.",
         )
 
     def pairs(self, calibration: Calibration) -> Picture | None:
         return self._of(
-            lambda: plot.pairs(calibration),
+            lambda: plot_posterior.pairs(calibration),
             "The most correlated unknowns, two by two",
             "Joint posterior draws of pairs of unknowns.",
         )
 
     def identifiability(self, calibration: Calibration) -> Picture | None:
         return self._of(
-            lambda: plot.identifiability(calibration),
+            lambda: plot_posterior.identifiability(calibration),
             "Posterior over prior standard deviation: 1 where the readings said nothing",
             "Bars of posterior over prior standard deviation; the table of coefficients has the same as contraction.",
         )
 
     def predictive(self, calibration: Calibration) -> Picture | None:
         return self._of(
-            lambda: plot.predictive(calibration),
+            lambda: plot_posterior.predictive(calibration),
             "Readings against their predictive probabilities: within the band if the model is right",
             "Share of readings below each predictive probability minus that probability, with its 99 % band.",
         )
@@ -141,7 +141,7 @@ class Pictures:
 
 
 def _panel(calibration: Calibration, found: Check, against: str) -> Figure:
-    figure = plot.residuals(calibration, found, against)
+    figure = plot_residuals.residuals(calibration, found, against)
     figure.set_size_inches(4.6, 2.9)
     return figure
 
@@ -161,7 +161,7 @@ def inline(svg: str, prefix: str, alt: str) -> Markup:
     """An SVG as part of a page.
 
     Black becomes the colour of the page's text, fonts the page's, ids are prefixed, and all that names another place
-    (document type, metadata) goes.
+    (document type, metadata) goes, and the comments, which repeat the labels.
 
     Args:
         svg: as Matplotlib writes it: labels are escaped.
@@ -169,7 +169,7 @@ def inline(svg: str, prefix: str, alt: str) -> Markup:
         alt: what it shows, in words.
     """
     body = svg[svg.index("<svg") :]
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
     body = re.sub(r"\bid=\"([^\"]+)\"", rf'id="{prefix}\1"', body)
     body = re.sub(r"url\(#", f"url(#{prefix}", body)
     body = re.sub(r"href=\"#", f'href="#{prefix}', body)

@@ -12,18 +12,19 @@ from typing import Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
-from bayescal._compensation.budget import Budget, budget
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError
 from bayescal._core.formatting import number, probability, with_error
-from bayescal._discovery.search_path import SearchPath
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
-from bayescal._plots.search import is_quiet
-from bayescal._readings.unit_conversion import unit_label
 from bayescal._report import figures, sentences, tables
 from bayescal._report.certificate import Certificate, read_certificate
+from bayescal._report.plot_search import is_quiet
 from bayescal._report.section import Chapter, chapters, taken
+from bayescal._report.under_way import RESULT
+from bayescal._search.search_path import SearchPath
+from bayescal._use.budget import Budget, budget
 
 MANY = 60  # rows of a table of candidates or coefficients that are shown
 
@@ -54,7 +55,7 @@ def report(
 
     Raises:
         InputError: nothing to report of, another suffix, a place that cannot be written to, or a certificate that
-            states something unknown.
+            states something unknown; a folder's result that is not as it was written.
     """
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
@@ -63,10 +64,30 @@ def report(
         raise InputError(
             f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}"
         )
+    from jinja2 import TemplateError  # only a report needs it
+
     stated = certificate
     if stated is not None and not isinstance(stated, Certificate):
         stated = read_certificate(stated)
-    return write_text(page(chapters(taken(given), effects), title, stated), path)
+    found = chapters(taken(given), effects)
+    try:
+        text = page(found, title, stated)
+    except (
+        TemplateError,
+        LookupError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        ArithmeticError,
+    ) as e:
+        folders = [str(c.folder) for c in found if c.folder is not None]
+        if not folders:
+            raise
+        raise InputError(
+            f"{RESULT} in {' or '.join(folders)} is not as it was written ({type(e).__name__}: {e}): calibrate again, "
+            "or give the calibration alone"
+        ) from None
+    return write_text(text, path)
 
 
 def page(found: list[Chapter], title: str = "", certificate: Certificate | None = None) -> str:
@@ -179,6 +200,7 @@ def _discovery(
         "step": found["step"],
         "title": title,
         "nothing": found["nothing_missing_probability"],
+        "unstated": found.get("unstated", ""),
         "sets": found["sets"],
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
         "rows": [_candidate(c) for c in tested if not is_quiet(c)][:MANY],

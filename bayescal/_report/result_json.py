@@ -11,23 +11,17 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity
+from bayescal._calibration.leave_group_out import groups_of
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.atomic_file import write_text
-from bayescal._diagnostics.check_result import Check
-from bayescal._diagnostics.leave_group_out import groups_of
-from bayescal._discovery.discover import Discovery
-from bayescal._discovery.next_experiment import NextExperiment
-from bayescal._discovery.search_path import SearchPath, Step
-from bayescal._model.correlated_noise import (
-    CORRELATION_TIME,
-    DIFFUSION,
-    OrnsteinUhlenbeck,
-    correlated_size,
-)
+from bayescal._data.measurements import Measurements
 from bayescal._model.frame import GROUPS
-from bayescal._model.noise_laws import CURVATURE, SLOPE
-from bayescal._readings.measurements import Measurements
+from bayescal._model.noise_law import Noise
+from bayescal._search.discover import Discovery
+from bayescal._search.next_experiment import NextExperiment
+from bayescal._search.search_path import SearchPath, Step
 
 SCHEMA = "bayescal.result/1"
 PACKAGES = (
@@ -104,7 +98,9 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
             {
                 "effects": list(s.effects),
                 "noise": s.noise,
-                "wanders": s.noise == OrnsteinUhlenbeck.law,
+                "wanders": any(
+                    s.noise == law.law and not law.independent for law in Noise.known.values()
+                ),
                 "log_evidence": s.log_evidence,
                 "probability": s.probability,
             }
@@ -154,8 +150,7 @@ def step_data(step: Step) -> dict[str, Any]:
     names = [n for n in map(str, calibration.posterior) if n.startswith("noise.")]
     held = {k: np.asarray(v) for k, v in calibration.model.fixed if k.startswith("noise.")}
     noise = {**{n: calibration.samples(n) for n in names}, **held}
-    if DIFFUSION in noise:
-        noise["size"] = np.asarray(correlated_size(noise))
+    noise |= calibration.model.noise.derived(noise)
     mean = {n: float(values.mean()) for n, values in noise.items()}
     return {
         "effects": list(calibration.model.names),
@@ -166,11 +161,11 @@ def step_data(step: Step) -> dict[str, Any]:
         "noise": {
             "law": calibration.model.noise.name,
             "white": mean.get("noise.white"),
-            "correlated": mean.get("size"),
-            "diffusion": mean.get(DIFFUSION),
-            "tau": mean.get(CORRELATION_TIME),
-            "slope": mean.get(SLOPE),
-            "curvature": mean.get(CURVATURE),
+            "correlated": mean.get("noise.correlated"),
+            "diffusion": mean.get("noise.diffusion"),
+            "tau": mean.get("noise.correlated.time"),
+            "slope": mean.get("noise.slope"),
+            "curvature": mean.get("noise.curvature"),
             "freedom": mean.get("noise.freedom"),
         },
         "verdict": vars(calibration.verdict),
@@ -210,6 +205,7 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
     return {
         "step": step,
         "nothing_missing_probability": found.nothing_missing,
+        "unstated": found.unstated,
         "noise_wanders": found.noise_wanders,
         "noise_laws": [vars(n) for n in found.noise],
         "sets": [{"effects": list(s.effects), "probability": s.probability} for s in found.sets],

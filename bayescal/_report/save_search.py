@@ -6,43 +6,64 @@ they are saved as, so the methods are attached here, and `bayescal` takes them f
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.description import identity
-from bayescal._channels.calibrate_channels import calibrate_channels as calibrate_channels
-from bayescal._channels.channels import Channels
-from bayescal._discovery.calibrate import calibrate as calibrate
-from bayescal._discovery.search_path import SearchPath
+from bayescal._core import deadline
+from bayescal._core.json_shape import read_json
+from bayescal._report.conclusion import conclusion
 from bayescal._report.result_json import clean, result, write_json
+from bayescal._report.section import of_trail
 from bayescal._report.under_way import RESULT, UNDER_WAY
-from bayescal._report.whole_folder import CHANNELS, remove_results, whole_folder
+from bayescal._report.whole_folder import (
+    AVERAGED,
+    CHANNELS,
+    is_inside,
+    remove_results,
+    whole_folder,
+)
+from bayescal._search.calibrate import calibrate as calibrate
+from bayescal._search.calibrate_channels import calibrate_channels as calibrate_channels
+from bayescal._search.channels import Channels
+from bayescal._search.search_path import SearchPath
 
 CHANNELS_SCHEMA = "bayescal.channels/1"
 
 
 def save_search(self: SearchPath, folder: Path) -> None:
-    """Write result.json, calibration.nc (of the last step), loop.png and manifest.json to an existing folder.
+    """Write result.json, calibration.nc, loop.png and manifest.json to an existing folder.
 
-    They take their place in one step; what else stands in the folder stays.
+    calibration.nc is of the last step; averaged.nc, where several structures share the probability, is what is to be
+    used: predictions, compensation, budgets and exports of the folder are made with it.
+
+    They take their place in one step; what else stands in the folder stays. Where a time limit has come, or Ctrl-C, the
+    picture is left out.
 
     Raises:
         InputError: there is no such folder, or it cannot be written; what stood there is as it was.
     """
-    from bayescal._plots.search import loop  # Matplotlib only where a picture is written
-    from bayescal._plots.style import save
-
     calibration = self.final.calibration
     with whole_folder(Path(folder), identity(calibration), without=UNDER_WAY) as hidden:
         calibration.save(hidden / "calibration.nc")
-        save(loop(self), hidden / "loop.png")
+        if self.average is not None:
+            self.average.save(hidden / AVERAGED)
+        if not deadline.current().over:
+            from bayescal._report.plot_search import (
+                loop,  # Matplotlib only where a picture is written
+            )
+            from bayescal._report.plot_style import save
+
+            save(loop(self), hidden / "loop.png")
         write_json(result(self), hidden / RESULT)
 
 
 SearchPath.save = save_search
+SearchPath.in_short = property(  # pyright: ignore[reportAttributeAccessIssue]
+    lambda self: conclusion(of_trail(self))
+)
 
 
 def channels_data(found: Channels) -> dict[str, Any]:
@@ -113,11 +134,11 @@ def save_channels(self: Channels, folder: Path) -> None:
 def _channel_folders(folder: Path) -> set[str]:
     """Names of the folders that a channels.json tells of; none where there is none to read."""
     try:
-        told = json.loads((folder / CHANNELS).read_text("utf-8"))["channels"].values()
-        names = {str(channel["folder"]) for channel in told}
+        told = read_json(folder / CHANNELS)["channels"].values()
+        names = {channel["folder"] for channel in told}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return set()
-    return {n for n in names if n not in ("", ".", "..") and Path(n).name == n}
+    return {n for n in names if isinstance(n, str) and is_inside(n)}
 
 
 Channels.save = save_channels

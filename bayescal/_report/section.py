@@ -6,7 +6,6 @@ given: the first is where it began, the last is what is signed for.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,20 +14,21 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check import check
+from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity
 from bayescal._calibration.fit import load
 from bayescal._core.errors import InputError, NotConverged
-from bayescal._diagnostics.check import check
-from bayescal._diagnostics.check_result import Check
-from bayescal._discovery.calibrate import step_of
-from bayescal._discovery.discover import discover
-from bayescal._discovery.gate import gate
-from bayescal._discovery.search_path import SearchPath
+from bayescal._core.json_shape import read_json
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import SCHEMA, result
 from bayescal._report.under_way import RESULT, refuse_unfinished
 from bayescal._report.whole_folder import refuse_mixed
+from bayescal._search.calibrate import step_of
+from bayescal._search.discover import discover
+from bayescal._search.gate import gate
+from bayescal._search.search_path import SearchPath
 
 CALIBRATION, PICTURE = "calibration.nc", "loop.png"
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -44,6 +44,7 @@ class Chapter:
         data: everything that was found, as in result.json.
         first, first_check: where it began; None where only result.json tells of it.
         picture: the loop as it was drawn at the time (PNG); None where the pictures can be drawn again.
+        folder: that it was read from; None for what was found in memory.
     """
 
     calibration: Calibration
@@ -52,6 +53,7 @@ class Chapter:
     first: Calibration | None = None
     first_check: Check | None = None
     picture: bytes | None = None
+    folder: Path | None = None
 
 
 def chapters(
@@ -108,13 +110,17 @@ def of_folder(
     picture = folder / PICTURE
     drawn = picture.read_bytes() if picture.is_file() else b""
     return Chapter(
-        calibration, check(calibration), data, picture=drawn if drawn.startswith(PNG) else None
+        calibration,
+        check(calibration),
+        data,
+        picture=drawn if drawn.startswith(PNG) else None,
+        folder=folder,
     )
 
 
 def _read_result(path: Path) -> dict[str, Any]:
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = read_json(path)
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as JSON ({error}): calibrate again") from None
     schema = data.get("schema") if isinstance(data, dict) else None

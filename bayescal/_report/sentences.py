@@ -5,10 +5,11 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
+from bayescal._calibration.evidence_scale import STRONG
 from bayescal._core.formatting import probability
-from bayescal._diagnostics.evidence_scale import STRONG
-from bayescal._plots.search import is_quiet
-from bayescal._readings.unit_conversion import unit_label
+from bayescal._data.unit_conversion import unit_label
+from bayescal._report.conclusion import conclusion
+from bayescal._report.plot_search import is_quiet
 from bayescal._report.section import Chapter
 from bayescal._report.tables import READ, UNUSED, measured, ranges
 
@@ -133,7 +134,7 @@ def unexplained(chapter: Chapter) -> list[str]:
     else:
         said.append(
             "Probability that the model is complete, that is, that no candidate is missing: "
-            f"{probability(last['nothing_missing_probability'])}."
+            f"{last.get('unstated') or probability(last['nothing_missing_probability'])}."
         )
         for kind in ("finding", "lead"):
             names = [c["effect"] for c in last["candidates"] if c["kind"] == kind]
@@ -153,13 +154,14 @@ def unexplained(chapter: Chapter) -> list[str]:
 
 
 def story(chapter: Chapter) -> list[str]:
-    """How the last model came about, a sentence each step."""
+    """The result in one paragraph, and how the last model came about, a sentence each step."""
     steps, unit = chapter.data["steps"], chapter.calibration.unit
     findings = {
         m["step"]: {n for s in m["sets"] for n in s["effects"]} for m in chapter.data["missing"]
     }
     said = [
-        f"It began with {steps[0]['title']}: rms error as fitted {measured(steps[0]['rmse_fitted'], unit, 3)}."
+        conclusion(chapter),
+        f"It began with {steps[0]['title']}: rms error as fitted {measured(steps[0]['rmse_fitted'], unit, 3)}.",
     ]
     for i, (before, step) in enumerate(pairwise(steps)):
         name = step["added"]

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import sources_of
 from bayescal._core.formatting import number, with_error
-from bayescal._diagnostics.check_result import Check
+from bayescal._data.measurements import Measurements
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
-from bayescal._readings.measurements import Measurements
-from bayescal._readings.unit_conversion import unit_label
 from bayescal._report.section import Chapter
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from bayescal._core.errors import InputError
-from bayescal._discovery.search_path import SearchPath
+from bayescal._core.json_shape import read_json
+from bayescal._data.measurements import Measurements
 from bayescal._model.model import Model
-from bayescal._readings.measurements import Measurements
 from bayescal._report.result_json import SCHEMA, clean, hashes, result, search_data, write_json
 from bayescal._report.whole_folder import files_of
-from bayescal._search.posterior import Shown
+from bayescal._search.posterior import ShownStructure
+from bayescal._search.search_path import SearchPath
 
 RESULT = "result.json"
 UNDER_WAY = "result_under_way.json"  # where the folder holds the result of a run before
@@ -35,7 +35,7 @@ class Keeper:
         write_json({**self._data, **now}, self.path)
 
 
-def earlier(folder: Path, model: Model, readings: Measurements) -> tuple[Shown, ...]:
+def earlier(folder: Path, model: Model, readings: Measurements) -> tuple[ShownStructure, ...]:
     """Structures of a search in this folder that did not come to its end, if it was this one; else none.
 
     It was this one if instrument, first model and the bytes of the readings are the same.
@@ -43,7 +43,7 @@ def earlier(folder: Path, model: Model, readings: Measurements) -> tuple[Shown, 
     try:
         kept = folder / UNDER_WAY
         kept = kept if kept.is_file() else folder / RESULT
-        data = json.loads(kept.read_text(encoding="utf-8"))
+        data = read_json(kept)
         if data["schema"] != SCHEMA or data["complete"] is not False:
             return ()
         first = data["steps"][0]
@@ -56,9 +56,9 @@ def earlier(folder: Path, model: Model, readings: Measurements) -> tuple[Shown, 
         return ()  # no result, or none that can be read: the search begins anew
 
 
-def _shown(said: dict[str, Any]) -> Shown:
+def _shown(said: dict[str, Any]) -> ShownStructure:
     evidence, probability = said["log_evidence"], said["probability"]
-    return Shown(tuple(said["effects"]), str(said["noise"]), evidence, probability)
+    return ShownStructure(tuple(said["effects"]), str(said["noise"]), evidence, probability)
 
 
 def refuse_unfinished(path: Path, data: dict[str, Any]) -> None:

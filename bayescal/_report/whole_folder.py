@@ -22,12 +22,24 @@ from typing import Any
 
 from bayescal._core.atomic_file import left_behind, sha256_of, to_disk, why, write_text
 from bayescal._core.errors import InputError
+from bayescal._core.json_shape import OneOf, read_json
 
 MANIFEST = "manifest.json"
 CHANNELS = "channels.json"  # of a unit, whose channels have each a folder of its own
+AVERAGED = "averaged.nc"  # the calibration averaged over structures, beside that of the one shown
 SCHEMA = "bayescal.manifest/1"
 AGAIN = "Take a copy of the whole folder, or calibrate again"
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
+
+SHAPE = {
+    **{"schema": str, "identity": str, "calibration": OneOf(None, str)},
+    "files": {str: str},
+}
+
+
+def is_inside(name: str) -> bool:
+    """Whether a name that stands in a file is that of something in the file's own folder, on any system."""
+    return name not in ("", ".", "..") and not set(name) & set("/\\:\0")
 
 
 @contextmanager
@@ -107,12 +119,14 @@ def refuse_mixed(folder: Path, *names: str) -> None:
 
 def _manifest(folder: Path) -> dict[str, Any]:
     try:
-        data = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        files = data["files"]
-        if data["schema"] != SCHEMA or data["identity"] != _identity(files):
+        data = read_json(folder / MANIFEST, SHAPE)
+        if data["schema"] != SCHEMA or data["identity"] != _identity(data["files"]):
             raise ValueError("it is not as it was written")
+        for name in data["files"]:
+            if not is_inside(name):
+                raise ValueError(f"it lists {name!r}, which is no file of this folder")
         return data
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(
             f"{folder / MANIFEST} cannot be used ({type(error).__name__}: {error}). {AGAIN}"
         ) from None

@@ -1,1 +1,1 @@
-"""The posterior over structures: which effects and which noise law, how probable before and after the readings."""
+"""Which effects are missing: structures, the walk over them, their posterior, the gate, channels."""

@@ -16,14 +16,14 @@ from scipy.special import ndtri
 
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.linear_model import LinearModel, taken_up
-from bayescal._engine.record import Record
-from bayescal._engine.terms import ColumnsOf
+from bayescal._data.unit_conversion import unit_label
+from bayescal._inference.linear_model import LinearModel, taken_up
+from bayescal._inference.record import Record
+from bayescal._inference.terms import ColumnsOf
 from bayescal._model.departure import Departure, Rows, curves_along, departure, rounded
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import slot_of
 from bayescal._model.unknown_effect import LENGTHS, process_weights
-from bayescal._readings.unit_conversion import unit_label
 
 LEAST_LEFT = 1e-4  # of a curve's squares, below which nothing of it could be seen
 LEVELS = ndtri([1 / 6, 1 / 2, 5 / 6])  # of its amplitude and length, at which a departure is scored
@@ -50,7 +50,7 @@ class Form(NamedTuple):
         return departure(self.effect, unit, size, self.at, self.shares)
 
 
-class Scored(NamedTuple):
+class ScoredDeparture(NamedTuple):
     """A departure, the log Bayes factor expected of it, and where its refit may begin."""
 
     effect: Departure
@@ -87,7 +87,7 @@ def form_of(base: LinearModel, effect: Effect) -> Form | None:
 
 
 @on_one_thread
-def scored(line: LinearModel, form: Form) -> Scored | None:
+def scored(line: LinearModel, form: Form) -> ScoredDeparture | None:
     """The departure of one effect of a fitted structure; None where this contributes nothing."""
     effect, record = form.effect, line.assembly.record
     slope = line.slopes[effect.slot]
@@ -100,7 +100,7 @@ def scored(line: LinearModel, form: Form) -> Scored | None:
     inside = line.projected(columns)
     information = columns.T @ columns - inside.T @ inside
     u = columns.T @ line.white_residual
-    best = Scored(made, -math.inf, {})
+    best = ScoredDeparture(made, -math.inf, {})
     shapes = made.shapes
     gains = []
     for at in np.stack(np.meshgrid(*[LEVELS] * len(shapes)), axis=-1).reshape(-1, len(shapes)):
@@ -161,7 +161,7 @@ def departed(line: LinearModel, departure: Departure) -> Departed:
     """A departure of a fitted structure, in numbers."""
     name = departure.of
     frame, along = line.assembly.record.frame, departure.along or ""
-    left = line.by_reading(_beyond_the_rest(line, departure.name)[2])
+    left = _beyond_the_rest(line, departure.name)[2]
     worst = int(np.argmax(np.abs(left)))
     share = contribution(line, departure.name) / contribution(line, name)
     if along in frame.columns:

@@ -12,10 +12,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
 
-from bayescal._engine.terms import ColumnsOf
+from bayescal._inference.terms import ColumnsOf
 from bayescal._model.effect import Coefficient, Effect, Shape
-from bayescal._model.instrument import slot_of
-from bayescal._readings.unit_conversion import coefficient_factor
+from bayescal._model.instrument import factor_of, slot_of
 from bayescal._search.plausible_sizes import SIZES
 from bayescal._search.structures import Structures
 
@@ -102,7 +101,7 @@ class Library:
             effect, at = self.structures.candidates[name], 0
             for i, c in enumerate(effect.coefficients):
                 slot = slot_of(instrument, c.slot or effect.slot)
-                slope = slopes[slot.name] * coefficient_factor(c.unit, slot.unit)
+                slope = slopes[slot.name] * factor_of(instrument, effect, c)
                 codes = None if c.per is None else record.codes[c.per]
                 for p in points:
                     column = slope * p.basis[:, i]

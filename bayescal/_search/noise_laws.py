@@ -13,14 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.gaussian_algebra import LOG_2PI
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.record import Record
-from bayescal._engine.whitening import log_densities
-from bayescal._model.correlated_noise import over_record
+from bayescal._inference.gaussian import LOG_2PI
+from bayescal._inference.noise_on_record import log_densities
+from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.model import Model
-from bayescal._model.noise_laws import Heteroscedastic, Noise, StudentT, White
+from bayescal._model.noise_law import OFFERS, WHITE, Noise
 
 FEWEST = 30  # readings from which the noise law can be told at all
 LEVELS = (
@@ -41,17 +40,11 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
     """
     together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
     fixed = any(name.startswith("noise.") for name, _ in model.fixed)
-    if together or fixed or frame.size < FEWEST or not isinstance(model.noise, White):
+    if together or fixed or frame.size < FEWEST or not model.noise.first:
         return {}
-    steps, scale, reference = np.asarray(frame.step), model.noise.scale, frame.reference
-    laws: list[Noise] = [StudentT(scale)]
-    if (steps > 0).any():
-        span = float(np.max(np.asarray(frame.columns["elapsed"])))
-        laws.append(over_record(model.noise, float(np.median(steps[steps > 0])), span))
-    ranged = [name.removesuffix("_low") for name in reference if name.endswith("_low")]
-    varied = [n for n in ranged if float(reference[f"{n}_high"]) > float(reference[f"{n}_low"])]
-    laws += [Heteroscedastic(column, scale) for column in varied]
-    return {law.name: law for law in laws}
+    scale = model.noise.parameters()[WHITE]
+    laws = [law for offer in OFFERS for law in offer(scale, frame)]
+    return {law.name: law for law in (*laws, *model.instrument.noise_laws)}
 
 
 def log_prior(laws: Mapping[str, Noise], name: str) -> float:
@@ -88,7 +81,7 @@ def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> On
         density = log_densities(law, record, left[None], hyper).sum(axis=1)
         return density + sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
 
-    white, scale = priors["noise.white"], float(np.sqrt(np.mean(left**2)))
+    white, scale = next(iter(priors.values())), float(np.sqrt(np.mean(left**2)))
     narrow = 1.5 * float(np.median(np.abs(left)))
     scales = [white.coordinate(s) for s in (scale, narrow) if s > 0]
     if not scales:

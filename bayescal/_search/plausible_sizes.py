@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayescal._core.gaussian_algebra import condition
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.closed_form import NOWHERE, Density
-from bayescal._engine.mode import Mode, at_mode, find_mode
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.density import NOWHERE, Density
+from bayescal._inference.gaussian import condition
+from bayescal._inference.mode import Mode, at_mode, find_mode
 from bayescal._model.effect import Effect
 
 SIZES = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}  # factors on a plausible size, and their probabilities
@@ -51,7 +51,9 @@ def averaged(
         assembly = Assembly(assembly.layout, assembly.record, dict(chosen))
         mode = find_mode(assembly, [mode.v], mode.covariance, mode.point, STILL)
     else:
-        mode = at_mode(Density(assembly, mode.point, mode.flat), mode.v, mode.change)
+        mode = at_mode(
+            Density(assembly, mode.point, mode.flat, mode.v), mode.v, mode.change, quick=True
+        )
     at_sizes = _AtSizes(assembly, mode, chosen)
     log_evidence = mode.log_evidence
     for name in chosen:
@@ -87,5 +89,6 @@ class _AtSizes:
                 for place in places:
                     sd[place] *= share
             got = condition(self.gram, self.size, self.prior._replace(sd=sd), self.at)
-            found[factor] = (got.log_marginal if got else NOWHERE) + math.log(probability)
+            value = NOWHERE if got is None else got.log_marginal
+            found[factor] = value + math.log(probability)
         return found

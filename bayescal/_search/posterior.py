@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._engine.linear_model import linear_model
+from bayescal._inference.linear_model import linear_model
 from bayescal._search.structures import Structure, Structures, Weighed
 
 FOUND = 0.95  # probability from which something is reported as found
 SHOWN = 20  # structures kept of a search
-RIVAL = math.log(20)  # log odds within which exchanging one effect for another keeps a structure
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,6 @@ class Posterior:
         total: log evidence and log prior of each.
         probability: of each.
         refitted: those of them that were refitted.
-        of_unit: effects that the unit is found to have whose channel this is.
     """
 
     given: frozenset[str]
@@ -43,7 +41,6 @@ class Posterior:
     total: np.ndarray
     probability: np.ndarray
     refitted: dict[Structure, Weighed]
-    of_unit: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, structures: Structures, given: Iterable[str] = ()) -> Posterior:
@@ -58,7 +55,7 @@ class Posterior:
         total = np.array([totals[s] for s in inside])
         weight = np.exp(total - total[0])
         probability = weight / weight.sum()
-        return cls(held, tuple(inside), total, probability, refitted, structures.of_unit)
+        return cls(held, tuple(inside), total, probability, refitted)
 
     @property
     def best(self) -> Structure:
@@ -103,30 +100,40 @@ class Posterior:
         return tuple(sorted(found, key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects))))
 
     def _substitute(self, members: list[str]) -> str | None:
-        """The likeliest effect in the members' place: of structures near the best that have none of them."""
+        """The likeliest effect in the members' place: of the structures that have none of them."""
         settled = (self.best.effects - {members[0]}) | self.given
-        least = self.refitted[self.best].total - RIVAL
         mass: dict[str, float] = {}
-        for s, total, probability in zip(
-            self.structures, self.total, self.probability, strict=True
-        ):
-            if total > least and s.effects.isdisjoint(members):
+        for s, probability in zip(self.structures, self.probability, strict=True):
+            if s.effects.isdisjoint(members):
                 for name in s.effects - settled:
                     mass[name] = mass.get(name, 0.0) + float(probability)
         return max(mass, key=lambda n: mass[n], default=None)
 
     @property
     def chosen(self) -> Structure:
-        """The structure to use: the most probable, without what is not found.
+        """The one structure to use: effect by effect what is more probable in than out, given those before.
 
-        Of what the unit is found to have, a channel has what is more probable there than not. Source: M. Barbieri and
-        J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
+        Of effects that one of is found the most probable structure's is in too. What is used need not be found: `FOUND`
+        is for the word "missing". The noise law is that of the most probable structure that has all of it.
+        Source: M. Barbieri and J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
         """
-        best = self.best
-        found = {n for f in self.findings for n in f.effects}
-        found |= {n for n in self.of_unit if self.inclusion(n) > 0.5}
-        kept = best.effects & found
-        return Structure(kept | self.given, best.noise)
+        found = {n for f in self.findings for n in f.effects if n in self.best.effects}
+        effects, inside = frozenset(self.given), self.structures
+        while True:
+            weight = {
+                s: p for s, p in zip(self.structures, self.probability, strict=True) if s in inside
+            }
+            further = {n for s in weight for n in s.effects} - effects
+            share = {n: sum(p for s, p in weight.items() if n in s.effects) for n in further}
+            likely = max(share, key=lambda n: (share[n], n), default="")
+            if not likely or share[likely] <= 0.5 * sum(weight.values()):
+                break
+            effects |= {likely}
+            inside = tuple(s for s in weight if likely in s.effects)
+        effects |= found
+        return Structure(
+            effects, next((s for s in self.structures if s.effects >= effects), self.best).noise
+        )
 
 
 @dataclass(frozen=True)
@@ -160,7 +167,7 @@ class OtherPath:
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownStructure:
     """A structure as a search leaves it: what it adds, its noise law, how probable it is.
 
     Attributes:
@@ -192,7 +199,7 @@ class Search:
         max_effects: most effects that it may add.
     """
 
-    structures: tuple[Shown, ...]
+    structures: tuple[ShownStructure, ...]
     weighed: int
     complete: bool
     stopped: str = ""
@@ -211,9 +218,9 @@ class Search:
         return cls(shown, len(weighed), complete, **told)
 
 
-def _shown(w: Weighed, probability: float, with_error: bool) -> Shown:
+def _shown(w: Weighed, probability: float, with_error: bool) -> ShownStructure:
     rms = None
     if with_error:
         rms = float(np.sqrt(np.mean(linear_model(w.assembly, w.mode).residual ** 2)))
     effects = tuple(sorted(w.structure.effects))
-    return Shown(effects, w.structure.noise, w.log_evidence, probability, rms)
+    return ShownStructure(effects, w.structure.noise, w.log_evidence, probability, rms)

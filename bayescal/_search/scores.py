@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.linear_model import linear_model, taken_up
+from bayescal._inference.linear_model import linear_model, taken_up
 from bayescal._search.library import GridPoint, Library, Size
 from bayescal._search.structures import Weighed
 
@@ -26,7 +27,7 @@ IN_PAIRS = 2  # grid points of each candidate that are tried in pairs
 
 
 @dataclass(frozen=True, eq=False)
-class Scored:
+class ScoredPoint:
     """One candidate at one point of its shapes, at the likeliest size there.
 
     Attributes:
@@ -54,7 +55,7 @@ class Scored:
         """Coordinates of φ by name, to begin a refit at."""
         return {**self.point.hint, **self.size.hint}
 
-    @property
+    @cached_property
     def information(self) -> Float[np.ndarray, "k k"]:
         return self.columns.T @ self.columns - self.inside.T @ self.inside
 
@@ -113,7 +114,7 @@ class Rest(NamedTuple):
     volume: float
 
     @on_one_thread
-    def scores(self, names: Sequence[str]) -> dict[str, list[Scored]]:
+    def scores(self, names: Sequence[str]) -> dict[str, list[ScoredPoint]]:
         """Every grid point of these candidates, each candidate's most probable first."""
         found = {}
         for name in names:
@@ -154,11 +155,11 @@ class Rest(NamedTuple):
             )
         return np.array(found)
 
-    def _scored(self, point: GridPoint, gains: Float[np.ndarray, "sizes"]) -> Scored:
+    def _scored(self, point: GridPoint, gains: Float[np.ndarray, "sizes"]) -> ScoredPoint:
         best = self.view.library.sizes[point.effect][int(np.argmax(gains))]
         columns, inside = self.view.columns[:, point.at], self.inside[:, point.at]
         total = float(np.logaddexp.reduce(gains))
-        return Scored(point, total, best, columns, inside, self.u[point.at])
+        return ScoredPoint(point, total, best, columns, inside, self.u[point.at])
 
     @property
     def dropped(self) -> float:
@@ -183,7 +184,9 @@ class Rest(NamedTuple):
         return self.view.volume - self.volume
 
     @on_one_thread
-    def pairs(self, found: Mapping[str, list[Scored]]) -> list[tuple[float, Scored, Scored]]:
+    def pairs(
+        self, found: Mapping[str, list[ScoredPoint]]
+    ) -> list[tuple[float, ScoredPoint, ScoredPoint]]:
         """Log Bayes factors of two candidates at once, the best first."""
         points = [p for own in found.values() for p in own[:IN_PAIRS]]
         own = [p.size.sd[:, None] * p.information * p.size.sd for p in points]
@@ -198,6 +201,6 @@ class Rest(NamedTuple):
         return sorted(made, key=lambda m: -m[0])
 
 
-def gain_of(points: Sequence[Scored]) -> float:
+def gain_of(points: Sequence[ScoredPoint]) -> float:
     """A candidate's log Bayes factor by score, averaged over its grid."""
     return float(np.logaddexp.reduce([p.gain for p in points]) - math.log(len(points)))

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.mode import Mode
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.mode import Mode
 
 UNKNOWN = 0.1  # variance of a coordinate of which nothing is known
 

@@ -14,17 +14,16 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from bayescal._core.gaussian_algebra import column_scale
-from bayescal._diagnostics.evidence_scale import STRONG
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.closed_form import Density
-from bayescal._engine.linear_model import LinearModel, linear_model
-from bayescal._engine.mode import Mode, find_mode
-from bayescal._engine.record import Record
+from bayescal._calibration.evidence_scale import STRONG
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.density import Density
+from bayescal._inference.linear_model import LinearModel, linear_model
+from bayescal._inference.mode import Mode, find_mode, flat_scales
+from bayescal._inference.record import Record
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
-from bayescal._model.noise_laws import Noise
+from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import Layout
 from bayescal._search.departures import Form, form_of, may_depart, scored
 from bayescal._search.noise_laws import log_prior
@@ -103,7 +102,6 @@ class Structures:
         laws: further noise laws that the readings can tell, by name.
         odds: prior log odds of candidates of which more is known than their number.
         earlier: structures weighed with other ranges of shapes: where refits begin.
-        of_unit: effects that the unit is found to have whose channel this is.
     """
 
     base: Model
@@ -113,7 +111,6 @@ class Structures:
     laws: Mapping[str, Noise]
     odds: Mapping[str, float] = field(default_factory=dict)
     earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
-    of_unit: frozenset[str] = frozenset()
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
     forms: dict[str, Form | None] = field(default_factory=dict)  # of departures, by candidate
@@ -230,7 +227,7 @@ class Structures:
         point = assembly.point_of(near.assembly, near.mode.point)
         known, _ = carried(assembly, near.assembly, near.mode)
         v = np.array([known.get(h.name, 0.0) for h in assembly.hypers])
-        flat = column_scale(assembly.linearise(point, assembly.hyper(v)).jacobian)
+        flat = flat_scales(assembly, point, v)
         density, of_size = Density(assembly, point, flat), np.array(assembly.kinds) == "noise"
         found = minimize_scalar(
             lambda size: -density.at(np.where(of_size, size, v))[0], bounds=WIDE, method="bounded"

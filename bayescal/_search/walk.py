@@ -10,11 +10,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
+from bayescal._core import deadline
+from bayescal._core.deadline import Deadline
 from bayescal._core.parallel import on_one_thread
-from bayescal._engine.linear_model import linear_model
+from bayescal._inference.linear_model import linear_model
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior, on_residuals
-from bayescal._search.scores import HINTS, Scored, View, gain_of
+from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
 from bayescal._search.structures import Structure, Structures, Weighed
 
 BEAM = 4  # most probable structures whose neighbours are all looked at before the walk ends
@@ -32,43 +34,45 @@ STOPPED = "The search was interrupted after {:.0f} s: this is the best so far."
 def walk(
     library: Library,
     max_effects: int,
-    time_limit: float | None = None,
     follow: Callable[[Structures], None] = lambda _: None,
     seeds: Sequence[Structure] = (),
 ) -> str:
-    """Weigh structures until the most probable ones have no neighbour left to look at.
+    """Weigh structures until the most probable ones have no neighbour left to look at, or the deadline has come.
 
     Args:
         library: the candidates; its structures keep what was weighed.
         max_effects: most effects to add.
-        time_limit: seconds after which the walk ends early.
         follow: called after each look around.
         seeds: structures that are weighed first, of an earlier walk.
 
     Returns:
         Why it ended early; empty where it came to its end.
     """
-    begun = time.monotonic()
-    ends_at = begun + (math.inf if time_limit is None else time_limit)
+    begun, end = time.monotonic(), deadline.current()
     structures = library.structures
     try:
         root = structures.weigh(Structure())
-        for law in wandering(structures):
-            structures.weigh(Structure(noise=law), root)
-        for seed in seeds:
-            structures.weigh(seed, root)
+        for first in (*(Structure(noise=law) for law in wandering(structures)), *seeds):
+            if end.over:
+                return ended_early(end, begun)
+            structures.weigh(first, root)
         looked: set[Structure] = set()
         while fresh := _next(structures, looked):
-            if time.monotonic() > ends_at:
-                return LIMIT.format(time.monotonic() - begun)
+            if end.over:
+                return ended_early(end, begun)
             looked.add(fresh.structure)
-            _look_around(library, fresh, max_effects, ends_at)
+            _look_around(library, fresh, max_effects, end)
             follow(structures)
     except KeyboardInterrupt:
         if not structures.visited:
             raise
         return STOPPED.format(time.monotonic() - begun)
-    return ""
+    return ended_early(end, begun) if end.over else ""
+
+
+def ended_early(end: Deadline, begun: float) -> str:
+    """Why a search that began then ended at its deadline."""
+    return (STOPPED if end.interrupted else LIMIT).format(time.monotonic() - begun)
 
 
 @on_one_thread
@@ -109,10 +113,12 @@ class Move(NamedTuple):
     hints: tuple[dict[str, float], ...] = ()
 
 
-def _look_around(library: Library, at: Weighed, max_effects: int, ends_at: float) -> None:
+def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline) -> None:
     """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
     structures, here = library.structures, at.structure
     for law in {"", *wandering(structures)}:
+        if end.over:
+            return
         other = here.under(law)
         other = other.minus(*structures.barred(other))
         rough = structures.roughly(other, at)
@@ -131,7 +137,7 @@ def _look_around(library: Library, at: Weighed, max_effects: int, ends_at: float
     moves.sort(key=lambda m: -m.total)
     for i, move in enumerate(moves[:MOST]):
         near = move.total > structures.best.total - NEAR
-        if (i < LEAST or near) and time.monotonic() < ends_at:
+        if (i < LEAST or near) and not end.over:
             structures.weigh(move.to, at, move.hints)
 
 
@@ -179,5 +185,5 @@ def _moves(view: View, max_effects: int) -> Iterator[Move]:
             yield _addition(here.minus(name).plus(other), total, points)
 
 
-def _addition(to: Structure, total: float, points: list[Scored]) -> Move:
+def _addition(to: Structure, total: float, points: list[ScoredPoint]) -> Move:
     return Move(to, total + gain_of(points), tuple(p.hint for p in points[:HINTS]))

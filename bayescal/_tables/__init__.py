@@ -1,4 +1,1 @@
-"""Files as tables: their headers and cells as they stand, and what is wrong with them; nothing understood yet.
-
-Imports `_core`.
-"""
+"""Files and logs as tables: headers and cells as they stand, and what is wrong with them; nothing understood yet."""

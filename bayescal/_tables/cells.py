@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._tables.dates import unix_seconds, zoned
+from bayescal._tables.dates import ORDERS, date_text, unix_seconds, zoned
 
 MOST_BAD = 1000  # cells that are no number, beyond which no more are kept
 MISSING = frozenset(  # what loggers and C's printf write for a reading that is not there
@@ -28,18 +28,51 @@ class Cells:
         values: float64, NaN where empty (or bad); or text, stripped, "" where empty.
         bad: index → text of the cells that should be numbers and are not, the first 1000.
         dates: the values are dates, in seconds since 1970.
+        orders: of dates that leave open which number is the day: the values by the order of month, day and year, NaN
+            where a cell is no date in it.
     """
 
     values: np.ndarray
     bad: Mapping[int, str] = field(default_factory=dict)
     dates: bool = False
+    orders: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def take(self, rows: np.ndarray) -> Cells:
         """The cells of some rows."""
+        orders = {name: values[rows] for name, values in self.orders.items()}
         if not self.bad:
-            return Cells(self.values[rows], dates=self.dates)
+            return Cells(self.values[rows], dates=self.dates, orders=orders)
         bad = {i: self.bad[row] for i, row in enumerate(rows.tolist()) if row in self.bad}
-        return Cells(self.values[rows], bad, self.dates)
+        return Cells(self.values[rows], bad, self.dates, orders)
+
+    def in_order(self, order: str = "") -> Cells:
+        """Dates in the order that is said, or in the only one in which each is a date; else as they are."""
+        fitting = self.fitting_orders
+        chosen = order if order in self.orders else fitting[0] if len(fitting) == 1 else ""
+        if not chosen:
+            return self
+        values = self.orders[chosen]
+        wrong = np.flatnonzero(np.isnan(values) & ~np.isnan(self.values))[:MOST_BAD]
+        bad = {int(i): f"{date_text(float(self.values[i]))[:10]} in another order" for i in wrong}
+        return Cells(values, {**self.bad, **bad}, dates=True)
+
+    @property
+    def fitting_orders(self) -> list[str]:
+        """The orders in which each date is one."""
+        there = ~np.isnan(self.values)
+        return [n for n, values in self.orders.items() if not np.isnan(values[there]).any()]
+
+    def on_days(self, days: Cells, order: str = "") -> Cells:
+        """Times of day on the days of another column, where these cells are the one and those the other."""
+        days = days.in_order(order)
+        clock = self.values[~np.isnan(self.values)]
+        whole = days.values[~np.isnan(days.values)] % 86_400.0
+        if not (self.dates and days.dates and clock.size and whole.size):
+            return self
+        if clock.max() >= 86_400.0 or whole.any():
+            return self
+        orders = {name: values + self.values for name, values in days.orders.items()}
+        return Cells(days.values + self.values, {**days.bad, **self.bad}, dates=True, orders=orders)
 
     @classmethod
     def joined(cls, parts: Sequence[Cells]) -> Cells:
@@ -54,7 +87,9 @@ class Cells:
             values.append(own)
             bad |= {done + i: text for i, text in wrong.items()} if len(bad) < MOST_BAD else {}
             done += len(own)
-        return cls(np.concatenate(values), bad, dates)
+        names = ORDERS if any(part.orders for part in parts) else ()
+        orders = {n: np.concatenate([p.orders.get(n, p.values) for p in parts]) for n in names}
+        return cls(np.concatenate(values), bad, dates, orders)
 
 
 def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
@@ -85,17 +120,23 @@ def is_missing(text: str) -> bool:
 
 def _dates_of(texts: Sequence[str], values: np.ndarray, odd: Sequence[int]) -> Cells:
     """A column whose first text is a date: whatever else stands there, a number too, is bad."""
-    found, bad = np.full(len(texts), np.nan), dict[int, str]()
+    bad, orders = dict[int, str](), {name: np.full(len(texts), np.nan) for name in ORDERS}
     has_zone = zoned(texts[odd[0]])
     for i in sorted([*odd, *np.flatnonzero(~np.isnan(values)).tolist()]):
-        try:
-            found[i] = unix_seconds(texts[i])
-            right = zoned(texts[i]) == has_zone
-        except ValueError:
-            right = False
-        if not right and len(bad) < MOST_BAD:
+        found = dict[str, float]()
+        with suppress(ValueError):
+            found = unix_seconds(texts[i])
+        if (not found or zoned(texts[i]) != has_zone) and len(bad) < MOST_BAD:
             bad[i] = texts[i].strip()
-    return Cells(found, bad, dates=True)
+        for name, of_order in orders.items():
+            of_order[i] = found.get("", found.get(name, np.nan))
+    first, *others = orders.values()
+    if all(np.array_equal(first, other, equal_nan=True) for other in others):
+        return Cells(first, bad, dates=True)
+    shown = first.copy()
+    for other in others:
+        shown = np.where(np.isnan(shown), other, shown)
+    return Cells(shown, bad, dates=True, orders=orders)
 
 
 def _is_date(text: str) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import Cells, numbers_of
 from bayescal._tables.csv_scan import CsvScan, ragged_rows, scan_csv, text_of
 from bayescal._tables.encoding import opened
@@ -37,7 +38,7 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
     scan = scan_csv(path, file, decimal)
     return Table(
         file=file,
-        headers=tuple(Header.parse(text) for text in scan.header),
+        headers=tuple(Header.parse(csv_cell_read(text)) for text in scan.header),
         rows=scan.lines - len(scan.blanks),
         sha256=scan.sha256,
         load=lambda wanted: _load(path, scan, wanted),
@@ -55,6 +56,12 @@ def _notes(scan: CsvScan) -> tuple[str, ...]:
         notes.append(f"{scan.file}: read as {scan.encoding}")
     if scan.decimal == ",":
         notes.append(f"{scan.file}: its numbers have decimal commas")
+    if scan.above:
+        notes.append(
+            f"{scan.file}: its columns are named in row {scan.named}; what stands above it is left out"
+        )
+    if scan.first - scan.named > 1:
+        notes.append(f"{scan.file}: its units are taken from row {scan.named + 1}")
     return tuple(notes)
 
 
@@ -66,13 +73,17 @@ class CsvLines:
         lines: with their ends; blank ones among them.
         table: their readings; None for the header.
         separator: between fields.
+        decimal: between the whole and its parts.
         before: of the header: the lines above it.
+        behind: of the header: the row of units below it, and such.
     """
 
     lines: list[bytes]
     table: Table | None
     separator: str
+    decimal: str = "."
     before: list[bytes] = field(default_factory=list)
+    behind: list[bytes] = field(default_factory=list)
 
 
 def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[CsvLines]:
@@ -85,13 +96,15 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
         decimal: as `open_csv` takes it.
     """
     scan = scan_csv(path, file, decimal)
-    headers = tuple(Header.parse(text) for text in scan.header)
+    headers = tuple(Header.parse(csv_cell_read(text)) for text in scan.header)
     done = 0
     with opened(path, scan.encoding) as handle:
         above: list[bytes] = []
         while handle.tell() < scan.offset:
             above.append(handle.readline())
-        yield CsvLines([above.pop()], None, scan.separator, above)
+        named = scan.named - 1
+        before, header, behind = above[:named], above[named], above[named + 1 :]
+        yield CsvLines([header], None, scan.separator, before=before, behind=behind)
         while lines := list(islice(handle, rows)):
             while not any(line.strip() for line in lines) and (more := handle.readline()):
                 lines.append(more)  # a stretch of blank lines is no table
@@ -109,7 +122,7 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
                     load=load,
                     place=lambda index, start=done: scan.place(start + index),
                 )
-                yield CsvLines(lines, table, scan.separator)
+                yield CsvLines(lines, table, scan.separator, scan.decimal or ".")
             done += count
 
 
@@ -130,7 +143,7 @@ def _cells(handle: Iterable[bytes], scan: CsvScan, wanted: Mapping[int, bool]) -
         fields = _fields([line for line in stretch if line.strip(scan.blank)], scan)
         for position, number in wanted.items():
             texts = fields[position :: len(scan.header)]
-            labels = [] if number else [text.strip() for text in texts]
+            labels = [] if number else [csv_cell_read(text.strip()) for text in texts]
             parts[position].append(
                 numbers_of(texts, scan.decimal) if number else Cells(np.array(labels, dtype=object))
             )

@@ -10,19 +10,22 @@ import csv
 import hashlib
 import re
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._tables.cells import MOST_BAD
 from bayescal._tables.encoding import encoding_of, opened
+from bayescal._tables.header_rows import LOOKED_AT, header_rows
 from bayescal._tables.problems import Problem
+from bayescal._tables.raw_table import refuse_many
 
 _BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
 _SAVE = "Save it as 'CSV UTF-8'"
+_LABVIEW = "***End_of_Header***"
 # A comma that parts no thousands, behind a separator that is none: 20,5 or 0,125 or 1234,567, but not 1,234.
 _DECIMAL_COMMA = re.compile(
     rb"(?:^|[;\t\n])[ +-]*(?:0?,\d+|\d{4,},\d+|\d{1,3},(?:\d\d?|\d{4,}))(?:[eE][+-]?\d+)?[ \r]*(?=[;\t\n]|$)"
@@ -38,6 +41,8 @@ class CsvScan:
     separator: str = ","
     encoding: str = "utf-8"
     decimal: str = ""  # a point or a comma; empty until a number shows it
+    named: int = 0  # row of the header
+    above: bool = False  # whether lines that tell of the test stand above it
     first: int = 0  # row of the first line after the header
     offset: int = 0  # its byte
     lines: int = 0  # after the header
@@ -75,10 +80,8 @@ def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
 
 
 def _look_through(handle: BinaryIO, scan: CsvScan) -> None:
-    digest = hashlib.sha256()
-    row, line = _header_line(handle, scan, digest.update)
-    _split_header(scan, row, line)
-    scan.first, scan.offset = row + 1, handle.tell()
+    above = _read_header(handle, scan)
+    digest = hashlib.sha256(above)
     rest = b""
     while block := handle.read(_BLOCK):
         digest.update(block)
@@ -96,30 +99,85 @@ def _look_through(handle: BinaryIO, scan: CsvScan) -> None:
     scan.sha256 = digest.hexdigest()
 
 
-def _header_line(
-    handle: BinaryIO, scan: CsvScan, update: Callable[[bytes], None]
-) -> tuple[int, str]:
-    """Row and text of the header: the first line that is neither blank nor a '#' comment."""
-    row = 0
-    while line := handle.readline(_BLOCK):
+class _Line(NamedTuple):
+    """A line of the file's start: its row, its text, and the byte behind it."""
+
+    row: int
+    text: str
+    end: int
+
+
+def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
+    """Find the header, and leave the file where the readings begin; the bytes above them.
+
+    It is the first line that is neither blank nor a '#' comment, unless that tells of the test, and names of columns
+    stand further down.
+    """
+    lines = list(_first_lines(handle, "latin-1" if scan.encoding == "latin-1" else "utf-8"))
+    there = [line for line in lines if line.text.strip() and not line.text.startswith("#")]
+    if not there:
+        handle.seek(0)
+        _decode(handle.read(), scan, 1)
+        raise InputError(
+            f"{scan.file!r} is empty: a header 'name [unit], …' and rows of readings were expected"
+        )
+    found, units = None, list[str]()
+    after = [i for i, line in enumerate(there) if line.text.startswith(_LABVIEW)]
+    for i in range(after[-1] + 1 if after else 0, len(there)):
+        separator = _separator_of(there[i].text)
+        rows = [_fields_of(line.text, separator) for line in there]
+        if found := header_rows(rows, i):
+            units = _labview_units(rows[:i])
+            break
+    first, last = (there[found.first], there[found.last]) if found else (there[0], there[0])
+    handle.seek(0)
+    above = handle.read(last.end)
+    _decode(above.removeprefix(b"\xef\xbb\xbf"), scan, 1)
+    _split_header(scan, first.row, first.text)
+    if found and (found.last > found.first or len(found.names) != len(scan.header)):
+        scan.header = found.names
+    if units:
+        padded = [*units, *[""] * len(scan.header)]
+        named = zip(scan.header, padded, strict=False)
+        scan.header = [f"{name} [{unit}]" if name and unit else name for name, unit in named]
+    scan.first, scan.offset, scan.named = last.row + 1, last.end, first.row
+    scan.above = first.row > there[0].row
+    return above
+
+
+def _fields_of(line: str, separator: str) -> list[str]:
+    if '"' not in line:
+        return line.split(separator)
+    return next(csv.reader([line], delimiter=separator), [])
+
+
+def _first_lines(handle: BinaryIO, encoding: str) -> Iterator[_Line]:
+    """The first lines of a file, so many that say something; what is not of the encoding is said later."""
+    said, row = 0, 0
+    while said < LOOKED_AT and (line := handle.readline(_BLOCK)):
         row += 1
-        update(line)
-        if row == 1:
-            line = line.removeprefix(b"\xef\xbb\xbf")
-        text = _decode(line, scan, row)
-        if text.strip() and not text.startswith("#"):
-            return row, text
-    raise InputError(
-        f"{scan.file!r} is empty: a header 'name [unit], …' and rows of readings were expected"
-    )
+        text = line.removeprefix(b"\xef\xbb\xbf" if row == 1 else b"").decode(encoding, "replace")
+        said += bool(text.strip())
+        yield _Line(row, text.rstrip("\r\n"), handle.tell())
+
+
+def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:
+    """Units of the columns that the head of a LabVIEW measurement file (.lvm) states; none elsewhere."""
+    stated = {row[0].strip(): [text.strip() for text in row[1:]] for row in above}
+    if _LABVIEW not in stated or "Y_Unit_Label" not in stated:
+        return []
+    return ["s" if "Time" in stated.get("X_Dimension", ()) else "", *stated["Y_Unit_Label"]]
+
+
+def _separator_of(line: str) -> str:
+    counts = {separator: line.count(separator) for separator in (";", "\t", "|", ",")}
+    most = max(counts, key=lambda separator: counts[separator])
+    return most if counts[most] else ","
 
 
 def _split_header(scan: CsvScan, row: int, line: str) -> None:
-    line = line.rstrip("\r\n")
-    counts = {separator: line.count(separator) for separator in (";", "\t", ",")}
-    scan.separator = max(counts, key=lambda separator: counts[separator])
-    if not counts[scan.separator]:
-        scan.separator = ","
+    scan.separator = _separator_of(line)
+    refuse_many(scan.file, 1 + line.count(scan.separator))
     if all(map(_is_number, line.split(scan.separator))):
         raise InputError(
             f"{scan.file!r} has no header: its first row, row {row}, is numbers. Write one that names the columns, "

@@ -3,44 +3,138 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from datetime import UTC, datetime, timedelta
+from contextlib import suppress
+from datetime import UTC, date, datetime, timedelta
+from functools import lru_cache
 
 import numpy as np
 
 EXAMPLE = "2026-11-22 10:00:00.123"
+ORDERS = ("mdy", "dmy", "ymd")  # month first, day first, year first
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})")  # with points the day always comes first
-_TIME_ONLY = re.compile(r"\d{1,2}:\d\d(:\d\d.*)?")
+_DAY = 86_400.0  # s
+_NUMBERS = re.compile(r"(\d{1,4})([./-])(\d{1,2})\2(\d{2,4})(?!\d)")
+_WORDS = re.compile(r"(\d{1,2})[ -]([^\W\d_]{3,9})\.?[ -](\d{4})(?!\d)")  # 23-Nov-2026
+_MONTH_FIRST = re.compile(r"([^\W\d_]{3,9})\.? (\d{1,2}),? (\d{4})(?!\d)")  # Nov 23, 2026
+_BETWEEN = re.compile(r"\s*[T,_-]?\s*")  # a date and its time of day
+_CLOCK = re.compile(
+    r"(\d{1,4}):(\d\d)(?::(\d\d)(?:[.,:](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?"
+)
+_MONTHS = {
+    "jan": 1, "feb": 2, "mar": 3, "apr": 4, "may": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9, "oct": 10, "nov": 11,
+    "dec": 12, "mrz": 3, "mai": 5, "okt": 10, "dez": 12,
+}  # fmt: skip
 
 
-def unix_seconds(text: str) -> float:
-    """A date in ISO 8601, with or without a zone, day.month.year, year/month/day, or a time of day, in s since 1970.
+def unix_seconds(text: str) -> dict[str, float]:
+    """A date, or a time of day, in seconds since 1970, by the order of day, month and year in which it may be written.
 
-    A date without a zone is taken as UTC: only differences count. What float64 holds of it, a quarter of a
-    microsecond, is finer than what the text can say.
+    Known are ISO 8601, with or without a zone; 11/23/2026, 23/11/2026, 23.11.2026, 2026/11/23, 23-Nov-2026, Nov 23,
+    2026 with times such as 14:05:33.250, 14:05:33,250, 14:05:33:250 and 2:05:33 PM behind them; and times alone. A
+    date without a zone is taken as UTC: only differences count. What float64 holds of it, a quarter of a microsecond,
+    is finer than what the text can say.
+
+    Returns:
+        Seconds by each of `ORDERS` in which it is a date; under "" where there is no choice.
 
     Raises:
-        ValueError: the text is none of these. Where days and months could be exchanged (05/06/2026) it is none.
+        ValueError: the text is none of these.
     """
     text = text.strip()
-    if _TIME_ONLY.fullmatch(text):
-        text = f"1970-01-01 {text.zfill(8) if text[1] == ':' else text}"
-    elif found := _DAY_FIRST.match(text):
-        day, month, year = found.groups()
-        text = f"{year}-{month:0>2}-{day:0>2}{text[found.end() :]}"
-    elif text[4:5] == "/":
-        text = text.replace("/", "-", 2)
-    elif text[4:5] != "-":
+    if text[4:5] == "-":
+        with suppress(ValueError):
+            return {"": _seconds(datetime.fromisoformat(text))}
+    if _CLOCK.fullmatch(text):
+        return {"": _time_of_day(text, longest=9999)}
+    days, rest = _days(text[: _date_length(text)]), text[_date_length(text) :]
+    between = _BETWEEN.match(rest)
+    assert between is not None
+    clock = _time_of_day(rest[between.end() :], longest=23) if rest else 0.0
+    return {name: day * _DAY + clock for name, day in days.items()}
+
+
+def _date_length(text: str) -> int:
+    """Where the date in a text ends, and its time of day begins.
+
+    Raises:
+        ValueError: it begins with none.
+    """
+    for form in (_NUMBERS, _WORDS, _MONTH_FIRST):
+        if found := form.match(text):
+            return found.end()
+    raise ValueError(f"{text!r} is no date")
+
+
+@lru_cache(maxsize=4096)  # days repeat
+def _days(text: str) -> dict[str, int]:
+    """Days since 1970 by the order in which a date may be written, "" for one that leaves no choice.
+
+    Raises:
+        ValueError: it is none in any.
+    """
+    if found := _WORDS.fullmatch(text):
+        return {"": _day(int(found[3]), _month(found[2]), int(found[1]))}
+    if found := _MONTH_FIRST.fullmatch(text):
+        return {"": _day(int(found[3]), _month(found[1]), int(found[2]))}
+    found = _NUMBERS.fullmatch(text)
+    assert found is not None
+    first, mark, middle, last = int(found[1]), found[2], int(found[3]), int(found[4])
+    if len(found[1]) > 2:
+        return {"": _day(first, middle, last)}
+    if mark == ".":  # with points the day always comes first
+        return {"": _day(_year(found[4]), middle, first)}
+    parts = {
+        "mdy": (_year(found[4]), first, middle),
+        "dmy": (_year(found[4]), middle, first),
+        "ymd": (_year(found[1]), middle, last),
+    }
+    days = dict[str, int]()
+    for order, part in parts.items():
+        if order != "ymd" or len(found[4]) == 2 == len(found[1]):
+            with suppress(ValueError):
+                days[order] = _day(*part)
+    if not days:
         raise ValueError(f"{text!r} is no date")
-    return _seconds(datetime.fromisoformat(text))
+    return days
 
 
-def exchangeable(texts: Iterable[str]) -> str:
-    """What to do about dates that leave open which number is the day, as 05/06/2026; empty if there are none."""
-    if any(re.match(r"\s*\d{1,2}[/-]\d{1,2}[/-]\d{2,4}\b", text) for text in texts):
-        return "Day and month could be exchanged: write the year first, or points (22.11.2026)"
-    return ""
+def _year(text: str) -> int:
+    if len(text) not in (2, 4):
+        raise ValueError(f"{text!r} is no year")
+    return int(text) if len(text) == 4 else 2000 + int(text)
+
+
+def _month(name: str) -> int:
+    if name[:3].lower() not in _MONTHS:
+        raise ValueError(f"{name!r} is no month")
+    return _MONTHS[name[:3].lower()]
+
+
+def _day(year: int, month: int, day: int) -> int:
+    return date(year, month, day).toordinal() - _EPOCH.toordinal()
+
+
+def _time_of_day(text: str, longest: int) -> float:
+    """A time of day in s, less its zone; up to so many hours.
+
+    Raises:
+        ValueError: it is none.
+    """
+    found = _CLOCK.fullmatch(text.strip())
+    if not found:
+        raise ValueError(f"{text!r} is no time of day")
+    hours, minutes, seconds, parts, half, zone = found.groups()
+    hour = int(hours)
+    if half:
+        if not 1 <= hour <= 12:
+            raise ValueError(f"{text!r} is no time of day")
+        hour = hour % 12 + 12 * (half in "Pp")
+    if hour > longest or int(minutes) > 59 or int(seconds or 0) > 59:
+        raise ValueError(f"{text!r} is no time of day")
+    zone = (zone or "Z").replace(":", "")
+    ahead = 0 if zone == "Z" else int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:5]))
+    whole = hour * 3600 + 60 * int(minutes) + int(seconds or 0) - ahead
+    return whole + int((parts or "0").ljust(9, "0")) * 1e-9
 
 
 def _seconds(when: datetime) -> float:

@@ -7,15 +7,24 @@ is needed to write it; Python's own reads it.
 from __future__ import annotations
 
 import json
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
+from bayescal._core.json_shape import mismatch, read_toml
 
-_KINDS = {"columns": dict, "units": dict, "local_gravity": float, "missing": str, "decimal": str}
+_SHAPE = {
+    "columns?": {str: str},
+    "units?": {str: str},
+    "ignore?": [str],
+    "local_gravity?": float,
+    **{
+        f"{name}?": str
+        for name in ("missing", "decimal", "date_order", "nominal_scale", "nominal_zero")
+    },
+}
 
 
 def load_mapping(path: Path) -> dict[str, Any]:
@@ -25,22 +34,19 @@ def load_mapping(path: Path) -> dict[str, Any]:
         InputError: no such file, no TOML, or an entry that no mapping has.
     """
     try:
-        found = tomllib.loads(path.read_text("utf-8"))
+        found = read_toml(path)
     except OSError as error:
         raise InputError(f"--mapping {path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise InputError(f"--mapping {path}: is no TOML: {error}") from None
     for name, value in found.items():
-        kind = _KINDS.get(name)
-        if isinstance(value, int) and not isinstance(value, bool) and kind is float:
-            value = found[name] = float(value)
-        strings = not isinstance(value, dict) or all(isinstance(v, str) for v in value.values())
-        if kind is None or not isinstance(value, kind) or not strings:
+        if mismatch({name: value}, _SHAPE):
             raise InputError(
-                f"--mapping {path}: {name} = {value!r} is none of its entries, which are columns and units (tables of "
-                "strings), local_gravity (a number), missing and decimal (strings). Correct it"
+                f"--mapping {path}: {name} = {repr(value)[:80]} is none of its entries, which are columns and units "
+                "(tables of strings), ignore (a list of strings), local_gravity (a number), missing, decimal, "
+                "date_order, nominal_scale and nominal_zero (strings). Correct it"
             )
-    return found
+    return {n: float(v) if n == "local_gravity" else v for n, v in found.items()}
 
 
 def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
@@ -58,6 +64,6 @@ def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
         partial.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
-def _value(value: str | float) -> str:
-    """A string or a number as TOML has it. JSON leaves the character 7F as it is, TOML does not allow it."""
+def _value(value: str | float | Sequence[str]) -> str:
+    """A string, a number or a list of strings as TOML has it. JSON leaves the character 7F, TOML does not allow it."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -8,13 +8,14 @@ from pathlib import Path
 
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
-from bayescal._logs.open_log import LOG_FORMATS, log_columns
+from bayescal._core.quoting import one_line
 from bayescal._tables.cells import cells_of
 from bayescal._tables.csv_reader import open_csv
+from bayescal._tables.open_log import LOG_FORMATS, log_columns
 from bayescal._tables.raw_table import Header, Table, bytes_text
 
 MAX_BYTES = 2_000_000_000
-TEXT = (".csv", ".tsv", ".txt")
+TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
 READ = (*TEXT, ".parquet", ".nc", ".xlsx", ".mat", *LOG_FORMATS)
 _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".joblib")
 
@@ -42,7 +43,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
         if count > 1:
             raise InputError(f"{path.name!r} was given {count} times: give each file once")
     shared = Counter(path.name for path in paths)
-    return [path.name if shared[path.name] == 1 else str(path) for path in paths]
+    return [one_line(path.name if shared[path.name] == 1 else path) for path in paths]
 
 
 def _refuse_large(paths: Sequence[Path], names: Sequence[str], max_bytes: int) -> None:

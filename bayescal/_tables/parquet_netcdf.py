@@ -9,10 +9,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
-from bayescal._core.atomic_file import sha256_of
+from bayescal._core.atomic_file import named_back, sha256_of
 from bayescal._core.errors import InputError
 from bayescal._tables.cells import Cells, cells_of
-from bayescal._tables.raw_table import ROW, Header, Table, as_format, refuse_large, row_place
+from bayescal._tables.raw_table import (
+    ROW,
+    Header,
+    Table,
+    as_format,
+    refuse_large,
+    refuse_many,
+    row_place,
+)
+from bayescal._tables.unpacked import ARRAYS, refuse_hdf5, refuse_unpacked
 
 
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
@@ -27,7 +36,9 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         InputError: it is not Parquet, or too large once unpacked.
     """
     with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
+        refuse_many(file, opened.metadata.num_columns)
         schema, rows = opened.schema_arrow, opened.metadata.num_rows
+    refuse_unpacked(file, path.stat().st_size, 8 * rows * len(schema), ARRAYS)
     refuse_large(file, rows, len(schema), max_bytes)
     fields = [schema.field(position) for position in range(len(schema))]
     headers = tuple(Header.parse(f.name, field_unit(f)) for f in fields)
@@ -110,6 +121,7 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
         hdf5.attrs.get(
             "_nc3_strict"
         )  # h5netcdf, failing at this, would print its own complaint later
+        refuse_hdf5(hdf5, file, path.stat().st_size)
     with as_format(file, "NetCDF-4"), _dataset(path) as dataset:
         lines = {str(n): v for n, v in dataset.variables.items() if v.ndim == 1 and n != ROW}
         dimensions = {str(v.dims[0]) for v in lines.values()}
@@ -120,10 +132,12 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
             )
         chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
         names = [name for name, variable in lines.items() if variable.dims[0] == chosen]
+        refuse_many(file, len(names))
         rows = dataset.sizes.get(chosen, 0)
         units = {name: lines[name].attrs.get("units") for name in names}
     refuse_large(file, rows, len(names), max_bytes)
-    headers = tuple(Header.parse(n, None if units[n] is None else str(units[n])) for n in names)
+    said = {name: None if unit is None else str(unit) for name, unit in units.items()}
+    headers = tuple(Header.parse(named_back(name), said[name]) for name in names)
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
         with as_format(file, "NetCDF-4"), _dataset(path) as dataset:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import shlex
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from shutil import get_terminal_size
 
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import table
+from bayescal._core.formatting import WIDTH, table
 
 _SHOWN = 3  # rows that are named before the rest is counted
-_CLIPPED = 40  # characters of a cell of the table; the last column is folded instead
+_LONGEST = 40  # characters of a cell of the table; what is longer makes it a list
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class Problems(list[Problem]):
 
 def option(name: str, value: str) -> str:
     """An option of the command line as a shell takes it: --columns 'output=gz (deg/s)'."""
-    return f"{name} {shlex.quote(value)}"
+    return f"{name}{'=' if value.startswith('-') else ' '}{shlex.quote(value)}"
 
 
 def _text(problems: Sequence[Problem]) -> str:
@@ -108,14 +110,34 @@ def _text(problems: Sequence[Problem]) -> str:
     rows = []
     for p in problems:
         cells = [p.column or "–", p.where, p.came, p.expected or "–"]
-        cells = [_clipped(cell) for cell in ([p.file] * several + cells)]
-        rows.append([*cells, "\n".join(part for part in (p.option, p.cure) if part) or "–"])
+        rows.append(
+            [
+                *([p.file] * several),
+                *cells,
+                "\n".join(part for part in (p.option, p.cure) if part) or "–",
+            ]
+        )
     of = f"{files[0]!r}" if len(files) == 1 else f"{len(files)} files"
     options = " ".join(dict.fromkeys(p.option for p in problems if p.option))
     asked = f"\n\nwith these options, if they are meant: {options}" if options else ""
-    left = len(head) - 1
-    return f"{len(problems)} problems with {of}\n\n{table(head, rows, left, fold=40)}{asked}"
+    said = table(head, rows, len(head) - 1, fold=40)
+    page = min(WIDTH, get_terminal_size((WIDTH, 24)).columns)
+    longest = max(len(cell) for row in rows for cell in row[:-1])
+    if longest > _LONGEST or max(map(len, said.splitlines())) > page:  # nothing is cut
+        said = "\n".join(_in_lines(p, several, page) for p in problems)
+    return f"{len(problems)} problems with {of}\n\n{said}{asked}"
 
 
-def _clipped(text: str) -> str:
-    return text if len(text) <= _CLIPPED else f"{text[: _CLIPPED - 1]}…"
+def _in_lines(problem: Problem, several: bool, page: int) -> str:
+    """A problem as a list has it, folded to a page: where and what, then what to do."""
+    p = problem
+    where = [p.file] * several + [f"column {p.column!r}"] * bool(p.column)
+    where += [f"row {p.where}" if len(p.places) == 1 else f"rows {p.where}"] * bool(p.places)
+    expected = f"; expected: {p.expected}" if p.expected else ""
+    first = f"{', '.join(where)}: {p.came}{expected}" if where else f"{p.came}{expected}"
+    lines = textwrap.wrap(first, page - 2, initial_indent="- ", subsequent_indent="  ")
+    lines += [f"    {p.option}"] * bool(p.option)  # to be copied: in one line
+    indent = " " * 4
+    return "\n".join(
+        [*lines, *textwrap.wrap(p.cure, page - 4, initial_indent=indent, subsequent_indent=indent)]
+    )

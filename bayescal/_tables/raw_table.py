@@ -6,6 +6,7 @@ Every format ends here, so that what follows (which column is which, what is ref
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,12 +19,17 @@ from bayescal._tables.problems import Problem
 
 ROW = "reading"  # the one dimension of readings
 FORMATS = (".csv", ".parquet", ".nc")  # that are written
-_WITH_UNIT = re.compile(r"(.*?)\s*\[([^\[\]]*)\]", re.DOTALL)
+MOST_COLUMNS = 100_000
 
 
 def bytes_text(size: float) -> str:
     """A number of bytes for people: 180 bytes, 2.1 GB."""
     return f"{size / 1e9:.3g} GB" if size >= 1e8 else f"{size:,.0f} bytes"
+
+
+def in_one_line(text: str) -> str:
+    """A name without line breaks and other control characters."""
+    return re.sub(r"\s*[\x00-\x1f\x7f-\x9f\u2028\u2029]+\s*", " ", text).strip()
 
 
 @dataclass(frozen=True)
@@ -36,10 +42,15 @@ class Header:
 
     @classmethod
     def parse(cls, raw: str, unit: str | None = None) -> Header:
-        """Split `name [unit]`; a unit given beside the name counts where the name carries none."""
-        raw = raw.strip()
-        match = _WITH_UNIT.fullmatch(raw)
-        return cls(raw, match[1], match[2].strip()) if match else cls(raw, raw, unit)
+        """Split `name [unit]`; a unit given beside the name counts where the name carries none.
+
+        Lines of a cell become one: what breaks a line, or cannot be seen, is a space.
+        """
+        raw = in_one_line(raw)
+        name, bracket, own = raw.rpartition("[")
+        if bracket and name.strip() and own.endswith("]") and own.count("]") == 1:
+            return cls(raw, name.rstrip(), own[:-1].strip())
+        return cls(raw, raw, unit)
 
 
 @dataclass(frozen=True)
@@ -78,11 +89,11 @@ class Table:
             raise InputError(
                 f"{self.file!r} holds no readings: give a file with at least one row of numbers"
             )
-        names = [header.name for header in self.headers if header.name]
-        for name in names:
-            if names.count(name) > 1:
+        counts = Counter(header.name for header in self.headers if header.name)
+        for name, count in counts.items():
+            if count > 1:
                 raise InputError(
-                    f"{self.file!r} has {names.count(name)} columns called {name!r}: which one is "
+                    f"{self.file!r} has {count} columns called {name!r}: which one is "
                     "meant cannot be told. Rename or remove all but one"
                 )
 
@@ -113,6 +124,19 @@ def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:
                 "changed while it was read. Export it again"
             )
     return found
+
+
+def refuse_many(file: str, columns: int) -> None:
+    """Refuse a table wider than any, before its columns are named.
+
+    Raises:
+        InputError: it is.
+    """
+    if columns > MOST_COLUMNS:
+        raise InputError(
+            f"{file!r} has {columns:,} columns, at most {MOST_COLUMNS:,} are read: is one row of it meant as a column? "
+            "Write one row for each reading"
+        )
 
 
 def row_place(index: int) -> str:

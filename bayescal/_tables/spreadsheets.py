@@ -4,14 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._tables.cells import Cells, cells_of
-from bayescal._tables.raw_table import Header, Table, as_format, refuse_large, row_place
+from bayescal._tables.header_rows import LOOKED_AT, header_rows
+from bayescal._tables.raw_table import (
+    Header,
+    Table,
+    as_format,
+    refuse_large,
+    refuse_many,
+    row_place,
+)
+from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
 
 
 def open_excel(path: Path, file: str, max_bytes: int) -> Table:
@@ -31,14 +40,13 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
         raise InputError(
             f"{file!r}: reading Excel files needs openpyxl: pip install 'bayescal[logs]'; or save it as CSV UTF-8"
         ) from None
-    with as_format(file, "Excel (.xlsx)"):
-        book = load_workbook(path, read_only=True, data_only=True)
+    with as_format(file, "Excel (.xlsx)"), path.open("rb") as handle:
+        refuse_zip(path, file)
+        book = load_workbook(handle, read_only=True, data_only=True)
         try:
-            sheets = [sheet for sheet in book.worksheets if sheet.max_row and sheet.max_column]
+            sheets = book.worksheets
             for sheet in sheets:
-                refuse_large(file, sheet.max_row, sheet.max_column, max_bytes)
-                rows = list(sheet.iter_rows(values_only=True))
-                if any(value is not None for row in rows for value in row):
+                if rows := _rows_of(sheet, file, max_bytes):
                     break
             else:
                 raise InputError(f"{file!r} is empty: a header and rows of readings were expected")
@@ -49,16 +57,79 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
     return _of_rows(path, file, rows, notes)
 
 
-def _of_rows(path: Path, file: str, rows: Sequence[Sequence[Any]], notes: tuple[str, ...]) -> Table:
-    """A table of rows of cells: the first that is not empty names the columns, empty rows are none."""
-    there = [i for i, row in enumerate(rows) if any(_there(value) for value in row)]
-    head, *data = there
-    width = 1 + max(i for row in there for i, value in enumerate(rows[row]) if _there(value))
-    names = ["" if value is None else str(value) for value in rows[head][:width]]
-    columns = [[rows[row][i] for row in data] for i in range(width)]
+class SheetRow(NamedTuple):
+    """The cells of a row that are not empty: its number, and their columns and values."""
+
+    number: int
+    columns: tuple[int, ...]
+    values: tuple[Any, ...]
+
+
+def _rows_of(sheet: Any, file: str, max_bytes: int) -> list[SheetRow]:
+    """The rows of a sheet that hold something, whatever size it states, in the order of their numbers.
+
+    Raises:
+        InputError: a row stands twice, or there are more cells than may be held.
+    """
+    from openpyxl.worksheet._reader import WorkSheetParser
+
+    book, found, alike, cells = sheet.parent, dict[int, SheetRow](), dict[tuple, tuple](), 0
+    with sheet._get_source() as source:
+        parser = WorkSheetParser(
+            source,
+            sheet._shared_strings,
+            data_only=True,
+            epoch=book.epoch,
+            date_formats=book._date_formats,
+            timedelta_formats=book._timedelta_formats,
+        )
+        for number, given in parser.parse():
+            filled = [(c["column"], c["value"]) for c in given if _there(c["value"])]
+            if not filled:
+                continue
+            there = dict(filled)
+            if number in found or len(there) < len(filled):
+                raise InputError(
+                    f"{file!r}, sheet {sheet.title!r}: row {number}, or a cell in it, stands there twice, and which is "
+                    "meant cannot be told. Open it and save it again"
+                )
+            columns = tuple(there)
+            columns = alike.setdefault(columns, columns)
+            found[number] = SheetRow(number, columns, tuple(there.values()))
+            cells += len(columns)
+            refuse_large(file, cells, 1, max_bytes)
+    return [found[number] for number in sorted(found)]
+
+
+def _of_rows(path: Path, file: str, rows: Sequence[SheetRow], notes: tuple[str, ...]) -> Table:
+    """A table of rows of cells: the first that is as wide as the readings names the columns."""
+    width = max(max(row.columns) for row in rows)
+
+    def said(row: SheetRow) -> list[str]:
+        own = dict(zip(row.columns, row.values, strict=True))
+        return [_said(own.get(position + 1)) for position in range(width)]
+
+    told = [said(row) for row in rows[:LOOKED_AT]]
+    found = next((h for i in range(len(told)) if (h := header_rows(told, i))), None)
+    first, last, names = found or (0, 0, told[0])
+    data = rows[last + 1 :]
+    if first:
+        below = f"{file}: its columns are named in row {rows[first].number}"
+        notes = (*notes, f"{below}; what stands above it is left out")
+    if last > first:
+        notes = (*notes, f"{file}: its units are taken from row {rows[last].number}")
+    names = [*names, *[""] * (width - len(names))]
+    places: dict[tuple[int, ...], dict[int, int]] = {}
+    for row in data:
+        if row.columns not in places:
+            places[row.columns] = {column: at for at, column in enumerate(row.columns)}
+
+    def column(position: int) -> list[Any]:
+        at = ((row, places[row.columns].get(position + 1)) for row in data)
+        return [None if i is None else row.values[i] for row, i in at]
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        return {p: cells_of(_objects(columns[p]), number) for p, number in wanted.items()}
+        return {p: cells_of(_objects(column(p)), number) for p, number in wanted.items()}
 
     return Table(
         file=file,
@@ -66,9 +137,15 @@ def _of_rows(path: Path, file: str, rows: Sequence[Sequence[Any]], notes: tuple[
         rows=len(data),
         sha256=sha256_of(path),
         load=load,
-        place=lambda index: f"row {data[index] + 1}",
+        place=lambda index: f"row {data[index].number}",
         notes=notes,
     )
+
+
+def _said(value: Any) -> str:
+    if value is None:
+        return ""
+    return value.isoformat() if hasattr(value, "isoformat") else str(value)
 
 
 def _there(value: Any) -> bool:
@@ -98,7 +175,7 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
     with as_format(file, "MATLAB (.mat)"):
         with path.open("rb") as handle:
             old = b"MATLAB 7.3" not in handle.read(128)
-        found = _variables(path) if old else _variables_of_hdf5(path)
+        found = _variables(path, file) if old else _variables_of_hdf5(path, file)
     columns = {
         name: vector for key, value in found.items() for name, vector in _vectors(key, value)
     }
@@ -112,6 +189,7 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
         )
     rows = lengths.pop()
     kept = {name: vector for name, vector in columns.items() if len(vector) == rows}
+    refuse_many(file, len(kept))
     refuse_large(file, rows, len(kept), max_bytes)
     vectors = list(kept.values())
     return Table(
@@ -124,15 +202,16 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
     )
 
 
-def _variables(path: Path) -> dict[str, Any]:
+def _variables(path: Path, file: str) -> dict[str, Any]:
     """Of a file of version 7.2 or before."""
     from scipy.io import loadmat
 
+    refuse_matlab(path, file)
     loaded = loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
     return {name: value for name, value in loaded.items() if not name.startswith("__")}
 
 
-def _variables_of_hdf5(path: Path) -> dict[str, Any]:
+def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
     """Of a file of version 7.3: arrays are stored transposed, text as numbers of characters."""
     import h5py
 
@@ -146,6 +225,7 @@ def _variables_of_hdf5(path: Path) -> dict[str, Any]:
         return np.squeeze(array) if array.dtype.kind in "iufb" else None
 
     with h5py.File(path) as opened:
+        refuse_hdf5(opened, file, path.stat().st_size)
         return {str(name): value(opened[name]) for name in opened if not str(name).startswith("#")}
 
 

@@ -14,8 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
-from bayescal._core.atomic_file import netcdf_bytes, replacing_for_user
+from bayescal._core.atomic_file import netcdf_bytes, renamed, replacing_for_user, storable
 from bayescal._core.errors import InputError
+from bayescal._core.quoting import csv_cell
 from bayescal._tables.raw_table import FORMATS
 
 
@@ -59,7 +60,11 @@ def _columns(dataset: xr.Dataset) -> dict[str, np.ndarray]:
 
 
 def _write_csv(dataset: xr.Dataset, path: Path) -> None:
-    frame = pd.DataFrame(_columns(dataset))
+    made = {
+        csv_cell(name): list(map(csv_cell, values)) if values.dtype.kind in "OU" else values
+        for name, values in _columns(dataset).items()
+    }
+    frame = pd.DataFrame(made)
     frame.to_csv(path, index=False, lineterminator="\n", encoding="utf-8")
 
 
@@ -75,10 +80,4 @@ def _write_parquet(dataset: xr.Dataset, path: Path) -> None:
 
 
 def _write_netcdf(dataset: xr.Dataset, path: Path) -> None:
-    for name in dataset.data_vars:
-        if "/" in str(name):
-            raise InputError(
-                f"column {name!r} cannot be written to NetCDF because of its '/': rename it, or "
-                "write .csv or .parquet"
-            )
-    path.write_bytes(netcdf_bytes(dataset))
+    path.write_bytes(netcdf_bytes(renamed(dataset, storable)))

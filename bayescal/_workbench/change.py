@@ -8,10 +8,10 @@ from typing import Any
 
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
-from bayescal._model.noise_laws import Noise
-from bayescal._readings.unit_conversion import unit_label
+from bayescal._model.noise_law import Noise
 
 KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
 

@@ -24,14 +24,26 @@ from bayescal._calibration.description import identity
 from bayescal._calibration.fit import load
 from bayescal._core.atomic_file import to_disk, write_text
 from bayescal._core.errors import InputError
+from bayescal._core.json_shape import OneOf, mismatch, read_json
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
-from bayescal._report.whole_folder import MANIFEST, bring_back, refuse_mixed, whole_folder
-from bayescal._workbench.origin import Origin
+from bayescal._report.whole_folder import AGAIN, MANIFEST, bring_back, refuse_mixed, whole_folder
+from bayescal._workbench import origin
+from bayescal._workbench.origin import Origin, Settings
 from bayescal._workbench.state import State
 
 SESSION, STATE, CALIBRATION, SCRIPT = "session.json", "state.json", "calibration.nc", "script.py"
 SCHEMA = "bayescal.workbench/1"
+SESSION_SHAPE = {
+    "schema": str,
+    "origin": origin.SHAPE,
+    "settings": origin.SETTINGS_SHAPE,
+    "current": int,
+}
+STATE_SHAPE = {
+    **{"number": int, "parent": OneOf(None, int), "title": str, "at": str},
+    **{"added": OneOf(None, str), "changed": str},
+}
 _NUMBERED = re.compile(r"session_(\d+)")
 _STATE = re.compile(r"\.?state_(\d{3,})(\..*)?")
 
@@ -66,13 +78,13 @@ def keep_state(folder: Path, name: str, state: State, script: str) -> None:
     to_disk(folder)
 
 
-def keep_session(folder: Path, origin: Origin, settings: Mapping[str, Any], current: int) -> None:
+def keep_session(folder: Path, of: Origin, settings: Mapping[str, Any], current: int) -> None:
     """Keep what the session is about, and which state is current.
 
     Raises:
         InputError: it cannot be written.
     """
-    told = {"schema": SCHEMA, "origin": origin.data(), "settings": settings, "current": current}
+    told = {"schema": SCHEMA, "origin": of.data(), "settings": settings, "current": current}
     write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", folder / SESSION)
 
 
@@ -84,7 +96,8 @@ def keep_draft(folder: Path, code: str) -> Path:
     """
     drafts = folder / "drafts"
     drafts.mkdir(exist_ok=True)
-    taken = [int(p.stem.rpartition("_")[2]) for p in drafts.glob("draft_*.py")]
+    numbers = (p.stem.rpartition("_")[2] for p in drafts.glob("draft_*.py"))
+    taken = [int(n) for n in numbers if n.isdecimal()]
     return write_text(code, drafts / f"draft_{max(taken, default=0) + 1}.py")
 
 
@@ -95,11 +108,14 @@ def session_in(folder: Path) -> dict[str, Any]:
         InputError: there is none, or none that can be read.
     """
     try:
-        told = json.loads((folder / SESSION).read_text("utf-8"))
-        if told["schema"] != SCHEMA:
-            raise ValueError(f"its schema is {told['schema']!r}, expected {SCHEMA!r}")
-        return {**told, "origin": Origin.from_data(told["origin"])}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        told = read_json(folder / SESSION)
+        if isinstance(told, dict) and told.get("schema") != SCHEMA:
+            raise ValueError(f"its schema is {told.get('schema')!r}, expected {SCHEMA!r}")
+        if said := mismatch(told, SESSION_SHAPE):
+            raise ValueError(said)
+        settings = Settings.from_data(told["settings"])
+        return {**told, "origin": Origin.from_data(told["origin"]), "settings": settings}
+    except (OSError, ValueError, TypeError, InputError) as error:
         raise InputError(
             f"{folder} holds no session that can be gone on with ({error}): begin one in another folder"
         ) from None
@@ -114,14 +130,21 @@ def states_in(
         InputError: one of them was changed since.
     """
     numbers = {int(m[1]) for path in folder.iterdir() if (m := _STATE.fullmatch(path.name))}
+    seen: list[int] = []
     for number in sorted(numbers):
         own = folder / f"state_{number:03d}"
         bring_back(own)
         if not (own / MANIFEST).is_file():  # killed before it was whole
             continue
         refuse_mixed(own)
-        told = json.loads((own / STATE).read_text("utf-8"))
-        told["at"] = datetime.fromisoformat(told["at"])
+        try:
+            told = read_json(own / STATE, STATE_SHAPE)
+            told["at"] = datetime.fromisoformat(told["at"])
+            if told["number"] != number or told["parent"] not in (*seen, *([] if seen else [None])):
+                raise ValueError("its number or its parent is none of this session's")
+        except (OSError, ValueError) as error:
+            raise InputError(f"{own / STATE} is not as it was written ({error}). {AGAIN}") from None
+        seen.append(number)
         given = () if instrument is None else (instrument,)
         yield told, load(own / CALIBRATION, effects=tuple(effects.values()), instruments=given)
 

@@ -10,18 +10,40 @@ from typing import Any
 
 import bayescal
 from bayescal._core.errors import InputError
-from bayescal._discovery.calibrate import Loop
-from bayescal._discovery.own_files import in_a_file, instrument_named, user_effects
+from bayescal._core.json_shape import ANY, OneOf
+from bayescal._data.measurements import Measurements
+from bayescal._data.read import read
+from bayescal._data.set_aside import set_aside
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
 from bayescal._model.installed import GROUP, installed_names
 from bayescal._model.instrument import Instrument
-from bayescal._readings.measurements import Measurements
-from bayescal._readings.read import read
-from bayescal._recording.set_aside import set_aside
+from bayescal._search.calibrate import Loop
+from bayescal._search.own_files import in_a_file, instrument_named, user_effects
 
 USUAL = {"columns": {}, "units": {}, "local_gravity": 9.80665, "missing": "refuse", "decimal": ""}
+
+METHODS = ("LeastSquares", "Marginal", "NUTS")
+READ = {
+    "columns?": {str: str},
+    "units?": {str: str},
+    **{"local_gravity?": float, "missing?": str, "decimal?": str},
+}
+SHAPE = {  # of `Origin.data`
+    "instrument": str,
+    **{"files": [str], "holdout": [str], "effect_files": [str]},
+    "read": READ,
+    "average": OneOf(None, str),
+    "keep_spikes": bool,
+}
+SETTINGS_SHAPE = {  # of `Settings.data`
+    "method": OneOf(None, {str: ANY}),
+    **{"max_effects": int, "seed": int, "widen_noise": bool, "keep_spikes": bool},
+    "reference": OneOf(None, {str: OneOf(float, {str: float})}),
+    "time_limit": OneOf(None, float),
+    "accept_conflicts": [str],
+}
 
 
 @dataclass(frozen=True)
@@ -96,6 +118,12 @@ class Origin:
         """What `data` gave."""
         lists = {n: tuple(data[n]) for n in ("files", "holdout", "effect_files")}
         return cls(**{**data, **lists})
+
+    @property
+    def python_files(self) -> tuple[str, ...]:
+        """Those that are run where this is opened."""
+        file = self.instrument.rpartition(":")[0] if in_a_file(self.instrument) else ""
+        return (*([file] if file else []), *self.effect_files)
 
     def open_holdout(self, instrument: Instrument) -> Measurements | None:
         """The hold-out data as they were; None without."""
@@ -215,11 +243,17 @@ class Settings:
 
     @classmethod
     def from_data(cls, told: Mapping[str, Any]) -> Settings:
-        """What `data` gave."""
+        """What `data` gave.
+
+        Raises:
+            ValueError, TypeError: it did not give this.
+        """
         method = told["method"]
         if method is not None:
             given = {k: tuple(v) if isinstance(v, list) else v for k, v in method.items()}
-            name = str(given.pop("name"))
+            name = str(given.pop("name", ""))
+            if name not in METHODS:
+                raise ValueError(f"its method {name!r} is not one of {', '.join(METHODS)}")
             method = getattr(bayescal, name)(**given)
         return cls(**{**told, "method": method})
 
@@ -228,5 +262,4 @@ class Settings:
         return Loop(
             *(readings, holdout, self.method, self.seed, self.reference, self.max_effects),
             accepted=frozenset(self.accept_conflicts),
-            time_limit=self.time_limit,
         )

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import bayescal
+from bayescal._core.quoting import one_line
 from bayescal._core.version import __version__
-from bayescal._discovery.calibrate import QUICK
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
-from bayescal._model.noise_laws import Noise
+from bayescal._model.noise_law import Noise
+from bayescal._search.calibrate import QUICK
 from bayescal._workbench.origin import Origin
 from bayescal._workbench.state import State
 
@@ -81,7 +82,7 @@ def script(
     line, before = _beginning(path[0].model)
     lines.append(line)
     for state in path:
-        lines += ["", f"# {state.number}: {_in_one_line(state.title)}"] if state.number else []
+        lines += ["", f"# {state.number}: {one_line(state.title)}"] if state.number else []
         changed = code_of(before, state.model) or [_loaded(state, origin, saved)]
         lines += [line for line in changed if line != AS_IT_IS]
         how = method_code(QUICK if state.model.noise.gaussian else method)
@@ -110,10 +111,6 @@ def method_code(method: Any) -> str:
     if method is None:
         return "bc.Marginal()"
     return f"bc.{method!r}"
-
-
-def _in_one_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def _loaded(state: State, origin: Origin, saved: Path | None) -> str:

@@ -1,7 +1,8 @@
-"""The workbench in a browser: on the loopback interface alone, under an address that holds a secret.
+"""The workbench in a browser: on the loopback interface unless told otherwise, under an address that holds a secret.
 
 Every path that is served, and the websocket, stands under that secret (`prefix` of Bokeh's server), so that neither
-another user of this computer nor a page from elsewhere can reach it; a websocket is taken from this address alone.
+another user of this computer nor a page from elsewhere can reach it; a websocket is taken from this address alone, and
+a request only under its name, so that no other name that is made to lead here (DNS rebinding) is answered.
 Nothing is fetched from anywhere else: Panel serves its own scripts.
 """
 
@@ -9,21 +10,24 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 import panel as pn
 from bokeh.document import Document
 from panel.io.state import set_curdoc
+from tornado.web import ErrorHandler
 
 from bayescal._core.errors import BayescalError, InputError
 from bayescal._workbench import kept
 from bayescal._workbench.app import page
+from bayescal._workbench.parts.pieces import words
 from bayescal._workbench.session import Session
-from bayescal._workbench.start import LOOPBACK, Address, kept_sessions
+from bayescal._workbench.start import Address, kept_sessions
 
 MOST = 64 * 2**20  # bytes of one message of a browser's; files come in pieces that are far smaller
+MOST_ASKED = 2**16  # bytes of a request beside its messages: the page asks without a body
 
 
 class Sessions:
@@ -101,7 +105,7 @@ def application(sessions: Sessions) -> Callable[[], Any]:
         if (session := sessions.there(asked)) is not None:
             show(session)
             return place
-        place[:] = [pn.pane.Str("Fitting the first model …", margin=20)]
+        place[:] = [words("Fitting the first model …", margin=20)]
         work = threading.Thread(
             target=_open, args=(sessions, asked, document, place, show), daemon=True
         )
@@ -120,21 +124,33 @@ def _open(
 ) -> None:
     """Open a session beside the page, then show it there; or say why not."""
 
-    def refused(words: str) -> None:
+    def refused(said: str) -> None:
         with set_curdoc(document):
-            place[:] = [pn.pane.Str(words, margin=20)]
+            place[:] = [words(said, margin=20)]
 
     try:
         session = sessions.open(asked)
     except BayescalError as error:
-        words = str(error)
-        document.add_next_tick_callback(lambda: refused(words))
+        told = str(error)
+        document.add_next_tick_callback(lambda: refused(told))
     except Exception as error:  # a thread's error would be lost: the page says it
         logging.getLogger("bayescal").exception("in the workbench")
-        words = f"{type(error).__name__}: {error}"
-        document.add_next_tick_callback(lambda: refused(words))
+        told = f"{type(error).__name__}: {error}"
+        document.add_next_tick_callback(lambda: refused(told))
     else:
         document.add_next_tick_callback(lambda: show(session))
+
+
+def answer_only(application: Any, names: Collection[str]) -> None:
+    """Have an application of Tornado answer requests whose Host is one of these, and refuse others (403)."""
+    known = application.find_handler
+
+    def find(request: Any, **more: Any) -> Any:
+        if request.host.lower() in names:
+            return known(request, **more)
+        return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
+
+    application.find_handler = find
 
 
 def serve(sessions: Sessions, address: Address) -> None:
@@ -142,14 +158,16 @@ def serve(sessions: Sessions, address: Address) -> None:
     server = pn.io.server.get_server(
         {"/": application(sessions)},
         port=address.port,
-        address=LOOPBACK,
-        websocket_origin=[f"{LOOPBACK}:{address.port}", f"localhost:{address.port}"],
+        address=address.host,
+        websocket_origin=list(address.names),
         prefix=address.path,
         ico_path="none",
         websocket_max_message_size=MOST,
+        http_server_kwargs={"max_body_size": MOST_ASKED, "max_header_size": MOST_ASKED},
         keep_alive_milliseconds=10_000,
         title="bayescal workbench",
     )
+    answer_only(server._tornado, address.names)
     server.start()
     try:
         server.io_loop.start()

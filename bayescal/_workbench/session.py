@@ -11,24 +11,25 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._core import deadline
 from bayescal._core.errors import BayescalError
-from bayescal._discovery.calibrate import Loop
-from bayescal._discovery.describe import Draft, describe
-from bayescal._discovery.discover import Discovery, discover
-from bayescal._discovery.own_files import user_effects
-from bayescal._discovery.preview import Preview, Previews
-from bayescal._discovery.search_path import SearchPath
+from bayescal._data.measurements import Measurements
+from bayescal._data.set_aside import set_aside
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
-from bayescal._model.noise_laws import Noise
-from bayescal._readings.measurements import Measurements
-from bayescal._recording.set_aside import set_aside
+from bayescal._model.noise_law import Noise
+from bayescal._search.calibrate import Loop
+from bayescal._search.describe import Draft, describe
+from bayescal._search.discover import Discovery, discover
 from bayescal._search.noise_laws import laws_over
-from bayescal._search.posterior import Shown
+from bayescal._search.own_files import user_effects
+from bayescal._search.posterior import ShownStructure
+from bayescal._search.preview import Preview, Previews
+from bayescal._search.search_path import SearchPath
 from bayescal._workbench import kept, take_away
 from bayescal._workbench.change import Change, changed
 from bayescal._workbench.origin import Origin, Settings
-from bayescal._workbench.search import Search
+from bayescal._workbench.search_thread import RunningSearch
 from bayescal._workbench.state import State
 from bayescal._workbench.tree import Tree
 
@@ -51,7 +52,7 @@ class Session:
     tree: Tree
     own: dict[str, Effect] = field(default_factory=dict)
     _previews: dict[int, Previews] = field(default_factory=dict)
-    _seeds: dict[int, tuple[Shown, ...]] = field(default_factory=dict)
+    _seeds: dict[int, tuple[ShownStructure, ...]] = field(default_factory=dict)
     _beside: threading.RLock = field(default_factory=threading.RLock)
     _ending: threading.Event = field(default_factory=threading.Event)
 
@@ -95,7 +96,11 @@ class Session:
 
     @classmethod
     def resume(
-        cls, folder: str | Path, effects: Sequence[Effect] = (), of: Origin | None = None
+        cls,
+        folder: str | Path,
+        effects: Sequence[Effect] = (),
+        of: Origin | None = None,
+        trust: Sequence[str | Path] = (),
     ) -> Session:
         """A session as its folder has it: every state that was made, whatever ended it.
 
@@ -103,11 +108,14 @@ class Session:
             folder: that was given to `begin`.
             effects: of the user's own that were given there as Python objects; those in files are run again.
             of: what it must be of; None: anything.
+            trust: Python files that it may run, beside those that `of` names.
 
         Raises:
-            InputError: it holds no session, one of something else, or something in it was changed.
+            InputError: it holds no session, one of something else, something in it was changed, or it names a Python
+                file that is not to be trusted.
         """
-        tree, own, holdout = Tree.resume(Path(folder), {e.name: e for e in effects}, of)
+        own = {e.name: e for e in effects}
+        tree, own, holdout = Tree.resume(Path(folder), own, of, trust)
         return cls(tree.states[0].calibration.readings, holdout, tree, own)
 
     def with_readings(self, readings: Measurements, model: Model | None = None) -> Session:
@@ -213,9 +221,10 @@ class Session:
         """
         self._ending.clear()
         begin = self.current
-        search = Search(self._loop, begin.step, self._ending, follow)
+        search = RunningSearch(self._loop, begin.step, self._ending, follow)
         search.open(tuple(self.own.values()), self.tree.settings.widen_noise)
-        search.look(self._seeds.get(begin.number, ()))
+        with deadline.until(self.tree.settings.time_limit):
+            search.look(self._seeds.get(begin.number, ()))
         self._seeds[begin.number] = search.seeds
         number = begin.number
         for step, discovery in search.steps():

@@ -5,8 +5,8 @@ Python's own server shows that page from the first half second on; Panel's takes
 
 from __future__ import annotations
 
-import html
 import importlib.util
+import ipaddress
 import secrets
 import socket
 import threading
@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayescal._core.errors import InputError
+from bayescal._core.quoting import html_text
 
 if TYPE_CHECKING:
+    from bayescal._data.measurements import Measurements
     from bayescal._model.effect import Effect
     from bayescal._model.instrument import Instrument
     from bayescal._model.model import Model
-    from bayescal._readings.measurements import Measurements
 
 LOOPBACK = "127.0.0.1"
 SESSION = "session.json"
@@ -57,26 +58,55 @@ setTimeout(look, 250);
 
 @dataclass(frozen=True)
 class Address:
-    """Where the workbench stands: on the loopback interface, under a path that nobody guesses.
+    """Where the workbench stands: on one interface, the loopback's unless told otherwise, under a path nobody guesses.
 
     Attributes:
         port: that nothing used when it was chosen.
         path: the secret, as "/…".
+        host: IPv4 address of the interface.
     """
 
     port: int
     path: str
+    host: str = LOOPBACK
 
     @classmethod
-    def new(cls) -> Address:
-        """A free port, and 256 random bits."""
-        with socket.socket() as one:
-            one.bind((LOOPBACK, 0))
-            return cls(one.getsockname()[1], f"/{secrets.token_urlsafe(32)}")
+    def new(cls, host: str = LOOPBACK) -> Address:
+        """A free port, and 256 random bits.
+
+        Raises:
+            InputError: this computer has no such address, or all are meant.
+        """
+        try:
+            if ipaddress.IPv4Address(host).is_unspecified:
+                raise ValueError("that is every address")
+            with socket.socket() as one:
+                one.bind((host, 0))
+                return cls(one.getsockname()[1], f"/{secrets.token_urlsafe(32)}", host)
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"--address {host}: give one IPv4 address of this computer, such as {LOOPBACK} ({error})"
+            ) from None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Hosts, as a browser names them, under which it answers."""
+        loopback = ("localhost",) if self.host == LOOPBACK else ()
+        return tuple(f"{name}:{self.port}" for name in (self.host, *loopback))
+
+    @property
+    def exposed(self) -> str:
+        """What others can do, in words; empty where none but this computer's users reach it."""
+        if ipaddress.IPv4Address(self.host).is_loopback:
+            return ""
+        return (
+            f"every computer that reaches {self.host} can ask here; who has the whole address sees the readings and "
+            "can have Python run with your rights, and the address goes over the network unencrypted"
+        )
 
     def of(self, session: str) -> str:
         """The address of a session, for a browser."""
-        return f"http://{LOOPBACK}:{self.port}{self.path}/?session={session}"
+        return f"http://{self.host}:{self.port}{self.path}/?session={session}"
 
 
 def refuse_without_panel() -> None:
@@ -115,8 +145,11 @@ class Waiting:
         waiting = self
 
         class Handler(BaseHTTPRequestHandler):
+            timeout = 10  # seconds for a request to come
+
             def do_GET(self) -> None:
                 known = self.path.partition("?")[0].rstrip("/") == address.path
+                known = known and self.headers.get("Host", "").lower() in address.names
                 said = waiting._page(readings).encode() if known else b"not found"
                 self.send_response(200 if known else 404)
                 self.send_header("Content-Type", "text/html; charset=utf-8")
@@ -130,7 +163,7 @@ class Waiting:
             def log_message(self, format: str, *args: Any) -> None:
                 """Nothing: the terminal is the user's."""
 
-        self._server = ThreadingHTTPServer((LOOPBACK, address.port), Handler)
+        self._server = ThreadingHTTPServer((address.host, address.port), Handler)
         self._server.daemon_threads = True
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.05,), daemon=True
@@ -138,7 +171,7 @@ class Waiting:
         self._thread.start()
 
     def _page(self, readings: str) -> str:
-        return PAGE.format(readings=html.escape(readings), doing=html.escape(self.doing))
+        return PAGE.format(readings=html_text(readings), doing=html_text(self.doing))
 
     def __enter__(self) -> Waiting:
         return self
@@ -157,6 +190,7 @@ def workbench(
     holdout: Measurements | None = None,
     effects: Sequence[Effect] = (),
     folder: str | Path | None = None,
+    trust: Sequence[str | Path] = (),
     **settings: Any,
 ) -> Any:
     """The workbench in a notebook; in a browser it is the command `bayescal workbench`.
@@ -166,6 +200,7 @@ def workbench(
         instrument: whose baseline is the first model; or the first model itself.
         holdout, effects: as of `calibrate`.
         folder: where every state is kept; a temporary one if not given. One that holds a session is gone on with.
+        trust: Python files that a session in this folder may name, and that are run then.
         settings: of `calibrate`: method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit,
             accept_conflicts.
 
@@ -187,7 +222,7 @@ def workbench(
     given = instrument
     model = given if isinstance(given, Model) else given.for_readings(readings).baseline()
     if folder is not None and (Path(folder) / SESSION).is_file():
-        return page(Session.resume(folder, effects), framed=True)
+        return page(Session.resume(folder, effects, trust=trust), framed=True)
     session = Session.begin(
         model, readings, holdout=holdout, effects=effects, folder=folder, **settings
     )

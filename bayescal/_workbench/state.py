@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._discovery.discover import Discovery
-from bayescal._discovery.search_path import Step
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
+from bayescal._search.discover import Discovery
+from bayescal._search.search_path import Step
 
 
 @dataclass(frozen=True, eq=False)

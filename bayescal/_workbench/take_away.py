@@ -6,21 +6,21 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from bayescal._compensation import code_writer
-from bayescal._compensation.compensator import compensator
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
-from bayescal._discovery.calibrate import Loop
-from bayescal._discovery.gate import judged
-from bayescal._discovery.search_path import SearchPath
-from bayescal._firmware.autopilots import AUTOPILOTS
-from bayescal._firmware.parameters import axis_of, firmware_parameters
+from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._model.effect import Effect
-from bayescal._readings.unit_parsing import STANDARD_GRAVITY
 from bayescal._report.dcc import dcc_text
 from bayescal._report.report import report
 from bayescal._report.save_search import save_search
 from bayescal._report.section import of_folder
+from bayescal._search.calibrate import Loop
+from bayescal._search.gate import judged
+from bayescal._search.search_path import SearchPath
+from bayescal._use import code_writer
+from bayescal._use.autopilots import AUTOPILOTS
+from bayescal._use.compensator import compensator
+from bayescal._use.firmware_parameters import axis_of, firmware_parameters
 from bayescal._workbench.origin import Origin
 from bayescal._workbench.state import State
 

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import MappingProxyType
 
 from bayescal._core.errors import InputError
-from bayescal._discovery.calibrate import step_of
-from bayescal._discovery.discover import Discovery
-from bayescal._discovery.search_path import Step
+from bayescal._data.measurements import Measurements
+from bayescal._data.set_aside import set_aside
 from bayescal._model.effect import Effect
-from bayescal._readings.measurements import Measurements
-from bayescal._recording.set_aside import set_aside
+from bayescal._search.calibrate import step_of
+from bayescal._search.discover import Discovery
+from bayescal._search.own_files import refuse_unnamed
+from bayescal._search.search_path import Step
 from bayescal._workbench import kept
 from bayescal._workbench.origin import Origin, Settings, refuse_other
 from bayescal._workbench.script import folder_name, script
@@ -60,7 +61,11 @@ class Tree:
 
     @classmethod
     def resume(
-        cls, folder: Path, effects: Mapping[str, Effect], of: Origin | None = None
+        cls,
+        folder: Path,
+        effects: Mapping[str, Effect],
+        of: Origin | None = None,
+        trust: Iterable[str | Path] = (),
     ) -> tuple[Tree, dict[str, Effect], Measurements | None]:
         """The tree in a folder, effects of the user's own, and the hold-out data.
 
@@ -68,14 +73,18 @@ class Tree:
             folder: of a session.
             effects: that are in no file.
             of: what it must be of.
+            trust: Python files that it may name, beside those of `of`.
 
         Raises:
-            InputError: it holds no session, or something in it was changed.
+            InputError: it holds no session, something in it was changed, or it names a Python file that is not to be
+                trusted.
         """
         told = kept.session_in(folder)
         if of is not None:
             refuse_other(told["origin"], of, folder)
-        tree = cls(folder, Settings.from_data(told["settings"]), told["origin"])
+        tree = cls(folder, told["settings"], told["origin"])
+        named = (*trust, *(of.python_files if of else ()))
+        refuse_unnamed(tree.origin.python_files, named, folder / kept.SESSION)
         instrument, spikes = tree.origin.open_instrument(), tree.settings.keep_spikes
         own = {**effects, **tree.origin.open_effects()}
         found = list(kept.states_in(folder, own, instrument))

@@ -9,11 +9,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from bayescal._data.measurements import Measurements
+from bayescal._data.time_in_runs import run_codes
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.prior import Normal
-from bayescal._readings.measurements import Measurements
-from bayescal._recording.time_in_runs import run_codes
 
 WINDOWS = (2.0, 120.0)  # s, of a rate: from a reading or two to what a lag describes
 WIDTHS = (

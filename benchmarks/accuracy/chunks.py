@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import bayescal as bc
-from bayescal._engine.record import Record
 from bayescal._inference import sampled_products
+from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from benchmarks.record import add_line, read_lines

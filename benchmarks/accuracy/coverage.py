@@ -25,11 +25,11 @@ import numpy as np
 import bayescal as bc
 from bayescal._calibration.named_draws import named
 from bayescal._core.importance_weights import smoothed
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.mode import find_mode
-from bayescal._engine.record import Record
-from bayescal._engine.sampling import WeightedDraws, weighted_draws
 from bayescal._inference import sampled_products
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.mode import find_mode
+from bayescal._inference.record import Record
+from bayescal._inference.sampling import WeightedDraws, weighted_draws
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, Levels, bind
 from bayescal_models import INSTRUMENTS

@@ -25,7 +25,6 @@ class Estimate(NamedTuple):
     sd: np.ndarray
     residual_sd: float
     converged: bool
-    steps: int | None = None
 
 
 def certificate(folder: Path, kind: str, name: str) -> tuple[dict[str, Any], np.ndarray]:

@@ -1,7 +1,6 @@
 """NIST's nonlinear sets, each from both of its starts.
 
-They have no instrument, and go through the two routines that `LeastSquares` is made of: `least_squares` for the
-point, `condition_white` for the covariance.
+Each is an instrument whose slots are the parameters, fitted by `bc.LeastSquares` as any other.
 """
 
 from __future__ import annotations
@@ -10,12 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._core.levenberg_marquardt import least_squares
-from bayescal._inference import gaussian, laplace
+import bayescal as bc
 from benchmarks.accuracy.nist import FOLDER, Estimate, certificate, digits
 
 exp, cos, sin, pi = jnp.exp, jnp.cos, jnp.sin, jnp.pi
@@ -124,34 +121,49 @@ NONLINEAR: dict[str, Callable] = {
 }
 
 
+def instrument_of(expected: Callable, predictors: int, start: np.ndarray) -> bc.Instrument:
+    """An instrument whose slots are the parameters, less where the search for them begins."""
+
+    def response(slots, r):
+        b = [slots[f"b{i}"] + begun for i, begun in enumerate(start)]
+        return expected(b, *(r[f"x{i}"] for i in range(predictors)))
+
+    def coefficient(i: int) -> bc.Effect:
+        prior = bc.Flat(abs(float(start[i])) or 1.0)
+        slot = f"b{i}"
+        return bc.Effect(
+            f"{slot}.constant", slot, lambda r: 1.0, (bc.Coefficient("1", prior),), source="NIST"
+        )
+
+    columns = [bc.Column(f"x{i}", "1", "input") for i in range(predictors)]
+    return bc.Instrument(
+        name="nist",
+        title="a set of NIST's",
+        columns=(*columns, bc.Column("output", "1", "output")),
+        slots=tuple(bc.Slot(f"b{i}", "1") for i in range(len(start))),
+        response=response,
+        effects=tuple(coefficient(i) for i in range(len(start))),
+        noise=bc.White(bc.Flat(1.0)),
+    )
+
+
 def fit_nonlinear(
     expected: Callable, predictors: tuple[np.ndarray, ...], y: np.ndarray, starts: list[np.ndarray]
 ) -> list[Estimate]:
-    """The least-squares fit from each start; noise by restricted likelihood, Σr²/(n − p)."""
-
-    @jax.jit
-    def from_start(start):
-        scale = jnp.where(start == 0, 1.0, jnp.abs(start))
-        found = least_squares(lambda b: expected(b, *predictors) - y, start, scale)
-        residual = expected(found.value, *predictors) - y
-        jacobian = jax.jacfwd(lambda b: expected(b, *predictors))(found.value)
-        sigma = jnp.sqrt(residual @ residual / (len(y) - start.size))
-        flat = gaussian.Prior(0 * start, laplace.column_scale(jacobian), 0 * start)
-        given = gaussian.condition_white(
-            jacobian / sigma, residual / sigma, jnp.zeros(()), flat, found.value
-        )
-        return found, jnp.sqrt(jnp.diag(given.covariance)), sigma
-
+    """The fit by `bc.LeastSquares` from each start."""
     estimates = []
     for start in starts:
-        found, sd, sigma = from_start(jnp.asarray(start))
+        instrument = instrument_of(expected, len(predictors), np.asarray(start, dtype=float))
+        columns: dict[str, Any] = {f"x{i}": values for i, values in enumerate(predictors)}
+        readings = bc.Measurements.from_arrays(instrument, output=y, **columns)
+        found = bc.fit(instrument.baseline(), readings, bc.LeastSquares(draws=512), strict=False)
+        moved = found.draws()[0]
         estimates.append(
             Estimate(
-                parameters=np.asarray(found.value),
-                sd=np.asarray(sd),
-                residual_sd=float(sigma),
-                converged=bool(found.converged),
-                steps=int(found.steps),
+                parameters=start + np.mean(moved, axis=0),
+                sd=np.std(moved, axis=0, ddof=1),  # the draws have the moments of the fit
+                residual_sd=float(found.samples("noise.white")[0]),
+                converged=found.verdict.ok,
             )
         )
     return estimates
@@ -176,7 +188,6 @@ def nonlinear_digits(name: str, folder: Path = FOLDER) -> list[dict[str, Any]]:
             "parameters": round(digits(fit.parameters, known["certified"]), 2),
             "sd": round(digits(fit.sd, known["sd"]), 2),
             "converged": fit.converged,
-            "steps": fit.steps,
         }
         for number, fit in enumerate(fits, 1)
     ]

@@ -21,14 +21,16 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 import bayescal as bc
 from bayescal._calibration.posterior_tree import named
 from bayescal._core.parallel import over
-from bayescal._inference import laplace, nuts_chains, sampled_products
+from bayescal._inference import nuts_chains, sampled_products
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.mode import find_mode
+from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from bayescal_models import INSTRUMENTS
@@ -59,10 +61,11 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     coordinates of the others follow it.
     """
     layout, levels = bind(model, readings)
-    frame, y = build_frame(readings, reference_of(readings)), jnp.asarray(readings["output"])
-    layout, _ = sampled_products.choose(layout, frame, y, None)
-    mode = jax.jit(lambda: laplace.find_mode(layout, frame, y))()
-    density, unpack, start, covariance = nuts_chains.whitened(layout, frame, y, mode)
+    frame, y = build_frame(readings, reference_of(readings)), readings["output"]
+    record = Record(model.instrument, frame, y)
+    layout, _ = sampled_products.choose_on(layout, record, None)
+    assembly = Assembly(layout, record)
+    density, unpack, start, covariance = nuts_chains.whitened(assembly, find_mode(assembly))
     key = jax.random.key(SEED)
     ran = nuts_chains.run(
         density, start, covariance, key, warmup=WARMUP, draws=draws, chains=CHAINS, dense=True

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayescal._engine.assembly import Assembly, Point
-from bayescal._engine.linear_model import linear_model
-from bayescal._engine.record import Record
-from bayescal._engine.terms import ColumnsOf
-from bayescal._readings.unit_conversion import coefficient_factor
+from bayescal._inference.assembly import Assembly, Point
+from bayescal._inference.linear_model import linear_model
+from bayescal._inference.record import Record
+from bayescal._inference.terms import ColumnsOf
+from bayescal._model.instrument import factor_of
 from benchmarks.hidden_effects.searched import Later, Searched
 
 SELECTIONS = ("stepwise BIC", "LASSO", "STLSQ")
@@ -71,7 +71,7 @@ def _regressors(searched: Searched, record: Record) -> Regressors:
         made = record.columns(ColumnsOf.of(effect), middle)
         for i, c in enumerate(effect.coefficients):
             slot = instrument.slot(c.slot or effect.slot)
-            column = slopes[slot.name] * coefficient_factor(c.unit, slot.unit) * made[:, i]
+            column = slopes[slot.name] * factor_of(instrument, effect, c) * made[:, i]
             if c.per is None:
                 columns.append(column)
             else:

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 import bayescal as bc
-from bayescal._discovery.discover import structures_over
-from bayescal._engine.assembly import Assembly, Point
-from bayescal._engine.record import Record
+from bayescal._inference.assembly import Assembly, Point
+from bayescal._inference.record import Record
 from bayescal._model.correlated_noise import CORRELATION_TIME, OrnsteinUhlenbeck
 from bayescal._model.frame import reference_of
 from bayescal._model.parameters import Hyper, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
+from bayescal._search.discover import structures_over
 from bayescal._search.plausible_sizes import SIZES
 from bayescal._search.structures import Structure, Structures
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._recording.time_in_runs import run_codes
+from bayescal._data.time_in_runs import run_codes
 from bayescal_models import INSTRUMENTS
 from benchmarks.hidden_effects.bank import instrument_named
 from benchmarks.hidden_effects.resume import chosen, go_on

@@ -23,9 +23,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 import bayescal as bc
-from bayescal._discovery.calibrate import _other_path
-from bayescal._engine.linear_model import linear_model
+from bayescal._inference.linear_model import linear_model
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck
+from bayescal._search.calibrate import _other_path
 from bayescal._search.scores import View
 from bayescal._search.structures import Structure
 from bayescal_models import INSTRUMENTS

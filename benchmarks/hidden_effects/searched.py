@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal._discovery.discover import structures_over
-from bayescal._engine.assembly import Assembly, Point
-from bayescal._engine.closed_form import Density
-from bayescal._engine.record import Record
+from bayescal._data.set_aside import set_aside
+from bayescal._inference.assembly import Assembly, Point
+from bayescal._inference.density import Density
+from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
-from bayescal._recording.set_aside import set_aside
+from bayescal._search.discover import structures_over
 from bayescal._search.posterior import Found, Posterior
 from bayescal._search.scores import Library
 from bayescal._search.structures import Structure, Structures, Weighed

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 import bayescal as bc
-from bayescal._discovery.discover import structures_over
+from bayescal._search.discover import structures_over
 from bayescal._search.structures import Structure
 from bayescal._search.walk import wandering
 from bayescal_models import still_sensor

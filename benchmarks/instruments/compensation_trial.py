@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from bayescal._compensation.inversion import first_order
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
+from bayescal._use.inversion import first_order
 from benchmarks.accuracy.chunks import PROPOSALS, ROUNDS, fingerprint_of, promoted, seed_of
 
 CHUNK = 20  # campaigns a line of the file

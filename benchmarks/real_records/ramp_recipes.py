@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from bayescal._recording.time_in_runs import causal_slope
+from bayescal._data.time_in_runs import causal_slope
 
 MINUTE = 60.0  # s
 LAGS = (20.0, 3000.0)  # s, between which the shared lag is looked for

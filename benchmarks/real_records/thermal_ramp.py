@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._recording.set_aside import set_aside
+from bayescal._data.set_aside import set_aside
 from bayescal_models import still_sensor
 from benchmarks.real_records import ramp_recipes, thermal_ramp_page
 from benchmarks.record import DOCS, REFERENCE_DATA, read, write

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from bayescal._readings.unit_conversion import pretty
+from bayescal._data.unit_conversion import pretty
 from benchmarks.markdown import table
 from benchmarks.real_records.ramp_recipes import RECIPES
 from benchmarks.record import DOCS

@@ -122,7 +122,7 @@ def _added(row: dict[str, Any]) -> str:
 
 def furthest(row: dict[str, Any]) -> str:
     """The coefficient furthest from its truth, in words."""
-    if not row["away"]:
+    if not row.get("away"):  # nothing came out, or nothing has a truth
         return ""
     name = max(row["away"], key=lambda n: abs(row["away"][n]))
     return f"`{name}` {row['away'][name]:+.1f}"

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._channels.shared_shape import (
+from bayescal._model.frame import reference_of
+from bayescal._search.discover import structures_over
+from bayescal._search.library import Library
+from bayescal._search.shared_shape import (
     SHARES,
     Conclusion,
     FromOthers,
@@ -17,9 +20,6 @@ from bayescal._channels.shared_shape import (
     log_mass,
     said,
 )
-from bayescal._discovery.discover import structures_over
-from bayescal._model.frame import reference_of
-from bayescal._search.library import Library
 from bayescal._search.structures import Structures
 from bayescal._search.walk import walk
 from bayescal_models import still_sensor

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import bayescal as bc
-from bayescal._discovery import calibrate as loop_module
+from bayescal._search import discover as search_module
 from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, run
 
 pytestmark = needs_installation
@@ -18,18 +18,18 @@ pytestmark = needs_installation
 @pytest.fixture
 def interrupted(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """The walk as if Ctrl-C were pressed after its first look around; the seeds that each walk was given."""
-    real, given = loop_module.walk, []
+    real, given = search_module.walk, []
 
-    def walk(library, max_effects, time_limit, follow, seeds):
+    def walk(library, max_effects, follow, seeds):
         given.append(list(seeds))
 
         def once(structures):
             follow(structures)
             raise KeyboardInterrupt
 
-        return real(library, max_effects, time_limit, once, seeds)
+        return real(library, max_effects, once, seeds)
 
-    monkeypatch.setattr(loop_module, "walk", walk)
+    monkeypatch.setattr(search_module, "walk", walk)
     return given
 
 
@@ -82,7 +82,7 @@ def test_the_result_is_there_from_the_first_step_on(
     def killed(*_: Any) -> str:
         raise MemoryError
 
-    monkeypatch.setattr(loop_module, "walk", killed)
+    monkeypatch.setattr(search_module, "walk", killed)
     with pytest.raises(MemoryError):
         calibrate(folder, "--out", tmp_path)
     data = json.loads((tmp_path / "result.json").read_text("utf-8"))

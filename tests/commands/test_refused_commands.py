@@ -34,7 +34,7 @@ REFUSED = (
     (f"{SIMULATE} --seed -1", "'--seed'"),
     ("simulate --instrument mems_gyro", "Missing option '--out'"),
     ("simulate --instrument mems_gyro --out {folder}/a.txt", "choose .csv, .parquet, .nc"),
-    ("simulate --instrument mems_gyro --out {new}/a.csv", "there is no folder"),
+    ("simulate --instrument mems_gyro --out {table}/a.csv", "cannot be written"),
     ("simulate --instrument {level}:INSTRUMENT --out {folder}/a.csv", "has no simulator"),
     ("fit no.csv --instrument mems_gyro --out {new}", "'no.csv' cannot be read"),
     ("fit {text} --instrument mems_gyro --out {new}", "'hot'"),
@@ -134,3 +134,11 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     assert done.status == 2
     assert "calibration.nc" in done.said[-1]
     assert "Traceback" not in done.err
+
+
+def test_a_name_that_moves_the_cursor_is_shown_as_it_is(tmp_path) -> None:
+    name = "a\x1b[2J\x1b[1;31mconverged.csv"
+    (tmp_path / name).write_text("nothing [furlong]\n1\n2\n")
+    done = run("calibrate", tmp_path / name, *GYRO)
+    assert done.status == 2
+    assert "\x1b" not in done.err and "<U+001B>[2J" in done.err

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._data import unit_conversion
 from bayescal._model import forward
-from bayescal._readings import unit_conversion
 from tests.contract.data_sheet import listed
 from tests.support.contract_cases import Case
 

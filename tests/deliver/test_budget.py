@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._compensation.budget import READINGS
-from bayescal._diagnostics.prior_influence import prior_sensitivity
+from bayescal._calibration.prior_influence import prior_sensitivity
+from bayescal._use.budget import READINGS
 from bayescal_models import mems_gyro
 from tests.support.made_up import bent_sensor
 

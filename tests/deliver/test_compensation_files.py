@@ -13,12 +13,12 @@ import pytest
 import xarray as xr
 
 import bayescal as bc
-from bayescal._compensation import compensate_file
+from bayescal._use import compensate_file
 from bayescal_models import mems_gyro
 from tests.support.command_line import run
 from tests.support.made_up import bent_sensor
 
-pytestmark = pytest.mark.filterwarnings("ignore::bayescal._compensation.inputs.OutsideCalibration")
+pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCalibration")
 TEXT = (
     b"\xef\xbb\xbf# logged by hand\r\nnote;when;board [degC];gyro x [deg/s]\r\n"
     b'"a;b";1;40.5;25.25\r\n\r\nsecond;2;1.0e2;-7.5\r\nthird;3;55;0'
@@ -163,7 +163,7 @@ def test_the_commands_refuse_in_one_sentence(saved, tmp_path) -> None:
         (("budget", saved, "-k", "-1", *own), "a coverage factor is a positive number"),
         (
             ("compensate", saved, tmp_path / "no.csv", "-o", tmp_path / "o.csv", *own),
-            "there is no file",
+            "cannot be read: No such file",
         ),
     ):
         ran = run(*arguments)

@@ -197,9 +197,14 @@ CHANGES = {
     "strange promotion": (described(promoted=["bias.colour"]), "bias.colour is no coefficient"),
     "no verdict": (described(verdict=None), "it lacks 'verdict'"),
     "a verdict of no use": (described(verdict={"fine": True}), "it lacks 'ok'"),
-    "no such noise": (described(noise={"law": "Pink"}), "it lacks 'Pink'"),
     "no constants": (described(reference={}), "its constants are"),
 }
+
+
+def test_a_noise_law_that_is_not_loaded_is_asked_for(saved: Path, tmp_path: Path) -> None:
+    path = resealed(saved, tmp_path / "changed.nc", described(noise={"law": "Pink"}))
+    with pytest.raises(bc.InputError, match=r"changed\.nc was fitted with .* Pink, .*--effects"):
+        bc.load(path)
 
 
 @pytest.mark.parametrize("name", CHANGES)

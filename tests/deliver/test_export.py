@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._compensation.code_writer import as_text
-from bayescal._compensation.compensation_program import program_of
-from bayescal._compensation.expression_graph import Graph
-from bayescal._compensation.inversion import Inverse
-from bayescal._compensation.posterior_moments import posterior_moments
-from bayescal._core.formatting import ascii_text
+from bayescal._core.quoting import ascii_text
+from bayescal._use.code_writer import as_text
+from bayescal._use.compensation_program import program_of
+from bayescal._use.expression_graph import Graph
+from bayescal._use.inversion import Inverse
+from bayescal._use.posterior_moments import posterior_moments
 from bayescal_models import inclinometer
 from tests.support.export_check import needs_compiler, run_header
 from tests.support.made_up import bent_sensor
 
 ROWS = 10_000
-pytestmark = pytest.mark.filterwarnings("ignore::bayescal._compensation.inputs.OutsideCalibration")
+pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCalibration")
 
 
 def tilted() -> bc.Compensator:

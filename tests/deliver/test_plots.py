@@ -129,9 +129,9 @@ def test_what_cannot_be_drawn_is_refused(draw, said: str) -> None:
 
 
 def test_colours_are_those_that_the_colour_blind_tell_apart() -> None:
-    from bayescal._plots import colours
+    from bayescal._report import plot_colours
 
-    assert {c.lower() for c in colours.CYCLE} == OKABE_ITO
+    assert {c.lower() for c in plot_colours.CYCLE} == OKABE_ITO
 
 
 def test_saving_replaces_at_once(tmp_path, figures) -> None:

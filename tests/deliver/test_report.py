@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._readings.column import Source
+from bayescal._data.column import Source
 from bayescal._report import report as report_room
 from bayescal._report.section import chapters, of_folder
 from bayescal_models import mems_gyro

@@ -50,7 +50,8 @@ KEYS = {
     "check[].worst": "from to group size unit",
     "allan[]": "step unit runs curve terms agrees in_words",
     "allan[].terms[]": "symbol name unit value uncertainty law law_uncertainty",
-    "missing[]": "step nothing_missing_probability noise_wanders noise_laws sets departures candidates unknown",
+    "missing[]": "step nothing_missing_probability unstated noise_wanders noise_laws sets departures candidates "
+    "unknown",
     "missing[].sets[]": "effects probability",
     "missing[].departures[]": "effect along share at unit in_words",
     "missing[].candidates[]": "effect probability log_bayes_factor source z size size_sd unit "

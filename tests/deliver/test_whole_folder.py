@@ -14,6 +14,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.description import identity
+from bayescal._core.atomic_file import sha256_of
 from bayescal._report import whole_folder as folders
 from bayescal._report.under_way import UNDER_WAY, Keeper
 from bayescal._report.whole_folder import MANIFEST, bring_back, files_of, refuse_mixed, whole_folder
@@ -216,3 +217,30 @@ def test_no_room_is_said_in_words(folder, monkeypatch) -> None:
     ):
         write(folder, "2")
     assert state(folder) == before
+
+
+@pytest.mark.parametrize(
+    "name", ["../kept.txt", "..", "", "/etc/hostname", "a/b.txt", "..\\kept.txt", "C:kept.txt"]
+)
+def test_a_manifest_that_lists_what_is_elsewhere_removes_nothing(name, tmp_path) -> None:
+    """`../name` with its right hash was deleted by the next run into the folder."""
+    folder, other = tmp_path / "out", tmp_path / "kept.txt"
+    folder.mkdir()
+    other.write_text("mine")
+    write(folder, "first")
+    manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
+    files = {**manifest["files"], name: sha256_of(other)}
+    hostile = {**manifest, "files": files, "identity": folders._identity(files)}
+    (folder / MANIFEST).write_text(json.dumps(hostile))
+    with pytest.raises(bc.InputError, match="which is no file of this folder"):
+        refuse_mixed(folder)
+    write(folder, "second")
+    folders.remove_results(folder)
+    assert other.read_text() == "mine"
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "{}", "[]", '{"files": {"a": 1}}', "\x00"])
+def test_a_manifest_that_is_none_is_refused_in_words(text, tmp_path) -> None:
+    (tmp_path / MANIFEST).write_text(text)
+    with pytest.raises(bc.InputError, match=r"manifest\.json cannot be used"):
+        files_of(tmp_path)

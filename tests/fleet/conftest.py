@@ -49,7 +49,8 @@ def lot_folder(tmp_path_factory) -> Path:
 def client() -> Iterator[Client]:
     """A cluster of two processes, for all tests of this session."""
     pytest.importorskip("distributed", reason="needs Dask: pip install 'bayescal[fleet]'")
-    from bayescal._cluster.open_cluster import open_cluster
+    from distributed import Client, LocalCluster
 
-    with open_cluster(2) as client:
+    given = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(**given) as cluster, Client(cluster) as client:  # pyright: ignore[reportArgumentType]
         yield client

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._population.population import FEWEST
+from bayescal._fleet.population import FEWEST
 from bayescal_models import mems_gyro
 from tests.support.made_up.gyro_lot import MODEL
 

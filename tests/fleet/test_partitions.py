@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -13,9 +14,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import bayescal as bc
-from bayescal._cluster import fit_partition as fitting
 from bayescal._core.errors import InputError
-from bayescal._partitions.partitions import partitions_of
+from bayescal._fleet import fit_partition as fitting
+from bayescal._fleet.partitions import partitions_of
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL, table
 
@@ -88,6 +89,45 @@ def test_a_folder_of_csvs_has_a_device_a_file(result, tmp_path) -> None:
         own.drop(columns="device").to_csv(folder / f"{name}.csv", index=False)
     (folder / "_notes.csv").write_text("nothing")
     same(fitted(folder, tmp_path / "out"), result)
+
+
+def test_all_that_a_folder_holds_is_read_or_named(tmp_path, capsys) -> None:
+    """`d7.log2`, `.csv.gz`, `_d7.csv`, links and pipes were left out without a word."""
+    folder = tmp_path / "in"
+    (folder / "below" / "_kept").mkdir(parents=True)
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    for name, own in table().groupby("device"):
+        own.drop(columns="device").to_csv(folder / "below" / f"{name}.csv", index=False)
+    one = (folder / "below" / "D03.csv").read_bytes()
+    for name in ("d7.log2", "d8.csv.gz", "_d7.csv", ".d9.csv", "README", "below/_kept/d1.csv"):
+        (folder / name).write_bytes(one)
+    (folder / "gone.csv").symlink_to(tmp_path / "nowhere.csv")
+    (folder / "link").symlink_to(outside, target_is_directory=True)
+    os.mkfifo(folder / "pipe.csv")
+    found = fitted(folder, tmp_path / "out")
+    expected = {
+        "d7.log2": ".log2 is none of the formats",
+        "d8.csv.gz": "packed (.gz): unpack it",
+        "_d7.csv": "begins with . or _",
+        ".d9.csv": "begins with . or _",
+        "README": "no suffix is none",
+        "below/_kept": "begins with . or _",
+        "gone.csv": "a link to nothing",
+        "link": "a link to a folder",
+        "pipe.csv": "a pipe or a device",
+    }
+    assert found.left_out.keys() == expected.keys()
+    said = capsys.readouterr().err
+    for name, why in expected.items():
+        assert why in found.left_out[name]
+        assert f"not read: {name}: " in said and f"not read: {name}: " in str(found)
+    assert len(found) == 24
+    assert bc.load_fleet(tmp_path / "out").left_out == found.left_out
+    for path in (folder / "below").glob("*.csv"):
+        path.unlink()
+    with pytest.raises(InputError, match=r"no file of readings in .*_d7.csv: its name begins"):
+        fitted(folder, tmp_path / "empty")
 
 
 def test_what_is_done_is_not_done_again(lot_folder, tmp_path, monkeypatch) -> None:

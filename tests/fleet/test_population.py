@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._fleet.population import pool
 from bayescal._model.frame import Reference
-from bayescal._population.population import pool
 from bayescal_models import mems_gyro
 from tests.support.made_up.gyro_lot import MODEL, NOISE, SEED, table
 

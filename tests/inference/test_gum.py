@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._compensation.budget import READINGS, REST
+from bayescal._use.budget import READINGS, REST
 
 ALMOST_NONE = 1e-9  # of noise beside the known uncertainties of ISO/TS 28037
 

@@ -9,10 +9,10 @@ from scipy import stats
 from scipy.integrate import quad
 
 import bayescal as bc
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.mode import find_mode
-from bayescal._engine.record import Record
-from bayescal._engine.sampling import weighted_draws
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.mode import find_mode
+from bayescal._inference.record import Record
+from bayescal._inference.sampling import weighted_draws
 from bayescal._model.frame import build_frame
 from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate

@@ -10,7 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.named_draws import named
-from bayescal._engine import sampling
+from bayescal._inference import sampling
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.pairing import criteria

@@ -11,8 +11,7 @@ import pytest
 from scipy import stats
 
 import bayescal as bc
-from bayescal._calibration.predict import wander_given
-from bayescal._model.correlated_noise import correlated_size, over_record
+from bayescal._model.correlated_noise import over_record
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.prior import LogNormal, LogUniform, Positive, multiplied
 from bayescal_models import mems_gyro, still_sensor
@@ -56,10 +55,10 @@ def test_readings_at_one_time_share_the_correlated_part(rng) -> None:
     covariance = dense(frame, np.asarray(data["run"]))
     at = {name: jnp.asarray(value) for name, value in AT.items()}
     columns, extra = rng.standard_normal((frame.size, 3)), 0.01
-    white, logdet = LAW.whiten(jnp.asarray(columns), extra, at, frame)
+    white, log_sd = LAW.whiten(jnp.asarray(columns), extra, at, frame)
     wide = covariance + extra * np.eye(frame.size)
     np.testing.assert_allclose(white.T @ white, columns.T @ np.linalg.solve(wide, columns), 1e-9)
-    assert float(logdet) == pytest.approx(np.linalg.slogdet(wide)[1], rel=1e-10)
+    assert 2 * float(log_sd.sum()) == pytest.approx(np.linalg.slogdet(wide)[1], rel=1e-10)
     density = LAW.log_density(jnp.asarray(columns[:, 0]), jnp.zeros(frame.size), at, frame)
     normal: Any = stats.multivariate_normal
     exact = normal.logpdf(columns[:, 0], np.zeros(frame.size), covariance)
@@ -80,7 +79,7 @@ def test_samples_have_the_covariance(key) -> None:
 
 def test_the_size_follows_from_diffusion_and_time() -> None:
     at = {name: jnp.asarray(value) for name, value in AT.items()}
-    assert float(correlated_size(at)) == pytest.approx(0.1 * np.sqrt(20.0))
+    assert float(LAW.slow_variance(at)) == pytest.approx(0.1**2 * 20.0)
 
 
 # Priors.
@@ -116,7 +115,8 @@ def test_the_diffusion_has_the_prior_of_the_size_at_the_middle_time(prior: Posit
     diffusion = priors["noise.diffusion"]
     assert type(diffusion) is type(prior)
     at = {"noise.diffusion": diffusion.value(jnp.asarray(0.4)), "noise.correlated.time": 20.0}
-    assert float(correlated_size(at)) == pytest.approx(float(prior.value(jnp.asarray(0.4))))
+    size = float(LAW.slow_variance(at)) ** 0.5
+    assert size == pytest.approx(float(prior.value(jnp.asarray(0.4))))
     assert multiplied(prior, 1.0) == prior
 
 
@@ -181,7 +181,7 @@ def test_correlated_noise_does_not_take_the_place_of_a_constant(missing) -> None
     wrong = right.with_column("output", right["output"] + 1446.0)
     frame = build_frame(right, reference_of(right))
     steps, span = np.asarray(frame.step), float(np.max(np.asarray(frame.elapsed)))
-    law = over_record(bc.White(bc.HalfCauchy(0.1)), float(np.median(steps[steps > 0])), span)
+    law = over_record(bc.HalfCauchy(0.1), float(np.median(steps[steps > 0])), span)
     errors = []
     for data in (right, wrong):
         found = bc.fit(model.with_noise(law), data, FAST, strict=False)
@@ -202,7 +202,7 @@ def test_a_wander_between_readings_is_that_of_the_dense_process(rng) -> None:
         return size * np.exp(-abs(a[:, None] - b) / AT["noise.correlated.time"])
 
     share = covariance(at, time) @ np.linalg.inv(covariance(time, time) + np.diag(white))
-    mean, variance = wander_given(AT, time, left, white, at)
+    mean, variance = LAW.slow_part(AT, time, left, white, at)
     np.testing.assert_allclose(mean, share @ left, rtol=1e-9)
     expected = np.diag(covariance(at, at) - share @ covariance(time, at))
     np.testing.assert_allclose(variance, expected, rtol=1e-8)
@@ -214,7 +214,7 @@ def test_between_fitted_readings_a_prediction_tells_the_wander_and_beyond_them_n
     last = whole["time"] > np.quantile(whole["time"][whole["run"] == "2"], 0.8)
     fitted = whole.select(np.flatnonzero(~inside & ~last))
     model = still_sensor.INSTRUMENT.for_readings(fitted).baseline()
-    wandering = over_record(model.noise, 10.0, 2400.0)
+    wandering = over_record(model.noise.parameters()["noise.white"], 10.0, 2400.0)
     made = bc.fit(model.with_noise(wandering), fitted, FAST)
     asked = whole.select(np.flatnonzero(inside | last))
     found = bc.predict(made, asked, same_record=True)

@@ -16,7 +16,7 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._inference.nuts import law_of
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.noise_laws import Parameters
+from bayescal._model.noise_law import Parameters
 from bayescal._model.prior import LogUniform
 from bayescal_models.mems_gyro import INSTRUMENT
 

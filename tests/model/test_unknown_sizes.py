@@ -7,8 +7,8 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._discovery.discover import structures_over
 from bayescal._model.frame import reference_of
+from bayescal._search.discover import structures_over
 from bayescal_models import mems_gyro
 
 NOISE, WAVE = 0.1, 0.4  # m

@@ -12,7 +12,7 @@ import xarray as xr
 
 import bayescal as bc
 from bayescal._core.formatting import as_html, table
-from bayescal._readings.column import Source
+from bayescal._data.column import Source
 from bayescal_models import still_sensor
 from bayescal_models.mems_gyro import INSTRUMENT, simulate
 

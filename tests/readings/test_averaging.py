@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._readings.averaging import duration
-from bayescal._readings.measurements import Measurements
+from bayescal._data.averaging import duration
+from bayescal._data.measurements import Measurements
 from tests.readings.test_measurements import SCALE
 
 RNG = np.random.default_rng(3)

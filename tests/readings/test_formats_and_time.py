@@ -13,7 +13,7 @@ import scipy.io
 import xarray as xr
 
 from bayescal._core.errors import InputError
-from bayescal._readings.read import read
+from bayescal._data.read import read
 from tests.support.gyro_files import GYRO
 from tests.support.lab_files import (
     BEGAN,
@@ -92,6 +92,8 @@ def write_parquet(path: Path) -> None:
         ("t.nc", write_netcdf),
         ("t.parquet", write_parquet),
         ("t.tsv", lambda path: path.write_text(text(separator="\t"))),
+        ("t.dsv", lambda path: path.write_text(text(separator=";"))),
+        ("t.dsv", lambda path: path.write_text(text(separator="|"))),
     ],
 )
 def test_other_formats_read_as_text_does(tmp_path, name, write):

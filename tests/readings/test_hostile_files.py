@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import timedelta
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from bayescal._core.errors import InputError
-from bayescal._readings.read import read
+from bayescal._data.read import read
 from tests.support.gyro_files import GYRO
 from tests.support.lab_files import (
     BEGAN,
@@ -70,6 +71,18 @@ READ = {
     "Unix milliseconds": Good(counted(1_000, "timestamp")),
     "Unix microseconds": Good(counted(1_000_000, "timestamp")),
     "Unix microseconds, said": Good(counted(1_000_000, "time [us]")),
+    "month first": Good(dated(lambda m: f"{m:%m/%d/%Y %H:%M:%S}.{m.microsecond // 1000:03}")),
+    "day first, as the day says": Good(dated(lambda m: f"{m:%d/%m/%Y-%H:%M:%S}")),
+    "day first, as the user says": Good(
+        dated(lambda m: f"{m - timedelta(days=20):%d/%m/%y %I:%M:%S %p}"), {"date_order": "dmy"}
+    ),
+    "the month as a word": Good(dated(lambda m: f"{m:%d-%b-%Y %H:%M:%S}")),
+    "milliseconds behind a colon": Good(dated(lambda m: f"{m:%m/%d/%Y %H:%M:%S}:{m.microsecond // 1000:03}")),
+    "a title, a remark, then the header": Good("Lab 3, unit 7\n\nremark\n" + text(HEAD)),
+    "a row of units": Good(text(("time", "temperature", "output")).replace("output\n", "output\ns,(°C),deg/s\n")),
+    "degrees for a temperature": Good(text(("time [s]", "temperature [deg]", HEAD[2]))),
+    "degrees behind a line": Good(text(("time (s)", "temp_deg", HEAD[2]))),
+    "the sign of degrees": Good(text(("time (s)", "Temperature (°)", HEAD[2]))),
     "a missing reading, dropped": Good(with_cell(4, 2, ""), {"missing": "drop"}, (2,)),
     "marks of missing readings, dropped": Good(
         with_cell(4, 1, "N/A", with_cell(7, 2, "1.#QNAN")), {"missing": "drop"}, (2, 5)
@@ -111,7 +124,6 @@ REFUSED = {
         1,
         ("lacks the column 'temperature'", "Temp"),
     ),
-    "degrees for a temperature": Bad(text(("time [s]", "temperature [deg]", HEAD[2])), 1, ("[deg]", "degC")),
     "text and gaps": Bad(
         with_cell(3, 1, "", with_cell(4, 2, "OVLD", with_cell(9, 2, "x"))),
         2,
@@ -126,11 +138,12 @@ REFUSED = {
         "temperature [degC];output [deg/s]\n20,125;1,125\n30,125;2,125\n", 2, ("--decimal ,",)
     ),
     "months and days that may be exchanged": Bad(
-        dated(lambda m: f"{m:%m/%d/%Y %H:%M:%S}", "time"), 1,
-        ("2026-11-22", "write the year first"),
+        dated(lambda m: f"{m - timedelta(days=20):%m/%d/%Y %H:%M:%S}", "time"), 1,
+        ("which number is the day", "--date-order mdy", "mdy if it begins 2026-11-02, dmy if it begins 2026-02-11"),
     ),
-    "a title, a remark, then the header": Bad(
-        "Lab 3, unit 7\n\nremark\n" + text(HEAD), 3, ("begin each with #",)
+    "days above 12 in both places": Bad(
+        with_cell(5, 0, "23/11/2026 00:00:30", dated(lambda m: f"{m:%m/%d/%Y %H:%M:%S}", "time")), 1,
+        ("not all dates in one order",),
     ),
     "zones in some rows": Bad(
         with_cell(5, 0, iso(BEGAN) + "+01:00", dated(iso, "time")), 1, ("with a zone everywhere",)

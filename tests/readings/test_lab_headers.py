@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._data.read import read
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._readings.read import read
 from bayescal_models import mems_gyro
 from tests.support.lab_files import RATE, TEMPERATURE, TIME, counted, spaced, text, when, with_cell
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import sqlite3
 import sys
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._logs.recorded import Sensor, columns_of
+from bayescal._tables.recorded import Sensor, columns_of
 from bayescal_models import still_sensor
-from tests.support.log_files import write_bag, write_dataflash, write_ulog
+from tests.support.log_files import write_bag, write_dataflash, write_ulog, write_ulog_topics
 
 for package in ("pyulog", "pymavlink", "rosbags"):
     pytest.importorskip(package, reason="pip install 'bayescal[logs]'")
@@ -92,6 +94,19 @@ def test_a_log_cut_short_or_another_file_is_refused(log, put) -> None:
     assert 0 < len(readings) < ROWS  # or what is left of it is read, as its library does
 
 
+def test_a_bag_whose_messages_are_a_query_without_end_is_refused(tmp_path) -> None:
+    path = write_bag(tmp_path / "t.db3", TIME, TEMPERATURE, UNITS)
+    with closing(sqlite3.connect(path)) as base:
+        base.execute("ALTER TABLE messages RENAME TO kept")
+        base.execute(
+            "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
+            "SELECT kept.* FROM kept, n"
+        )
+        base.commit()
+    with pytest.raises(bc.InputError, match="messages in it is no table of messages"):
+        bc.read(path, INSTRUMENT, columns={"output": "gyro_x"})
+
+
 @pytest.mark.parametrize("package", ["pyulog", "pymavlink", "rosbags"])
 def test_without_its_package_a_log_is_refused_with_the_command(package, put, monkeypatch) -> None:
     suffix = {"pyulog": ".ulg", "pymavlink": ".bin", "rosbags": ".bag"}[package]
@@ -144,3 +159,22 @@ def test_channels_of_several_sensors_stand_at_the_times_of_the_slowest() -> None
     taken = found.columns["gyro_x [rad/s]"]
     assert set(taken) <= set(noise) and len(set(taken)) == len(slow)  # single samples, none twice
     assert found.notes == ("t.ulg: rows at the times of acc_x",)
+
+
+@pytest.mark.parametrize(("size", "unit"), [(1.0, "Pa"), (0.01, "mbar")], ids=["Pa", "mbar"])
+def test_px4_magnetometers_and_barometers_are_read_in_their_units(size, unit, tmp_path) -> None:
+    pressure, field = 95_000.0 + 3.0 * TEMPERATURE, 0.4 + 1e-4 * TEMPERATURE
+    still = np.zeros(ROWS)
+    topics = {
+        "sensor_mag": {"x": field, "y": still, "z": -field, "temperature": TEMPERATURE},
+        "sensor_baro": {"pressure": size * pressure, "temperature": TEMPERATURE + 1.0},
+    }
+    log = write_ulog_topics(tmp_path / "t.ulg", TIME, topics)
+    magnetic = bc.read(log, INSTRUMENT, columns={"output": "mag_z"})
+    assert magnetic.unit("output") == "uT"
+    np.testing.assert_allclose(magnetic["output"], -100.0 * field, rtol=3e-7)
+    baro = bc.read(log, INSTRUMENT, columns={"output": "baro_pressure"})
+    assert baro.unit("output") == "Pa", unit
+    np.testing.assert_allclose(baro["output"], pressure, rtol=3e-7)
+    np.testing.assert_allclose(baro["temperature"], TEMPERATURE + 1.0, rtol=1e-6)
+    assert set(baro["device"]) == {"8"}

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import NominalScale
-from bayescal._readings.measurements import Measurements
-from bayescal._readings.read import read
+from bayescal._data.column import NominalScale
+from bayescal._data.measurements import Measurements
+from bayescal._data.read import read
 from tests.support.gyro_files import GOOD, GYRO, HEAD, refused
 
 # --- what is read --------------------------------------------------------------------------------
@@ -52,7 +52,7 @@ def test_raw_outputs_pass_through_the_nominal_scale_and_that_is_said(put):
     m = read(put(text), GYRO)
     np.testing.assert_allclose(m["output"], [3, 4], rtol=1e-12)
     np.testing.assert_allclose(m["output_uncertainty"], [2, 3])
-    assert "turned into °/s by the nominal scale: (reading − 1.2)/0.001" in m.flags[0]
+    assert "turned into °/s by the nominal scale of test_gyro: (reading − 1.2)/0.001" in m.flags[0]
     other = read(put(text), GYRO, nominal_scale=NominalScale("mV", gain=2.0))
     np.testing.assert_allclose(other["output"], [601.5, 602])
 
@@ -69,13 +69,13 @@ def test_further_columns_are_kept_if_sound_and_otherwise_flagged(put):
         "temperature [degC],output [deg/s],humidity [%],note,p [hPa],q [foo],cell [1],\n"
         "20,1,40,x,1000,1,1,\n30,2,41,y,?,1,1,\n"
     )
-    m = read(put(text), GYRO)
+    refused(put(text), r"'q \[foo\]'.*ends in \[foo\], no unit known here.*--ignore 'q \[foo\]'")
+    m = read(put(text), GYRO, ignore=["q [foo]"])
     np.testing.assert_allclose(m["humidity"], [0.4, 0.41])
     assert m.unit("humidity") == "1" and not {"p", "q", "note", "cell"} & set(m.columns)
     said = "\n".join(m.flags)
     for expected in (
         "'p [hPa]' ignored: row 3 reads '?'",
-        "[foo] is no unit known here",
         "no unit: note, column 8, without a name",
         "the name 'cell' is taken",
     ):
@@ -247,3 +247,14 @@ def test_a_column_that_stands_still_for_a_while_is_flagged():
     assert "column 'temperature' stands still at" in flags(temperature=temperature, **columns)
     temperature[:12] = 20.0  # soaks like it
     assert "stands still" not in flags(temperature=temperature, **columns)
+
+
+def test_a_thermometer_that_stands_still_over_three_quarters_of_a_record_is_flagged() -> None:
+    rng = np.random.default_rng(2)
+    temperature = np.round(np.linspace(20, 22, 200), 1)  # each value five times or so
+    columns = {"time": np.arange(200.0), "rate_input": 0.0, "output": rng.normal(size=200)}
+    assert "stands still" not in flags(temperature=temperature, **columns)
+    temperature[50:] = temperature[50]
+    said = flags(temperature=temperature, **columns)
+    assert "column 'temperature' stands still at 20.5 from row 46 of " in said
+    assert ", 78 % of all readings: was it stuck?" in said

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import NominalScale
-from bayescal._readings.measurements import Measurements
-from bayescal._readings.read import read
+from bayescal._data.column import NominalScale
+from bayescal._data.measurements import Measurements
+from bayescal._data.read import read
 from tests.support.gyro_files import GOOD, GYRO, HEAD, Gyro, refused
 
 # --- columns and units --------------------------------------------------------------------------
@@ -59,7 +59,9 @@ def test_headers_that_cannot_be_used_are_refused(put, text, message):
 
 def test_a_raw_output_without_a_nominal_scale_is_refused(put):
     path = put("temperature [degC],output [V]\n20,1\n30,2\n")
-    with pytest.raises(InputError, match=r"\[V\], one .* deg/s was .* Or give a nominal_scale"):
+    with pytest.raises(
+        InputError, match=r"\[V\], one .* deg/s was .* --nominal-scale '250 V/\(deg/s\)'"
+    ):
         read(path, Gyro(nominal_scale=None))
     with pytest.raises(InputError, match="the gain must be finite and not zero"):
         NominalScale("V", gain=0.0)
@@ -78,7 +80,7 @@ def test_a_raw_output_without_a_nominal_scale_is_refused(put):
         ),
         (
             {"columns": {"output": "x", "rate_input": "x"}},
-            "x  .*both output and rate_input by columns=",
+            "'x': both output and rate_input by columns=",
         ),
         ({"units": {"outptu": "V"}}, r"units=\{'outptu': 'V'\}.*\(is 'output \[deg/s\]' meant"),
         ({"units": {"output": "volts!"}}, r"column 'output \[deg/s\]': \[volts!\] is not a unit"),
@@ -208,7 +210,7 @@ def test_text_that_cannot_be_read_is_refused(put, content, message):
     [
         (
             "t.log",
-            r"'t\.log': '\.log' cannot be read\. Give one of \.csv, \.tsv, \.txt, \.parquet, \.nc",
+            r"'t\.log': '\.log' cannot be read\. Give one of \.csv, \.tsv, \.dsv, \.txt, \.lvm, \.dat, \.parquet, \.nc",
         ),
         ("t.xls", r"Save it as \.xlsx"),
         ("t.xlsx", "cannot be read as Excel|needs openpyxl"),

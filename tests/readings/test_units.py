@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
-from bayescal._readings.header_reading import unit_in
-from bayescal._readings.unit_conversion import (
+from bayescal._data.header_reading import unit_in
+from bayescal._data.unit_conversion import (
     base_unit,
     check_unit,
     coefficient_factor,
@@ -262,7 +262,9 @@ def test_the_numbers_given_are_not_changed():
         ("deg_s", "deg/s", "deg/s"),
         ("m_s2", "ug", "m/s^2"),
         ("MG", "ug", "mg"),
-        ("deg", "degC", None),  # °C or °F
+        ("deg", "degC", "degC"),  # of a temperature, an angle is not meant
+        ("°", "degC", "degC"),
+        ("°", "rad", "°"),
         ("C", "V", None),
         ("MHZ", "Hz", None),  # mega or milli
         ("furlong", "m", None),

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._diagnostics.noise_in_time import allan_check, law_variance
-from bayescal._recording.allan_deviation import EvenRuns, of_columns, overlapping
-from bayescal._recording.allan_terms import term
+from bayescal._calibration.noise_in_time import allan_check
+from bayescal._data.allan_deviation import EvenRuns, of_columns, overlapping
+from bayescal._data.allan_terms import term
 from bayescal_models import mems_gyro, still_sensor
 
 # W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), section 12: the data, their overlapping Allan
@@ -122,6 +122,9 @@ def test_units_are_those_of_data_sheets(unit: str, printed: tuple[str, ...]) -> 
     assert tuple(str(term(s, unit, 1.0, 0.1)) for s in "NBK") == printed
 
 
+LAW = bc.OrnsteinUhlenbeck(1.0, 1e9)
+
+
 @pytest.mark.parametrize("time", [2.0, 30.0, 1e8])
 def test_the_laws_curve_is_that_of_simulated_readings(time: float) -> None:
     """Mean of 100 simulations, of which each curve is known to a few per cent at the longest time (seed 8)."""
@@ -134,7 +137,7 @@ def test_the_laws_curve_is_that_of_simulated_readings(time: float) -> None:
         for _ in range(100)
     ]
     values = {"noise.white": 0.2, "noise.diffusion": 0.1, "noise.correlated.time": time}
-    law = law_variance(values, 0.2**2 + 0.1**2 * time / 2, runs.factors, 1.0)
+    law = LAW.allan_variance(values, 0.2**2 + 0.1**2 * time / 2, runs.factors, 1.0)
     error = np.std(seen, axis=0) / 10
     assert np.all(np.abs(np.mean(seen, axis=0) - law) < 4 * error)
 
@@ -144,7 +147,7 @@ def test_correlated_noise_over_short_times_is_a_random_walk() -> None:
     factors = 2.0 ** np.arange(12)
     for time in factors[-1] * np.array([0.9e5, 1.1e5]):
         values = {"noise.white": 0.0, "noise.diffusion": 0.1, "noise.correlated.time": time}
-        law = law_variance(values, 0.1**2 * time / 2, factors, 1.0)
+        law = LAW.allan_variance(values, 0.1**2 * time / 2, factors, 1.0)
         assert law == pytest.approx(0.1**2 * (2 * factors**2 + 1) / (6 * factors), rel=1e-4)
 
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._diagnostics.check import autocorrelation
-from bayescal._diagnostics.efficient_score import fitted_directions
-from bayescal._inference import gaussian
+from bayescal._calibration.check import autocorrelation
+from bayescal._calibration.efficient_score import fitted_directions
 from bayescal._model import forward
 from bayescal_models import still_sensor
 
@@ -60,8 +59,8 @@ def test_z_is_standard_under_the_model(rng) -> None:
     layout, mode = found.layout, found.mode
     hyper = forward.hyper_values(layout, jnp.asarray(mode.v))
     line = forward.linearise(layout, found.frame, mode.point.x, mode.point.rows, hyper)
-    prior, noise = gaussian.prior_of(layout, hyper, mode.flat), found.model.noise
-    sd = np.sqrt(np.asarray(noise.variance(hyper, found.frame)))
+    prior, noise = found.assembly.prior(found.assembly.hyper(mode.v), mode.flat), found.model.noise
+    sd = np.sqrt(np.broadcast_to(noise.variance(hyper, found.frame), len(data)))
     a = np.asarray(line.jacobian * prior.sd) / sd[:, None]
     h = a @ np.linalg.solve(a.T @ a + np.diag(prior.weight), a.T)
     np.testing.assert_allclose(g @ g.T, h, atol=1e-9)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._discovery.discover import structures_over
-from bayescal._engine.linear_model import linear_model
-from bayescal._engine.terms import ColumnsOf
+from bayescal._inference.linear_model import linear_model
+from bayescal._inference.terms import ColumnsOf
 from bayescal._model.frame import reference_of
 from bayescal._search.departures import contribution, may_depart
+from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior
 from bayescal._search.structures import Structure, Structures

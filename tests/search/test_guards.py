@@ -13,7 +13,7 @@ import pytest
 import bayescal as bc
 from bayescal._calibration import guards
 from bayescal._calibration.guards import conflicts
-from bayescal._discovery.gate import gate
+from bayescal._search.gate import gate
 from bayescal_models import mems_gyro
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
@@ -85,8 +85,10 @@ def test_a_posterior_wider_than_its_prior(line, monkeypatch) -> None:
 
 def test_a_scale_larger_than_the_outputs_range(line, monkeypatch) -> None:
     reach = float(np.ptp(line.readings["output"]))
-    (reason,) = told_of(line, monkeypatch, mean=1.1 * reach)
-    assert reason.startswith("x is larger than the output's whole range")
+    (reason,) = told_of(line, monkeypatch, name="noise.white", mean=1.1 * reach)
+    assert reason.startswith("noise.white is larger than the output's whole range")
+    monkeypatch.undo()
+    assert told_of(line, monkeypatch, name="bias.cause.length", mean=1.1 * reach) == []
 
 
 def test_a_time_beyond_ten_records(runs, monkeypatch) -> None:
@@ -213,13 +215,14 @@ def test_nothing_is_said_that_so_few_readings_cannot_show(line: bc.Calibration) 
     assert "3 readings are too few for 2 unknowns" in gate([only]).reason
 
 
-def test_nothing_is_looked_for_where_readings_and_prior_contradict_each_other() -> None:
+def test_a_search_goes_on_where_readings_and_prior_contradict_each_other() -> None:
     readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
     off = readings.with_column("output", readings["output"] + OFFSET)
     trail = bc.calibrate(INSTRUMENT.baseline(), off, method=bc.LeastSquares())
-    assert len(trail.steps) == 1 and trail.final.discovery is None
-    assert not trail.ok and "check the nominal zero and scale" in trail.gate.reason
-    assert trail.ending.startswith("Nothing was looked for. bias.constant stands ")
+    added = {step.added for step in trail.steps}
+    assert added == {None, "bias.constant.freed", "bias.thermal_lag"}
+    assert not trail.ok and "--nominal-scale" in trail.gate.reason
+    assert "or accept it (calibrate --accept-conflict bias.constant)" in trail.gate.reason
     waived = bc.calibrate(
         INSTRUMENT.baseline(), off, method=bc.LeastSquares(), accept_conflicts=["bias.constant"]
     )

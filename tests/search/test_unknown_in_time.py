@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._discovery.draft_effect import draft_effect, shape_of
+from bayescal._search.draft_effect import draft_effect, shape_of
 from bayescal_models import mems_gyro
 
 INSTRUMENT = mems_gyro.INSTRUMENT

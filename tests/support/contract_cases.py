@@ -18,11 +18,11 @@ import numpy as np
 
 import bayescal as bc
 import bayescal_models
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.mode import find_mode
-from bayescal._engine.record import Record
-from bayescal._engine.sampling import weighted_draws
 from bayescal._inference import sampled_products
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.mode import find_mode
+from bayescal._inference.record import Record
+from bayescal._inference.sampling import weighted_draws
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable

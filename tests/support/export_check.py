@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._compensation.code_writer import identifier
+from bayescal._core.quoting import identifier
 
 COMPILER = shutil.which("cc")
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-ffp-contract=off")

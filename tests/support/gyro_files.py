@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import pytest
 
 from bayescal._core.errors import InputError
-from bayescal._readings.column import Column, NominalScale
-from bayescal._readings.read import read
+from bayescal._data.column import Column, NominalScale
+from bayescal._data.read import read
 
 VOLTS = NominalScale("V", gain=0.001, offset=1.2)
 

@@ -61,6 +61,34 @@ def write_ulog(
     return path
 
 
+def write_ulog_topics(
+    path: Path, time: np.ndarray, topics: Mapping[str, Mapping[str, np.ndarray]]
+) -> Path:
+    """A PX4 ULog with one instance of each topic, whose fields but timestamp and device_id are float."""
+
+    def message(kind: str, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    parts = [
+        b"ULog\x01\x12\x35\x01" + struct.pack("<Q", int(1e6 * time[0])),
+        message("B", bytes(40)),
+    ]
+    for name, fields in topics.items():
+        listed = "".join(f"float {field};" for field in fields)
+        parts.append(
+            message("F", f"{name}:uint64_t timestamp;uint32_t device_id;{listed}".encode())
+        )
+    for key, name in enumerate(topics):
+        parts.append(message("A", struct.pack("<BH", 0, key) + name.encode()))
+    for i, t in enumerate(time):
+        for key, fields in enumerate(topics.values()):
+            row = [float(values[i]) for values in fields.values()]
+            packed = struct.pack(f"<HQI{len(row)}f", key, round(1e6 * t), 7 + key, *row)
+            parts.append(message("D", packed))
+    path.write_bytes(b"".join(parts))
+    return path
+
+
 def write_dataflash(
     path: Path,
     time: np.ndarray,

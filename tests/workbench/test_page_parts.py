@@ -6,9 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bokeh.models import PlainText
 
-from bayescal._discovery.candidate import Candidate
-from bayescal._discovery.discover import Discovery
+from bayescal._search.candidate import Candidate
+from bayescal._search.discover import Discovery
 from bayescal._search.posterior import Found
 from bayescal._workbench.panes.error import in_order, path_to
 from bayescal._workbench.panes.file import safe_name
@@ -16,6 +17,7 @@ from bayescal._workbench.panes.missing import candidate_rows
 from bayescal._workbench.parts.decimate import MANY, PIXELS, drawn_rows, sentence
 from bayescal._workbench.parts.pieces import words
 from bayescal._workbench.parts.rows import Rows
+from bayescal._workbench.parts.style import new_figure
 
 COUNT = 100_000
 
@@ -61,6 +63,15 @@ def test_a_view_of_a_part_draws_more_of_it(many) -> None:
 def test_text_is_never_markup() -> None:
     shown = words("<b>run</b>")._transform_object("<b>run</b>")["object"]
     assert "<b>" not in shown and "&amp;lt;b" in shown
+
+
+def test_a_label_is_never_a_formula() -> None:
+    from bokeh.embed.bundle import _use_mathjax
+
+    name = r"$$\href{javascript:alert(1)}{x}$$"
+    made = new_figure(name, name)
+    assert isinstance(made.xaxis[0].axis_label, PlainText) and made.xaxis[0].axis_label.text == name
+    assert not _use_mathjax({made})
 
 
 def test_a_press_that_the_page_does_not_offer_is_not_taken() -> None:

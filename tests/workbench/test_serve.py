@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import html
+import http.client
 import os
 import re
 import signal
@@ -14,6 +17,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,6 +25,7 @@ import bayescal as bc
 from bayescal._workbench import start
 from bayescal._workbench.session import Session
 from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.open_ports import listening, needs_proc
 from tests.workbench.conftest import Campaign
 
 pytest.importorskip("panel", reason="bayescal[workbench] is not installed")
@@ -98,6 +103,54 @@ def test_only_the_whole_address_is_served(server: Server) -> None:
     assert get(f"{base}{server.path}/static/js/bokeh.min.js")[0] == 200
 
 
+def asked_as(server: Server, host: str, path: str = "", body: bytes = b"", **headers: str) -> int:
+    """Status of a request under a Host, which a name that is made to lead here would send."""
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=30)
+    method = "POST" if body else "GET"
+    connection.request(method, server.path + path, body or None, {"Host": host, **headers})
+    answer = connection.getresponse()
+    assert server.path not in answer.read().decode("utf-8", "replace") or answer.status == 200
+    connection.close()
+    return answer.status
+
+
+@needs_installation
+def test_another_host_is_refused(server: Server) -> None:
+    """DNS rebinding: a page of another name that is made to lead to 127.0.0.1."""
+    server.ready()
+    for host in (
+        f"evil.example:{server.port}",
+        "evil.example",
+        "127.0.0.1",
+        f"127.0.0.1.evil:{server.port}",
+    ):
+        for path in ("/", "/static/js/bokeh.min.js", "/ws"):
+            assert asked_as(server, host, path) == 403, (host, path)
+    for host in (
+        f"127.0.0.1:{server.port}",
+        f"localhost:{server.port}",
+        f"LOCALHOST:{server.port}",
+    ):
+        assert asked_as(server, host, "/static/js/bokeh.min.js") == 200, host
+
+
+@needs_installation
+def test_a_request_of_a_megabyte_is_refused(server: Server) -> None:
+    server.ready()
+    host = f"127.0.0.1:{server.port}"
+    with contextlib.suppress(ConnectionError, http.client.HTTPException):  # or it is just cut off
+        assert asked_as(server, host, "/", b"x" * 2**20) in (400, 405, 413)
+    with contextlib.suppress(ConnectionError, http.client.HTTPException):
+        assert asked_as(server, host, "/", Cookie="x" * 2**20) in (400, 431)
+
+
+@needs_installation
+@needs_proc
+def test_it_listens_on_this_computer_alone(server: Server) -> None:
+    server.ready()
+    assert listening(server.process.pid) == {("127.0.0.1", server.port)}
+
+
 @needs_installation
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as POSIX does")
 def test_a_websocket_needs_the_address_and_comes_from_it(server: Server) -> None:
@@ -108,8 +161,9 @@ def test_a_websocket_needs_the_address_and_comes_from_it(server: Server) -> None
     token = re.search(r'"token":"([^"]+)"', page)
     assert token is not None
 
-    async def opened(path: str, origin: str) -> int:
-        request = HTTPRequest(f"ws://127.0.0.1:{server.port}{path}", headers={"Origin": origin})
+    async def opened(path: str, origin: str, **headers: str) -> int:
+        url = f"ws://127.0.0.1:{server.port}{path}"
+        request = HTTPRequest(url, headers={"Origin": origin, **headers})
         try:
             connection = await websocket_connect(request, subprotocols=["bokeh", token[1]])
         except HTTPClientError as error:
@@ -123,6 +177,10 @@ def test_a_websocket_needs_the_address_and_comes_from_it(server: Server) -> None
     assert asyncio.run(opened(f"{server.path}/ws", own)) == 101
     assert asyncio.run(opened(f"{server.path}/ws", "http://evil.example")) == 403
     assert asyncio.run(opened("/ws", own)) == 404
+    evil = f"evil.example:{server.port}"
+    assert asyncio.run(opened(f"{server.path}/ws", f"http://{evil}", Host=evil)) == 403
+    assert asyncio.run(opened(f"{server.path}/ws", own, Host=evil)) == 403
+    assert asyncio.run(opened(f"{server.path}/ws", "null")) == 403
 
 
 @pytest.mark.slow
@@ -168,8 +226,49 @@ def test_the_waiting_page_is_of_one_address_and_escapes(tmp_path: Path) -> None:
         assert "<script>alert" not in page and "Reading …" in page
         assert get(f"http://127.0.0.1:{address.port}/")[0] == 404
         assert get(f"http://127.0.0.1:{address.port}{address.path[:-1]}")[0] == 404
+        rebound = urllib.request.Request(address.of("session_1"), headers={"Host": "evil.example"})
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(rebound, timeout=30)
     with pytest.raises(urllib.error.URLError):
         get(address.of("session_1"))
+
+
+@pytest.mark.parametrize("asked", ["<img src=x onerror=alert(1)>", "../../x", "\x00", "session_99"])
+def test_what_the_address_asks_for_is_text_on_the_page(asked: str, tmp_path: Path) -> None:
+    """`?session=<img …>` ran in the page that says that there is no such session."""
+    import panel as pn
+    from bokeh.document import Document
+
+    from bayescal._workbench.serve import Sessions, _open
+
+    def never(*_: object) -> Session:
+        raise AssertionError("nothing is to be opened")
+
+    class Page(Document):
+        def add_next_tick_callback(self, callback) -> None:  # pyright: ignore
+            callback()
+
+    place, document = pn.Column(pn.Spacer()), Page()
+    _open(Sessions(tmp_path, never, never), asked, document, place, never)  # pyright: ignore
+    shown: Any = place[0]
+    text = html.unescape(shown.get_root().text)  # as Panel's script does before it becomes markup
+    assert "there is no session" in text and "<img" not in text
+    assert set(re.findall(r"<(\w+)", text)) <= {"pre"}
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "evil.example", "::", "203.0.113.7", ""])
+def test_an_address_that_is_none_of_this_computer_is_refused(host: str) -> None:
+    with pytest.raises(bc.InputError, match="give one IPv4 address of this computer"):
+        start.Address.new(host)
+
+
+def test_an_address_that_others_reach_says_so() -> None:
+    assert start.Address.new().exposed == ""
+    told = start.Address(8000, "/secret", "192.0.2.1")
+    assert "every computer that reaches 192.0.2.1" in told.exposed and "unencrypted" in told.exposed
+    assert told.names == ("192.0.2.1:8000",) and told.of("session_1").startswith(
+        "http://192.0.2.1:"
+    )
 
 
 def test_sessions_of_a_server(session: Session, tmp_path: Path) -> None:

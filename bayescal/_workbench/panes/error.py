@@ -9,8 +9,8 @@ import panel as pn
 from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormatter, Span
 
 from bayescal._core.formatting import number, probability
-from bayescal._discovery.search_path import RISES
-from bayescal._readings.unit_conversion import unit_label
+from bayescal._data.unit_conversion import unit_label
+from bayescal._search.search_path import RISES
 from bayescal._workbench.parts.pieces import button, column, row, words
 from bayescal._workbench.parts.rows import Rows
 from bayescal._workbench.parts.style import (

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from bayescal._diagnostics.evidence_scale import VERY_STRONG
-from bayescal._discovery.next_experiment import NextExperiment, next_experiment
+from bayescal._calibration.evidence_scale import VERY_STRONG
+from bayescal._search.next_experiment import NextExperiment, next_experiment
 from bayescal._workbench.parts.pieces import button, column, row, words
 from bayescal._workbench.parts.rows import Rows
 

@@ -10,7 +10,7 @@ import panel as pn
 from bokeh.events import Reset, SelectionGeometry
 from bokeh.models import ColumnDataSource, Range1d
 
-from bayescal._workbench.panes.fails_data import AGAINST, Shown
+from bayescal._workbench.panes.fails_data import AGAINST, ResidualsOfState
 from bayescal._workbench.panes.fails_panel import AT, dress_panel, residual_panel, show_curve
 from bayescal._workbench.parts.decimate import drawn_rows, sentence
 from bayescal._workbench.parts.pieces import choice, column, row, several, words
@@ -32,7 +32,7 @@ class Fails:
 
     def __init__(self, on_select: Callable[[np.ndarray], None] = lambda _: None) -> None:
         self._on_select = on_select
-        self.shown: Shown | None = None
+        self.shown: ResidualsOfState | None = None
         self.palette: Palette = LIGHT
         self.selected = np.array([], int)
         self.source: Any = ColumnDataSource({})
@@ -66,7 +66,7 @@ class Fails:
         """Show a state; `before` is the step of the one it came from."""
         earlier = None if before is None else np.asarray(before.check.residuals, float)
         same = earlier is not None and earlier.size == len(step.check.residuals)
-        self.shown = Shown(step, earlier if same else None)
+        self.shown = ResidualsOfState(step, earlier if same else None)
         self._curve = None
         self._views = {}
         self.said.object = self.shown.sentence()

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._diagnostics.check import covariates_of
-from bayescal._diagnostics.check_result import Check, Entry, place_in_words
-from bayescal._readings.unit_conversion import unit_label
+from bayescal._calibration.check import covariates_of
+from bayescal._calibration.check_result import Check, Entry, place_in_words
+from bayescal._data.unit_conversion import unit_label
 from bayescal._workbench.parts.style import MARKERS, Palette
 
 AGAINST = "measured against predicted"
 
 
 @dataclass(frozen=True)
-class Shown:
+class ResidualsOfState:
     """A state's residuals with everything that they can be laid against.
 
     Attributes:

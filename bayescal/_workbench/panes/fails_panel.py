@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Range1d, Span
+from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, PlainText, Range1d, Span
 
-from bayescal._workbench.panes.fails_data import AGAINST, Shown
+from bayescal._workbench.panes.fails_data import AGAINST, ResidualsOfState
 from bayescal._workbench.parts.style import RED, Palette, dress, fixed_range, new_figure
 
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
@@ -16,7 +16,9 @@ FEW = 600  # readings up to which points are large
 NOISE, CURVE, AT = "#8a939b", "curve", "at "
 
 
-def residual_panel(shown: Shown, name: str, source: ColumnDataSource, y_range: Range1d) -> Any:
+def residual_panel(
+    shown: ResidualsOfState, name: str, source: ColumnDataSource, y_range: Range1d
+) -> Any:
     """A figure of one column; its readings come from the source of all panels, which are so brushed together.
 
     Args:
@@ -62,7 +64,7 @@ def residual_panel(shown: Shown, name: str, source: ColumnDataSource, y_range: R
         )
     if levels := shown.levels.get(name):
         made.xaxis.ticker = list(range(len(levels)))
-        made.xaxis.major_label_overrides = {k: v[:12] for k, v in enumerate(levels)}
+        made.xaxis.major_label_overrides = {k: PlainText(text=v[:12]) for k, v in enumerate(levels)}
     return made
 
 
@@ -81,7 +83,7 @@ def dress_panel(made: Any, palette: Palette) -> None:
             renderer.glyph.fill_color = palette.ink
 
 
-def _ground(made: Any, shown: Shown, name: str) -> None:
+def _ground(made: Any, shown: ResidualsOfState, name: str) -> None:
     """The noise, zero, and the worst region."""
     noise, entry = shown.check.noise, shown.entry(name)
     plain = {"line_alpha": 0.0, "level": "underlay"}

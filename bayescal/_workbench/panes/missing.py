@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from bayescal._core.formatting import number, probability, with_error
-from bayescal._discovery.candidate import Candidate
-from bayescal._discovery.discover import Discovery
-from bayescal._readings.unit_conversion import unit_label
+from bayescal._data.unit_conversion import unit_label
+from bayescal._search.candidate import Candidate
+from bayescal._search.discover import Discovery
 from bayescal._workbench.parts.pieces import column, row, words
 from bayescal._workbench.parts.rows import Rows
 
@@ -57,7 +57,7 @@ class Missing:
             self.rows.rows = []
             return
         self.complete.object = (
-            f"Probability that the model is complete: {probability(found.nothing_missing)}"
+            f"Probability that the model is complete: {found.unstated or probability(found.nothing_missing)}"
             + (f"\n{found.stopped}" if found.stopped else "")
         )
         self.rows.rows = candidate_rows(found)

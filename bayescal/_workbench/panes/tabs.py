@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import panel as pn
 
-from bayescal._workbench.panes.allan import AllanPane
-from bayescal._workbench.panes.describe import DescribePane
+from bayescal._workbench.panes.allan_pane import AllanPane
+from bayescal._workbench.panes.describe_pane import DescribePane
 from bayescal._workbench.panes.experiment import ExperimentPane
 from bayescal._workbench.panes.file import FilePane
-from bayescal._workbench.panes.take_away import ExportPane, PythonPane, ReportPane
+from bayescal._workbench.panes.take_away_pane import ExportPane, PythonPane, ReportPane
 from bayescal._workbench.parts.pieces import choice, column
 from bayescal._workbench.parts.style import Palette
 

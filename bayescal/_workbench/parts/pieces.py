@@ -4,11 +4,11 @@ buttons, choices, rows and columns.
 
 from __future__ import annotations
 
-from html import escape
 from typing import Any
 
 import panel as pn
 
+from bayescal._core.quoting import html_text
 from bayescal._workbench.parts.style import INSIDE
 
 PLAIN = """
@@ -42,7 +42,7 @@ class Text(pn.pane.Str):
     """Panel's pane of text, which shows `<b>` in bold: here it stays text."""
 
     def _transform_object(self, obj: Any) -> dict[str, Any]:
-        return super()._transform_object(escape(str(obj)) if obj else "")
+        return super()._transform_object(html_text(obj) if obj else "")
 
 
 def words(text: str = "", *kinds: str, **settings: Any) -> Text:

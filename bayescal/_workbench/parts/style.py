@@ -8,10 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bokeh.models import Legend, Range1d
+from bokeh.models import Legend, PlainText, Range1d
 from bokeh.plotting import figure
 
-from bayescal._plots.colours import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
+from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
 
 YELLOW = "#F0E442"
 HERE = Path(__file__).parent
@@ -43,15 +43,15 @@ __all__ = ["CSS", "DARK", "GREEN", "INSIDE", "LIGHT", "MARKERS", "ORANGE", "RED"
 
 
 def new_figure(x_label: str, y_label: str, **settings: Any) -> Any:
-    """An empty Bokeh figure that fills its room, with the tools of all."""
+    """An empty Bokeh figure that fills its room, with the tools of all; `$$` in a label begins no formula."""
     made: Any = figure(
         **{
             "sizing_mode": "stretch_both",
             "min_width": 120,
             "min_height": 110,
             "toolbar_location": None,
-            "x_axis_label": x_label,
-            "y_axis_label": y_label,
+            "x_axis_label": PlainText(text=x_label),
+            "y_axis_label": PlainText(text=y_label),
             **settings,
         }
     )

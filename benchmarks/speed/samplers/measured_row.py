@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.importance_weights import smoothed
-from bayescal._engine.assembly import Assembly
-from bayescal._engine.mode import find_mode
-from bayescal._engine.record import Record
-from bayescal._engine.sampling import weighted_draws
 from bayescal._inference import sampled_products
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.mode import find_mode
+from bayescal._inference.record import Record
+from bayescal._inference.sampling import weighted_draws
 from benchmarks import chains
 from benchmarks.speed.samplers.peers import (
     Ran,

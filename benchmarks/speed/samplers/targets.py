@@ -15,8 +15,11 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 import bayescal as bc
-from bayescal._inference import laplace, nuts_chains, sampled_products
+from bayescal._inference import nuts_chains, sampled_products
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.mode import find_mode
 from bayescal._inference.nuts import program
+from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from benchmarks.speed.samplers.peers import CHAINS, Target
@@ -38,6 +41,10 @@ def bound(model: bc.Model, readings: bc.Measurements) -> BoundProblem:
     frame = build_frame(readings, reference_of(readings))
     y = jnp.asarray(readings["output"])
     return BoundProblem(plain, sampled_products.choose(plain, frame, y, None)[0], frame, y)
+
+
+def _on_record(p: BoundProblem) -> Assembly:
+    return Assembly(p.layout, Record(p.layout.model.instrument, p.frame, np.asarray(p.y)))
 
 
 def plain_target(p: BoundProblem) -> Target:
@@ -66,13 +73,13 @@ def plain_target(p: BoundProblem) -> Target:
 
 def whitened_target(p: BoundProblem) -> Target:
     """The exact log density in our whitened coordinates."""
-    mode = laplace.compiled_mode(p.layout, p.frame, p.y)
-    density, unpack, centre, covariance = nuts_chains.whitened(p.layout, p.frame, p.y, mode)
+    assembly = _on_record(p)
+    density, unpack, centre, covariance = nuts_chains.whitened(assembly, find_mode(assembly))
     root = jnp.linalg.cholesky(covariance)
     noise = jax.random.normal(jax.random.key(SEED), (CHAINS, centre.size))
 
     def unknowns(q: jax.Array) -> jax.Array:
-        x, _, v, _, _ = unpack(centre + root @ q)
+        x, _, v, _ = unpack(centre + root @ q)
         return jnp.concatenate([x, v])
 
     none = np.zeros(centre.size, bool)
@@ -81,8 +88,11 @@ def whitened_target(p: BoundProblem) -> Target:
 
 def marginal_target(p: BoundProblem) -> Target:
     """φ alone."""
-    mode = laplace.compiled_mode(p.layout, p.frame, p.y)
-    density = laplace.density_of_phi(p.layout, p.frame, p.y, mode.point, mode.flat)
+    assembly = _on_record(p)
+    mode = find_mode(assembly)
+    density = nuts_chains.of_phi(assembly, mode)
+    if density is None:
+        raise RuntimeError(f"{p.layout.model.names}: the model is no table of columns")
     root = jnp.linalg.cholesky(mode.covariance)
     noise = jax.random.normal(jax.random.key(SEED), (CHAINS, mode.v.size))
     missing = jnp.full(p.layout.size, jnp.nan)
@@ -91,7 +101,7 @@ def marginal_target(p: BoundProblem) -> Target:
         return jnp.concatenate([missing, mode.v + root @ q])
 
     none = np.zeros(mode.v.size, bool)
-    return Target(lambda q: density(mode.v + root @ q)[0], 0.5 * noise, unknowns, none)
+    return Target(lambda q: density(mode.v + root @ q), 0.5 * noise, unknowns, none)
 
 
 TARGETS = {"plain": plain_target, "whitened": whitened_target, "marginal": marginal_target}

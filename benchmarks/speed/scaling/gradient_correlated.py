@@ -52,21 +52,16 @@ def wander() -> dict[str, Any]:
     """
     import jax
 
-    from bayescal._inference import laplace
-
     seconds: dict[int, dict[str, float]] = {}
     for n in SIZES:
         b = bound(n, correlated=True)
 
-        def of_phi(v: Any, frame: Any, y: Any, b: Bound = b) -> Any:
-            point = laplace.start_point(b.layout, frame)
-            return laplace.density_of_phi(b.layout, frame, y, point, b.flat)(v)[0]
-
+        of_phi = b.table.traced()
         value = jax.jit(of_phi)
-        mine, steps = float(value(b.v, b.frame, b.y)), max(1, 30_000 // n)
+        mine, steps = float(value(b.v)), max(1, 30_000 // n)
         runs: dict[str, Callable[[], Any]] = {
-            "gradient": per_call(of_phi, b.v, steps, b.frame, b.y),
-            "value": partial(_ready, value, b.v, b.frame, b.y),
+            "gradient": per_call(of_phi, b.v, steps),
+            "value": partial(_ready, value, b.v),
         }
         if n in DENSE:
             theirs = dense_density(b)

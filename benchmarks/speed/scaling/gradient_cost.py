@@ -22,8 +22,7 @@ class Bound(NamedTuple):
     layout: Any
     frame: Any
     y: Any
-    point: Any
-    flat: Any
+    table: Any
     v: Any
 
 
@@ -33,7 +32,9 @@ def bound(n: int, correlated: bool) -> Bound:
     from scipy.signal import lfilter
 
     import bayescal as bc
-    from bayescal._inference import laplace
+    from bayescal._inference.assembly import Assembly
+    from bayescal._inference.density import Density
+    from bayescal._inference.record import Record
     from bayescal._model.frame import build_frame, reference_of
     from bayescal._model.parameters import bind
     from bayescal_models import mems_gyro
@@ -54,14 +55,9 @@ def bound(n: int, correlated: bool) -> Bound:
     reference = {**reference_of(readings), "T0": T0}
     frame = build_frame(readings, reference)
     v = jnp.array([_at(h) for h in layout.hypers])
-    return Bound(
-        layout=layout,
-        frame=frame,
-        y=jnp.asarray(y),
-        point=laplace.start_point(layout, frame),
-        flat=jnp.ones(layout.size),
-        v=v,
-    )
+    assembly = Assembly(layout, Record(model.instrument, frame, y))
+    density = Density(assembly, assembly.start, np.ones(layout.size), np.asarray(v))
+    return Bound(layout=layout, frame=frame, y=jnp.asarray(y), table=density.table, v=v)
 
 
 def _at(h: Any) -> float:

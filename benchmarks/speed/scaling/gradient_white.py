@@ -70,15 +70,10 @@ def _white_at(n: int) -> tuple[Bound, dict[str, float]]:
     """
     import jax
 
-    from bayescal._inference import laplace
-
     b = bound(n, correlated=False)
-    density = laplace.density_of_phi(b.layout, b.frame, b.y, b.point, b.flat)
+    of_phi = b.table.traced()
     joint = plain(b.layout.model)
     data = (b.frame["temperature"] - T0, b.y)
-
-    def of_phi(v: Any) -> Any:
-        return density(v)[0]
 
     mine = jax.jit(jax.value_and_grad(of_phi))(b.v)
     theirs = jax.jit(jax.value_and_grad(lambda v: integrated(joint)(v[0], *data)))(b.v)
@@ -98,19 +93,16 @@ def _one_pass(b: Bound) -> dict[str, float]:
     Raises:
         RuntimeError: the products are wrong.
     """
-    import jax
+    from bayescal._inference.assembly import Assembly
+    from bayescal._inference.density import Density
+    from bayescal._inference.record import Record
 
-    from bayescal._core.jit import compiled
-    from bayescal._inference import gaussian
-    from bayescal._model import forward
-
-    @compiled
-    def products(layout: Any, frame: Any, y: Any, point: Any, v: Any) -> Any:
-        grams = gaussian.gram_function(layout, frame, y, point)
-        return grams(forward.hyper_values(layout, v), v)
+    assembly = Assembly(b.layout, Record(b.layout.model.instrument, b.frame, np.asarray(b.y)))
+    v = np.asarray(b.v)
 
     def run() -> Any:
-        return jax.block_until_ready(products(b.layout, b.frame, b.y, b.point, b.v))
+        density = Density(assembly, assembly.start, np.ones(b.layout.size), v)
+        return density.gram(v, assembly.hyper(v))
 
     gram, n = run(), len(b.y)
     j = np.column_stack([np.ones(n), np.asarray(b.frame["temperature"]) - T0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 import bayescal as bc
@@ -55,4 +56,5 @@ def run(out: Path, seed: int) -> None:
         f"\nhold-out data: rms error {before:.3f} °/s before, {after:.3f} °/s after, "
         f"noise floor {trail.final.noise_floor:.3f} °/s"
     )
+    print(f"\n{textwrap.fill(trail.in_short, 110)}")
     trail.save(out)

@@ -12,7 +12,7 @@ HUMIDITY = bc.Effect(
     "bias.humidity",
     slot="bias",
     columns=("humidity",),
-    basis=lambda r: r["humidity"] - 50.0,
+    basis=lambda r: r["humidity"] - 0.5,
     coefficients=(bc.Coefficient("deg/s/%", bc.Normal(0.0, 0.01)),),
     equation="c·(H − 50 %)",
 )

@@ -1,0 +1,297 @@
+"""Where the model fails: residuals against every covariate, with evidence and the worst region in physical units."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from scipy.special import bdtr, kolmogorov, ndtr, smirnov, stdtr
+
+from bayescal._calibration import covariate_evidence, efficient_score
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check_result import (
+    SIGNIFICANT,
+    Check,
+    Entry,
+    FixedComparison,
+    Pair,
+)
+from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.fit import fit
+from bayescal._calibration.noise_in_time import allan_check
+from bayescal._calibration.worst_region import worst_regions
+from bayescal._core.parallel import on_one_thread
+from bayescal._inference.least_squares import LeastSquares
+
+ALIKE = 0.95  # rank correlation from which two covariates are taken for one
+DUOS = 15  # pairs of covariates, at most
+MEMBERS = 64  # of a group that is looked at member by member, at most
+OUTLIER = 4.0  # leave-one-out standard deviations
+BOUND = 0.99  # expected autocorrelation from which neighbours are what the fit leaves, such as two about a free level
+ROUNDING = 1e-9  # share of a sum, below which it is the rounding of its terms
+RARE = 0.12  # one-sided p-value, whose fourth power is about that of both sides at once
+FAR = 0.1  # share of the readings that stand farthest from the model
+
+
+@on_one_thread
+def check(calibration: Calibration) -> Check:
+    """Where a fitted model fails.
+
+    A model with fixed coefficients is judged against the noise of the same model with free coefficients (and that is
+    set beside the noise known before any fit), not against a noise inflated to cover its misfit.
+    """
+    judged, free_noise = _judged(calibration)
+    residual, white, sd = efficient_score.residuals(judged)
+    noise = float(np.sqrt(np.mean(sd**2)))
+    covariates = covariates_of(judged)
+    duos = _duos(covariates)
+    products = [covariate_evidence.together(a, b) for a, b in duos]
+    evidence = covariate_evidence.log_bayes_factors(judged, [*covariates, *products], noise)
+    factors, of_duos = evidence[: len(covariates)], evidence[len(covariates) :]
+    regions = worst_regions(judged, covariates, residual)
+    entries = [
+        Entry(b.name, f, region, bool(b.levels))
+        for b, f, region in zip(covariates, factors, regions, strict=True)
+    ]
+    pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(duos, of_duos, strict=True)]
+    pairs.sort(key=lambda p: -p.log_bayes_factor)
+    entries.sort(key=lambda e: -e.log_bayes_factor)
+    loo = _leave_one_out(judged, white)
+    # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
+    off = max(factors, default=0.0) >= STRONG
+    return Check(
+        entries=tuple(entries),
+        pairs=tuple(pairs),
+        unit=calibration.unit,
+        rms=float(np.sqrt(np.mean(residual**2))),
+        noise=noise,
+        autocorrelation=autocorrelation(judged, white),
+        spread_with={} if off else _spread_with(covariates, white),
+        outliers=tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
+        pit_p=_uniform(ndtr(loo)),
+        one_sided=1.0 if off else _one_sided(loo),
+        fixed=None
+        if free_noise is None
+        else _compare_fixed(calibration, residual, noise, free_noise),
+        residuals=residual,
+        allan=allan_check(judged),
+    )
+
+
+def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
+    """The calibration with the noise to judge by; and the free fit's noise, if coefficients are fixed."""
+    held = {b.name for b in calibration.layout.blocks if b.place == "fixed"}
+    if not held:
+        return calibration, None
+    free = fit(
+        calibration.model.free(*held),
+        calibration.readings,
+        LeastSquares(draws=400),
+        reference=calibration.reference,
+        strict=False,
+    )
+    sd = efficient_score.residuals(free).sd
+    names = {h.name: i for i, h in enumerate(calibration.layout.hypers) if h.kind == "noise"}
+    v = np.array(calibration.mode.v)
+    for i, h in enumerate(free.layout.hypers):
+        if h.name in names:
+            v[names[h.name]] = free.mode.v[i]
+    mode = calibration.mode._replace(v=v)
+    judged = replace(calibration, mode=mode) if names else calibration
+    return judged, float(np.sqrt(np.mean(sd**2)))
+
+
+def _compare_fixed(
+    calibration: Calibration, residual: np.ndarray, noise: float, free: float
+) -> FixedComparison:
+    return FixedComparison(
+        noise=noise,
+        free_fit=free,
+        known=known_noise(calibration),
+        mean=float(residual.mean()),
+        low=float(residual.min()),
+        high=float(residual.max()),
+        rms=float(np.sqrt(np.mean(residual**2))),
+        positive=int((residual > 0).sum()),
+        count=residual.size,
+    )
+
+
+def known_noise(calibration: Calibration) -> dict[str, float]:
+    """Standard deviations known before any fit, output unit, by name: the output's own, and what the uncertainty of
+    another column makes of the slope that the output has over it."""
+    readings = calibration.readings
+    output = readings[readings.output]
+    found = {}
+    for column in sorted(calibration.model.instrument.columns, key=lambda c: c.name != "output"):
+        if not (column.known and readings.has(column.name)):
+            continue
+        slope, values = 1.0, readings[column.name]
+        if column.name != "output":
+            slope = float(np.polyfit(values, output, 1)[0]) if np.ptp(values) > 0 else 0.0
+        found |= {name: sd * abs(slope) for name, sd in column.known}
+    return found
+
+
+def covariates_of(calibration: Calibration) -> list[covariate_evidence.Covariate]:
+    """Everything recorded or derived that residuals can be laid against."""
+    readings, frame = calibration.readings, calibration.frame
+    found = []
+    for name in readings.columns:
+        unit = readings.unit(name)
+        skip = name in ("output", "output_uncertainty", "temperature_point", *readings.no_causes)
+        skip = skip or unit is None
+        if not skip and np.ptp(readings[name]) > 0:
+            found.append(
+                covariate_evidence.smooth(name, readings[name], unit or "", in_time=name == "time")
+            )
+    if "temperature" in frame.rates and np.ptp(np.asarray(frame.rates["temperature"])) > 0:
+        rate = np.asarray(frame.rates["temperature"]) * 60
+        found.append(covariate_evidence.smooth("temperature rate", rate, "degC/min"))
+    if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
+        elapsed = np.asarray(frame.columns["elapsed"])
+        found.append(covariate_evidence.smooth("elapsed", elapsed, "s", in_time=True))
+    for group in calibration.levels:
+        levels, codes = readings.groups(group)
+        if 1 < len(levels) <= MEMBERS:
+            found.append(covariate_evidence.members(group, codes, levels))
+    if not readings.has("time"):
+        found.append(
+            covariate_evidence.smooth("order", np.arange(1.0, len(readings) + 1), in_time=True)
+        )
+    return found
+
+
+def _duos(
+    covariates: list[covariate_evidence.Covariate],
+) -> list[tuple[covariate_evidence.Covariate, covariate_evidence.Covariate]]:
+    """Pairs of covariates that are not nearly one and the same."""
+    varied = [b for b in covariates if not b.levels]
+    rank = {b.name: _ranks(b.values) for b in varied}
+    return [
+        (a, b)
+        for a, b in combinations(varied, 2)
+        if abs(np.corrcoef(rank[a.name], rank[b.name])[0, 1]) < ALIKE
+    ][:DUOS]
+
+
+def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
+    """Lag-1 autocorrelation of neighbours in time within runs beyond what the fit itself leaves, and its z.
+
+    A fit takes from residuals what it follows: about a fitted level, n independent readings have −1/(n − 1). With
+    r that of the residuals and ρ that expected of independent noise under this model, the coefficient is the
+    difference on Fisher's scale, tanh(artanh r − artanh ρ), which is within ±1.
+
+    Args:
+        calibration: the fitted model.
+        standardised: its whitened residuals.
+    """
+    order, step = calibration.assembly.record.in_time
+    linked = step[1:] >= 0
+    if not calibration.readings.has("time"):
+        linked = np.ones(order.size - 1, bool)
+    first = np.flatnonzero(linked)
+    ordered = standardised[order]
+    before, after = ordered[first], ordered[first + 1]
+    size = float(np.linalg.norm(before) * np.linalg.norm(after))
+    if not size > 0:
+        return 0.0, 0.0
+    directions = efficient_score.fitted_directions(calibration)[order]
+    expected, sd = _of_independent_noise(directions, first)
+    product, squares = float(before @ after), 0.5 * float(before @ before + after @ after)
+    found = product / size
+    if sd == 0 or abs(expected) > BOUND:
+        return 0.0, 0.0
+    coefficient = float(np.clip((found - expected) / (1 - found * expected), -1, 1))
+    return coefficient, (product / squares - expected) / sd
+
+
+def _of_independent_noise(directions: np.ndarray, first: np.ndarray) -> tuple[float, float]:
+    """Mean and standard deviation of the lag-1 autocorrelation of residuals e ~ N(0, C), C = I − G·Gᵀ.
+
+    The sum over neighbours of eᵢ·eᵢ₊₁ is eᵀBe, that of their squares, halved, eᵀDe. Their means have the ratio
+    ρ = tr(BC)/tr(DC), and the variance of eᵀKe, K = B − ρ·D, is 2·tr(KCKC).
+
+    Args:
+        directions: G (n, q), in the order of time.
+        first: where the first of each two neighbours stands.
+    """
+    halves = 0.5 * np.bincount(np.append(first, first + 1), minlength=len(directions))  # D
+    squares = float(halves @ (1 - np.sum(directions**2, axis=1)))
+    if squares < ROUNDING * first.size:
+        return 0.0, 0.0
+    expected = -float(np.sum(directions[first] * directions[first + 1])) / squares
+    kg = -expected * halves[:, None] * directions
+    kg[first] += 0.5 * directions[first + 1]
+    kg[first + 1] += 0.5 * directions[first]
+    own = 0.5 * first.size + expected**2 * float(halves @ halves)  # tr(KK)
+    trace = own - 2 * float(np.sum(kg**2)) + float(np.sum((directions.T @ kg) ** 2))
+    if trace < ROUNDING * first.size:
+        return expected, 0.0
+    return expected, float(np.sqrt(2 * trace)) / squares
+
+
+def _spread_with(
+    covariates: list[covariate_evidence.Covariate], standardised: np.ndarray
+) -> dict[str, float]:
+    """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
+    found, sizes = {}, _ranks(np.abs(standardised))
+    for block in covariates:
+        if not block.levels:
+            p = _uncorrelated(sizes, _ranks(block.values))
+            if p < SIGNIFICANT:
+                found[block.name] = p
+    return found
+
+
+def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
+    """Each reading predicted from the others, in standard deviations of that prediction.
+
+    Under correlated noise: each reading predicted from those before it in its run.
+    """
+    if not calibration.model.noise.independent:
+        return white
+    leverage = np.sum(efficient_score.fitted_directions(calibration) ** 2, axis=1)
+    # V⁻¹r over the root of V⁻¹'s diagonal, both from the leverages.
+    return white / np.sqrt(np.maximum(1 - leverage, 1e-12))
+
+
+def _one_sided(loo: np.ndarray) -> float:
+    """p-value of the sign test (binomial, two-sided) on the readings that stand farthest from the model."""
+    count = int(FAR * len(loo))
+    above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
+    return min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5))) if count else 1.0
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """1 for the smallest; equal values share the mean of their ranks."""
+    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(count) - 0.5 * (count - 1))[place]
+
+
+def _uncorrelated(one: np.ndarray, other: np.ndarray) -> float:
+    """p-value of two rankings that know nothing of each other, by Student's t; not a number where one is constant."""
+    free = len(one) - 2
+    if np.ptp(one) == 0 or np.ptp(other) == 0 or free < 1:
+        return float("nan")
+    r = float(np.clip(np.corrcoef(one, other)[0, 1], -1, 1))
+    with np.errstate(divide="ignore"):
+        return float(2 * stdtr(free, -abs(r) * np.sqrt(free / np.float64((1 - r) * (1 + r)))))
+
+
+def _uniform(values: np.ndarray) -> float:
+    """p-value of values drawn uniformly from 0 to 1, two-sided, by Kolmogorov and Smirnov.
+
+    By the exact one-sided one where both sides at once are rare; else the limit of many values at an argument corrected
+    for their number (Vrbik, Pioneer J. Theor. Appl. Stat. 15 (2018) 15). Good to three digits from a hundred values on.
+    """
+    n, ordered = len(values), np.sort(values)
+    steps = np.arange(n + 1) / n
+    apart = float(max(np.max(steps[1:] - ordered), np.max(ordered - steps[:-1])))
+    one_sided = float(smirnov(n, apart))
+    if one_sided < RARE:
+        return 2 * (one_sided - one_sided**4)
+    root = np.sqrt(n)
+    x = root * apart
+    return float(kolmogorov(x + 1 / (6 * root) + (x - 1) / (4 * n)))

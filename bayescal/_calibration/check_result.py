@@ -1,0 +1,213 @@
+"""What a check has found, and how it prints: a table that a person reads from top to bottom."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.noise_in_time import AllanCheck
+from bayescal._calibration.worst_region import Region
+from bayescal._core.formatting import WIDTH, Printed, number, table
+from bayescal._data.unit_conversion import unit_label
+
+SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
+IN_TIME = ("time", "elapsed", "order", "run")  # what correlated noise seems to follow
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One covariate, or group of readings (`by_group`): a run, a cell, an axis, a device."""
+
+    against: str
+    log_bayes_factor: float
+    worst: Region
+    by_group: bool = False
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two covariates: evidence of an interaction not explained by additive terms."""
+
+    against: tuple[str, str]
+    log_bayes_factor: float
+
+
+@dataclass(frozen=True)
+class FixedComparison:
+    """Residuals of a model with fixed coefficients, and the noise that they are judged against, output unit.
+
+    Attributes:
+        noise: standard deviation used as the measure.
+        free_fit: noise of the same model with free coefficients.
+        known: contributions known before any fit, by name.
+        mean, low, high, rms: of the residuals.
+        positive, count: residuals above zero, and all of them.
+    """
+
+    noise: float
+    free_fit: float
+    known: dict[str, float]
+    mean: float
+    low: float
+    high: float
+    rms: float
+    positive: int
+    count: int
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the fixed coefficients leave clearly more than the noise of the same model with free coefficients."""
+        return self.rms > 2 * self.noise
+
+
+@dataclass(frozen=True, repr=False)
+class Check(Printed):
+    """Where a model fails.
+
+    Attributes:
+        entries: a covariate each, the strongest evidence first.
+        pairs: of covariates, likewise.
+        unit: of the output.
+        rms: of the residuals, output unit.
+        noise: standard deviation that they are judged against.
+        autocorrelation: (lag-1 coefficient within runs beyond what the fit itself leaves, its z).
+        spread_with: covariates with which the scatter changes, and the p-value of each.
+        outliers: (row, leave-one-out standard deviations).
+        pit_p: p-value of uniform leave-one-out probability integral transforms.
+        one_sided: p-value of as many readings far above the model as far below it.
+        fixed: only for models with fixed coefficients.
+        residuals: (n,), output unit.
+        allan: Allan deviation of the residuals beside the noise law; None where readings are not evenly spaced in time.
+    """
+
+    entries: tuple[Entry, ...]
+    pairs: tuple[Pair, ...]
+    unit: str
+    rms: float
+    noise: float
+    autocorrelation: tuple[float, float]
+    spread_with: dict[str, float]
+    outliers: tuple[tuple[int, float], ...]
+    pit_p: float
+    fixed: FixedComparison | None
+    residuals: np.ndarray = field(repr=False)
+    allan: AllanCheck | None = None
+    one_sided: float = 1.0
+
+    def __str__(self) -> str:
+        return check_text(self)
+
+    def _brief(self) -> str:
+        unit = unit_label(self.unit)
+        most = max(self.entries, key=lambda e: e.log_bayes_factor, default=None)
+        worst = (
+            most and f"; most against {most.against}, log Bayes factor {most.log_bayes_factor:z.1f}"
+        )
+        return f"residuals {self.rms:.3g} {unit} rms, noise {self.noise:.3g} {unit}{worst or ''}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each covariate or group; sizes in the output's unit, places in the covariate's."""
+        worst = [e.worst for e in self.entries]
+        return {
+            "residuals against": [e.against for e in self.entries],
+            "log Bayes factor": [e.log_bayes_factor for e in self.entries],
+            "worst mean": [w.size for w in worst],
+            "z": [w.z for w in worst],
+            "from": [w.low for w in worst],
+            "to": [w.high for w in worst],
+            "group": [w.group or "" for w in worst],
+            "unit": [self.unit for _ in worst],
+        }
+
+
+def check_text(check: Check) -> str:
+    """Where a model fails, the worst covariate first."""
+    unit = unit_label(check.unit)
+    rows = [
+        [
+            e.against,
+            f"{e.log_bayes_factor:z.1f}",
+            f"{e.worst.size:+.3g} {unit}",
+            f"{e.worst.z:+.1f}",
+            place_in_words(e),
+        ]
+        for e in check.entries
+    ]
+    head = ["residuals against", "log Bayes factor", "worst mean", "z", "where"]
+    noise = f"judged against noise of {check.noise:.3g} {unit}"
+    lines = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
+    if check.fixed:
+        lines += [_fixed_text(check), ""]
+    lines.append(table(head, rows, fold=25) if rows else "no covariate varies")
+    lines += [
+        f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "
+        f"{p.log_bayes_factor:.1f})"
+        for p in check.pairs[:2]
+        if p.log_bayes_factor > max(STRONG, *(e.log_bayes_factor for e in check.entries))
+    ]
+    coefficient, z = check.autocorrelation
+    lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
+    for name, p in check.spread_with.items():
+        lines.append(f"scatter changes with {name} (p = {p:.1g})")
+    if check.outliers:
+        shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
+        lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
+    lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
+    if check.one_sided < SIGNIFICANT:
+        lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
+    lines += _allan_lines(check)
+    return "\n".join(lines)
+
+
+def _allan_lines(check: Check) -> list[str]:
+    """Where the noise law is contradicted; and the terms of data sheets, where the curve shows any.
+
+    What a covariate explains is no noise, and has no such terms.
+    """
+    found, lines = check.allan, []
+    if found is None:
+        return lines
+    if found.apart is not None:
+        lines.append(textwrap.fill(found.sentence(), WIDTH, subsequent_indent="  "))
+    explained = any(e.log_bayes_factor > STRONG for e in check.entries if e.against not in IN_TIME)
+    if not explained and any(t.value is not None for t in found.measured.terms):
+        lines += ["", found.table()]
+    return lines
+
+
+def place_in_words(entry: Entry) -> str:
+    """Where the worst region of a covariate is: "48.7 to 79.74 °C in run 2", "run 2", "rows 3 to 8"."""
+    against, region = entry.against, entry.worst
+    if entry.by_group:
+        return f"{against} {region.group}"
+    if against == "order":
+        rows = f"{region.low:.0f} to {region.high:.0f}"
+        return f"row {region.low:.0f}" if region.low == region.high else f"rows {rows}"
+    unit = unit_label(region.covariate_unit)
+    place = f"{number(region.low, 4)} to {number(region.high, 4)} {unit}".rstrip()
+    if region.low == region.high:
+        place = f"at {number(region.low, 4)} {unit}".rstrip()
+    return place + (f" in run {region.group}" if region.group else "")
+
+
+def _fixed_text(check: Check) -> str:
+    f, unit = check.fixed, unit_label(check.unit)
+    assert f is not None
+    known = sum(v**2 for v in f.known.values()) ** 0.5
+    lines = [
+        f"with the fixed coefficients: {f.positive} of {f.count} residuals are positive, "
+        f"mean {f.mean:.2f} ({f.low:.2f} to {f.high:.2f}) {unit}, rms {f.rms:.2f}",
+        f"the same model with free coefficients leaves {f.free_fit:.3g} {unit}: "
+        f"the rms is {f.rms / f.noise:.1f} times that",
+    ]
+    if known > 0:
+        parts = ", ".join(f"{k} {v:.2g}" for k, v in f.known.items())
+        lines.append(
+            f"known beforehand: {known:.2g} {unit} ({parts}):\n"
+            f"  the rms is {f.rms / known:.0f} times that"
+        )
+    return "\n".join(lines)

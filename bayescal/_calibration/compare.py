@@ -1,0 +1,295 @@
+"""Which model predicts better: leave-one-group-out, pointwise leave-one-out, evidence, stacking weights.
+
+Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao et al., Bayesian Analysis 13 (2018)
+917 (stacking). PSIS-LOO is ArviZ's.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.evidence import pointwise_loo
+from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
+from bayescal._calibration.predict import predict
+from bayescal._core.errors import InputError
+from bayescal._core.formatting import WIDTH, Printed, number, table
+from bayescal._core.importance_weights import stacking
+from bayescal._data.unit_conversion import unit_label
+from bayescal._inference.trust import K_HAT
+
+FEWEST_GROUPS = (
+    10  # that a standard error over groups needs: over three it is itself uncertain by half
+)
+BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
+BY_READINGS = "pointwise leave-one-out"
+SAME_CURVE = (
+    0.15  # largest difference, in noise standard deviations, of curves that count as the same
+)
+
+
+@dataclass(frozen=True)
+class ComparisonRow:
+    """One model.
+
+    Attributes:
+        name: given by the user.
+        effects: canonical names, with commas between.
+        rmse: of the readings with group deviations at zero, output unit.
+        group_score: sum of the joint log predictive densities, leave-one-group-out.
+        group_difference, group_error: to the best, and its standard error over groups; None over fewer than ten.
+        group_rmse: of readings predicted from the other groups, output unit.
+        loo: expected log pointwise predictive density by PSIS-LOO; its difference and error; worst Pareto k.
+        log_evidence: None where a prior is flat.
+        weight: stacking weight.
+    """
+
+    name: str
+    effects: str
+    rmse: float
+    group_score: float | None
+    group_difference: float | None
+    group_error: float | None
+    group_rmse: float | None
+    loo: float
+    loo_difference: float
+    loo_error: float
+    pareto_k: float
+    log_evidence: float | None
+    weight: float
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison(Printed):
+    """Models side by side, the best first.
+
+    Attributes:
+        rows: one each.
+        group: what was left out, and of how many.
+        groups: number of groups.
+        chosen_by: what ranks them: "leave-one-group-out", "log evidence" or "pointwise leave-one-out".
+        warnings: what the reader must know, each a sentence.
+    """
+
+    rows: tuple[ComparisonRow, ...]
+    group: str
+    groups: int
+    unit: str
+    chosen_by: str
+    warnings: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return comparison_text(self)
+
+    def _brief(self) -> str:
+        return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each model, with the fields of `ComparisonRow`; errors in the output's unit."""
+        return {f.name: [getattr(r, f.name) for r in self.rows] for f in fields(ComparisonRow)}
+
+
+def comparison_text(found: Comparison) -> str:
+    """Models side by side, the best first."""
+    unit = unit_label(found.unit)
+    grouped = found.chosen_by != BY_READINGS
+    head = ["model", f"rmse [{unit}]"]
+    head += [scheme(found.group), "score", "difference"] if grouped else []
+    head += ["LOO", "difference", "log evidence", "weight"]
+    rows = []
+    for r in found.rows:
+        cells = [r.name, number(r.rmse)]
+        if grouped:
+            score = "–" if r.group_score is None else f"{r.group_score:.1f}"
+            cells += [number(r.group_rmse), score, _gap(r.group_difference, r.group_error)]
+        evidence = "null" if r.log_evidence is None else f"{r.log_evidence:.1f}"
+        loo = _gap(r.loo_difference, r.loo_error)
+        rows.append([*cells, f"{r.loo:.1f}", loo, evidence, f"{r.weight:.2f}"])
+    count = f" ({found.groups} of them)" if found.chosen_by == BY_GROUPS else ""
+    lines = [table(head, rows), f"the best first, by {found.chosen_by}{count}"]
+    return "\n".join([*lines, *(textwrap.fill(w, WIDTH) for w in found.warnings)])
+
+
+def _gap(value: float | None, error: float | None) -> str:
+    if value is None or value == 0:
+        return "–" if value is None else "0"
+    return f"{value:.1f}" if error is None else f"{value:.1f} ± {error:.1f}"
+
+
+def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> Comparison:
+    """Set fitted models side by side.
+
+    The best comes first: by the leave-one-group-out log scores where there are ten groups or more; by log evidence
+    where there are fewer, whose scatter says nothing; by pointwise leave-one-out where the noise is not Gaussian.
+
+    Args:
+        calibrations: name → fit, of the same readings; or the fits, named after what each adds to what all share.
+
+    Raises:
+        InputError: fewer than two, or fits of different readings.
+    """
+    if not isinstance(calibrations, Mapping):
+        calibrations = _named(calibrations)
+    names = list(calibrations)
+    _refuse_different_readings(calibrations)
+    loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
+    folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
+    grouped = all(f is not None for f in folds.values())
+    fold = next((f for f in folds.values() if f is not None), None)
+    best_loo = loo[max(names, key=lambda n: loo[n][0].sum())][0]
+    left_out = [f for f in folds.values() if f is not None]
+    best_fold = max(left_out, key=lambda f: f.log_score.sum()) if grouped else None
+    weights = stacking(np.stack([loo[n][0] for n in names], axis=1))
+    rows = [
+        _row(name, calibrations[name], loo[name], best_loo, folds[name], best_fold, float(weight))
+        for name, weight in zip(names, weights, strict=True)
+    ]
+    few = grouped and fold is not None and fold.count < FEWEST_GROUPS
+    by = BY_GROUPS if grouped else BY_READINGS
+    if few and all(r.log_evidence is not None for r in rows):
+        by = BY_EVIDENCE
+    measured = {BY_GROUPS: "group_score", BY_EVIDENCE: "log_evidence", BY_READINGS: "loo"}[by]
+    rows.sort(key=lambda r: -getattr(r, measured))
+    first = calibrations[names[0]]
+    return Comparison(
+        rows=tuple(rows),
+        group=fold.group if fold else "reading",
+        groups=fold.count if fold else len(first.readings),
+        unit=first.unit,
+        chosen_by=by,
+        warnings=(*_warnings(rows, by, fold), *_alike(calibrations)),
+    )
+
+
+def _refuse_different_readings(calibrations: Mapping[str, Calibration]) -> None:
+    names = list(calibrations)
+    if len(names) < 2:
+        raise InputError(f"compare needs at least two calibrations, not {len(names)}")
+    first = calibrations[names[0]]
+    for name in names[1:]:
+        other = calibrations[name].readings["output"]
+        if other.shape != first.readings["output"].shape or not np.allclose(
+            other, first.readings["output"]
+        ):
+            raise InputError(
+                f"{names[0]!r} and {name!r} were fitted to different readings "
+                f"({first.readings.file}, {calibrations[name].readings.file}): fit both to the same"
+            )
+
+
+def _row(
+    name: str,
+    calibration: Calibration,
+    loo: tuple[np.ndarray, float],
+    best_loo: np.ndarray,
+    fold: LeaveOneGroupOut | None,
+    best_fold: LeaveOneGroupOut | None,
+    weight: float,
+) -> ComparisonRow:
+    points, pareto_k = loo
+    gap = fold.log_score - best_fold.log_score if fold and best_fold else None
+    return ComparisonRow(
+        name=name,
+        effects=", ".join(calibration.model.names),
+        rmse=predict(calibration).rmse,
+        group_score=float(fold.log_score.sum()) if fold else None,
+        group_difference=None if gap is None else float(gap.sum()),
+        group_error=None if gap is None or len(gap) < FEWEST_GROUPS else _error(gap),
+        group_rmse=fold.rmse if fold else None,
+        loo=float(points.sum()),
+        loo_difference=float((points - best_loo).sum()),
+        loo_error=_error(points - best_loo),
+        pareto_k=pareto_k,
+        log_evidence=calibration.log_evidence[0] if calibration.log_evidence else None,
+        weight=weight,
+    )
+
+
+def _error(differences: np.ndarray) -> float:
+    """Standard error of a sum of differences, over what was left out."""
+    return (
+        float(np.sqrt(differences.size * differences.var(ddof=1)))
+        if differences.size > 1
+        else float("nan")
+    )
+
+
+def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> list[str]:
+    said, (best, second) = [], rows[:2]
+    names = f"{best.name!r} and {second.name!r}"
+    if fold and fold.count < FEWEST_GROUPS:
+        said.append(
+            f"Only {fold.count} groups ({fold.group}) to leave out: a standard error over so few says nothing, "
+            "and none is given."
+        )
+    if by == BY_EVIDENCE:
+        said += _by_evidence(rows)
+    elif by == BY_GROUPS and second.group_difference is not None and second.group_error:
+        gap, error = -second.group_difference, second.group_error
+        if gap < 2 * error:
+            said.append(
+                f"{names} differ by {gap:.1f} ± {error:.1f} in leave-one-group-out score: it does not tell them apart."
+            )
+    for row in rows:
+        if row.pareto_k > K_HAT:
+            said.append(
+                f"{row.name!r}: Pareto k up to {row.pareto_k:.2f}, so its pointwise leave-one-out is not "
+                "reliable."
+            )
+    return said
+
+
+def _by_evidence(rows: list[ComparisonRow]) -> list[str]:
+    """Whether the evidence tells the first two apart, and where leave-one-group-out would choose another first."""
+    best, second = rows[:2]
+    said, gap = [], (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
+    if gap < STRONG:
+        said.append(
+            f"{best.name!r} and {second.name!r} differ by {gap:.1f} in log evidence: it does not tell them apart."
+        )
+    other = max(rows, key=lambda r: r.group_score or -np.inf)
+    if other is not best:
+        said.append(f"By leave-one-group-out {other.name!r} would come first.")
+    return said
+
+
+def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
+    """Fits by what each adds to the effects that all share; "model 1" … where that is nothing, or the same."""
+    shared = (
+        set.intersection(*(set(c.model.names) for c in calibrations)) if calibrations else set()
+    )
+    named: dict[str, Calibration] = {}
+    for i, c in enumerate(calibrations, start=1):
+        name = " ".join(f"+ {n}" for n in c.model.names if n not in shared)
+        named[name if name and name not in named else f"model {i}"] = c
+    return named
+
+
+def _alike(calibrations: Mapping[str, Calibration]) -> list[str]:
+    """Models whose fitted curves are one and the same against the noise, said pair by pair with the first."""
+    curves = {name: predict(c) for name, c in calibrations.items()}
+    said, told = [], set()
+    for name, curve in curves.items():
+        if name in told:
+            continue
+        noise = float(np.sqrt(np.mean(curve.sd**2)))
+        gaps = {
+            n: float(np.max(np.abs(c.mean - curve.mean)))
+            for n, c in curves.items()
+            if n not in told
+        }
+        same = [n for n, gap in gaps.items() if n != name and gap < SAME_CURVE * noise]
+        if same:
+            told |= {name, *same}
+            unit = calibrations[name].unit
+            said.append(
+                f"{', '.join(map(repr, [name, *same]))} are the same curve to within "
+                f"{max(gaps[n] for n in same):.2g} {unit} (noise {noise:.2g}): corrections by them are the same."
+            )
+    return said

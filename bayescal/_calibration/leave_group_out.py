@@ -1,0 +1,108 @@
+"""Leave one group out: the left-out group predicted as new, φ estimated again in each fold, x in closed form.
+
+The model is linearised once, at the full fit; a fold is the same linear model without the group's readings. Deviations
+of the left-out group then come from their prior, as those of any group not yet seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.part import Part
+from bayescal._core.parallel import on_one_thread
+from bayescal._data.measurements import Measurements
+from bayescal._inference.assembly import Assembly, Point
+from bayescal._inference.density import Density
+from bayescal._inference.gaussian import Gram, Prior, condition
+from bayescal._inference.mode import Mode, climb
+
+NOTHING_LEFT = 1e-10  # that a fold's φ̂ could still gain, nats: its score, unlike its density, is at no maximum there
+BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
+
+
+@dataclass(frozen=True)
+class LeaveOneGroupOut:
+    """Predictions of each group from the others.
+
+    Attributes:
+        group: what a group is: device, run, cell, "time block" or "block of rows".
+        members: names of the groups.
+        log_score: joint log predictive density of each group, (g,); NaN where the noise is not Gaussian.
+        residual: of each reading, predicted from the other groups, output unit.
+    """
+
+    group: str
+    members: tuple[str, ...]
+    log_score: np.ndarray
+    residual: np.ndarray
+
+    @property
+    def rmse(self) -> float:
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def count(self) -> int:
+        return len(self.members)
+
+
+def scheme(group: str) -> str:
+    """What the scheme is called where these are the groups: "leave-one-run-out"."""
+    return f"leave-one-{group.replace(' ', '-')}-out"
+
+
+def groups_of(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]:
+    """What to leave out: device if there are two, else run, else cell, else blocks in time or in order."""
+    for name in ("device", "run", "cell"):
+        levels, codes = readings.groups(name)
+        if len(levels) >= 2 and (codes >= 0).all():
+            return name, levels, codes
+    position = readings["time"] if readings.has("time") else np.arange(len(readings))
+    rank = np.argsort(np.argsort(position, kind="stable"))
+    count = min(BLOCKS, len(readings))
+    codes = rank * count // len(readings)
+    kind = "time block" if readings.has("time") else "block of rows"
+    return kind, tuple(str(i + 1) for i in range(count)), codes
+
+
+@on_one_thread
+def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
+    """Predict every group from the others; None where the noise is not Gaussian."""
+    if not calibration.model.noise.gaussian:
+        return None
+    kind, members, codes = groups_of(calibration.readings)
+    mode = calibration.mode
+    scores, residual = np.full(len(members), np.nan), np.full(len(codes), np.nan)
+    for i in range(len(members)):
+        out = np.flatnonzero(codes == i)
+        found = _fold(calibration.assembly, mode, np.flatnonzero(codes != i), out)
+        scores[i], residual[out] = found
+    return LeaveOneGroupOut(kind, members, scores, residual)
+
+
+def _fold(
+    whole: Assembly, mode: Mode, kept: np.ndarray, out: np.ndarray
+) -> tuple[float, np.ndarray | float]:
+    """Log density and residuals of the readings left out, given the kept ones; not a number where these say nothing."""
+    fitted, predicted = (_density(whole, mode, rows) for rows in (kept, out))
+    v, _ = climb(fitted, [mode.v], mode.covariance, NOTHING_LEFT)
+    found = fitted.at(v)[1]
+    if found is None:
+        return np.nan, np.nan
+    centred, table, logdet = predicted.whitened(v, found.mean)
+    # The posterior of x from the kept readings as a prior of unit normals.
+    size = len(mode.point.x)
+    turned = table[:, :-1] @ found.root
+    pull = turned.T @ table[:, -1]
+    gram = Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
+    unit = Prior(np.zeros(size), np.ones(size), np.ones(size))
+    joint = condition(gram, len(out), unit, np.zeros(size))
+    return np.nan if joint is None else joint.log_marginal, centred
+
+
+def _density(whole: Assembly, mode: Mode, rows: np.ndarray) -> Density:
+    """Of some readings, linearised where all of them were."""
+    part = Assembly(whole.layout, Part(whole.record, rows), whole.spread)
+    return Density(part, Point(mode.point.x, mode.point.rows[rows]), mode.flat, mode.v)

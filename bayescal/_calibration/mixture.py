@@ -1,0 +1,96 @@
+"""A calibration averaged over structures: which effects its draws have, and the same of those that can do without some.
+
+Of a draw of a structure that has not an effect all coefficients of this effect are exactly zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Bool
+
+from bayescal._calibration.fitted import Fitted
+from bayescal._inference.assembly import Point
+from bayescal._inference.method import CHAINS, Draws, by_chain
+from bayescal._model.effect import Effect
+from bayescal._model.model import Model
+from bayescal._model.parameters import Layout
+
+F = TypeVar("F", bound=Fitted)
+FEWEST = 200  # draws that must be left where some structures are left out
+
+
+def has_effect(calibration: Fitted, name: str) -> Bool[np.ndarray, "draws"]:
+    """Which draws are of a structure that has an effect."""
+    x, _, _ = calibration.draws()
+    own = [b for b in calibration.layout.x_blocks if b.effect.name == name]
+    if not own:  # held, or sampled with φ: not averaged over
+        return np.ones(len(x), dtype=bool)
+    return np.any([np.any(x[:, b.start : b.start + b.size] != 0, axis=1) for b in own], axis=0)
+
+
+def inclusion(calibration: Fitted) -> dict[str, float]:
+    """The share of draws that have each effect; one for all, where nothing was averaged."""
+    return {
+        e.name: float(has_effect(calibration, e.name).mean()) for e in calibration.model.effects
+    }
+
+
+def with_columns(calibration: F, columns: Iterable[str]) -> F:
+    """The average over those structures that need no other columns, where that leaves enough of them.
+
+    Args:
+        calibration: averaged or not.
+        columns: of readings that are there.
+    """
+    there = set(columns)
+    lacking = [e for e in calibration.model.effects if not needs(e) <= there]
+    return without(calibration, [e.name for e in lacking]) if lacking else calibration
+
+
+def needs(effect: Effect) -> set[str]:
+    """Columns that an effect is computed from."""
+    return set(effect.columns)
+
+
+def usual_columns(calibration: Fitted) -> set[str]:
+    """Columns that the more probable effects need."""
+    shares = inclusion(calibration)
+    likely = (e for e in calibration.model.effects if shares[e.name] > 0.5)
+    return set().union(*(needs(e) for e in likely))
+
+
+def without(calibration: F, names: Collection[str]) -> F:
+    """The average over the structures that have none of these effects; the same where these have nearly all of it."""
+    x, rows, v = calibration.draws()
+    kept = ~np.any([has_effect(calibration, name) for name in names], axis=0)
+    if kept.sum() < FEWEST:
+        return calibration
+    old, count = calibration.layout, CHAINS * (int(kept.sum()) // CHAINS)
+    model = calibration.model
+    effects = tuple(e for e in model.effects if e.name not in names)
+    layout = Layout(
+        Model(model.instrument, effects, model.noise, model.fixed), old.counts, old.promoted
+    )
+    places = {b.name: b for b in old.x_blocks}
+    at = [np.arange(places[b.name].start, places[b.name].start + b.size) for b in layout.x_blocks]
+    in_x = np.concatenate([np.zeros(0, int), *at])
+    hypers = {h.name: i for i, h in enumerate(old.hypers)}
+    in_v = np.array([hypers[h.name] for h in layout.hypers], dtype=int)
+    of_rows = {b.name: i for i, b in enumerate(old.row_blocks)}
+    in_rows = np.array([of_rows[b.name] for b in layout.row_blocks], dtype=int)
+    pick = np.flatnonzero(kept)[:count]
+    mode = calibration.mode
+    joint = Draws(
+        by_chain(x[pick][:, in_x]), by_chain(rows[pick][:, :, in_rows]), by_chain(v[pick][:, in_v])
+    )
+    middle = mode._replace(
+        point=Point(x[pick][:, in_x].mean(axis=0), mode.point.rows[:, in_rows]),
+        v=mode.v[in_v],
+        covariance=mode.covariance[np.ix_(in_v, in_v)],
+        flat=mode.flat[in_x],
+    )
+    return replace(calibration, model=layout.model, layout=layout, joint=joint, mode=middle)

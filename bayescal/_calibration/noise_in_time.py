@@ -1,0 +1,219 @@
+"""Residuals as noise in time: the floor that neighbours set, and the Allan deviation beside that of the noise law."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import chdtr, chdtrc, chdtri
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.efficient_score import residuals
+from bayescal._core.errors import InputError
+from bayescal._core.formatting import number, table
+from bayescal._data.allan_deviation import (
+    CONFIDENCE,
+    AllanDeviation,
+    degrees_of_freedom,
+    even_runs,
+    noise_types,
+    of_columns,
+    of_runs,
+)
+from bayescal._data.allan_terms import AllanTerm, term
+from bayescal._data.unit_conversion import unit_label
+from bayescal._model.noise_law import WHITE, Noise
+
+DRAWS = 100  # of a correlated law's parameters
+RANKS = 50  # of a χ², equally probable, that stand for it
+CONTRADICTED = 1e-3  # p-value of all averaging times together
+
+
+@dataclass(frozen=True)
+class AllanCheck:
+    """The Allan deviation of residuals beside that which the fitted noise law lets one expect of them.
+
+    Attributes:
+        measured: of the residuals.
+        law: name of the noise law.
+        expected: under the law, of the residuals of such a fit (k,), output unit.
+        low, high: between which the law puts 95 % of such estimates (k,), output unit.
+        law_terms: N, and K where the noise is correlated, as the law has them.
+        apart: index of the averaging time at which the two differ the most; None where they agree.
+    """
+
+    measured: AllanDeviation
+    law: str
+    expected: np.ndarray = field(repr=False)
+    low: np.ndarray = field(repr=False)
+    high: np.ndarray = field(repr=False)
+    law_terms: tuple[AllanTerm, ...]
+    apart: int | None
+
+    def __str__(self) -> str:
+        return f"{self.table()}\n{self.sentence()}"
+
+    def table(self) -> str:
+        """The terms in the units of data sheets: of the residuals, and of the law."""
+        said = {t.symbol: str(t) for t in self.law_terms}
+        rows = [
+            [f"{t.name} {t.symbol}", str(t), said.get(t.symbol, "–")] for t in self.measured.terms
+        ]
+        return table(["Allan deviation", "residuals", f"noise law ({self.law_name})"], rows)
+
+    @property
+    def law_name(self) -> str:
+        """As a person reads it."""
+        named = (law for law in Noise.known.values() if law.law == self.law)
+        return next((law.words for law in named if law.words), self.law)
+
+    def sentence(self) -> str:
+        """Where the two differ the most, or over which times they agree."""
+        m, unit, k = self.measured, unit_label(self.measured.unit), self.apart
+        if k is None:
+            times = f"{number(m.tau[0])} to {number(m.tau[-1])} s"
+            return f"Allan deviation and noise law ({self.law_name}) agree from {times}"
+        more = "more" if m.deviation[k] > self.expected[k] else "less"
+        return (
+            f"at {number(m.tau[k])} s the Allan deviation is {number(m.deviation[k])} {unit}, the noise law "
+            f"({self.law_name}) says {number(self.low[k])} to {number(self.high[k])} {unit} (95 %): the residuals "
+            f"change {more} over this time than such noise would"
+        )
+
+    def data(self) -> dict[str, Any]:
+        """As in result.json."""
+        m, law = self.measured, {t.symbol: t for t in self.law_terms}
+        names = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")
+        columns = (m.tau, m.deviation, m.low, m.high, self.expected, self.low, self.high)
+        terms = []
+        for t in m.terms:
+            own = law.get(t.symbol, AllanTerm(t.symbol, t.name, t.unit))
+            terms.append({**vars(t), "law": own.value, "law_uncertainty": own.uncertainty})
+        return {
+            "unit": m.unit,
+            "runs": m.runs,
+            "curve": [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)],
+            "terms": terms,
+            "agrees": self.apart is None,
+            "in_words": self.sentence(),
+        }
+
+
+def allan_check(calibration: Calibration) -> AllanCheck | None:
+    """The Allan deviation of a fit's residuals; None where readings are not evenly spaced in time, or too few."""
+    linear, readings = calibration.linear, calibration.readings
+    try:
+        runs = even_runs(readings)
+        measured = of_runs(readings, linear.settled, runs)
+    except InputError:
+        return None
+    mode = calibration.assembly.hyper(calibration.mode.v)
+    variance = float(np.mean(linear.variance))
+    noise = calibration.model.noise
+    law = noise.allan_variance(mode, variance, runs.factors, runs.step)
+    taken = of_columns(linear.taken, runs, measured.differences)
+    left = np.maximum(1 - taken / law, 0.0)  # what a fit has absorbed is not in its residuals
+    draws = _drawn(calibration, mode, variance, runs.factors, runs.step) * left
+    edf = degrees_of_freedom(runs, noise_types(law))
+    estimates = draws[:, None] * (chdtri(edf, _ranks()[:, None]) / edf)
+    tail = 0.5 * (1 - CONFIDENCE)
+    low, high = np.sqrt(np.quantile(estimates, [tail, 1 - tail], axis=(0, 1)))
+    return AllanCheck(
+        measured=measured,
+        law=calibration.model.noise.law,
+        expected=np.sqrt(law * left),
+        low=low,
+        high=high,
+        law_terms=_law_terms(calibration, mode, variance, runs.step),
+        apart=_apart(measured, draws, edf) if calibration.model.noise.gaussian else None,
+    )
+
+
+def _drawn(
+    calibration: Calibration,
+    mode: dict[str, Any],
+    variance: float,
+    factors: np.ndarray,
+    step: float,
+) -> Float[np.ndarray, "d k"]:
+    """Allan variances under the law's parameters drawn from the posterior, or at the mode.
+
+    White noise is known better than any of its averages, and stays at the mode. So does a law that was taken over from
+    the same model with free coefficients.
+    """
+    law = calibration.model.noise
+    names = set(law.parameters())
+    varying = names & set(map(str, calibration.posterior))
+    held = any(b.place == "fixed" for b in calibration.layout.blocks)
+    if law.independent or not varying or held:
+        return law.allan_variance(mode, variance, factors, step)[None]
+    drawn = {n: calibration.samples(n) for n in varying}
+    count = len(next(iter(drawn.values())))
+    drawn = {n: v[:: -(-count // DRAWS)] for n, v in drawn.items()}
+    values = {n: drawn.get(n, np.asarray(mode[n])) for n in names}
+    known = max(variance - float(mode[WHITE]) ** 2 - float(law.slow_variance(mode)), 0.0)
+    total = values[WHITE] ** 2 + np.asarray(law.slow_variance(values)) + known
+    return law.allan_variance(values, total, factors, step)
+
+
+def _ranks() -> Float[np.ndarray, "r"]:
+    return (np.arange(RANKS) + 0.5) / RANKS
+
+
+def _apart(
+    measured: AllanDeviation, draws: Float[np.ndarray, "d k"], edf: Float[np.ndarray, "k"]
+) -> int | None:
+    """Where the measured curve is the rarest under the law, if it is rare among all averaging times (Bonferroni)."""
+    with np.errstate(divide="ignore"):
+        ratio = edf * measured.deviation**2 / draws
+    sides = np.stack([chdtr(edf, ratio).mean(axis=0), chdtrc(edf, ratio).mean(axis=0)])
+    rarity = 2 * sides.min(axis=0)
+    if not rarity.min() * len(rarity) < CONTRADICTED:
+        return None
+    # Of several that are all but impossible, the one that is the most standard deviations off.
+    off = np.abs(np.log(np.median(ratio, axis=0) / edf)) * np.sqrt(edf / 2)
+    return int(np.argmax(np.where(rarity * len(rarity) < CONTRADICTED, off, -1.0)))
+
+
+def _law_terms(
+    calibration: Calibration, mode: dict[str, Any], variance: float, step: float
+) -> tuple[AllanTerm, ...]:
+    """N = √(σ²·Δ) of the white part, and K = q of correlated noise, with the posterior's standard deviations."""
+
+    def error(name: str) -> float:
+        return float(calibration.samples(name).std()) if name in calibration.posterior else 0.0
+
+    law = calibration.model.noise
+    white = max(variance - float(law.slow_variance(mode)), 0.0)
+    size = float(np.sqrt(white))
+    # Of σ² = σ₀² + what is known, only σ₀ is uncertain.
+    own = float(mode[WHITE]) / size * error(WHITE) if size > 0 and WHITE in mode else 0.0
+    found = [term("N", calibration.unit, size * step**0.5, own * step**0.5)]
+    for name, coefficient in law.coefficients_in_time.items():
+        found.append(term(coefficient, calibration.unit, float(mode[name]), error(name)))
+    return tuple(found)
+
+
+def noise_floor(calibration: Calibration) -> float:
+    """Noise that no model of smooth effects could remove, output unit.
+
+    From each residual against the mean of its two neighbours (in time within a run; in temperature where there
+    is no time), as in a von Neumann ratio: what varies slowly cancels.
+    """
+    residual = residuals(calibration).raw
+    readings = calibration.readings
+    if readings.has("time"):
+        order, step = calibration.assembly.record.in_time
+        linked = step >= 0
+    else:
+        key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
+        order, linked = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
+        linked[0] = False
+    r = residual[order]
+    inner = linked[1:-1] & linked[2:]
+    bend = (r[1:-1] - 0.5 * (r[:-2] + r[2:]))[inner]
+    if bend.size < 3:
+        return float(np.sqrt(np.mean(residual**2)))
+    return float(np.sqrt(np.mean(bend**2) / 1.5))

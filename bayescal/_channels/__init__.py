@@ -1,1 +1,0 @@
-"""Channels of one unit, calibrated together: structure and noise for each, one body for all."""

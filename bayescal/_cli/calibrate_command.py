@@ -1,0 +1,327 @@
+"""The whole loop as a command: `calibrate`, of one output or of several channels of one unit; `workbench`, by hand."""
+
+from __future__ import annotations
+
+import webbrowser
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import bayescal as bc
+from bayescal._cli import options
+from bayescal._cli.column_options import ColumnOptions
+from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
+from bayescal._cli.options import ModelOptions, with_groups
+from bayescal._core import deadline
+from bayescal._core.errors import InputError
+
+if TYPE_CHECKING:
+    from bayescal._cli.request import Asked, Early
+    from bayescal._data.measurements import Measurements
+    from bayescal._model.effect import Effect
+    from bayescal._workbench.serve import Sessions
+    from bayescal._workbench.start import Waiting
+
+commands = typer.Typer()
+
+
+@commands.command(
+    epilog="Example: bayescal calibrate readings.csv --instrument mems_gyro --out result"
+)
+@with_groups
+def calibrate(
+    *,
+    files: options.Files,
+    instrument: options.Name,
+    channels: options.Channels = None,
+    holdout: options.Holdout = None,
+    columns: ColumnOptions,
+    choice: ModelOptions,
+    average: options.Average = None,
+    method: options.MethodName = "marginal",
+    max_effects: options.MostEffects = 5,
+    time_limit: options.TimeLimit = None,
+    keep_spikes: options.KeepSpikes = False,
+    accept_conflict: options.AcceptConflict = None,
+    covariates: options.Covariates = None,
+    seed: options.Seed = 0,
+    out: options.Folder = None,
+    verbose: options.Verbose = False,
+    json_: options.Json = False,
+) -> None:
+    """The whole loop: fit, see where it fails, find what is missing, add it, see the error fall.
+
+    The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far. Channels of
+    one unit are searched together: structures and noise of their own, one body for all.
+    """
+    from bayescal._cli import request
+
+    asked = request.Asked(instrument, files, columns, choice, average, keep_spikes)
+    settings = {
+        "max_effects": max_effects,
+        "keep_spikes": keep_spikes,
+        "accept_conflicts": accept_conflict or (),
+        **options.causes(None, covariates),
+        "seed": seed,
+    }
+    with deadline.until(time_limit, apart=True):
+        if channels is None:
+            _one(asked, holdout, method, out, json_, settings, verbose)
+        else:
+            _several(options.channel_names(channels), asked, holdout, method, out, json_, settings)
+
+
+@commands.command(epilog="Example: bayescal workbench readings.csv --instrument mems_gyro")
+@with_groups
+def workbench(
+    *,
+    files: options.Files,
+    instrument: options.Name,
+    holdout: options.Holdout = None,
+    columns: ColumnOptions,
+    choice: ModelOptions,
+    average: options.Average = None,
+    method: options.MethodName = "marginal",
+    max_effects: options.MostEffects = 5,
+    time_limit: options.TimeLimit = None,
+    keep_spikes: options.KeepSpikes = False,
+    accept_conflict: options.AcceptConflict = None,
+    seed: options.Seed = 0,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            help="Folder that keeps every step; one that holds some is gone on with, as after a time limit.",
+        ),
+    ] = Path("workbench_output"),
+    trust: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Python file that a session kept in the folder may run, beside that of --effects; repeat for more."
+        ),
+    ] = None,
+    address: Annotated[
+        str, typer.Option(help="Address of this computer to serve at; others may then reach it.")
+    ] = "127.0.0.1",
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Print the address, and open no browser.")
+    ] = False,
+) -> None:
+    """The same loop in a browser, step by step: look, add, compare, go back. Ctrl-C ends it.
+
+    It is served to this computer alone, under an address that nobody guesses, unless --address says otherwise.
+    """
+    from bayescal._cli import request
+    from bayescal._workbench import start
+
+    start.refuse_without_panel()
+    at = start.Address.new(address)
+    print_notes([at.exposed] if at.exposed else [])
+    asked = request.Asked(instrument, files, columns, choice, average, keep_spikes)
+    # A file that cannot be used is refused before a browser opens.
+    early = request.read_early(asked)
+    settings = {
+        "method": None if method == "marginal" else request.method_named(method),
+        "keep_spikes": keep_spikes,
+        "max_effects": max_effects,
+        "time_limit": time_limit,
+        "accept_conflicts": accept_conflict or (),
+        "seed": seed,
+    }
+    with result_folder(out) as folder:
+        assert folder is not None
+        name = ["session_1", *start.kept_sessions(folder)][-1]
+        told = ", ".join(p.name for p in files)
+        said = f"bayescal workbench of {told}: {at.of(name)}\n(Ctrl-C ends it; kept in {folder})"
+        with start.Waiting(at, told, "Loading the instrument …") as waiting:
+            print(said, flush=True)
+            if not no_open:
+                webbrowser.open(at.of(name))
+            sessions = _sessions(
+                asked, early, holdout, folder, name, settings, waiting, trust or []
+            )
+        from bayescal._workbench.serve import serve
+
+        serve(sessions, at)
+    print("bayescal workbench: ended", flush=True)
+
+
+def _sessions(
+    asked: Asked,
+    early: Early,
+    holdout: Sequence[Path] | None,
+    folder: Path,
+    name: str,
+    settings: dict[str, Any],
+    waiting: Waiting,
+    trust: Sequence[Path],
+) -> Sessions:
+    """The sessions of a server, the first of them open."""
+    from bayescal._cli import request
+
+    chosen, model, readings = request.open_request(asked, early)
+    kept = request.open_kept(holdout, chosen, asked)
+    print_notes(readings.flags)
+    own_files = [] if asked.choice.effects_file is None else [asked.choice.effects_file]
+    own = request.own_effects(asked.choice, model.instrument, readings)
+    if asked.choice.typed:
+        own_files.append(_written(own, folder))
+    settings["reference"] = request.reference_of(asked.choice.reference, readings) or None
+    waiting.doing = "Loading the page …"
+    from bayescal._workbench.origin import Origin
+    from bayescal._workbench.serve import Sessions
+    from bayescal._workbench.session import Session
+
+    origin = Origin.of(
+        asked.instrument,
+        asked.files,
+        holdout,
+        asked.columns.for_read(),
+        own_files,
+        average=asked.average,
+        keep_spikes=asked.keep_spikes,
+    )
+
+    def begin(folder: Path) -> Session:
+        return Session.begin(
+            model, readings, holdout=kept, effects=own, folder=folder, origin=origin, **settings
+        )
+
+    def resume(folder: Path) -> Session:
+        return Session.resume(folder, of=origin, trust=trust)
+
+    sessions = Sessions(folder, begin, resume)
+    waiting.doing = "Fitting the first model …"
+    sessions.first(name)
+    return sessions
+
+
+def _written(own: Sequence[Effect], folder: Path) -> Path:
+    """The effects that were typed as a file in the workbench's folder, which its sessions and scripts read."""
+    from bayescal._core.atomic_file import write_text
+    from bayescal._model.formula import Formula
+
+    lines = [f"    bc.effect({e.basis.text!r})," for e in own if isinstance(e.basis, Formula)]
+    code = ["import bayescal as bc", "", "EFFECTS = (", *lines, ")", ""]
+    return write_text("\n".join(code), folder / "typed_effects.py")
+
+
+def _one(
+    asked: Asked,
+    holdout: Sequence[Path] | None,
+    method: str,
+    out: Path | None,
+    json_: bool,
+    settings: dict[str, Any],
+    verbose: bool,
+) -> None:
+    """One output."""
+    from bayescal._cli import request
+    from bayescal._report.whole_folder import CHANNELS
+
+    if out is not None and (out / CHANNELS).is_file():
+        raise InputError(
+            f"{out} holds the channels of a unit ({CHANNELS}), of which reports and parameters would still be made: "
+            "give another folder, or remove it"
+        )
+    chosen, model, readings = request.open_request(asked)
+    kept = request.open_kept(holdout, chosen, asked)
+    print_notes(readings.flags)
+    own = request.own_effects(asked.choice, model.instrument, readings)
+    with result_folder(out) as folder:
+        from bayescal._cli.output import ConsoleReporter, loop_text
+        from bayescal._report.under_way import earlier
+
+        told, seeds = (
+            ConsoleReporter(folder, json_),
+            earlier(folder, model, readings) if folder else (),
+        )
+        if seeds:
+            print_notes([f"goes on with the search in {folder}, which was ended early"])
+        trail = bc.calibrate(
+            model,
+            readings,
+            holdout=kept,
+            effects=own,
+            method=request.method_named(method),
+            reference=request.reference_of(asked.choice.reference, readings),
+            seeds=seeds,
+            follow=told,
+            **settings,
+        )
+        from bayescal._report.result_json import result
+        from bayescal._report.whole_folder import files_of
+
+        def write() -> None:
+            if folder is not None:
+                trail.save(folder)
+            flags = trail.final.calibration.readings.flags
+            print_notes(f for f in flags if f not in readings.flags)
+            print_result(result(trail) if json_ else loop_text(trail, own, told.begun, verbose))
+            if folder is not None and not json_:
+                there = files_of(folder)
+                names = (n for n in ("result.json", "calibration.nc", "loop.png") if n in there)
+                print(f"\nwritten: {folder}/{', '.join(names)}, manifest.json")
+
+        deadline.finish(write)
+    exit_unless(trail.ok, trail.gate.reason)
+
+
+def _several(
+    names: Sequence[str],
+    asked: Asked,
+    holdout: Sequence[Path] | None,
+    method: str,
+    out: Path | None,
+    json_: bool,
+    settings: dict[str, Any],
+) -> None:
+    """Channels of one unit."""
+    from bayescal._cli import request
+
+    general, models, readings = request.open_channels(names, asked)
+    kept = request.open_kept_channels(holdout, names, general, asked)
+    print_notes(_flags(readings))
+    name, first = next(iter(readings.items()))
+    own = request.own_effects(asked.choice, models[name].instrument, first)
+    with result_folder(out) as folder:
+        found = bc.calibrate_channels(
+            models,
+            readings,
+            holdout=kept,
+            effects=own,
+            method=request.method_named(method),
+            reference=request.reference_of(asked.choice.reference, first),
+            **settings,
+        )
+        from bayescal._cli.output import channels_in_short
+        from bayescal._report.save_search import channels_data
+
+        def write() -> None:
+            if folder is not None:
+                found.save(folder)
+            fitted = {n: t.final.calibration.readings for n, t in found.trails.items()}
+            print_notes(flag for flag in _flags(fitted) if flag not in _flags(readings))
+            print_result(channels_data(found) if json_ else found)
+            if not json_:
+                print(f"\nIN SHORT\n\n{channels_in_short(found)}")
+            if folder is not None and not json_:
+                print(f"\nwritten: {folder}/channels.json, and a folder for each channel")
+
+        deadline.finish(write)
+    exit_unless(found.ok, found.reason)
+
+
+def _flags(readings: Mapping[str, Measurements]) -> list[str]:
+    """Notes on the readings of channels: what holds for all once, the others with the channel's name."""
+    said = {
+        flag: [n for n, one in readings.items() if flag in one.flags]
+        for r in readings.values()
+        for flag in r.flags
+    }
+    return [
+        flag if len(names) == len(readings) else f"{', '.join(names)}: {flag}"
+        for flag, names in said.items()
+    ]

@@ -1,0 +1,257 @@
+"""When work has to end: one deadline, made at a command's door and asked by everything that may go on for long.
+
+Two things end work early: its time limit, and Ctrl-C. Loops ask between their pieces (`ask`), and hand over what stands
+as a result before they begin (`offer`). A compiled call cannot be asked: so under a deadline work is done in a thread
+of its own (`within`), whose door waits until then and a little longer, takes what was handed over last, and leaves the
+call behind.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar, copy_context
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+from bayescal._core.errors import TimeIsUp
+
+TICK = 0.02  # s between looks at the clock
+LATE = 0.2  # s beyond the deadline, in which work may end by itself;
+OUTERMOST = (
+    0.8  # at the door of all, of the 2 s that Ctrl-C may take: the rest is for writing the result;
+)
+FIRST = 4.0  # where a time limit has passed and nothing stands yet, of the 5 s that it may be exceeded by
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Deadline:
+    """A moment by which work ends.
+
+    Attributes:
+        ends_at: by `time.monotonic`, s.
+        limit: what sets it, in words; empty where nothing does.
+        apart: whether work is done in a thread of its own, which can be left.
+        ended: set by Ctrl-C.
+    """
+
+    ends_at: float = math.inf
+    limit: str = ""
+    apart: bool = False
+    ended: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def left(self) -> float:
+        """Seconds; none after Ctrl-C."""
+        return 0.0 if self.interrupted else max(0.0, self.ends_at - time.monotonic())
+
+    @property
+    def over(self) -> bool:
+        return self.left <= 0.0
+
+    @property
+    def interrupted(self) -> bool:
+        return self.ended.is_set()
+
+    @property
+    def why(self) -> str:
+        """What leaves no time, in words."""
+        return "interrupted" if self.interrupted else self.limit
+
+    def ask(self) -> None:
+        """Go on, if there is time.
+
+        Raises:
+            TimeIsUp: there is none.
+        """
+        if self.over:
+            raise TimeIsUp(self.why)
+
+
+_NONE = Deadline()
+_CURRENT: ContextVar[Deadline] = ContextVar("deadline", default=_NONE)
+
+
+def current() -> Deadline:
+    """The deadline of what is running; one that never comes where none was made."""
+    return _CURRENT.get()
+
+
+@contextmanager
+def until(
+    limit: float | None = None, *, words: str = "time limit of {:g} s", apart: bool = False
+) -> Iterator[Deadline]:
+    """A deadline for what is inside: `limit` seconds from now, or that which stands already, if it is earlier.
+
+    Args:
+        limit: None for none of its own.
+        words: for it.
+        apart: whether calls that cannot be asked are left at Ctrl-C; at a limit they always are.
+    """
+    outer = current()
+    ends_at = math.inf if limit is None else time.monotonic() + limit
+    sooner = ends_at < outer.ends_at
+    with _holding(
+        Deadline(
+            ends_at if sooner else outer.ends_at,
+            words.format(limit) if sooner else outer.limit,
+            apart or sooner or outer.apart,
+            threading.Event() if outer is _NONE else outer.ended,
+        )
+    ) as made:
+        yield made
+
+
+@contextmanager
+def share(part: float = 1.0, keep: float = 0.0) -> Iterator[Deadline]:
+    """An earlier deadline for what is inside: a part of the time left, and not its last `keep` seconds."""
+    outer = current()
+    allowed = max(0.0, min(part * outer.left, outer.left - keep))
+    with _holding(replace(outer, ends_at=min(outer.ends_at, time.monotonic() + allowed))) as made:
+        yield made
+
+
+@contextmanager
+def _holding(made: Deadline) -> Iterator[Deadline]:
+    token = _CURRENT.set(made)
+    try:
+        yield made
+    finally:
+        _CURRENT.reset(token)
+
+
+@dataclass(eq=False)
+class Door:
+    """Where work hands over what stands as a result: a function of words for what left no time to go on."""
+
+    outer: Door | None = None
+    offered: Callable[[str], Any] | None = None
+    shut: bool = False
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @contextmanager
+    def offering(self, result: Callable[[str], Any]) -> Iterator[None]:
+        """Hand over a result; the door does not shut while what is inside tells of it.
+
+        Raises:
+            TimeIsUp: the door is shut: nobody waits for it any more.
+        """
+        with self.lock:
+            if self.shut:
+                raise TimeIsUp("left behind")
+            self.offered = result
+            yield
+
+    @property
+    def anything(self) -> bool:
+        """Whether something was handed over, here or farther out."""
+        return self.offered is not None or (self.outer is not None and self.outer.anything)
+
+    def taken(self, early: TimeIsUp) -> Any:
+        """What was handed over last.
+
+        Raises:
+            TimeIsUp: nothing was.
+        """
+        with self.lock:
+            self.shut = True
+        if self.offered is None:
+            raise early
+        return self.offered(early.why)
+
+
+_DOOR: ContextVar[Door | None] = ContextVar("door", default=None)
+_threads: list[threading.Thread] = []
+
+
+def door() -> Door:
+    """That of the work that is running; one that leads nowhere where there is none."""
+    return _DOOR.get() or Door()
+
+
+def offer(result: Callable[[str], Any]) -> None:
+    """Hand over what stands as a result of the work that is running, made from words for what leaves no time."""
+    with door().offering(result):
+        pass
+
+
+def within(work: Callable[[], T]) -> T:
+    """What work gives or, where the deadline comes first, what it handed over last.
+
+    Raises:
+        TimeIsUp: it had handed over nothing.
+        KeyboardInterrupt: nor had it when Ctrl-C was pressed; or it was pressed a second time.
+    """
+    end, outer = current(), _DOOR.get()
+    own = Door(outer)
+    token = _DOOR.set(own)
+    try:
+        if end.apart:
+            return _apart(work, lambda late: late > _patience(end, own))
+        return work()
+    except TimeIsUp as early:
+        if outer is None and end.interrupted and own.offered is None:
+            raise KeyboardInterrupt from early
+        return own.taken(early)
+    except KeyboardInterrupt:
+        if end.interrupted or own.offered is None or end is _NONE:
+            raise
+        end.ended.set()
+        return own.taken(TimeIsUp(end.why))
+    finally:
+        _DOOR.reset(token)
+
+
+def _patience(end: Deadline, own: Door) -> float:
+    """Seconds beyond the deadline: the door of all waits longest, so that those within are left first."""
+    farther_out = OUTERMOST if own.outer is None else 0.0
+    return LATE + farther_out + (0.0 if end.interrupted or own.anything else FIRST)
+
+
+def finish(work: Callable[[], T]) -> T:
+    """Write a result: the first Ctrl-C waits for it, the second does not."""
+    return _apart(work, lambda late: False) if current().apart else work()
+
+
+def _apart(work: Callable[[], T], give_up: Callable[[float], bool]) -> T:
+    """Do work in a thread; at a second Ctrl-C, and where `give_up` says so by the seconds since the deadline, leave it.
+
+    Raises:
+        TimeIsUp: it was left.
+    """
+    end, made, failed, done = current(), list[T](), list[BaseException](), threading.Event()
+
+    def run() -> None:
+        try:
+            made.append(work())
+        except BaseException as error:
+            failed.append(error)
+        finally:
+            done.set()
+
+    thread = threading.Thread(target=copy_context().run, args=(run,), name="bayescal")
+    _threads[:] = [t for t in _threads if t.is_alive()] + [thread]
+    thread.start()
+    since = math.inf  # when the time was found to be up
+    while not done.is_set():
+        try:
+            while not done.wait(TICK):
+                since = min(since, time.monotonic()) if end.over else math.inf
+                if give_up(time.monotonic() - since):
+                    raise TimeIsUp(end.why)
+        except KeyboardInterrupt:
+            if end.interrupted:
+                raise
+            end.ended.set()
+    if failed:
+        raise failed[0]
+    return made[0]
+
+
+def unfinished() -> bool:
+    """Whether a thread is still at work that was left behind: the interpreter would wait for it when it ends."""
+    return any(t.is_alive() for t in _threads)

@@ -1,0 +1,195 @@
+"""Means of readings over short times: a long log made short, with the noise that each mean has."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from bayescal._core.errors import InputError
+from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
+from bayescal._data.dataset_checks import label_codes
+from bayescal._data.unit_conversion import convert, unit_label
+
+JUMP = 10.0  # usual changes of a column, beyond which a change is a step between two settings
+RARE = 0.1  # of the readings, at most, may step: so steps leave ten readings to a mean at the least
+_DURATION = re.compile(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([^\W\d_]+)\s*")
+
+
+class Averaged(NamedTuple):
+    """Means of readings.
+
+    Attributes:
+        columns: means of numbers, labels as they were; in the order of time within runs.
+        units: of the numbers; None for labels.
+        flag: how many readings became how many means, and the noise of either, a sentence.
+    """
+
+    columns: dict[str, np.ndarray]
+    units: dict[str, str | None]
+    flag: str
+
+
+def duration(text: str | float) -> float:
+    """A time such as "1 s", "0.5s", "2 min", or a number of seconds, in seconds.
+
+    Raises:
+        InputError: it is none, or not positive and finite.
+    """
+    found = _DURATION.fullmatch(f"{text} s" if isinstance(text, int | float) else text)
+    try:
+        seconds = float(convert(float(found[1]), found[2], "s")) if found else np.nan
+    except (InputError, ValueError):
+        seconds = np.nan
+    if not (np.isfinite(seconds) and seconds > 0):
+        raise InputError(
+            f"{text!r} is no time to average over: write a positive number with a unit of time, "
+            "such as '1 s', '0.5 s' or '2 min'"
+        )
+    return seconds
+
+
+def average(
+    columns: Mapping[str, np.ndarray],
+    units: Mapping[str, str | None],
+    output: str,
+    step: str | float,
+    names: str,
+) -> Averaged:
+    """Means over times that follow each other, of readings whose labels all agree.
+
+    Args:
+        columns: readings, numbers and labels.
+        units: of the numbers; None for labels.
+        output: name of the output column.
+        step: to average over, "1 s" or a number of seconds.
+        names: the files, for messages.
+
+    Raises:
+        InputError: no such time, no column `time`, or each reading its own mean, or one mean of all.
+    """
+    seconds = duration(step)
+    if "time" not in columns:
+        raise InputError(
+            f"{names}: averaging needs the column 'time', which is not there (there are: "
+            f"{', '.join(columns)}). Name the column that holds the time, or do not average"
+        )
+    time = columns["time"]
+    alike = label_codes(columns, [n for n in columns if units[n] is None or n == MAY_BE_EMPTY])
+    order = np.lexsort((time, alike))
+    same = np.diff(alike[order], prepend=-1) == 0  # as the reading before, in this order
+    bins = _bins(time[order], same, seconds)
+    starts = ~same | (np.diff(bins, prepend=bins[:1]) != 0)
+    for name, unit in units.items():
+        if unit not in (None, "degC") and name not in ("time", output, UNCERTAINTY, MAY_BE_EMPTY):
+            starts |= _steps(columns[name][order], same)
+    begins = np.flatnonzero(starts)
+    counts = np.diff(begins, append=time.size)
+    _refuse_useless(time[order], same, counts, seconds, names)
+    means = {
+        name: values[order][begins] if units[name] is None else _means(values[order], begins)
+        for name, values in columns.items()
+    }
+    noise = 0.0
+    if output in columns:
+        noise = _noise(columns, output, order, ~starts)
+        known = _uncertainty(columns, order, begins, noise)
+        means |= {UNCERTAINTY: known} if known is not None else {}
+    runs = label_codes(columns, [n for n in ("run", "device", "axis") if n in columns])[order][
+        begins
+    ]
+    row = np.lexsort((means["time"], runs))
+    found = {name: values[row] for name, values in means.items()}
+    own = units.get(output)
+    flag = (
+        f"{names}: {time.size} readings averaged over {seconds:g} s, to {_told(counts, noise, own)}"
+    )
+    return Averaged(found, {UNCERTAINTY: own, **units}, flag)
+
+
+def _refuse_useless(
+    time: np.ndarray, same: np.ndarray, counts: np.ndarray, seconds: float, names: str
+) -> None:
+    """Refuse a time that averages nothing, or everything.
+
+    Raises:
+        InputError: it does.
+    """
+    if counts.size == 1:
+        raise InputError(
+            f"{names}: a mean over {seconds:g} s is one of all {time.size} readings: give a shorter time"
+        )
+    if counts.max() == 1:
+        usual = float(np.median(np.diff(time)[same[1:]])) if same.any() else np.inf
+        apart = f" (they are {usual:.3g} s apart)" if np.isfinite(usual) else ""
+        raise InputError(
+            f"{names}: nothing to average, as no two readings with the same labels and settings lie "
+            f"within {seconds:g} s{apart}: give a longer time, or do not average"
+        )
+
+
+def _told(counts: np.ndarray, noise: float, unit: str | None) -> str:
+    """How many means there are, and what noise they have."""
+    low, high = int(counts.min()), int(counts.max())
+    means = f"{counts.size} means of {high if low == high else f'{low} to {high}'}"
+    alone = f"{noise:.3g} {unit_label(unit or '')}".rstrip()
+    return (
+        f"{means}; noise.white is that of a mean of {high}, {alone} that of one" if noise else means
+    )
+
+
+def _bins(time: np.ndarray, same: np.ndarray, seconds: float) -> np.ndarray:
+    """Which of the times that follow each other a reading falls into, counted from its record's first reading.
+
+    They begin half a step before a reading, so that uneven clocks do not move readings across.
+    """
+    starts = np.flatnonzero(~same)
+    began = np.repeat(time[starts], np.diff(starts, append=time.size))
+    steps = np.diff(time, prepend=time[:1])[same]
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    return np.floor((time - began + 0.5 * min(usual, seconds)) / seconds)
+
+
+def _steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
+    """Where a column of settings, an angle or a rate that is held for many readings, goes to its next value.
+
+    A step is a change of more than ten times the usual one (the median: zero where a value is held exactly). A column
+    with many of them holds no settings, but toggles in its last digit: its means are as good as any.
+    """
+    change = np.where(same, np.abs(np.diff(values, prepend=values[:1])), 0.0)
+    stepped = change > JUMP * (np.median(change[same]) if same.any() else 0.0)
+    return stepped & (np.count_nonzero(stepped) <= RARE * values.size)
+
+
+def _means(values: np.ndarray, begins: np.ndarray) -> np.ndarray:
+    """Of each stretch, as distances from its first value: a value that is held stays what it was."""
+    counts = np.diff(begins, append=values.size)
+    first = values[begins]
+    return first + np.add.reduceat(values - np.repeat(first, counts), begins) / counts
+
+
+def _noise(
+    columns: Mapping[str, np.ndarray], output: str, order: np.ndarray, inside: np.ndarray
+) -> float:
+    """White noise of a single reading beyond its known uncertainty: half the mean square of its changes."""
+    known = columns[UNCERTAINTY] if UNCERTAINTY in columns else np.zeros(order.size)
+    change = np.diff(columns[output][order], prepend=0.0)[inside]
+    square = 0.5 * float(np.mean(change**2)) - float(np.mean(known[order][inside] ** 2))
+    return float(np.sqrt(max(square, 0.0)))
+
+
+def _uncertainty(
+    columns: Mapping[str, np.ndarray], order: np.ndarray, begins: np.ndarray, noise: float
+) -> np.ndarray | None:
+    """Standard uncertainty of each mean beside the noise of the fullest, which a fit finds; None where there is none.
+
+    A mean of n readings has the noise σ²/n; the fullest has σ²/N, hence σ²·(1/n − 1/N) beside it.
+    """
+    counts = np.diff(begins, append=order.size)
+    square = noise**2 * (1 / counts - 1 / counts.max())
+    if UNCERTAINTY in columns:
+        own = columns[UNCERTAINTY][order] ** 2
+        square = square + np.add.reduceat(own, begins) / counts**2
+    return np.sqrt(square) if square.any() else None

@@ -1,0 +1,254 @@
+"""What an instrument says of its columns, and where readings came from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayescal._core.errors import InputError
+from bayescal._core.formatting import number, table
+from bayescal._data.unit_parsing import ANY
+from bayescal._tables.problems import Problem
+from bayescal._tables.raw_table import ROW
+
+UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
+MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
+ARRAYS = "the given arrays"  # in place of files
+TAKEN = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
+SHOWN = 5  # labels of a column that are named
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column that an instrument's files hold.
+
+    Attributes:
+        name: ours; files may call it otherwise (`columns=`).
+        unit: fixed unit inside the library; None for a text label (run, device, axis, group,
+            direction); "any" for a channel that may be anything, kept in the fixed unit of what the
+            file has (µg, °/s, rad, °C; ppm, ppb and % as they are; else base units).
+        meaning: one line for people.
+        required: whether a file without it is refused.
+        default: value of every reading where the file lacks the column, in `unit`; None leaves it
+            out.
+        low: least plausible value, in `unit`; what lies below is refused.
+        high: greatest plausible value, in `unit`.
+        allowed: the labels that are known; empty allows any.
+        also: further names under which files hold it.
+        known: standard uncertainties of a reading that are known before any fit, in `unit`, by
+            name, such as that of a converter's step.
+    """
+
+    name: str
+    unit: str | None
+    meaning: str = ""
+    required: bool = True
+    default: float | str | None = None
+    low: float | None = None
+    high: float | None = None
+    allowed: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
+    known: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse a column that contradicts itself.
+
+        Raises:
+            InputError: the name is taken or empty, labels are allowed of a number, limits are set
+                on a label or the wrong way round, any unit has a default, an uncertainty has no unit
+                or is not positive.
+        """
+        if not self.name.strip() or self.name in TAKEN:
+            raise InputError(f"a column cannot be called {self.name!r}: choose a name of its own")
+        if self.unit is not None and self.allowed:
+            raise InputError(
+                f"column {self.name!r} is a number in {self.unit}: it has no allowed labels"
+            )
+        if self.unit is None and not (self.low is None and self.high is None):
+            raise InputError(f"column {self.name!r} is a label: it has no low and high")
+        if self.unit == ANY and self.default is not None:
+            raise InputError(
+                f"column {self.name!r} may be in any unit: its default {self.default!r} has none"
+            )
+        if self.known and self.unit in (None, ANY):
+            raise InputError(
+                f"column {self.name!r} has no unit that known uncertainties could have"
+            )
+        for name, value in self.known:
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"column {self.name!r}: {name} {value} must be a positive number")
+        if self.low is not None and self.high is not None and not self.low < self.high:
+            raise InputError(
+                f"column {self.name!r}: low {self.low:g} is not below high {self.high:g}"
+            )
+
+    @property
+    def example(self) -> str | None:
+        """A unit that a file's header may give it."""
+        return "m/s^2" if self.unit == ANY else self.unit
+
+
+@dataclass(frozen=True)
+class NominalScale:
+    """How a raw output (V, Hz) becomes the instrument's output: (raw − offset)/gain.
+
+    Attributes:
+        unit: of the raw output and of `offset`.
+        gain: raw units per output unit, such as V per °/s.
+        offset: raw output at zero.
+    """
+
+    unit: str
+    gain: float
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a scale that nothing can be divided by.
+
+        Raises:
+            InputError: gain zero or not finite, offset not finite.
+        """
+        if not (math.isfinite(self.gain) and self.gain != 0 and math.isfinite(self.offset)):
+            raise InputError(
+                f"nominal scale {self.gain:g} {self.unit} with offset {self.offset:g}: the gain "
+                "must be finite and not zero, the offset finite"
+            )
+
+    def apply(self, raw: ArrayLike, *, difference: bool = False) -> np.ndarray:
+        """Raw outputs in `unit` as outputs; a difference, an uncertainty, has no offset or sign."""
+        raw = np.asarray(raw, dtype=np.float64)
+        return raw / abs(self.gain) if difference else (raw - self.offset) / self.gain
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that readings came from.
+
+    Attributes:
+        file: its name.
+        sha256: of its bytes, hexadecimal.
+        rows: readings in it.
+        output: its column that was read as the output, where the user chose one; else empty.
+    """
+
+    file: str
+    sha256: str
+    rows: int
+    output: str = ""
+
+
+@dataclass
+class ConvertedColumns:
+    """One file's columns as ours.
+
+    Attributes:
+        values: name → one entry per reading.
+        units: name → unit; None for labels.
+        flags: what was odd.
+        filled: names of columns that hold a default.
+        missing: name → readings that are missing there, and what stands in their place.
+        origin: seconds since 1970 at time zero; None where the time counts from no date.
+        kept: indices of the rows that were kept; None for all.
+        unread: names of columns that are in the file, and could not be read.
+        beside: names of columns that are other channels of the unit whose output this is.
+    """
+
+    values: dict[str, np.ndarray] = field(default_factory=dict)
+    units: dict[str, str | None] = field(default_factory=dict)
+    flags: list[str] = field(default_factory=list)
+    filled: set[str] = field(default_factory=set)
+    missing: dict[str, tuple[np.ndarray, Problem]] = field(default_factory=dict)
+    origin: float | None = None
+    kept: np.ndarray | None = None
+    unread: set[str] = field(default_factory=set)
+    beside: set[str] = field(default_factory=set)
+
+
+def file_names(files: Sequence[str]) -> str:
+    """Files, short, for messages."""
+    if not files:
+        return ARRAYS
+    return files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+
+
+_SIZES = (999.0, 9999.0, 99999.0, 999.25, 9999.25, 999.9, 9999.9)  # that loggers write for nothing
+PLACEHOLDERS = (*(-size for size in _SIZES), *_SIZES)
+
+
+OVERLOAD, NO_NUMBER = (
+    9.9e37,
+    9.91e37,
+)  # of SCPI instruments (SCPI-1999, volume 1, 7.2.1.4 and 7.2.1.5)
+
+
+def overloads(values: np.ndarray) -> np.ndarray:
+    """Rows with a code that SCPI instruments give for a reading out of range, or for none: ±9.9E37, 9.91E37."""
+    codes = np.isclose(abs(values), OVERLOAD, rtol=1e-6) | np.isclose(values, NO_NUMBER, rtol=1e-6)
+    return np.flatnonzero(codes)
+
+
+def placeholders(values: np.ndarray) -> np.ndarray:
+    """Where a column has a number that stands for a missing reading, such as −999: far from all the others."""
+    found = np.zeros(len(values), dtype=bool)
+    for value in np.intersect1d(values[np.isin(values, PLACEHOLDERS)], PLACEHOLDERS):
+        there = values == value
+        others = values[~there & np.isfinite(values)]
+        if len(others) < max(3, len(values) / 2):  # of two numbers, each is far from all others
+            continue
+        low, high = float(others.min()), float(others.max())
+        if max(low - value, value - high) > 3 * (high - low):
+            found |= there
+    return np.flatnonzero(found)
+
+
+def cells(
+    runs: Sequence[str], run: np.ndarray, point: ArrayLike | None
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Run × temperature point, in order of appearance, and each reading's index among them, −1 without a point.
+
+    Args:
+        runs: names of the runs.
+        run: each reading's index among them.
+        point: temperature points, °C, NaN for none; None where there is no such column.
+    """
+    codes = np.full(len(run), -1, dtype=np.int64)
+    if point is None:
+        return (), codes
+    point = np.asarray(point)
+    soaked = np.flatnonzero(~np.isnan(point))
+    points, index = np.unique(point[soaked], return_inverse=True)
+    keys = run[soaked] * max(1, len(points)) + index
+    found, first, which = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    codes[soaked] = np.argsort(order)[which]
+    names = (
+        f"run {runs[k // len(points)]}, {points[k % len(points)]:.10g} °C" for k in found[order]
+    )
+    return tuple(names), codes
+
+
+def readings_text(file: str, columns: Mapping[str, tuple[np.ndarray, str | None]]) -> str:
+    """Readings for people: a line for each column with its range, or the labels that it has.
+
+    Args:
+        file: where they came from.
+        columns: name → values, one a reading, and their unit (None for labels).
+    """
+    rows, count = [], 0
+    for name, (values, unit) in columns.items():
+        count = len(values)
+        if unit is None:
+            labels = list(dict.fromkeys(map(str, values)))
+            shown = ", ".join(labels[:SHOWN]) + (" …" if len(labels) > SHOWN else "")
+            rows.append([name, "", f"{len(labels)} labels: {shown}"])
+        elif np.isnan(values).all():
+            rows.append([name, unit, "empty"])
+        else:
+            low, high = np.nanmin(values), np.nanmax(values)
+            rows.append([name, unit, f"{number(low, 5)} to {number(high, 5)}"])
+    said = table(["column", "unit", "range"], rows, left=3)
+    return f"{count} readings of {file}\n{said}"

@@ -1,0 +1,268 @@
+"""Checks of a whole data set: what makes it unusable, and what its owner should know of.
+
+Refused: one temperature only, time running backwards. Flagged: repeated rows (with a time they are dropped), a
+saturated output, a constant column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayescal._core.errors import InputError
+from bayescal._data.column import ARRAYS, ConvertedColumns, file_names
+from bayescal._tables.problems import Problem, Problems
+from bayescal._tables.raw_table import Table
+
+LEAST_TEMPERATURE_SPAN = (
+    0.1  # °C: what a good chamber holds, so no temperature model can be seen in less
+)
+_LEAST_SATURATED = 5  # readings at the very extreme before one speaks of saturation
+_SHARE_SATURATED = 0.01
+_GAP = 0.1  # of the range: further off, the end is a set-up of its own, such as one position
+_STUCK = 8  # readings in a row
+_LONGER = 4  # times the next longest stretch
+_MOST = 0.5  # of a record, that a thermometer, rounded as it may be, does not read the same
+_PLATEAU = (
+    10.0  # standard deviations within runs, that the runs' temperatures are apart at the least
+)
+_AGAIN = 0.1  # of the other readings repeat the one before, at most: more are rounded, or set
+_AGAINST_NEXT = 3  # times as many as at the next level, which a rounded output does not show
+
+Columns = Mapping[str, np.ndarray]
+Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
+
+
+def problems_of_whole(
+    tables: Sequence[Table], converted: ConvertedColumns, instrument: Any, one_temperature: bool
+) -> Problems:
+    """What is wrong with readings as a whole: one temperature only, time that runs backwards.
+
+    Args:
+        tables: that they came from.
+        converted: their columns, one table after the other.
+        instrument: whose readings they are. Where it says which effects its baseline has, and none of them needs the
+            temperature to change, it need not.
+        one_temperature: accept one temperature all the same.
+    """
+    problems, files = Problems(), [table.file for table in tables]
+    effects = getattr(instrument, "effects", None)
+    needed = effects is None or any("temperature" in effect.varies for effect in effects)
+    required = any(c.name == "temperature" and c.required for c in instrument.columns)
+    if needed and required and not one_temperature and "temperature" in converted.values:
+        with problems.collecting(files[0]):
+            refuse_one_temperature(converted.values, file_names([f for f in files if f != ARRAYS]))
+    with problems.collecting(files[0]):
+        refuse_backward_time(converted.values, row_namer(tables))
+    return problems
+
+
+def row_namer(tables: Sequence[Table]) -> Where:
+    """What names the file and row of a reading, of several tables one after the other."""
+    ends = np.cumsum([table.rows for table in tables])
+
+    def where(index: int) -> str:
+        which = int(np.searchsorted(ends, index, side="right"))
+        table = tables[which]
+        return f"{table.place(index - int(ends[which]) + table.rows)} of {table.file!r}"
+
+    return where
+
+
+def refuse_one_temperature(columns: Columns, names: str) -> None:
+    """Refuse readings that hold one temperature only.
+
+    Args:
+        columns: readings; `temperature` in °C.
+        names: the files, for the message.
+
+    Raises:
+        InputError: the temperatures span less than 0.1 °C.
+    """
+    temperature = columns["temperature"]
+    low, high = float(temperature.min()), float(temperature.max())
+    if high - low < LEAST_TEMPERATURE_SPAN:
+        seen = f"{low:g}" if low == high else f"{low:g} … {high:g}"
+        cure = (
+            "At least two are needed, or nothing that depends on temperature can be calibrated: add readings at "
+            "another (files given together are read together)"
+        )
+        came = f"reads {seen} °C, one temperature only"
+        said = f"{names}, column 'temperature': {came}. {cure}"  # of files, or of a device
+        problem = Problem(names, came, cure=cure, column="temperature", sentence=said)
+        raise InputError(said, (problem,))
+
+
+def refuse_backward_time(columns: Columns, where: Where) -> None:
+    """Refuse time that runs backwards within a run of a device and axis.
+
+    Args:
+        columns: readings; `time` in s.
+        where: names a reading's file and row.
+
+    Raises:
+        InputError: it does, and where.
+    """
+    if "time" not in columns:
+        return
+    time = columns["time"]
+    named = [columns[n].tolist() for n in ("run", "device", "axis") if n in columns]
+    codes: dict[tuple[str, ...], int] = {}  # pandas would do it, and takes half a second to load
+    every = (codes.setdefault(label, len(codes)) for label in zip(*named, strict=True))
+    record = np.fromiter(every, np.int64, len(time)) if named else np.zeros(len(time), np.int64)
+    order = np.argsort(record, kind="stable")
+    back = (np.diff(time[order]) < 0) & (np.diff(record[order]) == 0)
+    if back.any():
+        later = order[1:][back]
+        index = int(later.min())
+        before = int(order[np.flatnonzero(order == index)[0] - 1])
+        labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
+        inside = f" within {', '.join(labels)}" if labels else ""
+        cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
+        came = f"reads {time[index]:.12g} s after {time[before]:.12g} s in {where(before)}: time runs backwards{inside}"
+        places = tuple(where(int(i)).partition(" of ")[0] for i in np.sort(order[1:][back]))
+        file = where(index).partition(" of ")[2].strip("'")
+        problem = Problem(file, came, cure=cure, column="time", places=places)
+        raise InputError(str(problem), (problem,))
+
+
+def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
+    """A number for each combination of labels, in the order in which they first appear."""
+    import pandas as pd
+
+    codes = np.zeros(len(columns["time"]), dtype=np.int64)
+    for name in names:
+        own, levels = pd.factorize(columns[name], use_na_sentinel=False)
+        codes = pd.factorize(codes * len(levels) + own)[0]
+    return codes
+
+
+def flags_of(
+    columns: Columns,
+    output: str,
+    where: Where,
+    names: str,
+    repeated: np.ndarray,
+    unchecked: Collection[str] = (),
+    thermometers: Collection[str] = (),
+) -> list[str]:
+    """What is odd in the readings but no reason to refuse them.
+
+    Args:
+        columns: readings, numbers and labels.
+        output: name of the output column.
+        where: names a reading's file and row.
+        names: the files, for the flags.
+        repeated: rows that repeat an earlier one.
+        unchecked: columns that hold a default, hence are constant.
+        thermometers: columns of measured temperatures, which never stand still for half of a record.
+    """
+    flags = []
+    if count := len(repeated):
+        first = int(repeated[0])
+        many, dropped = count > 1, "time" in columns
+        told = f"{count} row{'s repeat' if many else ' repeats'} an earlier one in every column"
+        end = f": {'they are' if many else 'it is'} dropped" if dropped else ""
+        flags.append(f"{told}, first at {where(first)}{end}")
+    for end, level in clip_levels(columns[output]) if output in columns else ():
+        count = int((columns[output] == level).sum())
+        flags.append(
+            f"{names}: column {output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
+        )
+    flags += [
+        f"{names}: each run has one {name} of its own: differences between runs and a dependence on it are confounded, "
+        "parted by their plausible sizes alone. Let it change within a run, or repeat one in another run"
+        for name in one_plateau_a_run(columns, thermometers)
+    ]
+    for name, values in columns.items():
+        number = values.dtype.kind == "f" and name not in unchecked
+        if number and len(values) > 1 and (values == values[0]).all():
+            flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
+        elif number and (stuck := stuck_rows(values, name in thermometers)) is not None:
+            first, last = (where(row) for row in stuck)
+            share = (stuck[1] - stuck[0] + 1) / len(values)
+            much = f", {100 * share:.0f} % of all readings" if share > _MOST else ""
+            flags.append(
+                f"{names}: column {name!r} stands still at {values[stuck[0]]:g} from {first} to {last}{much}: was it "
+                "stuck?"
+            )
+    return flags
+
+
+def one_plateau_a_run(columns: Columns, thermometers: Collection[str]) -> list[str]:
+    """Thermometers that stand at one temperature in each run, another in each: run and slope are confounded."""
+    if "run" not in columns:
+        return []
+    codes = label_codes({**columns, "time": columns["run"]}, ["run"])
+    count = np.bincount(codes)
+    found = []
+    for name in thermometers if len(count) > 1 else ():
+        values = columns[name]
+        means = np.bincount(codes, values) / count
+        within = float(np.sqrt(np.mean((values - means[codes]) ** 2)))
+        apart = float(np.diff(np.sort(means)).min())
+        if apart > max(_PLATEAU * within, LEAST_TEMPERATURE_SPAN):
+            found.append(name)
+    return found
+
+
+def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int] | None:
+    """First and last row of a stretch, far longer than any other, in which a column that else changes does not.
+
+    Args:
+        values: one for each reading.
+        thermometer: whether half of all readings in one stretch suffice, however often the others repeat.
+    """
+    ends = np.append(np.flatnonzero(values[1:] != values[:-1]), len(values) - 1)
+    lengths = np.diff(ends, prepend=-1)
+    worst = int(np.argmax(lengths))
+    length, others = int(lengths[worst]), np.delete(lengths, worst)
+    if not others.size:
+        return None
+    again = int(np.sum(others - 1))  # readings outside that repeat the one before
+    longest = int(np.max(others, initial=1))
+    rounded = again > _AGAIN * int(np.sum(others))
+    if rounded and thermometer and length >= _MOST * len(values):
+        rounded = False
+    if rounded or length < max(_STUCK, _LONGER * longest):
+        return None
+    return int(ends[worst]) - length + 1, int(ends[worst])
+
+
+def once(columns: Columns, repeated: np.ndarray) -> slice | np.ndarray:
+    """Rows without exact repeats: with the time among the columns, none can be a reading of its own."""
+    if "time" not in columns or not len(repeated):
+        return slice(None)
+    return np.setdiff1d(np.arange(len(columns["time"])), repeated)
+
+
+def repeated_rows(columns: Columns) -> np.ndarray:
+    """Rows that repeat an earlier one in every column: looked for among those whose hashes agree, to save memory."""
+    import pandas as pd
+
+    table = pd.DataFrame(dict(columns), copy=False)
+    hashed = pd.util.hash_pandas_object(table, index=False)  # pyright: ignore[reportAttributeAccessIssue]
+    hashes = hashed.to_numpy()
+    ordered = np.sort(hashes)
+    shared = ordered[1:][ordered[1:] == ordered[:-1]]
+    if not shared.size:
+        return shared.astype(np.int64)
+    alike = np.flatnonzero(np.isin(hashes, shared))
+    return alike[table.iloc[alike].duplicated().to_numpy()]
+
+
+def clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
+    """Ends of the range at which an output was cut off, each with the level; empty where it looks natural."""
+    levels, counts = np.unique(values, return_counts=True)
+    if len(levels) < 3:
+        return []
+    found = []
+    for end, beside, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
+        enough = max(_LEAST_SATURATED, _SHARE_SATURATED * len(values))
+        with np.errstate(over="ignore"):
+            near = abs(levels[end] - levels[beside]) < _GAP * (levels[-1] - levels[0])
+        if near and counts[end] >= enough and counts[end] > _AGAINST_NEXT * counts[beside]:
+            found.append((name, float(levels[end])))
+    return found

@@ -1,0 +1,129 @@
+"""Time within runs: which readings make a run, in what order, and the slope of a column over the last minute."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pandas as pd
+
+from bayescal._data.measurements import Measurements
+
+RATE_WINDOW = 60.0  # s
+NEXT = 5.0  # usual steps after a record's reading, within which another goes on with it
+MIXED = 0.2  # changes from one file to the other, a reading, beyond which both are of one time
+GAP = 10.0  # windows without a reading, after which nothing is known of the rate
+
+
+def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
+    """Runs as records in time: one for each run of each device and axis."""
+    levels, codes = readings.groups("run")
+    for group in ("device", "axis"):
+        if readings.has(group):
+            members, own = readings.groups(group)
+            pairs, codes = np.unique(own * len(levels) + codes, return_inverse=True)
+            levels = tuple(f"{members[p // len(levels)]}|{levels[p % len(levels)]}" for p in pairs)
+    return levels, codes
+
+
+def sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The order of time within runs, and the time since the previous reading of the run, −1 at its first."""
+    order = np.lexsort((time, codes))
+    step = np.diff(time[order], prepend=time[order][:1])
+    step[np.diff(codes[order], prepend=-1) != 0] = -1.0
+    return order, step
+
+
+def first_times(time: np.ndarray, codes: np.ndarray, count: int) -> np.ndarray:
+    """When each of the runs has its first reading, s."""
+    first = np.full(count, np.inf)
+    np.minimum.at(first, codes, time)
+    return first
+
+
+def going_on(fitted: Measurements, later: Measurements) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Which readings of which runs go on with a record that is known, and all their times on its clock.
+
+    They have the run's name (and device and axis), and follow its readings in blocks, the first of them at once. A file
+    of another test, whose clock begins anew, has times that fall among all of the record's, or far from them.
+
+    Args:
+        fitted: the record.
+        later: readings that may continue it.
+
+    Returns:
+        Rows of `later` by the run that they continue; its times on the record's clock, s.
+    """
+    if not (fitted.has("time") and later.has("time")):
+        return {}, np.zeros(len(later))
+    time, at = fitted["time"], later["time"]
+    if (fitted.since is None) != (later.since is None):
+        return {}, at
+    at = at + ((later.since or 0.0) - (fitted.since or 0.0))
+    (names, codes), (asked, own) = run_codes(fitted), run_codes(later)
+    found = {}
+    for i, name in enumerate(asked):
+        if name not in names:
+            continue
+        rows = np.flatnonzero(own == i)
+        known = np.sort(time[codes == names.index(name)])
+        first = float(at[rows].min())
+        before = known[known < first]
+        steps = np.diff(known)
+        if not (before.size and steps.size) or np.isin(at[rows], known).any():
+            continue
+        merged = np.concatenate([np.zeros(known.size, bool), np.ones(rows.size, bool)])
+        merged = merged[np.argsort(np.concatenate([known, at[rows]]), kind="stable")]
+        mixed = np.count_nonzero(np.diff(merged)) > max(2.0, MIXED * min(known.size, rows.size))
+        if not mixed and first - before[-1] <= NEXT * float(np.median(steps)) * (1 + 1e-9):
+            found[name] = rows
+    return found, at
+
+
+def causal_slope(
+    time: np.ndarray, values: np.ndarray, order: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """Least-squares slope over the last minute (or the last step, if longer) within each run, unit/s.
+
+    The first reading of a run has no past and gets 0; so does the first after a gap of ten windows, such as the
+    soak before a tumble, for the change over hours says nothing of the rate now. Linear in the readings.
+    """
+    t, y, here = time[order], values[order], np.arange(time.size)
+    steps = step[step > 0]
+    window = max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0) * (1 + 1e-9)
+    begins = np.flatnonzero(step < 0)
+    first = np.empty(t.size, dtype=int)  # reading of each window, one of an earlier time at least
+    for low, high in itertools.pairwise([*begins, t.size]):
+        own = t[low:high]
+        earlier = np.searchsorted(own, own) - 1
+        first[low:high] = low + np.clip(np.searchsorted(own, own - window), 0, earlier.clip(0))
+    of_t, of_y, of_tt, of_ty = _window_sums(t, y, first)
+    count = here - first + 1
+    scatter = of_tt - of_t**2 / count
+    known = (first < here) & (scatter > 0) & (t - t[first] <= GAP * window)
+    slopes = np.zeros_like(y)
+    slopes[order[known]] = (of_ty - of_t * of_y / count)[known] / scatter[known]
+    return slopes
+
+
+def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Sums of dt, dy, dt² and dt·dy over the readings first[i] … i, for each i; `first` rises.
+
+    An anchor stands in each window: the sums grow away from it on either side, dt and dy are distances from it, and
+    nothing is ever subtracted from a sum, so no digits are lost however long the record.
+    """
+    here = np.arange(t.size)
+    beyond = np.searchsorted(first, here, side="right")  # the first window without this reading
+    anchors = [0]
+    while (after := int(beyond[anchors[-1]])) < t.size:
+        anchors.append(after)
+    stretch = np.searchsorted(anchors, here, side="right") - 1
+    at, after = np.array(anchors)[stretch], np.array([*anchors[1:], t.size - 1])[stretch]
+
+    def sums(origin: np.ndarray, rows: slice) -> np.ndarray:  # of each stretch, in this direction
+        dt, dy = t - t[origin], y - y[origin]
+        terms = pd.DataFrame(np.stack([dt, dy, dt * dt, dt * dy], axis=1)[rows])
+        return terms.groupby(stretch[rows]).cumsum().to_numpy()[rows].T
+
+    since, until = sums(at, slice(None)), sums(after, slice(None, None, -1))
+    return since + np.where(first < at, until[:, first], 0.0)

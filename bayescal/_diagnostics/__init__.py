@@ -1,4 +1,0 @@
-"""Where a model fails, and which model predicts better.
-
-Imports `_calibration` and what is below.
-"""

@@ -1,0 +1,169 @@
+"""What a fleet gives: a folder of Parquet files, one for each partition, and `fleet.json` of the whole."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow.dataset as pads
+
+from bayescal._core.atomic_file import write_text
+from bayescal._core.errors import InputError
+from bayescal._core.json_shape import read_json
+from bayescal._fleet.batch_result import COLUMNS, POPULATION, load_batch
+from bayescal._fleet.device_result import DeviceResult
+from bayescal._fleet.fleet_table import COLUMNS as EFFECTS
+from bayescal._fleet.population import Population
+
+SCHEMA = "bayescal.fleet/1"
+WHOLE = "fleet.json"
+ALONE = "devices"  # folder of each device's own results
+POOLED = "pooled"  # and of those under the population
+SHOWN = 10  # devices, files that are named in print
+
+
+@dataclass(frozen=True, eq=False)
+class FleetResult:
+    """Fits of more devices than one process holds. `result["A17"]` is one device's; the rest stays on disk.
+
+    Attributes:
+        folder: of the results.
+        devices, trusted, readings: how many.
+        doubted: some devices whose result is not reliable, and why.
+        missing: file → why its devices are not among the results; the same call goes on from there.
+        table: one row a coefficient: mean over the devices that are trusted, standard deviation between them, typical
+            (root mean square) standard uncertainty, unit.
+        population: what the devices have in common, if it was asked for.
+        apart: devices that stand out from the population, and their posterior predictive p, the least first.
+        effects: where effects were looked for, one row an effect, as `fleet_table.effects_table` says; else no rows.
+        about: instrument, effects, method, seed, versions, partitions and what they took.
+        left_out: what stands in folders of readings and was not read → why.
+    """
+
+    folder: Path
+    devices: int
+    trusted: int
+    readings: int
+    doubted: dict[str, str]
+    missing: dict[str, str]
+    table: pd.DataFrame
+    population: Population | None
+    apart: dict[str, float]
+    effects: pd.DataFrame
+    about: dict[str, Any]
+    left_out: dict[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return self.devices
+
+    @property
+    def files(self) -> Path:
+        """The folder of the Parquet dataset: device, coefficient, mean, sd, unit, ok, reason, covariance."""
+        return self.folder / (POOLED if self.population is not None else ALONE)
+
+    def dataset(self) -> pads.FileSystemDataset:
+        """All rows as a dataset of pyarrow, which reads them in pieces."""
+        return pads.dataset(self.files, format="parquet")
+
+    def rows(self) -> pd.DataFrame:
+        """All rows, as `BatchResult.table` has them: a million devices take a gigabyte."""
+        return self.dataset().to_table(columns=list(COLUMNS)).to_pandas()
+
+    def __getitem__(self, device: str) -> DeviceResult:
+        """One device's result.
+
+        Raises:
+            InputError: there is no such device.
+        """
+        wanted = pads.field("device") == device
+        for piece in self.dataset().get_fragments():
+            if piece.count_rows(filter=wanted):
+                return load_batch(piece.path)[device]
+        raise InputError(f"there is no device {device!r} among the {self.devices} of {self.folder}")
+
+    def data(self) -> dict[str, Any]:
+        """Plain JSON."""
+        population = self.population
+        return {
+            "schema": SCHEMA,
+            "devices": self.devices,
+            "trusted": self.trusted,
+            "readings": self.readings,
+            "doubted": self.doubted,
+            "missing": self.missing,
+            "coefficients": self.table.to_dict("records"),
+            "population": None
+            if population is None
+            else {
+                "table": population.table.to_dict("records"),
+                "ok": population.ok,
+                "reason": population.reason,
+                "devices": population.devices,
+                "pareto_k": population.pareto_k,
+            },
+            "apart": self.apart,
+            "effects": self.effects.to_dict("records"),
+            "about": self.about,
+            "left_out": self.left_out,
+        }
+
+    def save(self) -> Path:
+        """Write `fleet.json` beside the partitions.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        text = json.dumps(self.data(), indent=1, ensure_ascii=False)
+        return write_text(text + "\n", self.folder / WHOLE)
+
+    def __str__(self) -> str:
+        head = f"{self.devices} devices, {self.trusted} reliable ({self.about['method']})"
+        lines = [head]
+        lines += [f"  {name}: {why}" for name, why in list(self.doubted.items())[:SHOWN]]
+        more = self.devices - self.trusted - min(SHOWN, len(self.doubted))
+        lines += [f"  … and {more} more"] if more > 0 else []
+        lines += [
+            f"  no results of {name}: {why}" for name, why in list(self.missing.items())[:SHOWN]
+        ]
+        lines += [f"  … and {len(self.missing) - SHOWN} more files"] * (len(self.missing) > SHOWN)
+        lines += [f"  not read: {name}: {why}" for name, why in list(self.left_out.items())[:SHOWN]]
+        lines += [f"  … and {len(self.left_out) - SHOWN} more, not read either"] * (
+            len(self.left_out) > SHOWN
+        )
+        lines.append(self.table.to_string(index=False, float_format=lambda v: f"{v:.4g}"))
+        if len(self.effects):
+            shown = self.effects.head(SHOWN).to_string(index=False, float_format="{:.3g}".format)
+            lines.append(f"missing from the devices' models:\n{shown}")
+        lines += [str(self.population)] if self.population else []
+        if self.apart:
+            least = ", ".join(f"{n} (p = {p:.2g})" for n, p in list(self.apart.items())[:SHOWN])
+            lines.append(f"standing out from the population: {least}")
+        return "\n".join(lines)
+
+
+def load_fleet(folder: str | Path) -> FleetResult:
+    """Read the results of a fleet; the devices' own stay on disk until they are asked for.
+
+    Raises:
+        InputError: there are none of this version in the folder.
+    """
+    folder = Path(folder)
+    try:
+        held = read_json(folder / WHOLE)
+        if held.pop("schema") != SCHEMA:
+            raise KeyError("schema")
+        table = pd.DataFrame(held.pop("coefficients"))
+        told = held.pop("population")
+        if told is not None:
+            table_ = pd.DataFrame(told.pop("table"), columns=list(POPULATION))
+            told = Population(table_, **told)
+        effects = pd.DataFrame(held.pop("effects"), columns=EFFECTS)
+        return FleetResult(folder, table=table, population=told, effects=effects, **held)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{folder} holds no results of a fleet, or not of this version ({type(error).__name__}: {error}): give "
+            "the folder that a batch of partitions was written to"
+        ) from None

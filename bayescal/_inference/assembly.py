@@ -1,0 +1,355 @@
+"""A structure on a record: its expected output, Jacobian and priors, put together from columns and slopes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayescal._inference.gaussian import Prior
+from bayescal._inference.record import Record
+from bayescal._inference.terms import Sizes, Term
+from bayescal._model.parameters import MOVING, Layout
+
+Values = dict[str, float]
+NUDGE = 1e-6  # of a coordinate, for derivatives of priors,
+SHIFT = 1e-4  # and of columns of the expected output
+
+
+class Point(NamedTuple):
+    """Where the expected output is linearised: x̂ (p,) and the per-reading coefficients (n, k); NumPy's or JAX's."""
+
+    x: Any
+    rows: Any
+
+
+class Line(NamedTuple):
+    """The expected output and its derivatives at one point: by x (n, p), by the per-reading coefficients (n, k)."""
+
+    mean: Float[np.ndarray, "n"]
+    jacobian: Float[np.ndarray, "n p"]
+    rows: Float[np.ndarray, "n k"]
+
+
+class Moved(NamedTuple):
+    """Slopes by one coordinate of φ: of some columns of the Jacobian, of the expected output, of the row columns."""
+
+    at: Int[np.ndarray, "k"]
+    columns: Float[np.ndarray, "n k"]
+    mean: Float[np.ndarray, "n"]
+    rows: Float[np.ndarray, "n r"]
+
+
+@dataclass(eq=False)
+class Assembly:
+    """A structure bound to a record.
+
+    Attributes:
+        layout: which unknowns there are, and where.
+        record: the readings.
+        spread: factor on the plausible size of an effect's coefficients, by the effect's name; one where not named.
+    """
+
+    layout: Layout
+    record: Record
+    spread: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        layout = self.layout
+        self.terms = tuple(
+            Term.of_block(b, self.record.plain, self.spread or {}) for b in layout.blocks
+        )
+        self.hypers = layout.hypers
+        self.size = sum(t.size for t in self.terms if t.place == "x")
+        self.row_sd = np.array([t.prior_sd for t in self.terms if t.place == "row"])
+        self.noise = layout.model.noise
+        self.fixed_values = dict(layout.model.fixed)
+        slots = self.record.slots
+        self.corrected = tuple(dict.fromkeys(t.slot for t in self.terms if t.slot not in slots))
+        # A promoted coefficient in units of a learned spread moves with that spread too.
+        scaled = {t.spread_name for t in self.terms if t.place == "phi"}
+        self.kinds = [h.kind for h in self.hypers]
+        self.moving = [i for i, h in enumerate(self.hypers) if h.kind in MOVING or h.name in scaled]
+        self._coordinates = [(h.name, h.prior.value, h.prior.log_density) for h in self.hypers]
+
+    # φ and the priors -------------------------------------------------------------------------------------------
+
+    def hyper(self, v: Sequence[float] | np.ndarray) -> Values:
+        """The entries of φ at coordinate v, by name; fixed ones included."""
+        found = {
+            name: value(one) for (name, value, _), one in zip(self._coordinates, v, strict=True)
+        }
+        return {**self.fixed_values, **found}  # pyright: ignore[reportReturnType]
+
+    def log_prior(self, v: np.ndarray) -> float:
+        """Log prior density of φ in its coordinates."""
+        return float(
+            sum(density(one) for (*_, density), one in zip(self._coordinates, v, strict=True))
+        )
+
+    def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
+        """Log prior densities of several φ."""
+        parts = [density(v[:, i]) for i, (*_, density) in enumerate(self._coordinates)]
+        return np.sum(parts, axis=0) if parts else np.zeros(len(v))
+
+    def value_slope(self, v: np.ndarray, i: int) -> float:
+        """Slope of the logarithm of one entry of φ by its coordinate."""
+        value = self._coordinates[i][1]
+        return float(np.log(value(v[i] + NUDGE) / value(v[i] - NUDGE))) / (2 * NUDGE)
+
+    def value_change(self, v: np.ndarray, i: int) -> float:
+        """Slope of one entry of φ by its coordinate."""
+        value = self._coordinates[i][1]
+        return float(value(v[i] + NUDGE) - value(v[i] - NUDGE)) / (2 * NUDGE)
+
+    def log_variance_slope(self, v: np.ndarray, i: int) -> float:
+        """Slope of the logarithm of the variance that all readings share, by one coordinate."""
+        ends = []
+        for step in (NUDGE, -NUDGE):
+            moved = v.copy()
+            moved[i] += step
+            ends.append(float(np.log(self.noise.shared_variance(self.hyper(moved)))))
+        return (ends[0] - ends[1]) / (2 * NUDGE)
+
+    def log_sd_slopes(
+        self, v: np.ndarray, hyper: Values
+    ) -> Iterator[tuple[int, Float[np.ndarray, "p"]]]:
+        """Slopes of the logarithms of x's prior standard deviations, by each coordinate that moves any of them."""
+        places = {h.name: i for i, h in enumerate(self.hypers)}
+        for name, members in self.sizes.members.items():
+            if (i := places.get(name)) is not None:
+                yield i, self.value_slope(v, i) * members
+        for name in self.sizes.weighing:
+            if (i := places.get(name)) is not None:
+                value = self._coordinates[i][1]
+                ends = (
+                    self.sizes.log_weights(name, {**hyper, name: value(v[i] + s)})
+                    for s in (NUDGE, -NUDGE)
+                )
+                up, down = ends
+                yield i, (up - down) / (2 * NUDGE)
+
+    def log_prior_slope(self, v: np.ndarray) -> np.ndarray:
+        pairs = zip(self._coordinates, v, strict=True)
+        found = [float(d(one + NUDGE) - d(one - NUDGE)) / (2 * NUDGE) for (*_, d), one in pairs]
+        return np.array(found)
+
+    @cached_property
+    def in_x(self) -> tuple[Term, ...]:
+        return tuple(t for t in self.terms if t.place == "x")
+
+    @cached_property
+    def sizes(self) -> Sizes:
+        """Prior standard deviations of x given φ."""
+        return Sizes(self.in_x, self.layout.model.effects, self.size)
+
+    @cached_property
+    def mean_of_x(self) -> Float[np.ndarray, "p"]:
+        found = np.zeros(self.size)
+        for t in self.in_x:
+            found[t.at] = t.known.mean
+        return found
+
+    @cached_property
+    def weight_of_x(self) -> Float[np.ndarray, "p"]:
+        found = np.ones(self.size)
+        for t in self.in_x:
+            if t.known.flat:
+                found[t.at] = 0.0
+        return found
+
+    def prior(self, hyper: Values, flat: np.ndarray) -> Prior:
+        sd = np.where(self.weight_of_x > 0, self.sizes.at(hyper), flat)
+        return Prior(self.mean_of_x, sd, self.weight_of_x)
+
+    @property
+    def start(self) -> Point:
+        return Point(self.mean_of_x.copy(), np.zeros((self.record.size, len(self.row_sd))))
+
+    def point_of(self, other: Assembly, point: Point) -> Point:
+        """Another structure's point in this one's terms; what that one has not stands at its prior mean."""
+        found, theirs = self.start, {(t.known.of, t.index): t.at for t in other.in_x}
+        for t in self.in_x:
+            if (at := theirs.get((t.known.of, t.index))) is not None:
+                found.x[t.at] = point.x[at]
+        return found._replace(rows=point.rows) if point.rows.shape == found.rows.shape else found
+
+    # the expected output ----------------------------------------------------------------------------------------
+
+    def _values(self, point: Point, hyper: Values) -> list[Any]:
+        """Each term's coefficient at each reading; where there is one for all, one number."""
+        found, row = [], 0
+        for t in self.terms:
+            if t.place == "row":
+                found.append(point.rows[:, row])
+                row += 1
+            else:
+                found.append(self._value(t, point.x, hyper))
+        return found
+
+    def _value(self, t: Term, x: np.ndarray, hyper: Values) -> Any:
+        if t.place == "x":
+            value = x[t.at]
+        elif t.place == "fixed":
+            value = np.full(t.size, t.value)
+        else:
+            value = np.array([hyper[name] for name in t.members])
+            if t.spread_name is not None:
+                value = t.known.mean + hyper[t.spread_name] * value
+        if t.known.per is None:
+            return value[0]
+        return np.append(value, 0.0)[self.record.codes[t.known.per]]  # the code of no member is −1
+
+    def _columns(self, terms: Sequence[Term], hyper: Values, moves: Mapping[str, np.ndarray]):
+        """The column of each term, slot units per reported unit, and its slopes by the moved columns."""
+        found, last, made = [], None, None
+        for t in terms:
+            if t.known.of != last:
+                shapes = tuple(float(hyper[name]) for name in t.known.shape_names)
+                if moves and t.slot not in moves:
+                    made = self.record.moved_columns(t.known.columns, shapes, moves)
+                else:
+                    made = self.record.columns(t.known.columns, shapes), {}
+                last = t.known.of
+            columns, slopes = made  # pyright: ignore[reportGeneralTypeIssues]
+            by_move = {name: s[:, t.index] * t.factor for name, s in slopes.items()}
+            found.append((columns[:, t.index] * t.factor, by_move))
+        return found
+
+    def slopes(self, point: Point, hyper: Values) -> dict[str, Float[np.ndarray, "n"]]:
+        """Of the expected output by each slot, reading by reading."""
+        return self.record.affine[1] if self.affine else self._responding(point, hyper)[1]  # pyright: ignore
+
+    def _responding(self, point: Point, hyper: Values):
+        """Expected output, its slopes by slots and by corrected columns, and each term's column."""
+        values = self._values(point, hyper)
+        moves: dict[str, np.ndarray] = {}
+        if self.corrected:
+            moves = {name: np.zeros(self.record.size) for name in self.corrected}
+            for t, (column, _), value in zip(
+                self.terms, self._columns(self.terms, hyper, {}), values, strict=True
+            ):
+                if t.slot in moves:
+                    moves[t.slot] = moves[t.slot] + column * value
+        columns = self._columns(self.terms, hyper, moves)
+        sums: dict[str, Any] = {}
+        for t, (column, _), value in zip(self.terms, columns, values, strict=True):
+            if t.slot not in moves:
+                sums[t.slot] = sums.get(t.slot, 0.0) + column * value
+        mean, slopes = self.record.response(sums, moves)
+        if moves:
+            slopes = dict(slopes)
+            for t, (_, by_move), value in zip(self.terms, columns, values, strict=True):
+                for name, slope in by_move.items():
+                    slopes[name] = slopes[name] + slopes[t.slot] * slope * value
+        return mean, slopes, columns
+
+    def linearise(self, point: Point, hyper: Values) -> Line:
+        """Expected output and Jacobian at a point, output unit per reported unit."""
+        if self.affine:
+            return self._affine_line(point, hyper)
+        mean, slopes, columns = self._responding(point, hyper)
+        n, row = self.record.size, 0
+        jacobian, rows = np.zeros((n, self.size), order="F"), np.zeros((n, len(self.row_sd)))
+        for t, (column, _) in zip(self.terms, columns, strict=True):
+            if t.place == "x":
+                self._place(t, slopes[t.slot] * column, jacobian)
+            elif t.place == "row":
+                rows[:, row] = slopes[t.slot] * column
+                row += 1
+        return Line(mean, jacobian, rows)
+
+    def along(self, point: Point, v: Float[np.ndarray, "d"], i: int) -> Moved:
+        """What one coordinate of φ moves."""
+        name, ends = self.hypers[i].name, []
+        for step in (SHIFT, -SHIFT):
+            moved = v.copy()
+            moved[i] += step
+            ends.append(self.hyper(moved))
+        if not self.affine or self.kinds[i] != "shape":
+            up, down = (self.linearise(point, hyper) for hyper in ends)
+            columns, mean = (
+                (up.jacobian - down.jacobian) / (2 * SHIFT),
+                (up.mean - down.mean) / (2 * SHIFT),
+            )
+            which = np.flatnonzero(np.any(columns != 0, axis=0))
+            return Moved(which, columns[:, which], mean, (up.rows - down.rows) / (2 * SHIFT))
+        slopes = self.slopes(point, ends[0])
+        terms = [t for t in self.terms if name in t.known.shape_names]
+        made, mean, rows = self._none()
+        for t, (up, _), (down, _) in zip(
+            terms, *(self._columns(terms, hyper, {}) for hyper in ends), strict=True
+        ):
+            column = slopes[t.slot] * (up - down) / (2 * SHIFT)
+            if t.place == "row":
+                row = [own for own in self.terms if own.place == "row"].index(t)
+                rows[:, row] = column
+                mean += column * point.rows[:, row]
+                continue
+            mean += column * self._value(t, point.x, ends[0])
+            if t.place == "x":
+                self._place(t, column, made)
+        which = np.concatenate(
+            [np.arange(t.at.start, t.at.stop) for t in terms if t.place == "x"]
+            or [np.zeros(0, int)]
+        )
+        return Moved(which, made[:, which], mean, rows)
+
+    def _none(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        n = self.record.size
+        return np.zeros((n, self.size)), np.zeros(n), np.zeros((n, len(self.row_sd)))
+
+    def _affine_line(self, point: Point, hyper: Values) -> Line:
+        """The same where the expected output is affine: columns that never change are put together once."""
+        mean, slopes = self.record.affine  # pyright: ignore[reportGeneralTypeIssues]
+        jacobian, rows, row = self._plain.copy(order="F"), np.zeros_like(point.rows), 0
+        moving = [t for t in self.terms if t.place != "x" or t.known.shape_names]
+        for t, (column, _) in zip(moving, self._columns(moving, hyper, {}), strict=True):
+            column = slopes[t.slot] * column
+            if t.place == "x":
+                self._place(t, column, jacobian)
+            elif t.place == "row":
+                rows[:, row] = column
+                row += 1
+            else:
+                mean = mean + column * self._value(t, point.x, hyper)
+        mean = mean + jacobian @ point.x
+        return Line(mean + np.sum(rows * point.rows, axis=1) if row else mean, jacobian, rows)
+
+    @cached_property
+    def _plain(self) -> Float[np.ndarray, "n p"]:
+        """The Jacobian of an affine model, but for the columns that shapes move."""
+        slopes = self.record.affine[1]  # pyright: ignore[reportOptionalSubscript]
+        found = np.zeros((self.record.size, self.size), order="F")
+        for slot, design in self.designs.items():
+            found += slopes[slot][:, None] * design
+        return found
+
+    def _place(self, term: Term, column: np.ndarray, jacobian: np.ndarray) -> None:
+        start = term.at.start
+        if term.known.per is None:
+            jacobian[:, start] = column
+            return
+        codes = self.record.codes[term.known.per]
+        known = np.flatnonzero(codes >= 0)
+        jacobian[known, start + codes[known]] = column[known]
+
+    @cached_property
+    def designs(self) -> dict[str, Float[np.ndarray, "n p"]]:
+        """By slot, what x adds to it, of the terms whose columns never change; none where columns are corrected."""
+        found: dict[str, np.ndarray] = {}
+        for t in () if self.corrected else self.in_x:
+            if not t.known.shape_names:
+                matrix = found.setdefault(t.slot, np.zeros((self.record.size, self.size)))
+                column = self.record.columns(t.known.columns, ())[:, t.index]
+                self._place(t, column * t.factor, matrix)
+        return found
+
+    @cached_property
+    def affine(self) -> bool:
+        """Whether the expected output is affine in x and in the per-reading coefficients."""
+        return not self.corrected and self.record.affine is not None

@@ -1,0 +1,378 @@
+"""The log density of φ with the coefficients integrated out, about a point, and its slopes.
+
+From the structure's products where these are functions of φ (`Products`), else from the readings at each φ.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._inference.assembly import Assembly, Line, Point, Values
+from bayescal._inference.gaussian import Conditional, Gram, Prior, condition
+from bayescal._inference.noise_on_record import Terms, Whitening, bends, density_terms, variance
+from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
+
+NOWHERE = -1e300  # log density where there is none
+NEWTON = 50  # steps to the mode of x at most, and what the last of them gains, in nats
+RESTS = 1e-11
+TRIED = 12  # draws of a Gaussian fit of φ at which polynomials are tried,
+ENOUGH = 0.3  # and the log density within which they will do there
+
+
+@dataclass(eq=False)
+class Density:
+    """log p(y, φ) as a function of φ's coordinates, x integrated out of the structure linearised at a point.
+
+    Attributes:
+        assembly: the structure on its record.
+        point: where.
+        flat: scales of the coefficients with flat priors.
+        there: coordinates of φ at which a nonlinear structure is linearised in its shapes too; the middle of their
+            priors if not given.
+    """
+
+    assembly: Assembly
+    point: Point
+    flat: Float[np.ndarray, "p"]
+    there: Float[np.ndarray, "d"] | None = None
+
+    def __post_init__(self) -> None:
+        noise, record = self.assembly.noise, self.assembly.record
+        # One variance for all readings: products over them do not depend on it.
+        self.even = noise.even(record.frame) and not len(self.assembly.row_sd)
+        self._lines: dict[tuple[float, ...], tuple[Line, Gram | None]] = {}
+        self._mode = self.point.x  # of x, where it was sought
+
+    @cached_property
+    def products(self) -> Products | None:
+        """The structure's products as functions of φ; None where φ moves them otherwise than by shapes."""
+        assembly = self.assembly
+        if not self.even or assembly.corrected or any(t.place == "phi" for t in assembly.terms):
+            return None
+        if any(basis_of(t, assembly) is None for t in assembly.terms):
+            return None
+        there = np.zeros(len(assembly.hypers)) if self.there is None else self.there
+        return Products(assembly, self.point, np.clip(there, -4.0, 4.0))
+
+    # from the readings ------------------------------------------------------------------------------------------
+
+    def _line(self, v: np.ndarray, hyper: Values) -> tuple[Line, Gram | None]:
+        key = tuple(float(v[i]) for i in self.assembly.moving)
+        found = self._lines.get(key)
+        if found is None:
+            line = self.assembly.linearise(self.point, hyper)
+            gram = None
+            if self.even:
+                beside = self._beside(line)
+                gram = Gram.of(beside.T @ beside, 0.0)
+            if len(self._lines) > 64:
+                self._lines.clear()
+            found = self._lines[key] = (line, gram)
+        return found
+
+    def residual(self, line: Line) -> Float[np.ndarray, "n"]:
+        """What the expected output leaves, with the per-reading coefficients at zero."""
+        return self.assembly.record.y - line.mean + np.sum(line.rows * self.point.rows, axis=1)
+
+    def _beside(self, line: Line) -> np.ndarray:
+        """J and r in one table."""
+        table = np.empty((len(line.mean), line.jacobian.shape[1] + 1), order="F")
+        table[:, :-1], table[:, -1] = line.jacobian, self.residual(line)
+        return table
+
+    def extra(self, line: Line) -> Float[np.ndarray, "n"] | float:
+        """Variance that the per-reading coefficients add."""
+        if not len(self.assembly.row_sd):
+            return 0.0
+        return np.sum((line.rows * self.assembly.row_sd) ** 2, axis=1)
+
+    def _white(self, line: Line, hyper: Values) -> Whitening:
+        return Whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
+
+    def whitened(
+        self, v: np.ndarray, x: Float[np.ndarray, "p"]
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n q"], float]:
+        """Residuals at φ and x, output unit; whitened Jacobian and these residuals beside each other; log|Σ|."""
+        hyper = self.assembly.hyper(v)
+        line = self._line(v, hyper)[0]
+        residual = self.residual(line) - line.jacobian @ (x - self.point.x)
+        return residual, *self._white(line, hyper).both(np.column_stack([line.jacobian, residual]))
+
+    def gram(self, v: np.ndarray, hyper: Values) -> Gram:
+        """Weighted products of the readings at φ."""
+        line, gram = self._line(v, hyper)
+        if gram is not None:
+            shared, size = float(self.assembly.noise.shared_variance(hyper)), len(line.mean)
+            jtj, jtr, rtr = (part / shared for part in gram[:3])
+            return Gram(jtj, jtr, rtr, size * math.log(shared))
+        if not self.assembly.noise.gaussian:
+            return self._about_the_mode(self._beside(line), hyper)
+        return Gram.of(*self._white(line, hyper).gram(self._beside(line)))
+
+    def _about_the_mode(self, table: Float[np.ndarray, "n q"], hyper: Values) -> Gram:
+        """The products that stand for a law that is not Gaussian: of the quadratic about the mode of x given φ.
+
+        Newton's steps with the law's own curvature; where one leads down, the step of a Gaussian scale mixture, which
+        never does. With the mode's distance m from here, products there become JᵀWJ, JᵀWr + JᵀWJ·m, and so on.
+        Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
+        """
+        noise, record = self.assembly.noise, self.assembly.record
+        prior, jacobian, residual = (
+            self.assembly.prior(hyper, self.flat),
+            table[:, :-1],
+            table[:, -1],
+        )
+        x, move = self.point.x, self._mode - self.point.x
+
+        def look(move: np.ndarray) -> tuple[float, Terms]:
+            terms = density_terms(noise, hyper, record, residual - jacobian @ move)
+            z = prior.weight * (x + move - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
+            return terms.squares + float(z @ z), terms
+
+        def products(terms: Terms, weight: np.ndarray) -> Gram:
+            jtj = (jacobian * weight[:, None]).T @ jacobian
+            return Gram(jtj, jacobian.T @ terms.slope, terms.squares, terms.logdet)
+
+        value, terms = look(move)
+        for _ in range(NEWTON):
+            for weight in (terms.curvature, terms.weight(residual - jacobian @ move)):
+                found = condition(products(terms, weight), len(residual), prior, x + move)
+                if found is None:
+                    continue
+                step = found.mean - x - move
+                there, further = look(move + step)
+                if there <= value:
+                    break
+            else:
+                break
+            move, gained, value, terms = move + step, value - there, there, further
+            if gained < RESTS:
+                break
+        self._mode = x + move
+        gram = products(terms, terms.curvature)
+        across = gram.jtj @ move
+        squares = gram.rtr + float(move @ (2 * gram.jtr + across))
+        return Gram(gram.jtj, gram.jtr + across, squares, gram.logdet)
+
+    def squares(self, hyper: Values, gram: Gram) -> float:
+        """Of the whitened residuals at the point itself; under a heavy-tailed law what stands in their place."""
+        noise, record = self.assembly.noise, self.assembly.record
+        if noise.gaussian:
+            return gram.rtr
+        line = self.assembly.linearise(self.point, hyper)
+        return density_terms(noise, hyper, record, self.residual(line)).squares
+
+    # the density ------------------------------------------------------------------------------------------------
+
+    def _given(self, v: np.ndarray) -> tuple[float, Values, Prior, Conditional | None]:
+        """The log density, φ by name, the prior of x and x itself; coefficients that products hold are among x."""
+        hyper = self.assembly.hyper(v)
+        prior, at = self.assembly.prior(hyper, self.flat), self.point.x
+        products = self.products
+        if products is not None and products.reaches(v):
+            prior, at = products.prior(prior), products.at
+            gram = products.gram(v, hyper)
+        else:
+            gram = self.gram(v, hyper)
+        if not math.isfinite(gram.rtr + gram.logdet) or not np.all(np.isfinite(prior.sd)):
+            return NOWHERE, hyper, prior, None
+        found = condition(gram, self.assembly.record.size, prior, at)
+        if found is None:
+            return NOWHERE, hyper, prior, None
+        return found.log_marginal + self.assembly.log_prior(v), hyper, prior, found
+
+    def at(self, v: np.ndarray) -> tuple[float, Conditional | None]:
+        """The log density at a coordinate, and x given φ there; none where there is no density."""
+        value, _, _, found = self._given(v)
+        if found is None or not math.isfinite(value):
+            return NOWHERE, None
+        return value, found.first(self.assembly.size)
+
+    def values(self, vs: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k"]:
+        """The log density at several coordinates."""
+        return np.array([self.at(v)[0] for v in vs])
+
+    def slope(self, v: np.ndarray) -> tuple[float, np.ndarray]:
+        """The log density and its gradient."""
+        assembly = self.assembly
+        value, hyper, prior, found = self._given(v)
+        if found is None or not math.isfinite(value):
+            return NOWHERE, np.zeros(len(v))
+        made = assembly.log_prior_slope(v)
+        excess = ((found.z**2 + found.variance_of_z - 1) * prior.weight)[: assembly.size]
+        for i, log_sd in assembly.log_sd_slopes(v, hyper):
+            made[i] += excess @ log_sd
+        if self.products is not None and self.products.reaches(v):
+            made += self.products.slopes(v, hyper, prior, found)
+        elif assembly.noise.gaussian:
+            made += self._slopes_by_readings(v, hyper, prior, found)
+        else:
+            made += self._slopes_about_the_mode(v, hyper, prior, found)
+        return value, made
+
+    def _slopes_by_readings(
+        self, v: np.ndarray, hyper: Values, prior: Prior, found: Conditional
+    ) -> np.ndarray:
+        """What moves the products moves the density by, x's posterior held (see `Products.slopes`)."""
+        assembly, made, p = self.assembly, np.zeros(len(v)), len(found.u)
+        line, move = self._line(v, hyper)[0], found.mean - self.point.x
+        moved = [(i, assembly.along(self.point, v, i)) for i in assembly.moving]
+        # Beside J and the residuals at the mean: the slopes of J, and of what it leaves, by each coordinate.
+        table = self._beside(line)
+        table[:, -1] -= line.jacobian @ move
+        beside = [table]
+        for _, m in moved:
+            output = m.mean + m.columns @ move[m.at] - np.sum(m.rows * self.point.rows, axis=1)
+            beside += [m.columns, output[:, None]]
+        if self.even:
+            taken = found.squares + p - float(prior.weight @ found.variance_of_z)
+            for i, kind in enumerate(assembly.kinds):
+                if kind == "noise":
+                    made[i] = (
+                        0.5 * (taken - assembly.record.size) * assembly.log_variance_slope(v, i)
+                    )
+            white = np.column_stack(beside) / math.sqrt(
+                float(assembly.noise.shared_variance(hyper))
+            )
+        else:
+            whiten = self._white(line, hyper)
+            turned = np.column_stack([line.jacobian @ found.root, table[:, -1]])
+            made += noise_slopes(assembly, v, whiten, turned)
+            white = whiten(np.column_stack(beside)) if moved else table
+        across, end = white[:, :p] @ found.covariance, p + 1
+        for i, m in moved:
+            by_j, output = white[:, end : end + len(m.at)], white[:, end + len(m.at)]
+            made[i] += white[:, p] @ output - np.sum(across[:, m.at] * by_j)
+            end += len(m.at) + 1
+            if np.any(
+                m.rows
+            ):  # and the variance that single readings' coefficients add, these independent
+                further = 2 * (line.rows * m.rows) @ assembly.row_sd**2
+                squares = np.sum(across * white[:, :p], axis=1) + white[:, p] ** 2
+                own = variance(assembly.noise, hyper, assembly.record) + self.extra(line)
+                made[i] += 0.5 * np.sum((squares - 1) * further / own)
+        return made
+
+    def _slopes_about_the_mode(
+        self, v: np.ndarray, hyper: Values, prior: Prior, found: Conditional
+    ) -> np.ndarray:
+        """The same of a law that is not Gaussian, whose curvature at the mode of x moves with all of φ.
+
+        The density is Σf(ρ) − ½z² − ½·log|A|, A = JᵀWJ + D, W = −f″, ρ what is left of the readings at the mode and
+        C = A⁻¹. By ρᵢ the volume has the slope ½·hᵢ·f‴, h the diagonal of J·C·Jᵀ; the mode moves by C·∂G, G = −Jᵀf′ −
+        D·(x − m), and so the volume by −qᵀ∂G with q = C·Jᵀ(½·h·f‴).
+        """
+        assembly, made = self.assembly, np.zeros(len(v))
+        noise, record = assembly.noise, assembly.record
+        table = self._beside(self._line(v, hyper)[0])
+        jacobian, move = table[:, :-1], found.mean - self.point.x
+        left = table[:, -1] - jacobian @ move
+        terms, further = (
+            density_terms(noise, hyper, record, left),
+            bends(noise, hyper, record, left),
+        )
+        across = jacobian @ found.covariance
+        leverage = np.sum(across * jacobian, axis=1)
+        of_volume = 0.5 * leverage * further.third
+        q = across.T @ of_volume
+        along = jacobian @ q
+        for i, h in enumerate(assembly.hypers):
+            if h.kind == "noise":
+                plain, first, second = further.by_parameter[h.name]
+                slope = np.sum(plain + 0.5 * leverage * second + along * first)
+                made[i] = slope * assembly.value_change(v, i)
+        tightness = np.where(prior.sd > 0, found.z / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
+        for i, log_sd in assembly.log_sd_slopes(v, hyper):
+            made[i] -= q @ (2 * prior.weight * tightness * log_sd)
+        for i in assembly.moving:
+            at, by_j, mean, _ = assembly.along(self.point, v, i)
+            output = mean + by_j @ move[at]
+            weighted = terms.curvature * output
+            made[i] += terms.slope @ output - np.sum(terms.curvature @ (across[:, at] * by_j))
+            made[i] += along @ weighted - of_volume @ output - (by_j @ q[at]) @ terms.slope
+        return made
+
+
+def turn(root: Float[np.ndarray, "p p"], back: Float[np.ndarray, "p"]) -> np.ndarray:
+    """What turns [J | r] into [J·C^½ | e]: C the covariance of x, e the residuals at its mean, a step `back` away."""
+    q = len(back)
+    made = np.zeros((q + 1, q + 1))
+    made[:q, :q], made[:q, q], made[q, q] = root, back, 1.0
+    return made
+
+
+def noise_slopes(
+    assembly: Assembly, v: Float[np.ndarray, "d"], white: Whitening, table: Float[np.ndarray, "n m"]
+) -> Float[np.ndarray, "d"]:
+    """Slopes of the log marginal likelihood by the coordinates of a Gaussian law's parameters; zero by others.
+
+    With x integrated out, C its covariance and e the residuals at its mean, a parameter moves it by what it moves
+    −½·(tr TᵀΣ⁻¹T + log|Σ|) by, the table T = [J·C^½ | e] held.
+
+    Args:
+        assembly: the structure on its record.
+        v: coordinates of φ.
+        white: of the noise there.
+        table: T, output unit.
+    """
+    by_name, made = white.slopes(table), np.zeros(len(v))
+    for i, h in enumerate(assembly.hypers):
+        if h.kind == "noise":
+            made[i] = by_name[h.name] * assembly.value_change(v, i)
+    return made
+
+
+def about(density: Density, v: np.ndarray, covariance: np.ndarray, close: float) -> Products | None:
+    """Products as polynomials along the outer axes, good where a Gaussian fit of φ has its draws; None where none are.
+
+    Args:
+        density: of φ, computed from the readings.
+        v: centre of the fit.
+        covariance: of the fit.
+        close: log density, within which polynomials are good; of others the best, if they will do.
+    """
+    assembly = density.assembly
+    axes = Axes(assembly)
+    dim = len(axes.names)
+    if dim not in DEGREES or not np.all(np.isfinite(covariance)):
+        return None
+    draws = (
+        v
+        + np.random.default_rng(0).standard_normal((400, len(v))) @ np.linalg.cholesky(covariance).T
+    )
+    coordinates = axes.of(assembly.hyper(draws.T), draws)
+    if not np.all(np.isfinite(coordinates)):
+        return None
+    tried = draws[:TRIED]
+    there = np.array([density.at(one)[0] for one in tried])
+    products = Products(assembly, density.point, v, axes)
+    best, found = ENOUGH, None
+    rows: list[np.ndarray] = []
+    for degree in DEGREES[dim]:
+        polynomials = Polynomials(coordinates, degree)
+        rows += [products.row(c) for c in polynomials.points[len(rows) :]]
+        products.refit(polynomials, np.array(rows))
+        here = [_log_density(products, density.flat, one) for one in tried]
+        apart = float(np.max(np.abs(here - there)))
+        if apart < best:
+            best, found = apart, (polynomials, len(rows))
+        if best < close:
+            break
+    if found is None:
+        return None
+    products.refit(found[0], np.array(rows[: found[1]]))
+    return products
+
+
+def _log_density(products: Products, flat: np.ndarray, v: np.ndarray) -> float:
+    """Of one φ, by products."""
+    assembly = products.assembly
+    hyper = assembly.hyper(v)
+    prior = products.prior(assembly.prior(hyper, flat))
+    found = condition(products.gram(v, hyper), products.size, prior, products.at)
+    return NOWHERE if found is None else found.log_marginal + assembly.log_prior(v)

@@ -1,0 +1,243 @@
+"""Joint draws: x given each of many φ, and the true density of both against what they were drawn from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import gammaln
+
+from bayescal._inference.assembly import Assembly, Point
+from bayescal._inference.gaussian import LOG_2PI, Drawn
+from bayescal._inference.mode import Mode
+from bayescal._inference.noise_on_record import total_log_density, variance
+from bayescal._inference.terms import ColumnsOf, Term
+from bayescal._model.noise_law import Noise
+
+FREEDOM = 5  # of the Student-t proposals
+Batch = Mapping[str, np.ndarray | float]  # φ by name, one value a draw, or one for all
+
+
+def draw_joint(
+    assembly: Assembly,
+    mode: Mode,
+    found: Drawn,
+    normal: Float[np.ndarray, "b p"],
+    hyper: Batch,
+    exact: bool,
+    random: np.random.Generator,
+):
+    """x and the per-reading coefficients given each φ, and the log ratio of the true joint density to what they are
+    drawn from times the closed form: that of true to linearised likelihood.
+
+    Args:
+        assembly: the structure on its record.
+        mode: its mode.
+        found: x drawn given each φ,
+        normal: by these numbers; see `normal_numbers`.
+        hyper: φ by name, one value a draw.
+        exact: whether the closed form was that of φ itself.
+        random: for the per-reading coefficients.
+
+    Returns:
+        x (b, p), rows (b, n, k), log ratio (b,).
+    """
+    count, (size, width) = len(found.x), mode.point.rows.shape
+    own = random.standard_normal((count, size, width))
+    x = found.x
+    rows = np.broadcast_to(mode.point.rows, (count, size, width))
+    if not width and assembly.affine and exact:
+        return x, rows, np.zeros(count)
+    log_volume, squares = found.log_volume, np.sum(normal**2, axis=1)
+    if width:
+        rows, volume = _draw_rows(assembly, mode, x, hyper, own)
+        log_volume, squares = log_volume + volume, squares + np.sum(own**2, axis=(1, 2))
+    log_drawn = _log_density(squares, normal.shape[1] + size * width, assembly.noise) - log_volume
+    left = assembly.record.y - expected(assembly, x, rows, hyper)
+    prior = -0.5 * (found.squares + LOG_2PI * np.sum(assembly.weight_of_x))
+    if width:
+        spread = assembly.row_sd
+        prior -= 0.5 * np.sum((rows / spread) ** 2, axis=(1, 2))
+        prior -= 0.5 * size * float(np.sum(2 * np.log(spread) + LOG_2PI))
+    true = total_log_density(assembly.noise, assembly.record, left, hyper)
+    return x, rows, true + prior - log_drawn - found.log_marginal
+
+
+def normal_numbers(assembly: Assembly, count: int, random: np.random.Generator) -> np.ndarray:
+    """What x is drawn by (b, p): standard normal, or Student-t, where the posterior has heavier tails than its fit."""
+    normal = random.standard_normal((count, assembly.size))
+    if not assembly.noise.gaussian:
+        normal *= np.sqrt(FREEDOM / random.chisquare(FREEDOM, count))[:, None]
+    return normal
+
+
+def _log_density(squares: Float[np.ndarray, "b"], dim: int, noise: Noise) -> np.ndarray:
+    """Of the numbers that x is placed by: standard normal, or Student-t."""
+    if noise.gaussian:
+        return -0.5 * (squares + dim * LOG_2PI)
+    half = 0.5 * (FREEDOM + dim)
+    norm = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dim * math.log(FREEDOM * math.pi)
+    return norm - half * np.log1p(squares / FREEDOM)
+
+
+def _draw_rows(assembly: Assembly, mode: Mode, x, hyper: Batch, own: Float[np.ndarray, "b n k"]):
+    """Per-reading coefficients given all else in the linearised model, and the log volume of the map from `own`."""
+    drawn, volumes = np.empty_like(own), np.empty(len(own))
+    moving, line = bool(assembly.moving), None
+    for b in range(len(own)):
+        one = {name: float(np.broadcast_to(v, len(own))[b]) for name, v in hyper.items()}
+        if line is None or moving:
+            line = assembly.linearise(mode.point, one)
+            known = line.mean - np.sum(line.rows * mode.point.rows, axis=1)
+        left = assembly.record.y - known - line.jacobian @ (x[b] - mode.point.x)
+        noise = variance(assembly.noise, one, assembly.record)
+        precision = line.rows[:, :, None] * line.rows[:, None, :] / noise[:, None, None]
+        precision = precision + np.diag(1 / assembly.row_sd**2)
+        chol = np.linalg.cholesky(precision)
+        pull = line.rows * (left / noise)[:, None]
+        root = np.linalg.inv(chol).transpose(0, 2, 1)  # of the covariance of each reading's own
+        drawn[b] = (root @ ((root.transpose(0, 2, 1) @ pull[..., None]) + own[b][..., None]))[
+            ..., 0
+        ]
+        volumes[b] = -np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)))
+    return drawn, volumes
+
+
+def linearise_draws(
+    assembly: Assembly, point: Point, hyper: Batch, count: int
+) -> Float[np.ndarray, "b n q"]:
+    """J beside what the expected output at a point leaves, of a structure that corrects no column, for several φ."""
+    record = assembly.record
+    x = np.broadcast_to(point.x, (count, assembly.size))
+    rows = np.broadcast_to(point.rows, (count, *point.rows.shape))
+    mean, columns = expected_with_slopes(assembly, x, rows, hyper, assembly.in_x)
+    table = np.zeros((count, assembly.size + 1, record.size)).transpose(0, 2, 1)
+    for t, column in zip(assembly.in_x, columns, strict=True):
+        if t.known.per is None:
+            table[:, :, t.at.start] = column
+            continue
+        known = np.flatnonzero((codes := record.codes[t.known.per]) >= 0)
+        wide = np.broadcast_to(column, (count, record.size))
+        table[:, known, t.at.start + codes[known]] = wide[:, known]
+    table[:, :, -1] = record.y - mean
+    return table
+
+
+def expected_with_slopes(
+    assembly: Assembly, x, rows, hyper: Batch, terms: Sequence[Term]
+) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
+    """Expected output of joint draws, and its slopes by some terms, (n,) or (b, n) each, as if all readings belonged
+    to one member of a term's group."""
+    record = assembly.record
+    moves = _moves(assembly, x, rows, hyper)
+    known: dict[str, np.ndarray] = {}
+    mean, slopes = record.responses(_slots(assembly, x, rows, hyper, moves, known), moves)
+    slopes, wanted, found = dict(slopes), {id(t) for t in terms}, {}
+    made = {} if moves else {of: (columns, {}) for of, columns in known.items()}
+    for t, value in zip(assembly.terms, _values(assembly, x, rows, hyper), strict=True):
+        if not (moves or id(t) in wanted):
+            continue
+        if (of := t.known.of) not in made:
+            made[of] = _moved_columns(assembly, t, hyper, {} if t.slot in moves else moves)
+        columns, by_move = made[of]
+        found[id(t)] = columns[..., t.index] * t.factor
+        for name, slope in by_move.items():
+            slopes[name] = slopes[name] + slopes[t.slot] * slope[..., t.index] * t.factor * value
+    return mean, [slopes[t.slot] * found[id(t)] for t in terms]
+
+
+def _moves(assembly: Assembly, x, rows, hyper: Batch) -> dict[str, np.ndarray]:
+    """What columns of the readings are corrected by, (b, n) each."""
+    moves = {name: np.zeros((len(x), assembly.record.size)) for name in assembly.corrected}
+    if moves:
+        _sum_into(moves, assembly, _values(assembly, x, rows, hyper), hyper, {}, {})
+    return moves
+
+
+def expected(
+    assembly: Assembly,
+    x: Float[np.ndarray, "b p"],
+    rows: Float[np.ndarray, "b n k"],
+    hyper: Batch,
+) -> Float[np.ndarray, "b n"]:
+    """Expected output of joint draws, output unit.
+
+    Args:
+        assembly: the structure on its record.
+        x: coefficients, reported units.
+        rows: per-reading coefficients.
+        hyper: φ by name, one value a draw.
+    """
+    moves = _moves(assembly, x, rows, hyper)
+    return assembly.record.several(_slots(assembly, x, rows, hyper, moves), moves)
+
+
+def _slots(
+    assembly: Assembly, x, rows, hyper: Batch, moves: dict, made: dict | None = None
+) -> dict[str, np.ndarray]:
+    """What the coefficients of each slot come to, (b, n) each; `made` keeps the columns by effect."""
+    slots = {name: np.zeros((len(x), assembly.record.size)) for name in assembly.record.slots}
+    for name, design in assembly.designs.items():
+        slots[name] += x @ design.T
+    made = {} if made is None else made
+    _sum_into(slots, assembly, _values(assembly, x, rows, hyper), hyper, moves, made)
+    return slots
+
+
+def _sum_into(sums: dict, assembly: Assembly, values, hyper: Batch, moves: dict, made: dict):
+    """Add up what the coefficients of each slot come to."""
+    designs = assembly.designs
+    for t, value in zip(assembly.terms, values, strict=True):
+        if t.slot not in sums or (t.place == "x" and t.slot in designs and not t.known.shape_names):
+            continue
+        of, names = t.known.of, t.known.shape_names
+        if of not in made:
+            made[of] = _columns(assembly, t.known.columns, names, hyper, moves)
+        sums[t.slot] += made[of][..., t.index] * t.factor * value
+
+
+def _columns(assembly: Assembly, columns: ColumnsOf, names, hyper: Batch, moves: dict):
+    """An effect's columns, (n, k) for all draws or (b, n, k)."""
+    if not names and not moves:
+        return assembly.record.columns(columns, ())
+    return assembly.record.columns_of_draws(columns, _shapes(names, hyper, moves), moves)
+
+
+def _moved_columns(assembly: Assembly, term: Term, hyper: Batch, moves: dict):
+    """The columns of a term's effect, and their slopes by the moves."""
+    columns, names = term.known.columns, term.known.shape_names
+    if not moves:
+        return _columns(assembly, columns, names, hyper, moves), {}
+    shapes = _shapes(names, hyper, moves)
+    return assembly.record.moved_columns_of_draws(columns, shapes, moves)
+
+
+def _shapes(names, hyper: Batch, moves: dict) -> list[np.ndarray]:
+    """Values of an effect's shapes, one a draw."""
+    count = max((len(v) for v in moves.values()), default=0)
+    shapes = np.broadcast_arrays(*(hyper[name] for name in names), np.zeros(count or 1))[:-1]
+    return [np.atleast_1d(s) for s in shapes]
+
+
+def _values(assembly: Assembly, x, rows, hyper: Batch):
+    """Each term's coefficient for each draw at each reading, (b, 1) or (b, n)."""
+    row, count = 0, len(x)
+    for t in assembly.terms:
+        if t.place == "row":
+            yield rows[:, :, row]
+            row += 1
+            continue
+        if t.place == "x":
+            value = x[:, t.at]
+        elif t.place == "fixed":
+            value = np.full((count, t.size), t.value)
+        else:
+            value = np.stack([np.broadcast_to(hyper[m], count) for m in t.members], axis=1)
+            if t.spread_name is not None:
+                value = t.known.mean + np.broadcast_to(hyper[t.spread_name], count)[:, None] * value
+        if t.known.per is not None:  # the code of no member is −1
+            codes = assembly.record.codes[t.known.per]
+            value = np.concatenate([value, np.zeros((count, 1))], axis=1)[:, codes]
+        yield value

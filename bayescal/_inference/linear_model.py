@@ -1,0 +1,271 @@
+"""A fitted structure as a linear model: whitened residual and nuisance columns, shapes among them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
+
+from bayescal._core.errors import ModelError
+from bayescal._data.measurements import Measurements
+from bayescal._inference.assembly import Assembly, Line, Point
+from bayescal._inference.density import Density
+from bayescal._inference.mode import Mode
+from bayescal._inference.noise_on_record import Independent, Whitening, variance, whitening
+from bayescal._inference.record import Record
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Frame
+from bayescal._model.model import Model
+from bayescal._model.parameters import bind
+
+STEP = 1e-4  # of a shape's coordinate, for the slope of the output by it
+RANK = 1e-12  # of the largest eigenvalue, below which a direction was not fitted
+
+GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order of magnitude
+
+
+def learned_size(effect: Effect, assembly: Assembly, mode: Mode) -> tuple[float, float] | None:
+    """Spread or amplitude that says how large an effect is, with its standard uncertainty; None if nothing does."""
+    spread = effect.coefficients[0].spread is not None
+    learned = f"{effect.coefficient_name(0)}.spread" if spread else ""
+    if effect.measure:
+        learned = f"{effect.name}.{effect.measure}"
+    names = [h.name for h in assembly.hypers]
+    if learned not in names:
+        return None
+    i, value = names.index(learned), float(assembly.hyper(mode.v)[learned])
+    return value, abs(value * assembly.value_slope(mode.v, i)) * math.sqrt(mode.covariance[i, i])
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """The readings as y = μ + columns·θ + noise about a mode.
+
+    Attributes:
+        assembly, mode: of the structure.
+        line: at the mode.
+        residual: at the posterior mean of θ, output unit (n,).
+        nuisance: slopes by x and by the moving entries of φ, times their prior's standard deviations (n, q).
+        weight: 1 where the prior is proper, 0 where it is flat (q,).
+        owners: of each of these columns, the effect (q,).
+        z: where θ stands, in standard deviations from its prior mean; 0 where the prior is flat (q,).
+        whiten: of the readings.
+        extra: variance that the per-reading coefficients add (n,), or 0.
+    """
+
+    assembly: Assembly
+    mode: Mode
+    line: Line
+    residual: Float[np.ndarray, "n"]
+    nuisance: Float[np.ndarray, "n q"]
+    weight: Float[np.ndarray, "q"]
+    sd: Float[np.ndarray, "q"]
+    owners: tuple[str, ...]
+    z: Float[np.ndarray, "q"]
+    whiten: Whitening | Independent
+    extra: Float[np.ndarray, "n"] | float
+
+    @property
+    def size(self) -> int:
+        return len(self.residual)
+
+    @cached_property
+    def white_residual(self) -> Float[np.ndarray, "n"]:
+        return self.whiten(self.residual[:, None])[:, 0]
+
+    @cached_property
+    def white_nuisance(self) -> Float[np.ndarray, "n q"]:
+        return self.whiten(self.nuisance)
+
+    def contribution(self, name: str) -> Float[np.ndarray, "n"]:
+        """What an effect's coefficients add to the expected output, against their priors' means, output unit."""
+        own = np.array([owner == name for owner in self.owners])
+        x = np.flatnonzero(own[: self.line.jacobian.shape[1]])
+        return self.nuisance[:, x] @ self.z[x]
+
+    @cached_property
+    def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
+        """R with R·Rᵀ the inverse of AᵀA + W, A whitened and W the weights, where this has one; and A·R."""
+        white = self.white_nuisance
+        inner = white.T @ white + np.diag(self.weight)
+        size = np.sqrt(np.diag(inner))
+        size = np.where(size > 0, size, 1.0)
+        weights, vectors = np.linalg.eigh(inner / size / size[:, None])
+        known = weights > RANK * weights[-1:]
+        root = np.where(known, 1 / np.sqrt(np.where(known, weights, 1.0)), 0.0)
+        root = vectors * root / size[:, None]
+        return root, white @ root
+
+    @property
+    def directions(self) -> Float[np.ndarray, "n q"]:
+        """G: whitened residuals have the covariance I − G·Gᵀ.
+
+        That is if the model is right. With A the whitened nuisances and W their weights (0 where flat), whitened
+        readings have the covariance I + A·W⁻¹·Aᵀ, and the residuals are (I − H) times them, with the leverages
+        H = A·(AᵀA + W)⁻¹·Aᵀ = G·Gᵀ; so (I − H)·(I + A·W⁻¹·Aᵀ)·(I − H) = I − H.
+        """
+        return self._eigen[1]
+
+    @property
+    def taken(self) -> Float[np.ndarray, "n q"]:
+        """F, output unit: residuals have the covariance Σ − F·Fᵀ if the model is right; L·G for Σ = L·Lᵀ."""
+        return self.nuisance @ self._eigen[0]
+
+    @cached_property
+    def settled(self) -> Float[np.ndarray, "n"]:
+        """Residual once all of θ is fitted together, shapes too, output unit."""
+        root, _ = self._eigen
+        pull = self.white_nuisance.T @ self.white_residual - self.weight * self.z
+        return self.residual - self.nuisance @ (root @ (root.T @ pull))
+
+    @cached_property
+    def white_settled(self) -> Float[np.ndarray, "n"]:
+        return self.whiten(self.settled[:, None])[:, 0]
+
+    @cached_property
+    def variance(self) -> Float[np.ndarray, "n"]:
+        """Of each reading about its expected output."""
+        hyper, extra = self.assembly.hyper(self.mode.v), self.extra
+        return variance(self.assembly.noise, hyper, self.assembly.record) + extra
+
+    @cached_property
+    def rest(self) -> float:
+        """Sum of squares, the prior's share included."""
+        return float(self.white_residual @ self.white_residual) + float(self.weight @ self.z**2)
+
+    @cached_property
+    def _chol(self) -> np.ndarray:
+        inner = self.white_nuisance.T @ self.white_nuisance + np.diag(self.weight)
+        return np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
+
+    def projected(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "q k"]:
+        """What of whitened columns the nuisances take: the information left is CᵀC − PᵀP."""
+        return solve_triangular(self._chol, self.white_nuisance.T @ columns, lower=True)
+
+    @cached_property
+    def slopes(self) -> dict[str, np.ndarray]:
+        """Of the expected output by each slot, at the mode."""
+        return self.assembly.slopes(self.mode.point, self.assembly.hyper(self.mode.v))
+
+
+def taken_up(u: np.ndarray, information: np.ndarray) -> tuple[float, float]:
+    """What columns of standard normal coefficients take up: half a log volume, and of the sum of squares.
+
+    Args:
+        u: their score after the nuisances (k,).
+        information: after the nuisances (k, k).
+
+    Returns:
+        An infinite volume where there is none.
+    """
+    if not len(u):
+        return 0.0, 0.0
+    chol, failed = dpotrf(information + np.eye(len(u)), lower=1)
+    if failed:
+        return math.inf, 0.0
+    half = dtrtrs(chol, u, lower=1)[0]
+    return float(np.log(chol.diagonal()).sum()), float(half @ half)
+
+
+def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
+    """A structure about its mode."""
+    density = Density(assembly, mode.point, mode.flat, mode.v)
+    hyper = assembly.hyper(mode.v)
+    line = assembly.linearise(mode.point, hyper)
+    prior = assembly.prior(hyper, mode.flat)
+    _, found = density.at(mode.v)
+    x = mode.point.x if found is None else found.mean
+    back = np.sum(line.rows * mode.point.rows, axis=1)
+    residual = assembly.record.y - line.mean + back - line.jacobian @ (x - mode.point.x)
+    columns, sd = [line.jacobian * prior.sd], [prior.sd]
+    there = Point(x, mode.point.rows)
+    for i in assembly.moving:
+        up, down = mode.v.copy(), mode.v.copy()
+        up[i] += STEP
+        down[i] -= STEP
+        ends = [assembly.linearise(there, assembly.hyper(v)).mean for v in (up, down)]
+        columns.append(((ends[0] - ends[1]) / (2 * STEP))[:, None])
+        sd.append(np.ones(1))
+    z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
+    own = [t.known.of for t in assembly.in_x for _ in range(t.at.start, t.at.stop)]
+    extra = density.extra(line)
+    return LinearModel(
+        assembly=assembly,
+        mode=mode,
+        line=line,
+        residual=residual,
+        nuisance=np.concatenate(columns, axis=1),
+        weight=np.append(prior.weight, np.ones(len(assembly.moving))),
+        sd=np.concatenate(sd),
+        owners=(*own, *(assembly.hypers[i].name.rpartition(".")[0] for i in assembly.moving)),
+        z=np.append(prior.weight * z, mode.v[assembly.moving]),
+        whiten=whitening(assembly.noise, hyper, assembly.record, extra, residual),
+        extra=extra,
+    )
+
+
+def sized(model: Model, readings: Measurements, frame: Frame) -> Model:
+    """The model with the amplitudes of what no named effect describes, where these are open.
+
+    They plausibly lie between what the readings could just show, their noise over √n, and an order of magnitude more
+    than the other effects leave of the output: these may have taken up a part.
+
+    Raises:
+        ModelError: one adds to a slot that is not in the output's unit.
+    """
+    if not any(e.open for e in model.effects):
+        return model
+    for e in model.effects:
+        if e.open and model.instrument.slot(e.slot).unit != model.instrument.unit:
+            raise ModelError(
+                f"Effect {e.name!r} adds to {e.slot!r}, which is not in the output's unit [{model.instrument.unit}]: "
+                "give its plausible amplitudes, low and high"
+            )
+    named = Model(
+        model.instrument, tuple(e for e in model.effects if not e.open), model.noise, model.fixed
+    )
+    low, high = amplitudes(named, readings, frame)
+    effects = tuple(e.sized(low, high) if e.open else e for e in model.effects)
+    return Model(model.instrument, effects, model.noise, model.fixed)
+
+
+def amplitudes(model: Model, readings: Measurements, frame: Frame) -> tuple[float, float]:
+    """Plausible amplitudes of what a model lacks, output unit: see `sized`."""
+    layout, y = bind(model, readings)[0], np.asarray(readings["output"])
+    left = _left(Assembly(layout, Record(model.instrument, frame, y, model.effects)))
+    change, step = np.diff(left[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
+    change = change[step > 0] if np.any(step > 0) else change
+    noise = 1.4826 * float(np.median(np.abs(change))) / math.sqrt(2) if len(change) else 0.0
+    rest = _half_range(left) or _half_range(y) or 1.0
+    low = (noise or rest) / math.sqrt(len(left))
+    return tuple(float(f"{v:.2g}") for v in (min(low, rest), 10 * rest))  # pyright: ignore
+
+
+def _half_range(values: Float[np.ndarray, "n"]) -> float:
+    """Half of the range, without a hundredth of the values that lie farthest out."""
+    low, high = np.quantile(values, [0.005, 0.995])
+    return 0.5 * float(high - low)
+
+
+def _left(assembly: Assembly) -> Float[np.ndarray, "n"]:
+    """What the effects leave of the output at least, shapes and deviations of groups at their priors' middle."""
+    hyper, point, y = (
+        assembly.hyper(np.zeros(len(assembly.hypers))),
+        assembly.start,
+        assembly.record.y,
+    )
+    plain = [t.at.start for t in assembly.in_x if t.known.per is None and t.spread_name is None]
+    sd = assembly.prior(hyper, np.ones(assembly.size)).sd[plain]
+    left = y - np.mean(y)
+    for _ in range(GAUSS_NEWTON):
+        line = assembly.linearise(point, hyper)
+        if not np.all(np.isfinite(line.mean)):
+            break
+        left = y - line.mean
+        point.x[plain] += sd * np.linalg.lstsq(line.jacobian[:, plain] * sd, left, rcond=RANK)[0]
+    return left

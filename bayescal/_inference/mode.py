@@ -1,0 +1,330 @@
+"""The mode of a structure: x̂ given φ̂ by Gauss–Newton, φ̂ by marginal likelihood, in turn; and its Laplace evidence.
+
+The joint mode of coefficients and spreads would run to a spread of zero; the mode of φ with x integrated out does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from functools import partial
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._core.parallel import on_one_thread
+from bayescal._inference.assembly import Assembly, Point
+from bayescal._inference.density import NOWHERE, Density
+from bayescal._inference.gaussian import LOG_2PI, Conditional, column_scale, condition
+from bayescal._inference.noise_on_record import variance
+
+STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
+ROUNDS = 12  # alternations of x̂ and φ̂ at most
+STARTS = 64  # prior draws of φ among which the start is chosen,
+AHEAD = np.arange(-3.5, 3.5, 0.02)  # where along a shape of many maxima a higher one may be
+HALVINGS = 8  # of a step that makes things worse
+CURVED, LEAST_CURVATURE = 1e-3, 0.05  # step for the curvature; the least that counts as one
+CLIMB, LONGEST = 100, 1.5  # steps uphill at most; the longest, in prior standard deviations
+NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found
+
+
+class Mode(NamedTuple):
+    """φ̂ with x̂ at it, and the Gaussian fit of φ's coordinates there."""
+
+    point: Point
+    v: Any  # (d,)
+    covariance: Any  # (d, d)
+    log_density: Any  # log p(y, φ̂), x integrated out
+    log_evidence: Any  # Laplace
+    change: Any  # of the last round, in standard deviations
+    flat: Any  # (p,)
+    indefinite: Any  # whether the curvature had to be mended
+
+
+@on_one_thread
+def find_mode(
+    assembly: Assembly,
+    starts: Iterable[np.ndarray] | None = None,
+    covariance: np.ndarray | None = None,
+    point: Point | None = None,
+    still: float = STILL,
+    curved: bool = True,
+) -> Mode:
+    """The mode, from the best of some coordinates of φ. Deterministic.
+
+    Args:
+        assembly: the structure on its record.
+        starts: coordinates to begin at; prior draws if not given. The most probable is taken.
+        covariance: what the Gaussian fit at the mode may look like; the climb is shorter for it.
+        point: where x̂ may be; its prior mean if not given.
+        still: standard deviations that a round moves anything by, below which the mode is found. The log evidence is
+            off by about half their square.
+        curved: whether the Gaussian fit there is asked for too; without, its covariance is the climb's guess.
+    """
+    point, dim = assembly.start if point is None else point, len(assembly.hypers)
+    flat = flat_scales(assembly, point, np.zeros(dim))
+    wanted = prior_draws(assembly) if starts is None else list(starts)
+    if starts is None and assembly.kinds == ["noise"]:  # one hill
+        wanted = wanted[:5]
+
+    def climbed(starts: Sequence[np.ndarray], point: Point) -> _Summit:
+        return _climbed(assembly, starts, covariance, point, flat, still)
+
+    top, highest = (
+        climbed(wanted if dim else [np.zeros(0)], point),
+        partial(max, key=attrgetter("value")),
+    )
+    if starts is None:
+        promoted = np.array([h.kind == "promoted" for h in assembly.hypers], dtype=bool)
+        if promoted.any():  # of a product both factors may have the other sign
+            top = highest(top, climbed([np.where(promoted, -top.v, top.v)], point))
+        for along in across(assembly, top.v):  # and one of many maxima may be higher
+            top = highest(top, climbed([*along], top.point))
+    if not curved and top.value > NOWHERE:
+        return Mode(top.point, top.v, top.wide, top.value, top.value, top.change, flat, False)
+    density = top.density
+    if density is None:
+        density = Density(assembly, top.point, flat, top.v)
+    return at_mode(density, top.v, top.change, top.point)
+
+
+def flat_scales(
+    assembly: Assembly, point: Point, v: Float[np.ndarray, "d"]
+) -> Float[np.ndarray, "p"]:
+    """Scales of the coefficients with flat priors; one for others."""
+    if assembly.weight_of_x.all():
+        return np.ones(assembly.size)
+    return column_scale(assembly.linearise(point, assembly.hyper(v)).jacobian)
+
+
+class _Summit(NamedTuple):
+    """Where a climb ended."""
+
+    value: float  # the log density there
+    change: float  # in the last round
+    v: np.ndarray
+    point: Point
+    wide: np.ndarray | None
+    density: Density | None = None  # of φ there, where it is the one that was climbed
+
+
+def _climbed(
+    assembly: Assembly,
+    starts: Sequence[np.ndarray],
+    covariance: np.ndarray | None,
+    point: Point,
+    flat: np.ndarray,
+    still: float,
+) -> _Summit:
+    """The mode of φ from the best of some starts.
+
+    Each round climbs the density about x̂ given φ, and must raise it about the next x̂. Otherwise it goes part of the
+    way: rounds that lost again what they had gained could go in circles.
+    """
+    nothing = max(NOTHING_LEFT, 0.01 * still**2)
+    density = Density(assembly, point, flat, starts[0])
+    if assembly.affine:
+        v, wide = climb(density, starts, covariance, nothing)
+        value, found = density.at(v)
+        if found is None:
+            return _Summit(value, 0.0, v, point, wide, density)
+        point = _with_rows(assembly, density, found, v)
+        if len(assembly.row_sd):
+            density = Density(assembly, point, flat, v)
+            value = max(value, density.at(v)[0])
+        return _Summit(value, 0.0, v, point, wide, density)
+    v = starts[int(np.argmax(density.values(np.array(starts))))] if len(starts) > 1 else starts[0]
+    density, value = _about_x(assembly, point, v, flat, still)
+    change, wide = math.inf, covariance
+    for _ in range(ROUNDS):
+        goal, wide = climb(density, [v], wide, nothing)
+        for _ in range(HALVINGS):
+            there, higher = _about_x(assembly, density.point, goal, flat, still)
+            if higher > value - nothing:
+                break
+            goal = v + 0.3 * (goal - v)
+        else:
+            break
+        change = float(np.max(np.abs(goal - v), initial=0.0))
+        v, density, value = goal, there, higher
+        if change < still:
+            break
+    return _Summit(value, change, v, density.point, wide)
+
+
+def _about_x(
+    assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray, still: float
+) -> tuple[Density, float]:
+    """The density of φ about x̂ given φ, and its value there."""
+    density = Density(assembly, mode_of_x(assembly, point, v, flat, still), flat, v)
+    return density, density.at(v)[0]
+
+
+def across(assembly: Assembly, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
+    """For each shape whose evidence has many maxima: coordinates along it, all else as it is."""
+    names, made = [h.name for h in assembly.hypers], []
+    shapes = ((e, s) for e in assembly.layout.model.effects for s in e.column_shapes if s.ragged)
+    for name in (e.shape_name(s) for e, s in shapes):
+        if name in names:
+            made.append(np.tile(v, (len(AHEAD), 1)))
+            made[-1][:, names.index(name)] = AHEAD
+    return made
+
+
+def climb(
+    density: Density,
+    starts: Sequence[np.ndarray],
+    covariance: np.ndarray | None,
+    nothing: float = NOTHING_LEFT,
+) -> tuple[np.ndarray, np.ndarray]:
+    """φ̂ of a density, uphill by BFGS from the best of some coordinates, and the covariance of a Gaussian fit there.
+
+    Args:
+        density: of φ.
+        starts: coordinates.
+        covariance: first guess of the inverse curvature.
+        nothing: what counts as nothing to gain, nats.
+    """
+    dim = len(starts[0])
+    if not dim:
+        return starts[0], np.zeros((0, 0))
+    v = starts[int(np.argmax(density.values(np.array(starts))))] if len(starts) > 1 else starts[0]
+    wide = 0.1 * np.eye(dim)
+    if covariance is not None and np.all(np.isfinite(covariance)):
+        wide = covariance
+    value, slope = density.slope(v)
+    for _ in range(CLIMB):
+        step = wide @ slope
+        step *= min(1.0, LONGEST / max(float(np.max(np.abs(step))), 1e-300))
+        gain = float(slope @ step)
+        if not gain > nothing:
+            break
+        for _ in range(HALVINGS):
+            there, next_slope = density.slope(v + step)
+            if there >= value + 1e-4 * gain:
+                break
+            step, gain = 0.3 * step, 0.3 * gain
+        else:
+            break
+        turned = slope - next_slope
+        if (bend := float(step @ turned)) > 1e-12:
+            left = np.eye(dim) - np.outer(step, turned) / bend
+            wide = left @ wide @ left.T + np.outer(step, step) / bend
+        v, value, slope = v + step, there, next_slope
+    return v, wide
+
+
+def prior_draws(assembly: Assembly) -> list[np.ndarray]:
+    """Where the mode may be looked for: the middle of φ's prior, and draws half as wide again. Deterministic."""
+    dim = len(assembly.hypers)
+    draws = 1.5 * np.random.default_rng(0).standard_normal((STARTS, dim))
+    return [np.zeros(dim), *draws]
+
+
+def mode_of_x(
+    assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray, still: float = STILL
+) -> Point:
+    """x̂ given φ: Gauss–Newton on the residuals and the prior's, each step halved until the sum falls."""
+    hyper = assembly.hyper(v)
+    prior = assembly.prior(hyper, flat)
+
+    def look(at: Point) -> tuple[float, Conditional | None, Density]:
+        density = Density(assembly, at, flat)
+        gram = density.gram(v, hyper)
+        if not math.isfinite(gram.rtr + gram.logdet):
+            return math.inf, None, density
+        # Squares at the point itself, not at the linear model's minimum.
+        z = prior.weight * (at.x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
+        found = condition(gram, assembly.record.size, prior, at.x)
+        return density.squares(hyper, gram) + float(z @ z), found, density
+
+    squares, found, _ = look(point)
+    for _ in range(50):
+        if found is None:
+            return point
+        goal, share = found.mean, 1.0
+        width = np.sqrt(np.diag(found.covariance)) + 1e-300
+        if np.max(np.abs((goal - point.x) / width), initial=0.0) < 0.1 * still:
+            return point
+        for _ in range(HALVINGS):
+            trial = Point(point.x + share * (goal - point.x), point.rows)
+            there, found, density = look(trial)
+            if there <= squares or not math.isfinite(squares):
+                break
+            share *= 0.5
+        else:
+            return point
+        gain, squares = squares - there, there
+        point = _with_rows(assembly, density, None, v, trial.x)
+        if len(assembly.row_sd):
+            squares, found, _ = look(point)
+        elif share == 1.0 and gain < still**2:
+            return point
+    return point
+
+
+def _with_rows(assembly, density: Density, found, v, x=None) -> Point:
+    """A point with its per-reading coefficients at their conditional mean."""
+    x = found.mean if x is None else x
+    point = Point(x, density.point.rows)
+    if not len(assembly.row_sd):
+        return point
+    hyper = assembly.hyper(v)
+    line = assembly.linearise(point, hyper)
+    rest = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
+    noise = variance(assembly.noise, hyper, assembly.record)
+    precision = line.rows[:, :, None] * line.rows[:, None, :] / noise[:, None, None]
+    precision = precision + np.diag(1 / assembly.row_sd**2)
+    pull = line.rows * (rest / noise)[:, None]
+    return Point(x, np.linalg.solve(precision, pull[:, :, None])[:, :, 0])
+
+
+def at_mode(
+    density: Density,
+    v: np.ndarray,
+    change: float,
+    point: Point | None = None,
+    quick: bool = False,
+) -> Mode:
+    """The Gaussian fit of φ at its mode, and the Laplace evidence.
+
+    Args:
+        density: of φ.
+        v: its mode.
+        change: of the last round, in standard deviations.
+        point: x̂ there; the density's own point if not given.
+        quick: whether curvatures by differences on one side will do, which are a thousandth off.
+    """
+    value, found = density.at(v)
+    point = density.point if point is None else point
+    if found is None:
+        return _lost(point, v, density.flat)
+    mode = Mode(point, v, np.zeros((0, 0)), value, value, change, density.flat, False)
+    if not len(v):
+        return mode
+    covariance, volume, indefinite = gaussian_fit(density, v, quick)
+    return mode._replace(covariance=covariance, log_evidence=value + volume, indefinite=indefinite)
+
+
+def gaussian_fit(
+    density: Density, v: np.ndarray, quick: bool = False
+) -> tuple[np.ndarray, float, bool]:
+    """Covariance of the Gaussian fit at a mode, its log volume, and whether the curvature had to be mended."""
+    precision, here = np.zeros((len(v), len(v))), density.slope(v)[1] if quick else None
+    for i, shift in enumerate(CURVED * np.eye(len(v))):
+        before = density.slope(v - shift)[1] if here is None else here
+        precision[i] = before - density.slope(v + shift)[1]
+    precision /= CURVED if quick else 2 * CURVED
+    weights, vectors = np.linalg.eigh(0.5 * (precision + precision.T))
+    mended = np.maximum(weights, LEAST_CURVATURE)
+    covariance = (vectors / mended) @ vectors.T
+    covariance = 0.5 * (covariance + covariance.T)
+    volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(mended)))
+    return covariance, volume, bool(np.any(weights < LEAST_CURVATURE))
+
+
+def _lost(point: Point, v: np.ndarray, flat: np.ndarray) -> Mode:
+    nothing = np.full((len(v), len(v)), np.nan)
+    return Mode(point, v, nothing, NOWHERE, -math.inf, math.inf, flat, True)

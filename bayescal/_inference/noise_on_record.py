@@ -1,0 +1,399 @@
+"""A noise law's own functions on a record, as compiled programs: arrays in, NumPy's arrays out.
+
+A program is compiled for a law without its priors, a padded number of readings and a padded number of columns, and
+knows nothing of a structure. Readings that pad a record are runs of their own whose rows are zero: they whiten to zero,
+and their share of a log determinant or density is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._inference.programs import program
+from bayescal._inference.record import Record
+from bayescal._model.frame import Frame
+from bayescal._model.noise_law import LOG_2PI, Noise
+
+Values = Mapping[str, Any]  # φ by name, one number each
+Each = Mapping[str, Any]  # φ by name, one number a draw, or one for all
+WIDTH = 8  # columns that a table is padded to at least, else to twice as many, and so on
+CELLS = 2_000_000  # numbers in the tables of several draws that are held at once
+
+
+class Whitening(NamedTuple):
+    """L⁻¹ of LLᵀ = Σ, at one φ.
+
+    Attributes:
+        law, values, record: the noise law, its parameters, and the readings.
+        extra: variance of each reading beside the law's (n,), or one number.
+    """
+
+    law: Noise
+    values: Values
+    record: Record
+    extra: Float[np.ndarray, "n"] | float = 0.0
+
+    def __call__(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
+        """L⁻¹ times a table; row i belongs to reading i."""
+        return self.both(table)[0]
+
+    def both(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
+        """L⁻¹ times a table, and log|Σ|."""
+        in_time, logdet = self._in_time(table)
+        return _back(self.law, self.record, in_time), logdet
+
+    def gram(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "m m"], float]:
+        """TᵀΣ⁻¹T of a table, and log|Σ|."""
+        in_time, logdet = self._in_time(table)
+        return in_time.T @ in_time, logdet
+
+    def _in_time(self, table: Float[np.ndarray, "n m"]) -> tuple[np.ndarray, float]:
+        """`both`, the rows as the law takes them."""
+        made, log_sd = _whitened(*self._arguments(table))
+        n, m = table.shape
+        return np.asarray(made)[:n, :m], 2.0 * float(np.sum(np.asarray(log_sd)[:n]))
+
+    def slopes(self, table: Float[np.ndarray, "n m"]) -> dict[str, float]:
+        """Of −½·(trace of TᵀΣ⁻¹T + log|Σ|) by each of the law's parameters, the table held."""
+        made = _slopes(*self._arguments(table), np.float64(self.record.size))
+        return {name: float(one) for name, one in made.items()}
+
+    def _arguments(self, table: np.ndarray) -> tuple[Any, ...]:
+        law, record = self.law, self.record
+        extra = np.broadcast_to(np.asarray(self.extra, float), (record.size,))
+        extra = record.longer(_forth(law, record, extra, 0))
+        own = {name: np.float64(self.values[name]) for name in law.parameters()}
+        return law.plain, record.padded_for(law), _padded(law, record, table), extra, own
+
+
+class Independent(NamedTuple):
+    """The same where readings are independent of each other and their standard deviations known.
+
+    Attributes:
+        sd: of each reading (n,).
+        beyond: what a law that is not Gaussian counts beside the squares of whitened residuals.
+    """
+
+    sd: Float[np.ndarray, "n"]
+    beyond: float = 0.0
+
+    def __call__(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
+        return table / self.sd[:, None]
+
+    def both(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
+        return self(table), 2.0 * float(np.sum(np.log(self.sd)))
+
+
+def whitening(
+    law: Noise,
+    values: Values,
+    record: Record,
+    extra: Float[np.ndarray, "n"] | float = 0.0,
+    left: Float[np.ndarray, "n"] | None = None,
+) -> Whitening | Independent:
+    """What makes readings independent and of unit variance under a law at its parameters.
+
+    Args:
+        law: which.
+        values: φ by name.
+        record: the readings.
+        extra: variance of each reading beside the law's.
+        left: what the expected output leaves of the readings: under a law that is not Gaussian each has the precision
+            that it then shows (Gaussian scale mixture). None whitens by the variance.
+    """
+    if law.gaussian and not law.even(record.frame):
+        return Whitening(law, values, record, extra)
+    if law.gaussian or left is None:
+        return Independent(np.sqrt(variance(law, values, record) + extra))
+    terms = density_terms(law, values, record, left)
+    weight = np.maximum(terms.weight(left), np.finfo(float).tiny)
+    total = terms.squares + terms.logdet
+    logdet = -float(np.sum(np.log(weight)))
+    return Independent(1 / np.sqrt(weight), total - logdet - float(left @ (weight * left)))
+
+
+def _forth(law: Noise, record: Record, array: np.ndarray, axis: int) -> np.ndarray:
+    """What belongs to readings, in the order in which a law takes these."""
+    return array if law.independent else np.take(array, record.in_time[0], axis=axis)
+
+
+def _back(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) -> np.ndarray:
+    """The other way round."""
+    if law.independent:
+        return array
+    found = np.empty_like(array)
+    found[record.in_time[0]] = array
+    return found
+
+
+def _padded(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
+    """A table as a law takes it, with rows and columns of zeros up to the padded numbers."""
+    n, m = table.shape
+    width = WIDTH
+    while width < m:
+        width *= 2
+    found = np.zeros((record.padded_size, width))
+    found[:n, :m] = _forth(law, record, table, 0)
+    return found
+
+
+@program
+def _whitened(law: Noise, frame: Frame, table, extra, values):
+    return law.whiten(table, extra, values, frame)
+
+
+@program
+def _slopes(law: Noise, frame: Frame, table, extra, values, size):
+    counted = jnp.arange(frame.size) < size
+
+    def value(values):
+        white, log_sd = law.whiten(table, extra, values, frame)
+        return -0.5 * jnp.sum(white**2) - jnp.sum(jnp.where(counted, log_sd, 0.0))
+
+    return jax.grad(value)(values)
+
+
+@program
+def _grams(law: Noise, frame: Frame, tables, values):
+    def one(given):
+        table, own = given
+        white, log_sd = law.whiten(table, 0.0, own, frame)
+        return white.T @ white, log_sd
+
+    return jax.lax.map(one, (tables, values))
+
+
+def grams(
+    law: Noise, record: Record, tables: Float[np.ndarray, "... n m"], hyper: Each, count: int
+) -> tuple[Float[np.ndarray, "b m m"], Float[np.ndarray, "b"]]:
+    """TᵀΣ⁻¹T and log|Σ| at each of several φ.
+
+    Args:
+        law: the noise law, Gaussian.
+        record: the readings.
+        tables: T, one for each φ, or one for all.
+        hyper: φ by name, one value a draw.
+        count: of draws.
+    """
+    n, m = record.size, tables.shape[-1]
+    found, volume = np.empty((count, m, m)), np.empty(count)
+    several = tables.ndim == 3 and len(tables) > 1
+    together = max(1, min(64, CELLS // (record.padded_size * (m + WIDTH))))
+    single = None if several else _padded(law, record, tables.reshape(n, m))
+    for start in range(0, count, together):
+        pick = np.minimum(start + np.arange(together), count - 1)
+        own = {name: np.asarray(hyper[name])[pick] for name in law.parameters()}
+        if single is None:
+            some = np.stack([_padded(law, record, tables[b]) for b in pick])
+        else:
+            some = np.broadcast_to(single, (together, *single.shape))
+        made, log_sd = _grams(law.plain, record.padded_for(law), some, own)
+        stop = min(start + together, count)
+        found[start:stop] = np.asarray(made)[: stop - start, :m, :m]
+        volume[start:stop] = 2 * np.sum(np.asarray(log_sd)[: stop - start, :n], axis=1)
+    return found, volume
+
+
+class Terms(NamedTuple):
+    """The log density of readings under independent noise, with its derivatives by what is left of each reading.
+
+    As a Gaussian scale mixture a reading has the precision `weight` = −slope/left; `curvature`, −∂²/∂left², may be
+    less, and negative for an outlier.
+    """
+
+    log_density: Float[np.ndarray, "n"]
+    highest: Float[np.ndarray, "n"]  # log density where nothing is left of a reading
+    slope: Float[np.ndarray, "n"]  # −∂/∂left: what pulls the expected output toward the reading
+    curvature: Float[np.ndarray, "n"]
+
+    @property
+    def squares(self) -> float:
+        """What stands for the sum of squares of whitened residuals: twice what the log density lost to them."""
+        return 2 * float(np.sum(self.highest - self.log_density))
+
+    @property
+    def logdet(self) -> float:
+        """What stands for log|Σ|."""
+        return -2 * float(np.sum(self.highest)) - len(self.highest) * LOG_2PI
+
+    def weight(self, left: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """The precision of each reading; at no residual its limit, the curvature."""
+        near = np.abs(left) < 1e-12 * np.max(np.abs(left), initial=0.0)
+        made = np.where(near, self.curvature, self.slope / np.where(near, 1.0, left))
+        return np.maximum(made, 0.0)
+
+
+@program
+def _terms(law: Noise, frame: Frame, y, left, values):
+    def density(left):
+        return law.log_density(y, y - left, values, frame)
+
+    one = jnp.ones(frame.size)
+
+    def slope(left):
+        return jax.jvp(density, (left,), (one,))[1]
+
+    first, second = jax.jvp(slope, (left,), (one,))
+    return density(left), density(jnp.zeros(frame.size)), -first, -second
+
+
+def density_terms(law: Noise, values: Values, record: Record, left: np.ndarray) -> Terms:
+    """Of what the expected output leaves of the readings, independent of each other given it."""
+    own = {name: np.float64(values[name]) for name in law.parameters()}
+    args = record.longer(record.y), record.longer(left)
+    made = _terms(law.plain, record.padded_for(law), *args, own)
+    return Terms(*(np.asarray(a)[: record.size] for a in made))
+
+
+class Bends(NamedTuple):
+    """Further derivatives of the log density f of each reading by what is left of it, and by the law's parameters.
+
+    third (n,): f‴; by_parameter: of each parameter, ∂f, ∂f′ and ∂f″ (3, n).
+    """
+
+    third: Float[np.ndarray, "n"]
+    by_parameter: dict[str, Float[np.ndarray, "3 n"]]
+
+
+@program
+def _bends(law: Noise, frame: Frame, y, left, values):
+    one = jnp.ones(frame.size)
+
+    def along(function):
+        return lambda left, values: jax.jvp(lambda at: function(at, values), (left,), (one,))[1]
+
+    def density(left, values):
+        return law.log_density(y, y - left, values, frame)
+
+    first = along(density)
+    second = along(first)
+
+    def three(values):
+        return jnp.stack([f(left, values) for f in (density, first, second)])
+
+    zero = {name: jnp.zeros_like(value) for name, value in values.items()}
+    moved = {
+        name: jax.jvp(three, (values,), ({**zero, name: jnp.ones_like(value)},))[1]
+        for name, value in values.items()
+    }
+    return along(second)(left, values), moved
+
+
+def bends(law: Noise, values: Values, record: Record, left: np.ndarray) -> Bends:
+    """Of what the expected output leaves of the readings, independent of each other given it."""
+    own = {name: np.float64(values[name]) for name in law.parameters()}
+    args = record.longer(record.y), record.longer(left)
+    third, moved = _bends(law.plain, record.padded_for(law), *args, own)
+    size = record.size
+    by_parameter = {name: np.asarray(three)[:, :size] for name, three in moved.items()}
+    return Bends(np.asarray(third)[:size], by_parameter)
+
+
+@program
+def _densities(law: Noise, frame: Frame, y, left, values):
+    return jax.lax.map(lambda one: law.log_density(y, y - one[0], one[1], frame), (left, values))
+
+
+@program
+def _variances(law: Noise, frame: Frame, values):
+    def one(own):
+        return jnp.broadcast_to(law.variance(own, frame), (frame.size,))
+
+    return jax.lax.map(one, values)
+
+
+@program
+def _samples(law: Noise, frame: Frame, means, keys, values):
+    def one(given):
+        mean, key, own = given
+        return law.sample(jax.random.wrap_key_data(key), mean, own, frame)
+
+    return jax.lax.map(one, (means, keys, values))
+
+
+@program
+def _scores(law: Noise, frame: Frame, left, values):
+    return law.normal_scores(left, values, frame)
+
+
+def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n"]:
+    """Of each reading about the expected output, output unit squared."""
+    if law.even(record.frame):
+        return np.full(record.size, float(law.shared_variance(values)))
+    own = {n: np.atleast_1d(np.asarray(values[n], float)) for n in law.parameters()}
+    return variances(law, own, record)[0]
+
+
+def variances(law: Noise, hyper: Each, record: Record) -> Float[np.ndarray, "b n"]:
+    """The same for several draws."""
+    return _by_draws(_variances, law, record, hyper)
+
+
+def log_densities(
+    law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each
+) -> Float[np.ndarray, "b n"]:
+    """Log density of each reading, given those before it, at what the expected output leaves of it in each draw."""
+    return _by_draws(
+        _densities,
+        law,
+        record,
+        hyper,
+        left,
+        fixed=(record.longer(_forth(law, record, record.y, 0)),),
+    )
+
+
+def samples(
+    law: Noise, record: Record, means: Float[np.ndarray, "b n"], hyper: Each, seed: int
+) -> Float[np.ndarray, "b n"]:
+    """Readings drawn about expected outputs."""
+    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), len(means)))
+    return _by_draws(_samples, law, record, hyper, means, plain=(np.asarray(keys),))
+
+
+def normal_scores(
+    law: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """What is left of readings as independent standard normal numbers, if the law is right."""
+    own = {name: np.float64(values[name]) for name in law.parameters()}
+    left = record.longer(_forth(law, record, left, 0))
+    return _back(
+        law,
+        record,
+        np.asarray(_scores(law.plain, record.padded_for(law), left, own))[: record.size],
+    )
+
+
+def _by_draws(
+    what, law: Noise, record: Record, hyper: Each, *arrays, fixed: tuple = (), plain: tuple = ()
+) -> Float[np.ndarray, "b n"]:
+    """A program of several draws, some at once; the last draw stands in for missing ones."""
+    names = list(law.parameters())
+    count = max([*(np.size(hyper[n]) for n in names), *(len(a) for a in arrays), 1])
+    own = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
+    arrays = tuple(_forth(law, record, np.asarray(a), 1) for a in arrays)
+    found = np.empty((record.size, count))
+    most = max(1, CELLS // record.padded_size)
+    together = 1 if count == 1 else 32 if count <= 32 else min(256, most)
+    for start in range(0, count, together):
+        pick = np.minimum(start + np.arange(together), count - 1)
+        some = [record.longer(a[pick if len(a) > 1 else 0 * pick]) for a in arrays]
+        some += [p[pick] for p in plain]
+        values = {n: v[pick] for n, v in own.items()}
+        made = np.asarray(what(law.plain, record.padded_for(law), *fixed, *some, values))
+        stop = min(start + together, count)
+        found[:, start:stop] = made[: stop - start, : record.size].T
+    return _back(law, record, found).T
+
+
+def total_log_density(
+    law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each
+) -> Float[np.ndarray, "b"]:
+    """Log density of all readings together."""
+    return np.sum(log_densities(law, record, left, hyper), axis=1)

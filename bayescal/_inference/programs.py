@@ -1,0 +1,224 @@
+"""The compiled pieces: an effect's columns, an instrument's slopes.
+
+None knows which effects a model has, so that a search over structures compiles nothing. Records are padded to a few
+lengths by repeating the last reading, so that another record of about the same length compiles nothing either.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import cache, partial, wraps
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayescal._core.errors import ModelError
+from bayescal._core.jit import ALWAYS, QUICK, known
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Frame
+
+STEP = 1.25  # from one padded length to the next
+SHORTEST = 32
+SIDE_BY_SIDE = 2_000_000  # readings of draws that are computed side by side
+LONG = 2000  # readings from which a program is run often enough to be worth optimising: twice the time to compile
+
+
+def padded_length(size: int) -> int:
+    """The next of a few lengths that records are padded to."""
+    steps = max(0, math.ceil(math.log(size / SHORTEST, STEP) - 1e-9))
+    return max(size, round(SHORTEST * STEP**steps))
+
+
+def padded(frame: Frame) -> Frame:
+    """The same readings, the last of them repeated up to the padded length, each repetition a run of its own."""
+    size = frame.size
+    more = padded_length(size) - size
+
+    def longer(values: Any) -> np.ndarray:
+        return np.pad(np.asarray(values), (0, more), mode="edge")
+
+    def all_of(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: longer(v) for name, v in values.items()}
+
+    return Frame(
+        columns=all_of(frame.columns),
+        labels=all_of(frame.labels),
+        rates=all_of(frame.rates),
+        codes={
+            g: np.pad(np.asarray(c), (0, more), constant_values=-1) for g, c in frame.codes.items()
+        },
+        reference={k: np.asarray(v) for k, v in frame.reference.items()},
+        order=np.append(np.asarray(frame.order), np.arange(size, size + more, dtype=np.int32)),
+        step=np.append(np.asarray(frame.step), -np.ones(more)),
+        record=all_of(frame.record),
+    )
+
+
+def program(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function of something that is no array, of a frame, and of arrays, when it is first called."""
+
+    @cache
+    def made(long: bool) -> Callable[..., Any]:
+        def whole(what: Any, form: Any, arrays: tuple[Array, ...], *args: Any) -> Any:
+            return function(what, jax.tree.unflatten(form, arrays), *args)
+
+        whole.__name__ = function.__name__  # in profiles and logs of compilations
+        options = known(ALWAYS if long else QUICK)
+        return jax.jit(whole, static_argnums=(0, 1), compiler_options=options)
+
+    @wraps(function)
+    def call(what: Any, leaves: Leaves, *args: Any) -> Any:
+        loops = not getattr(what, "independent", True)  # through all readings, at each φ
+        return made(leaves.long or loops)(what, leaves.form, leaves.arrays, *args)
+
+    return call
+
+
+Basis = tuple[Callable[..., Any], int, str]  # a basis, how many columns it has, whose it is
+
+
+def basis_of(effect: Effect) -> Basis:
+    """What an effect's columns depend on: not its priors."""
+    return effect.basis, len(effect.coefficients), effect.name
+
+
+class Leaves(NamedTuple):
+    """A frame taken apart, so that handing it to a program costs little."""
+
+    arrays: tuple[Array, ...]
+    form: Any
+    long: bool
+
+    @classmethod
+    def of(cls, frame: Frame) -> Leaves:
+        arrays, form = jax.tree.flatten(frame)
+        return cls(tuple(map(jnp.asarray, arrays)), form, frame.size >= LONG)
+
+
+@program
+def fixed_columns(bases: tuple[Basis, ...], frame: Frame) -> list[Float[Array, "n k"]]:
+    """Columns of effects without shapes, all in one program."""
+    return [Effect.matrix(*basis, frame, {}) for basis in bases]
+
+
+@program
+def shaped_columns(
+    basis: Basis,
+    frame: Frame,
+    shapes: dict[str, Float[Array, ""]],
+    moves: dict[str, Float[Array, "n"]],
+) -> tuple[Float[Array, "n k"], dict[str, Float[Array, "n k"]]]:
+    """Columns at some shapes and with columns of the readings moved, and their derivatives by these moves."""
+
+    def at(moves):
+        return Effect.matrix(*basis, _moved(frame, moves), shapes)
+
+    zero = {name: jnp.zeros_like(shift) for name, shift in moves.items()}
+    slopes = {
+        name: jax.jvp(at, (moves,), ({**zero, name: jnp.ones_like(shift)},))[1]
+        for name, shift in moves.items()
+    }
+    return at(moves), slopes
+
+
+@program
+def columns_along(
+    basis: Basis,
+    frame: Frame,
+    shapes: dict[str, Float[Array, "s"]],
+    moves: dict[str, Float[Array, "s n"]],
+) -> Float[Array, "s n k"]:
+    """Columns at several values of the shapes, columns of the readings moved for each, some side by side."""
+
+    def at(one):
+        shapes, moves = one
+        return Effect.matrix(*basis, _moved(frame, moves), shapes)
+
+    # A loop over the readings costs as much for many values as for one, where the memory allows.
+    count = jax.tree.leaves((shapes, moves))[0].shape[0]
+    return jax.lax.map(
+        at, (shapes, moves), batch_size=max(1, min(count, SIDE_BY_SIDE // frame.size))
+    )
+
+
+@program
+def response_slopes(
+    response: Callable[..., Any],
+    frame: Frame,
+    slots: dict[str, Float[Array, "n"]],
+    moves: dict[str, Float[Array, "n"]],
+) -> tuple[Float[Array, "n"], dict[str, Float[Array, "n"]]]:
+    """Expected output, and its derivatives by each slot and by each moved column, reading by reading."""
+
+    def respond(both):
+        slots, moves = both
+        return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
+
+    both = (slots, moves)
+    zero = jax.tree.map(jnp.zeros_like, both)
+    slopes = {}
+    for part in (0, 1):
+        for name in both[part]:
+            along = [dict(zero[0]), dict(zero[1])]
+            along[part][name] = jnp.ones(frame.size)
+            slopes[name] = jax.jvp(respond, (both,), (tuple(along),))[1]
+    return respond(both), slopes
+
+
+@program
+def responses(
+    response: Callable[..., Any],
+    frame: Frame,
+    slots: dict[str, Float[Array, "b n"]],
+    moves: dict[str, Float[Array, "b n"]],
+) -> Float[Array, "b n"]:
+    """Expected outputs of several sets of slots, columns of the readings moved for each."""
+
+    def at(slots, moves):
+        return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
+
+    return jax.vmap(at)(slots, moves)
+
+
+@program
+def slopes_of_draws(
+    response: Callable[..., Any],
+    frame: Frame,
+    slots: dict[str, Float[Array, "b n"]],
+    moves: dict[str, Float[Array, "b n"]],
+) -> tuple[Float[Array, "b n"], dict[str, Float[Array, "b n"]]]:
+    """Expected outputs of several sets of slots and moved columns, and their derivatives by each of these."""
+    return jax.vmap(partial(response_slopes.__wrapped__, response, frame))(slots, moves)
+
+
+def columns_or_refusal(bases: tuple[Basis, ...], leaves: Leaves, frame: Frame) -> list[Array]:
+    """`fixed_columns`; a basis that is refused is refused with the shapes of the readings as they are."""
+    try:
+        return fixed_columns(bases, leaves)
+    except ModelError:
+        for basis in bases:
+            Effect.matrix(*basis, frame, {})
+        raise
+
+
+@program
+def moved_columns_along(
+    basis: Basis,
+    frame: Frame,
+    shapes: dict[str, Float[Array, "s"]],
+    moves: dict[str, Float[Array, "s n"]],
+) -> tuple[Float[Array, "s n k"], dict[str, Float[Array, "s n k"]]]:
+    """`shaped_columns` at several values of the shapes and moves, one after the other."""
+    return jax.lax.map(lambda one: shaped_columns.__wrapped__(basis, frame, *one), (shapes, moves))
+
+
+def _moved(frame: Frame, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
+    """The readings with some of their columns corrected."""
+    moved = frame
+    for name, shift in moves.items():
+        moved = moved.with_column(name, frame[name] + shift)
+    return moved

@@ -1,0 +1,331 @@
+"""A record: one set of readings as the engine sees them, with every column that was computed for it."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayescal._core.parallel import on_one_thread
+from bayescal._inference import programs
+from bayescal._inference.chebyshev import BETWEEN, NODES, REACH, weights
+from bayescal._inference.column_products import ColumnProducts
+from bayescal._inference.terms import ColumnsOf, coordinates
+from bayescal._model.departure import Departure
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Frame
+from bayescal._model.instrument import Instrument
+from bayescal._model.noise_law import Noise
+
+KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
+AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
+TOGETHER = 48  # draws in one call of a program, or half of that
+INTERPOLATED = (
+    1e-9  # as good as this part of the largest number in a column, tried between some nodes
+)
+KEPT_OF_IT = 1e-10  # part of the largest singular value, down to which the columns are sums of singular vectors
+
+
+class Basis(NamedTuple):
+    """Columns of an effect along its shape, as sums of a few.
+
+    Attributes:
+        columns: for each coefficient, those that its column is a sum of (n, k, r).
+        shares: of these at the nodes of the shape's coordinate (r, s); None where there is no shape, and r is one.
+    """
+
+    columns: Float[np.ndarray, "n k r"]
+    shares: Float[np.ndarray, "r s"] | None
+
+    @property
+    def rank(self) -> int:
+        return self.columns.shape[2]
+
+    def at(self, v: float | Float[np.ndarray, "b"]) -> Float[np.ndarray, "*b n k"]:
+        """The columns at coordinates of the shape."""
+        assert self.shares is not None
+        amounts = weights(v) @ self.shares.T
+        found = self.columns.reshape(-1, self.rank) @ amounts.T
+        n, k, _ = self.columns.shape
+        return found.reshape(n, k) if amounts.ndim == 1 else found.T.reshape(-1, n, k)
+
+
+@dataclass(eq=False)
+class Record:
+    """Readings of one instrument, with their columns and slopes.
+
+    Attributes:
+        instrument: whose.
+        frame: the readings.
+        y: the outputs (n,).
+        library: effects whose fixed columns are computed together, in one program.
+    """
+
+    instrument: Instrument
+    frame: Frame
+    y: np.ndarray
+    library: tuple[Effect, ...] = ()
+    _fixed: dict[programs.Basis, np.ndarray] = field(default_factory=dict)
+    _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
+    _bases: dict[Any, Basis | None] = field(default_factory=dict)
+    _bytes: int = 0
+    _for_laws: dict[Any, programs.Leaves] = field(default_factory=dict)
+    plain: dict[Any, Any] = field(default_factory=dict)  # what assemblies know of a coefficient
+
+    @cached_property
+    def size(self) -> int:
+        return self.frame.size
+
+    @cached_property
+    def padded(self) -> programs.Leaves:
+        return programs.Leaves.of(programs.padded(self.frame))
+
+    def padded_for(self, law: Noise) -> programs.Leaves:
+        """What a noise law takes of the readings: the columns that it needs, in the order of time where that matters.
+
+        Each array that is handed to a program costs as much as small programs compute in.
+        """
+        key = law.needs, law.independent
+        if key not in self._for_laws:
+            frame = self.frame.only(law.needs)
+            self._for_laws[key] = programs.Leaves.of(
+                programs.padded(frame if law.independent else frame.in_time())
+            )
+        return self._for_laws[key]
+
+    @cached_property
+    def codes(self) -> dict[str, np.ndarray]:
+        return {name: np.asarray(own, dtype=np.intp) for name, own in self.frame.codes.items()}
+
+    @cached_property
+    def in_time(self) -> tuple[np.ndarray, np.ndarray]:
+        """The order of time within runs, and the steps in it, s; −1 at a run's first reading."""
+        return np.asarray(self.frame.order), np.asarray(self.frame.step)
+
+    @cached_property
+    def products(self) -> ColumnProducts:
+        """Columns of an affine output that structures share, and their products."""
+        return ColumnProducts(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
+
+    @cached_property
+    def slots(self) -> tuple[str, ...]:
+        return tuple(s.name for s in self.instrument.slots)
+
+    def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
+        """Columns of an effect at values of its shapes, on the readings as measured; not to be written to.
+
+        Those of one shape are interpolated along it where they run smoothly.
+        """
+        if not effect.shapes:
+            return self._less(effect.less) if effect.less else self._fixed_columns(effect.basis)
+        near = len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH
+        if near and (basis := self.basis_along(effect)) is not None:
+            return basis.at(v)
+        key = (effect.basis, values)
+        found = self._shaped.get(key)
+        if found is None:
+            found = self.moved_columns(effect, values, {})[0]
+            self._shaped[key] = found
+            self._bytes += found.nbytes
+            while self._bytes > KEPT:
+                self._bytes -= self._shaped.popitem(last=False)[1].nbytes
+        else:
+            self._shaped.move_to_end(key)
+        return found
+
+    def basis_along(self, effect: ColumnsOf) -> Basis | None:
+        """Columns as sums of a few along one shape; None where they run too sharply, or along several shapes."""
+        if not effect.shapes:
+            return Basis(self.columns(effect, ())[:, :, None], None)
+        if len(effect.shapes) > 1:
+            return None
+        key = (effect.basis, effect.priors)
+        if key not in self._bases:
+            self._bases[key] = self._interpolated(effect)
+        return self._bases[key]
+
+    @on_one_thread
+    def _interpolated(self, effect: ColumnsOf) -> Basis | None:
+        """The singular vectors of the columns at the nodes, where they interpolate between some of these."""
+        found = self._computed(effect, [effect.priors[0].value(np.append(NODES, BETWEEN))], {})
+        count = found.shape[2]
+        found = found.reshape(len(found), -1)
+        nodes, there = found[: len(NODES)], found[len(NODES) :]
+        apart = np.max(np.abs(weights(BETWEEN) @ nodes - there))
+        if not apart <= INTERPOLATED * np.max(np.abs(nodes), initial=1e-300):
+            return None
+        # QR first, so that the singular vectors are those of a small matrix.
+        q, upper = np.linalg.qr(nodes.T)
+        u, size, vh = np.linalg.svd(upper)
+        rank = max(1, int(np.sum(size > KEPT_OF_IT * size[0])))
+        columns = (q @ (u[:, :rank] * size[:rank])).reshape(self.size, count, rank)
+        return Basis(columns, vh[:rank])
+
+    def _less(self, of: Departure) -> Float[np.ndarray, "n k"]:
+        """Columns of a departure: curves, less the shares that its effect's own columns have in them."""
+        assert of.own is not None and of.curves is not None
+        own = ColumnsOf(of.own, tuple(n for n, _ in of.at), ())
+        taken = self._shaped.get(key := (of.own, of.at))
+        if taken is None:
+            at = tuple(v for _, v in of.at)
+            taken = self.moved_columns(own, at, {})[0] if at else self._fixed_columns(of.own)
+            self._shaped[key], self._bytes = taken, self._bytes + taken.nbytes
+        return self._fixed_columns(of.curves) - taken @ np.array(of.shares)
+
+    def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:
+        if key not in self._fixed:
+            of_library = (ColumnsOf.of(e) for e in self.library)
+            wanted = {c.basis: None for c in of_library if not c.shapes}
+            bases = tuple(wanted) if key in wanted else (key,)
+            made = programs.columns_or_refusal(bases, self.padded, self.frame)
+            for basis, columns in zip(bases, made, strict=True):
+                self._fixed[basis] = np.asarray(columns)[: self.size]
+        return self._fixed[key]
+
+    def moved_columns(
+        self, effect: ColumnsOf, values: tuple[float, ...], moves: Mapping[str, np.ndarray]
+    ) -> tuple[Float[np.ndarray, "n k"], dict[str, Float[np.ndarray, "n k"]]]:
+        """Columns where columns of the readings are corrected by `moves`, and their slopes by these moves."""
+        named = {name: np.float64(one) for name, one in zip(effect.shapes, values, strict=True)}
+        made = programs.shaped_columns(effect.basis, self.padded, named, self._longer(moves))
+        return jax.tree.map(lambda a: np.asarray(a)[: self.size], made)
+
+    def response(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> tuple[Float[np.ndarray, "n"], dict[str, Float[np.ndarray, "n"]]]:
+        """Expected output and its slopes by each slot and each moved column."""
+        if not moves and self.affine is not None:
+            base, slopes = self.affine
+            mean = base
+            for name, value in slots.items():
+                mean = mean + slopes[name] * value
+            return mean, slopes
+        return self._response(slots, moves)
+
+    def _response(self, slots, moves):
+        full = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
+        made = programs.response_slopes(
+            self.instrument.response, self.padded, self._longer(full), self._longer(moves)
+        )
+        return jax.tree.map(lambda a: np.asarray(a)[: self.size], made)
+
+    @cached_property
+    def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        """The response at empty slots and its slopes, where it is affine in the slots; else None.
+
+        Tried at two random sets of slots, the size of each by what moves the output as much as it varies.
+        """
+        base, slopes = self._response({}, {})
+        random = np.random.default_rng(0)
+        reach = float(np.ptp(self.y)) or 1.0
+        for _ in range(2):
+            slots = dict[str, np.ndarray]()
+            for name in self.slots:
+                steep = float(np.max(np.abs(slopes[name]), initial=0.0))
+                size = min(1.0, reach / steep) if steep > 0 else 1.0
+                slots[name] = size * random.standard_normal(self.size)
+            _, there = self._response(slots, {})
+            for name in self.slots:
+                scale = np.max(np.abs(slopes[name]), initial=0.0)
+                change = np.abs(there[name] - slopes[name])
+                # not "larger than": outside of an arcsine there is no slope to compare
+                if not np.max(change, initial=0.0) <= AFFINE * scale:
+                    return None
+        return base, slopes
+
+    def columns_of_draws(
+        self, effect: ColumnsOf, values: Sequence[np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "b n k"]:
+        """Columns of an effect for several draws.
+
+        Args:
+            effect: whose.
+            values: of its shapes, (b,) each.
+            moves: what columns of the readings are corrected by, (b, n) each.
+        """
+        count = max(len(v) for v in (*values, *moves.values()))
+        basis = self.basis_along(effect) if not moves and len(values) == 1 else None
+        if basis is not None:
+            at = coordinates(effect.priors[0], values[0])
+            near = np.abs(at) <= REACH
+            found = np.empty((count, self.size, basis.columns.shape[1]))
+            found[near] = basis.at(at[near])
+            if not np.all(near):
+                found[~near] = self._computed(effect, [values[0][~near]], moves)
+            return found
+        return self._computed(effect, values, moves)
+
+    def _computed(
+        self, effect: ColumnsOf, values: Sequence[np.ndarray], moves, program=programs.columns_along
+    ) -> Any:
+        count = max(len(v) for v in (*values, *moves.values()))
+        shapes = dict(zip(effect.shapes, values, strict=True))
+        return self._together(program, effect.basis, count, shapes, moves)
+
+    def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> Any:
+        """Columns (b, n, k) as `columns_of_draws`, and their slopes by the moves."""
+        return self._computed(effect, values, moves, programs.moved_columns_along)
+
+    def _together(self, program, what: Any, count: int, *both: Mapping[str, np.ndarray]) -> Any:
+        """What a program gives for `count` draws, computed in stretches, without what these were padded with."""
+        parts = [program(what, self.padded, *part) for part in self._stretches(count, *both)]
+        whole = jax.tree.map(lambda *a: np.concatenate([np.asarray(b) for b in a]), *parts)
+        return jax.tree.map(lambda a: a[:count, : self.size], whole)
+
+    def several(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "b n"]:
+        """Expected outputs of several sets of slots and corrections of columns, (b, n) each."""
+        if not moves and self.affine is not None:
+            base, slopes = self.affine
+            return base + sum(slopes[name] * value for name, value in slots.items())
+        count = len(next(iter(slots.values())))
+        return self._together(programs.responses, self.instrument.response, count, slots, moves)
+
+    def responses(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> tuple[Float[np.ndarray, "b n"], dict[str, Any]]:
+        """Expected outputs of several draws, and their slopes by each slot and moved column, (b, n) or (n,)."""
+        if self.affine is not None and not moves:
+            return self.several(slots, {}), self.affine[1]
+        count = len(next(iter(slots.values())))
+        return self._together(
+            programs.slopes_of_draws, self.instrument.response, count, slots, moves
+        )
+
+    def _stretches(
+        self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]
+    ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:
+        """Values for `count` draws, some at once, readings padded; the last draw stands in for missing ones."""
+        together = TOGETHER // (1 if count > TOGETHER // 2 else 2)
+        for start in range(0, count, together):
+            pick = np.minimum(start + np.arange(together), count - 1)
+            yield tuple(  # pyright: ignore[reportReturnType]
+                {
+                    k: v[pick] if v.ndim == 1 else self._longer({k: v[pick]})[k]
+                    for k, v in both.items()
+                }
+                for both in (one, other)
+            )
+
+    def _longer(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {name: self.longer(v) for name, v in values.items()}
+
+    def longer(self, values: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "... m"]:
+        """One number a reading, the last repeated up to the padded length."""
+        return values[..., self._to_length]
+
+    @cached_property
+    def padded_size(self) -> int:
+        return programs.padded_length(self.size)
+
+    @cached_property
+    def _to_length(self) -> Int[np.ndarray, "m"]:
+        """Positions of readings, the last repeated up to the padded length."""
+        return np.minimum(np.arange(programs.padded_length(self.size)), self.size - 1)

@@ -1,0 +1,390 @@
+"""Adaptive importance sampling of φ on the host, with the coefficients drawn back.
+
+φ is proposed from Student-t mixtures, first around its Laplace fit, then around many draws of the round before:
+spreads that readings know only by their sum of squares have a density with arms, which one ellipse does not cover.
+All proposals are evaluated at once, and the log evidence comes for free. What nonlinearity and interpolated products
+leave is corrected by the same weights: each joint draw (x, φ) carries the true density over what it was drawn from.
+Source: A. Owen and Y. Zhou, JASA 95 (2000) 135 (defensive mixtures); M. West, J. R. Stat. Soc. B 55 (1993) 409
+(mixtures around weighted draws).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import gammaln, logsumexp, softmax
+
+from bayescal._core import deadline
+from bayescal._core.importance_weights import Corrections, effective_size
+from bayescal._core.parallel import on_one_thread
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.density import NOWHERE, Density, about
+from bayescal._inference.gaussian import Drawn, Gram, Prior, draw
+from bayescal._inference.joint import FREEDOM, Batch, draw_joint, linearise_draws, normal_numbers
+from bayescal._inference.mode import Mode
+from bayescal._inference.noise_on_record import grams
+from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
+
+KERNELS = 256  # draws of the round before, around each of which the next one proposes;
+FEW = 128  # in a few dimensions
+KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
+WIDE = 1.7  # last component: wider than the Laplace fit, against tails that are heavier
+PRIOR = 0.2  # share of proposals from the prior, so that no weight exceeds likelihood over 0.2 times evidence
+ADAPTED = (
+    0.5  # of the proposals, that their weights are worth where no further round would raise it
+)
+NUMBERS = 1_000_000  # in what is computed at once, to bound memory,
+IN_CACHE = 150_000  # and to stay in the cache
+TOGETHER = 512  # draws whose distances to all kernels are taken at once
+NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
+FAR = 10.0  # below the largest log density, from which products need not be exact where polynomials end
+TABLES = 2_000_000  # numbers in tables of the readings that are computed at once
+LONG = 1000  # readings, from which on a pass over them costs
+CLOSE = 0.03  # log density, within which polynomials are good,
+CLOSER = 0.001  # and of a long record, where a draw's own correction costs more than many products
+PROPOSALS, FEWER, FEWEST = 8192, 4096, 2048  # by what each costs
+
+
+class WeightedDraws(NamedTuple):
+    """Joint draws with their log weights (not normalised, not smoothed)."""
+
+    x: Float[np.ndarray, "s p"]
+    rows: Float[np.ndarray, "s n k"]
+    v: Float[np.ndarray, "s d"]
+    log_weight: Float[np.ndarray, "s"]
+    log_weight_phi: Float[np.ndarray, "s"]  # of φ alone, before the correction
+    log_evidence: Float[np.ndarray | np.float64, ""]
+    log_evidence_error: Float[np.ndarray | np.float64, ""]
+
+
+class _Mixture(NamedTuple):
+    """Student-t components: equally likely ones of one shape, and a wide one with the rest of the probability."""
+
+    centre: Float[np.ndarray, "m d"]
+    chol: Float[np.ndarray, "d d"]
+    middle: Float[np.ndarray, "d"]
+    wide: Float[np.ndarray, "d d"]
+    share: float  # of the wide one
+
+    def draw(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
+        dim = self.centre.shape[1]
+        heavy = np.sqrt(FREEDOM / random.chisquare(FREEDOM, count))
+        normal = random.standard_normal((count, dim)) * heavy[:, None]
+        which = random.integers(len(self.centre), size=count)
+        apart = random.random(count) < self.share
+        narrow = self.centre[which] + normal @ self.chol.T
+        return np.where(apart[:, None], self.middle + normal @ self.wide.T, narrow)
+
+    def log_density(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
+        dim = self.centre.shape[1]
+        half = 0.5 * (FREEDOM + dim)
+        norm = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dim * math.log(FREEDOM * math.pi)
+        centres, counts = np.unique(self.centre, axis=0, return_counts=True)
+        z, c = _whitened(self.chol, v - self.middle), _whitened(self.chol, centres - self.middle)
+        c, beside = c.T * (-2 / FREEDOM), 1 + np.sum(c**2, axis=1) / FREEDOM
+        near = np.empty(len(v))
+        for start in range(0, len(v), TOGETHER):  # so many that they stay in the cache
+            one = z[start : start + TOGETHER]
+            heavy = one @ c
+            heavy += beside
+            heavy += np.sum(one**2, axis=1)[:, None] / FREEDOM
+            np.log(np.maximum(heavy, 1.0, out=heavy), out=heavy)
+            heavy *= -half
+            near[start : start + TOGETHER] = np.exp(heavy, out=heavy) @ counts
+        # Far away the sum may be zero: there the wide component counts.
+        narrow = np.log(near / len(self.centre) + 1e-300) - _log_volume(self.chol)
+        apart = np.sum(_whitened(self.wide, v - self.middle) ** 2, axis=1)
+        wide = -half * np.log1p(apart / FREEDOM) - _log_volume(self.wide)
+        return norm + np.logaddexp(narrow + math.log1p(-self.share), wide + math.log(self.share))
+
+
+def _whitened(chol: np.ndarray, v: np.ndarray) -> np.ndarray:
+    return np.linalg.solve(chol, v.T).T if chol.size else v
+
+
+def _log_volume(chol: np.ndarray) -> float:
+    return float(np.sum(np.log(np.diag(chol))))
+
+
+class ManyPhi:
+    """The log density of many φ at once, x integrated out, and x given each.
+
+    Attributes:
+        products: as functions of φ; None where each φ costs a pass over the readings.
+        exact: whether the closed form is that of φ itself.
+    """
+
+    def __init__(self, assembly: Assembly, mode: Mode) -> None:
+        self.assembly, self.mode, self.size = assembly, mode, assembly.record.size
+        self.density = Density(assembly, mode.point, mode.flat, mode.v)
+        self.products = self.density.products
+        if self.products is None and assembly.noise.gaussian:
+            close = CLOSE if self.size <= LONG else CLOSER
+            self.products = about(self.density, mode.v, mode.covariance, close)
+        self.polynomial = self.products is not None and self.products.outer is not None
+        self.exact = assembly.noise.gaussian and not self.polynomial
+        self.together = max(16, NUMBERS // (assembly.size + 1) ** 2)
+        if self.products is None:  # few at a time, so that the deadline is asked
+            self.together = min(self.together, max(16, IN_CACHE // self.size))
+        self.highest = float(mode.log_density)
+
+    def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
+        """Log density of each φ, and the x that standard normal numbers stand for given it."""
+        prior = self.assembly.log_priors(v)
+        if self.products is None:
+            found = self._by_readings(v, normal)
+            return _sum(found.log_marginal, prior), found
+        products, held = self.products, len(self.products.at) - self.assembly.size
+        hyper = self.assembly.hyper(v.T)
+        with_held = np.pad(normal, [(0, 0), (0, held)])
+        own = products.prior(self._prior(hyper, len(v)))
+        found = draw(products.grams(v, hyper), self.size, own, products.at, with_held)
+        found = found._replace(x=found.x[:, : self.assembly.size])
+        total = _sum(found.log_marginal, prior)
+        # Where interpolation or polynomials end or have lost their definiteness, φ that may count are computed.
+        beyond = ~products.reaches(v)
+        if self.polynomial:
+            beyond = (beyond & (total > self.highest - FAR)) | (total <= NOWHERE)
+        if beyond.any():
+            exact = self._by_readings(v[beyond], normal[beyond])
+            for all_of_it, new in zip(found, exact, strict=True):
+                all_of_it[beyond] = new
+            total = _sum(found.log_marginal, prior)
+        self.highest = max(self.highest, float(np.max(total)))
+        return total, found
+
+    def inside(self, v: Float[np.ndarray, "b d"]) -> np.ndarray:
+        """Which φ lie where polynomials were fitted, of a record on which a draw's own correction costs more."""
+        if self.size <= LONG or not self.polynomial:
+            return np.zeros(len(v), dtype=bool)
+        assert self.products is not None
+        return self.products.reaches(v)
+
+    def _prior(self, hyper: Batch, count: int) -> Prior:
+        assembly = self.assembly
+        sd = assembly.sizes.at_several(dict(hyper), count, self.mode.flat)
+        return Prior(assembly.mean_of_x, sd, assembly.weight_of_x)
+
+    def _by_readings(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
+        """The same from products that are computed for each φ."""
+        assembly = self.assembly
+        if assembly.corrected or len(assembly.row_sd) or not assembly.noise.gaussian:
+            made = [self.density.gram(one, assembly.hyper(one)) for one in v]
+            grams = Gram(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
+        else:
+            together = max(8, TABLES // (self.size * (assembly.size + 1)))
+            parts = [self._computed(part) for part in np.array_split(v, -(-len(v) // together))]
+            grams = Gram(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
+        prior = self._prior(assembly.hyper(v.T), len(v))
+        return draw(grams, self.size, prior, self.mode.point.x, normal)
+
+    def _computed(self, v: Float[np.ndarray, "b d"]) -> Gram:
+        assembly, record = self.assembly, self.assembly.record
+        hyper, count = assembly.hyper(v.T), len(v) if assembly.moving else 1
+        table = linearise_draws(assembly, self.mode.point, hyper, count)
+        each = {name: np.broadcast_to(value, len(v)) for name, value in hyper.items()}
+        return Gram.of(*grams(assembly.noise, record, table, each, len(v)))
+
+    def stretches(self, v: Float[np.ndarray, "s d"]) -> list[np.ndarray]:
+        return np.array_split(v, -(-len(v) // self.together))
+
+    def values(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
+        size, made = self.assembly.size, []
+        for part in self.stretches(v):
+            deadline.current().ask()
+            made.append(self.at(part, np.zeros((len(part), size)))[0])
+        return np.concatenate(made)
+
+
+def _sum(log_marginal: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    total = log_marginal + prior
+    return np.where(np.isfinite(total) & (log_marginal > NOWHERE), total, NOWHERE)
+
+
+class PriorShare(NamedTuple):
+    """Proper prior of the coordinates, that a share of the proposals is drawn from."""
+
+    draw: Callable[[np.random.Generator, int], Float[np.ndarray, "s d"]]
+    log_density: Callable[[Float[np.ndarray, "s d"]], Float[np.ndarray, "s"]]
+
+
+def explore(
+    mode: Any,
+    values: Callable[[Float[np.ndarray, "s d"]], Float[np.ndarray, "s"]],
+    prior: PriorShare | None,
+    random: np.random.Generator,
+    proposals: int,
+    rounds: int,
+) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"]]:
+    """Adapt to a density, then propose.
+
+    Args:
+        mode: anything with the density's mode `v` and the `covariance` of its Gaussian fit there.
+        values: log density of several points, not normalised.
+        prior: None where it is improper or cannot be drawn from.
+        random: of every random number.
+        proposals: of the final round, half as many in each round of adaptation.
+        rounds: of adaptation at most; none follows one whose weights are even.
+
+    Returns:
+        The proposals, and the log density that they are drawn from.
+    """
+    mixture = _around_mode(mode)
+    for _ in range(rounds if len(mode.v) else 0):
+        v, log_proposal = _propose(mixture, prior, random, proposals // 2)
+        log_weight = values(v) - log_proposal
+        if effective_size(softmax(log_weight)) > ADAPTED * len(v):
+            break
+        mixture = _match(mode, v, log_weight)
+    return _propose(mixture, prior, random, proposals)
+
+
+@on_one_thread
+def weighted_draws(
+    assembly: Assembly, mode: Mode, seed: int, proposals: int | None, rounds: int
+) -> WeightedDraws:
+    """Adapt, then sample. The same numbers for the same seed.
+
+    Args:
+        assembly: the structure on its record.
+        mode: its mode.
+        seed: of every random number.
+        proposals: of the final round, half as many in each round of adaptation; by their cost if not given.
+        rounds: of adaptation at most.
+
+    Raises:
+        TimeIsUp: the deadline came first.
+    """
+    random = np.random.default_rng(seed)
+    density = ManyPhi(assembly, mode)
+    if proposals is None:
+        proposals = proposals_of(density)
+    share = _prior_share(assembly)
+    v, log_proposal = explore(mode, density.values, share, random, proposals, rounds)
+    return _placed(density, v, log_proposal, random)
+
+
+def proposals_of(density: ManyPhi) -> int:
+    """How many: fewer where each costs a pass over many readings, or a large matrix."""
+    assembly, direct = density.assembly, density.products is None
+    long = assembly.record.size > LONG
+    if direct and (long or not assembly.noise.gaussian):
+        return FEWEST
+    if direct or assembly.size > 100:
+        return FEWER
+    return FEWER if long and not (density.exact and assembly.affine) else PROPOSALS
+
+
+def _placed(density: ManyPhi, v, log_proposal, random: np.random.Generator) -> WeightedDraws:
+    """Coefficients drawn for each φ that counts, and the weights of both."""
+    mode = density.mode
+    count, (size, width) = len(v), mode.point.rows.shape
+    x = np.array(np.broadcast_to(mode.point.x, (count, len(mode.point.x))))
+    rows = np.broadcast_to(mode.point.rows, (count, size, width))
+    rows = np.array(rows) if width else rows
+    log_weight_phi, log_weight = np.empty(count), np.full(count, NOWHERE)
+    judged, highest = Corrections(), NOWHERE
+    together = max(32, min(density.together, IN_CACHE // size))
+    for stretch in np.array_split(np.arange(count), -(-count // together)):
+        deadline.current().ask()
+        normal = normal_numbers(density.assembly, len(stretch), random)
+        log_phi, found = density.at(v[stretch], normal)
+        log_weight_phi[stretch] = of_phi = log_phi - log_proposal[stretch]
+        highest = max(highest, float(np.max(of_phi)))
+        counting = (log_phi > NOWHERE) & (of_phi > highest - NEGLIGIBLE)
+        if not counting.any():
+            continue
+        pick, found, normal = stretch[counting], found.of(counting), normal[counting]
+        of_phi = log_weight_phi[pick]
+        args = density, v[pick], found, normal, of_phi, judged, random
+        drawn, own, correction = _drawn(*args)
+        some = np.isfinite(correction)
+        x[pick[some]] = drawn[some]
+        if width:
+            rows[pick[some]] = own[some]
+        log_weight[pick[some]] = (of_phi + correction)[some]
+    evidence = logsumexp(log_weight) - math.log(count)  # pyright: ignore[reportOperatorIssue]
+    error = np.std(np.exp(log_weight - evidence)) / math.sqrt(count)
+    return WeightedDraws(
+        x, rows, v, log_weight, log_weight_phi, np.float64(evidence), np.float64(error)
+    )
+
+
+def _drawn(density: ManyPhi, v, found: Drawn, normal, of_phi, judged: Corrections, random):
+    """x, per-reading coefficients and corrections of draws, as `draw_joint`; the same correction where it is known.
+
+    Where polynomials end it is not: there each draw has its own.
+    """
+    assembly, mode, exact = density.assembly, density.mode, density.exact
+    hyper, inside = assembly.hyper(v.T), density.inside(v)
+    if exact or len(assembly.row_sd) or not judged.alike:
+        made = draw_joint(assembly, mode, found, normal, hyper, exact, random)
+        judged.add(of_phi[inside], made[2][inside])
+        return made
+    x = found.x.copy()
+    rows, correction = np.empty((len(v), assembly.record.size, 0)), np.full(len(v), judged.mean)
+    if not inside.all():
+        out = ~inside
+        hyper = assembly.hyper(v[out].T)
+        some = found.of(out), normal[out]
+        made = draw_joint(assembly, mode, *some, hyper, exact, random)
+        x[out], rows[out], correction[out] = made
+    return x, rows, correction
+
+
+def _propose(
+    mixture: _Mixture, prior: PriorShare | None, random: np.random.Generator, count: int
+) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"]]:
+    """Coordinates of φ with the log density that they are drawn from: near the mode and, where proper, the prior."""
+    near = mixture.draw(random, count)
+    if prior is None:
+        return near, mixture.log_density(near)
+    v = np.where(random.random((count, 1)) < PRIOR, prior.draw(random, count), near)
+    parts = math.log1p(-PRIOR) + mixture.log_density(v), math.log(PRIOR) + prior.log_density(v)
+    return v, np.logaddexp(*parts)
+
+
+def _prior_share(assembly: Assembly) -> PriorShare | None:
+    priors = [h.prior for h in assembly.hypers]
+    if not priors or any(isinstance(p, (Flat, FlatLine)) for p in priors):
+        return None
+
+    def draw(random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
+        return np.stack([_prior_draws(p, random, count) for p in priors], axis=1)
+
+    return PriorShare(draw, assembly.log_priors)
+
+
+def _prior_draws(prior, random: np.random.Generator, count: int) -> Float[np.ndarray, "s"]:
+    """Coordinates drawn from a proper prior."""
+    if isinstance(prior, HalfCauchy):
+        return np.log(np.abs(random.standard_cauchy(count)))
+    normal = random.standard_normal(count)
+    return np.log(np.abs(normal)) if isinstance(prior, HalfNormal) else normal
+
+
+def _around_mode(mode: Any) -> _Mixture:
+    chol = np.linalg.cholesky(mode.covariance) if len(mode.v) else mode.covariance
+    return _Mixture(mode.v[None], chol, mode.v, WIDE * chol, 0.4)
+
+
+def _match(mode: Any, v: np.ndarray, log_weight: np.ndarray) -> _Mixture:
+    """The next mixture: around the weighted draws, as wide as the Laplace fit where few of them count."""
+    weight = softmax(log_weight)
+    weight = np.minimum(weight, 1 / math.sqrt(weight.size))  # truncation, Ionides 2008
+    weight = weight / np.sum(weight)
+    effective = 1 / np.sum(weight**2)
+    trust = effective / (effective + 20.0 * v.shape[1])
+    mean = weight @ v
+    spread = (weight[:, None] * (v - mean)).T @ (v - mean)
+    covariance = trust * spread + (1 - trust) * mode.covariance
+    chol = np.linalg.cholesky(covariance + 1e-10 * np.eye(v.shape[1]))
+    kernels = FEW if v.shape[1] <= 3 else KERNELS
+    ladder = (np.arange(kernels) + 0.5) / kernels
+    pick = np.minimum(np.searchsorted(np.cumsum(weight), ladder), weight.size - 1)
+    wide = WIDE * np.linalg.cholesky(mode.covariance)
+    return _Mixture(v[pick], KERNEL * chol, mode.v, wide, 0.1)

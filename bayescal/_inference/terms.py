@@ -1,0 +1,190 @@
+"""What does not change of a structure, in plain data: its coefficients, what their columns depend on, their sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._inference.programs import Basis, basis_of
+from bayescal._model.departure import Departure
+from bayescal._model.effect import Effect
+from bayescal._model.parameters import CoefficientBlock
+from bayescal._model.prior import LogNormal, Normal
+
+
+class ColumnsOf(NamedTuple):
+    """What an effect's columns depend on.
+
+    Attributes:
+        basis: its own.
+        shapes: that this takes.
+        priors: of the shapes.
+        less: a departure, whose basis need not be compiled for every record: curves, less what is taken from them.
+    """
+
+    basis: Basis
+    shapes: tuple[str, ...]
+    priors: tuple[Any, ...]
+    less: Departure | None = None
+
+    @property
+    def key(self) -> Any:
+        """What they depend on, as a value."""
+        if self.less is None:
+            return self.basis, self.priors
+        return self.less.own, self.less.at, self.less.shares, self.less.curves
+
+    @classmethod
+    def of(cls, effect: Effect) -> ColumnsOf:
+        shapes, less = effect.column_shapes, None
+        if isinstance(effect, Departure):
+            less = effect
+        names, priors = tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
+        return cls(basis_of(effect), names, priors, less)
+
+
+class Known(NamedTuple):
+    """What does not change of a coefficient, in plain data."""
+
+    effect: Effect  # held, so that no other takes its place in memory
+    of: str
+    per: str | None
+    mean: float
+    prior_sd: float
+    flat: bool
+    learned: bool
+    columns: ColumnsOf
+    shape_names: tuple[str, ...]
+    key: Any  # what its columns depend on, whoever has them
+
+    @classmethod
+    def of_block(cls, block: CoefficientBlock) -> Known:
+        coefficient, effect = block.coefficient, block.effect
+        return cls(
+            effect=effect,
+            of=effect.name,
+            per=coefficient.per,
+            mean=coefficient.mean,
+            prior_sd=coefficient.size,
+            flat=coefficient.flat,
+            learned=coefficient.spread is not None,
+            columns=(columns := ColumnsOf.of(effect)),
+            key=columns.key,
+            shape_names=tuple(effect.shape_name(s) for s in effect.column_shapes),
+        )
+
+
+class Term(NamedTuple):
+    """One coefficient of the structure with all its members."""
+
+    known: Known
+    index: int
+    slot: str
+    size: int
+    place: str
+    factor: float
+    value: float
+    prior_sd: float
+    spread_name: str | None
+    members: tuple[str, ...]
+    at: slice  # its entries of x
+
+    @classmethod
+    def of_block(
+        cls, block: CoefficientBlock, plain: dict[Any, Any], spread: Mapping[str, float]
+    ) -> Term:
+        key = (id(block.effect), block.index)
+        if key not in plain:
+            plain[key] = Known.of_block(block)
+        known: Known = plain[key]
+        return cls(
+            known=known,
+            index=block.index,
+            slot=block.slot,
+            size=block.size,
+            place=block.place,
+            factor=block.factor,
+            value=block.value,
+            prior_sd=known.prior_sd * spread.get(known.of, 1.0),
+            spread_name=block.spread_name if known.learned else None,
+            members=tuple(block.member_names()) if block.place == "phi" else (),
+            at=slice(block.start, block.start + block.size),
+        )
+
+
+class Sizes:
+    """Prior standard deviations of x as a function of φ's values; one where the prior is flat."""
+
+    def __init__(self, terms: Sequence[Term], effects: Sequence[Effect], size: int):
+        self.plain = np.ones(size)
+        self.flat = np.zeros(size, dtype=bool)
+        for t in terms:
+            self.flat[t.at] = t.known.flat
+            if not t.known.flat and t.spread_name is None:
+                self.plain[t.at] = t.prior_sd
+        self.learned = [(t.at, t.spread_name) for t in terms if t.spread_name is not None]
+        self.weighted: list[tuple[Any, list[tuple[str, str]], list[slice | None]]] = []
+        for effect in effects:
+            if effect.weights is not None:
+                names = [(name, f"{effect.name}.{name}") for name in effect.weight_shapes]
+                own = {t.index: t.at for t in terms if t.known.of == effect.name}
+                places = [own.get(i) for i in range(len(effect.coefficients))]
+                self.weighted.append((effect.weights, names, places))
+        self.members: dict[str, Float[np.ndarray, "p"]] = {}  # of each learned spread, ones
+        for place, name in self.learned:
+            self.members.setdefault(name, np.zeros(size))[place] = 1.0
+        # of each shape that sizes follow
+        self.weighing = {
+            name: i for i, (_, names, _) in enumerate(self.weighted) for _, name in names
+        }
+
+    def log_weights(self, name: str, hyper: Mapping[str, Any]) -> Float[np.ndarray, "p"]:
+        """Logarithms of what the sizes that follow a shape are multiplied by; zero for others."""
+        weights, names, places = self.weighted[self.weighing[name]]
+        found = np.zeros(len(self.plain))
+        made = np.broadcast_to(
+            weights(**{short: hyper[one] for short, one in names}), (len(places),)
+        )
+        for at, one in zip(places, np.log(np.maximum(made, 1e-300)), strict=True):
+            if at is not None:
+                found[at] = one
+        return found
+
+    def at(self, hyper: dict[str, float]) -> Float[np.ndarray, "p"]:
+        """At one φ, its values by name."""
+        sd = self.plain.copy()
+        for place, name in self.learned:
+            sd[place] = hyper[name]
+        for weights, names, places in self.weighted:
+            made = weights(**{short: hyper[name] for short, name in names})
+            for at, one in zip(places, np.broadcast_to(made, (len(places),)), strict=True):
+                if at is not None:
+                    sd[at] *= one
+        return sd
+
+    def at_several(
+        self, hyper: dict[str, Any], count: int, flat: Float[np.ndarray, "p"]
+    ) -> Float[np.ndarray, "b p"]:
+        """At several φ, the values of each (b,); `flat` where the prior is flat."""
+        sd = np.tile(np.where(self.flat, flat, self.plain), (count, 1))
+        for place, name in self.learned:
+            sd[:, place] = np.reshape(hyper[name], (-1, 1))
+        for weights, names, places in self.weighted:
+            columns = {short: np.reshape(hyper[name], (-1, 1)) for short, name in names}
+            made = np.broadcast_to(weights(**columns), (count, len(places)))
+            for at, one in zip(places, made.T, strict=True):
+                if at is not None:
+                    sd[:, at] *= one[:, None]
+        return sd
+
+
+def coordinates(prior: Any, values: Float[np.ndarray, "b"]) -> Float[np.ndarray, "b"]:
+    """Coordinates of a shape's values."""
+    if isinstance(prior, LogNormal):
+        return np.log(values / prior.median) / prior.sd
+    if isinstance(prior, Normal):
+        return (values - prior.mean) / prior.sd
+    return np.array([prior.coordinate(float(one)) for one in values])

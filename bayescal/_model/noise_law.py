@@ -1,0 +1,287 @@
+"""What a noise law is: how readings scatter about the expected output. One class, one file; this is their interface.
+
+A law owns its mathematics. It says its parameters with their priors and units, and in JAX, differentiable by all of
+them: the variance of each reading, its log density, how readings are drawn and, where it is Gaussian given its
+parameters, what makes readings independent and of unit variance (`whiten`). Nothing outside asks of which class a law
+is, so that a law of one's own is a law like any other: it takes part in fits, searches, files and batches.
+
+A law that is not Gaussian (Student-t, rounding) offers its density alone; slopes and curvatures by the expected output
+are taken by automatic differentiation, and a Gaussian stands for it about the mode of the coefficients (Laplace).
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields, replace
+from functools import cache
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtri
+from jaxtyping import Array, Float
+from typing_extensions import dataclass_transform
+
+from bayescal._data.column import UNCERTAINTY
+from bayescal._model.frame import Frame
+from bayescal._model.prior import KINDS, Positive
+from bayescal._model.static import static
+
+Parameters = Mapping[str, Any]  # values by name, in their units
+WHITE = "noise.white"  # of each reading by itself, in the unit of the output
+LOG_2PI = math.log(2 * math.pi)
+NEVER = 1e-300  # a probability that stands for none
+
+
+@static
+@dataclass_transform(frozen_default=True)
+class Noise(abc.ABC):
+    """A noise law. A law of one's own is a subclass of this class, not of a law that is there.
+
+    A law that takes readings as correlated gets them in the order of time within runs (`in_time`), as the frame that is
+    handed to it has them: `frame.step` is the time since the reading before, −1 at a run's first.
+
+    Attributes:
+        law: its name in files and on the command line.
+        gaussian: whether coefficients can be integrated out in closed form, by `whiten`; else it has a `log_density` of
+            its own.
+        independent: whether one reading's noise says nothing of another's; else it has a `whiten` and a `sample` of
+            its own.
+        words: the law as a person reads it, where that is not its name.
+        looks_like: what is left of readings under it, as a report says it.
+        first: whether a search begins with it, and weighs the others against it.
+
+    Raises:
+        TypeError: a class derived from it lacks what it must have, or is named as another law is.
+    """
+
+    gaussian: ClassVar[bool]
+    law: ClassVar[str]
+    independent: ClassVar[bool] = True
+    first: ClassVar[bool] = False
+    words: ClassVar[str] = ""
+    looks_like: ClassVar[str] = ""
+
+    known: ClassVar[
+        dict[str, type[Noise]]
+    ] = {}  # by the name of the class, which a saved calibration keeps
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        _refuse_unfit(cls)
+        Noise.known[cls.__name__] = cls
+        static(cls)
+
+    @classmethod
+    def usual(cls) -> Noise:
+        """The law that a search begins with."""
+        return next(kind() for kind in Noise.known.values() if kind.first)
+
+    # what it is called, and what it needs -----------------------------------------------------------------------
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Columns that it hangs on."""
+        return () if self.independent else ("time",)
+
+    @property
+    def name(self) -> str:
+        """The law, with the column that it follows."""
+        return self.law
+
+    @property
+    def in_words(self) -> str:
+        """The law as a person reads it, after "noise:"."""
+        return self.words or self.law
+
+    @abc.abstractmethod
+    def parameters(self) -> dict[str, Any]:
+        """Names and priors of its unknowns."""
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        """Parameters that make the covariance c² times as large where all of them are c times as large."""
+        return ()
+
+    def unit(self, name: str, output: str) -> str:
+        """Unit of one of its parameters, where the output is in `output`; that of the output, if not said here."""
+        return output
+
+    @property
+    def plain(self) -> Noise:
+        """The law with the priors that it has if none is given: laws of one `plain` share their compiled programs."""
+        return _with_usual_priors(self)
+
+    def derived(self, values: Parameters) -> dict[str, Any]:
+        """Further numbers that its parameters come to, by name, output unit."""
+        return {}
+
+    # what it computes, in JAX -----------------------------------------------------------------------------------
+
+    @abc.abstractmethod
+    def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "*n"]:
+        """Variance of each reading about the expected output, or one for all, output unit squared."""
+
+    def log_density(
+        self, y: Float[Array, "n"], mean: Float[Array, "n"], parameters: Parameters, frame: Frame
+    ) -> Float[Array, "n"]:
+        """Log density of each reading; given those before it in its run, where they are not independent."""
+        white, log_sd = self.whiten((y - mean)[:, None], 0.0, parameters, frame)
+        return -0.5 * white[:, 0] ** 2 - log_sd - 0.5 * LOG_2PI
+
+    def sample(
+        self, key: Array, mean: Float[Array, "n"], parameters: Parameters, frame: Frame
+    ) -> Float[Array, "n"]:
+        """Readings drawn about the expected output."""
+        sd = jnp.sqrt(self.variance(parameters, frame))
+        return mean + sd * jax.random.normal(key, mean.shape)
+
+    def even(self, frame: Frame) -> bool:
+        """Whether all readings are independent and share one variance: then products over them are needed once."""
+        return False
+
+    def shared_variance(self, values: Parameters) -> Any:
+        """Of every reading where they are `even`, output unit squared."""
+        raise NotImplementedError(f"readings under {self.name} noise share no variance")
+
+    def fresh_variance(self, values: Parameters, step: float) -> Any:
+        """About that of what is new in a reading, a usual step after the one before; in no harm if it is rough."""
+        return values[self.amplitudes[0]] ** 2 if self.amplitudes else 1.0
+
+    def whiten(
+        self,
+        columns: Float[Array, "n m"],
+        extra: Float[Array, "n"] | float,
+        parameters: Parameters,
+        frame: Frame,
+    ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
+        """L⁻¹ times columns, and log Lᵢᵢ, where L·Lᵀ = Σ + diag(extra); row i belongs to reading i."""
+        variance = self.variance(parameters, frame) + extra
+        sd = jnp.sqrt(jnp.broadcast_to(variance, (frame.size,)))
+        return columns / sd[:, None], jnp.log(sd)
+
+    def normal_scores(
+        self, left: Float[Array, "n"], parameters: Parameters, frame: Frame
+    ) -> Float[Array, "n"]:
+        """What the expected output leaves of readings, as independent standard normal numbers if the law is right."""
+        return self.whiten(left[:, None], 0.0, parameters, frame)[0][:, 0]
+
+    # what it says of a record -----------------------------------------------------------------------------------
+
+    def allan_variance(
+        self, values: Parameters, variance: Any, factors: Float[np.ndarray, "k"], step: float
+    ) -> Float[np.ndarray, "... k"]:
+        """Allan variance of evenly spaced readings, output unit squared; σ²/m where they are independent.
+
+        Args:
+            values: its parameters; numbers, or (draws,).
+            variance: of a reading about the expected output, all parts included.
+            factors: readings averaged, m.
+            step: between readings, s.
+        """
+        return np.asarray(variance)[..., None] / factors
+
+    @property
+    def coefficients_in_time(self) -> dict[str, str]:
+        """Parameters that are coefficients of IEEE 952, such as K of a random walk, by name."""
+        return {}
+
+    def slow_variance(self, values: Parameters) -> Any:
+        """Part of a reading's variance that it shares with its neighbours, output unit squared."""
+        return 0.0
+
+    def slow_part(
+        self,
+        values: Parameters,
+        time: Float[np.ndarray, "n"],
+        left: Float[np.ndarray, "n"],
+        white: Float[np.ndarray, "n"],
+        at: Float[np.ndarray, "m"],
+    ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+        """Mean and variance of the correlated part at some times of a run, given what a model leaves of its readings.
+
+        Args:
+            values: its parameters.
+            time: of the readings, s.
+            left: of the readings, output unit.
+            white: variance of each reading's own noise.
+            at: where it is asked for, s.
+        """
+        return np.zeros(len(at)), np.zeros(len(at))
+
+
+def in_time(
+    law: Noise, frame: Frame, *arrays: Float[Array, "n ..."]
+) -> tuple[Frame, *tuple[Array, ...]]:
+    """A frame and arrays of its readings as a law takes them: in the order of time, where that matters to it."""
+    if law.independent:
+        return frame, *arrays
+    return frame.in_time(), *(a[frame.order] for a in arrays)
+
+
+@cache
+def _with_usual_priors(law: Noise) -> Noise:
+    usual = {f.name: f.default for f in fields(law) if isinstance(getattr(law, f.name), KINDS)}
+    return replace(law, **{n: prior for n, prior in usual.items() if prior is not MISSING})
+
+
+def _refuse_unfit(kind: type[Noise]) -> None:
+    """Refuse a class that would be computed as another law than it is, or found under another's name.
+
+    Raises:
+        TypeError: it is so; says what to do.
+    """
+    name = kind.__name__
+    for base in kind.__mro__[1:]:
+        if "law" in vars(base):
+            raise TypeError(f"{name}: derive a noise law from Noise, not from {base.__name__}")
+    own = vars(kind)
+    if missing := [n for n in ("law", "gaussian") if n not in own]:
+        raise TypeError(f'{name}: a noise law says {" and ".join(missing)}, as in law = "my_law"')
+    needed = [] if own["gaussian"] else ["log_density", "sample"]
+    needed += [] if own.get("independent", True) else ["whiten", "sample"]
+    if missing := [n for n in dict.fromkeys(needed) if n not in own]:
+        told = "is not Gaussian" if not own["gaussian"] else "does not take readings as independent"
+        raise TypeError(f"{name} {told}: it must have a method {' and '.join(missing)} of its own")
+    for other in Noise.known.values():
+        given = other.__module__.startswith("bayescal.") and other.__module__ != kind.__module__
+        if given and (other.__name__ == name or other.law == kind.law):
+            raise TypeError(
+                f"{name} ({kind.law!r}): bayescal has a law {other.__name__} ({other.law!r}): rename it"
+            )
+
+
+Offer = Callable[[Positive, Frame], "list[Noise]"]
+OFFERS: list[Offer] = []
+
+
+def offered(offer: Offer) -> Offer:
+    """Let a search weigh laws: from the prior of the white part and a record, those that this record can tell.
+
+        @bc.offered
+        def where_it_was_recorded(scale, frame):
+            return [Vibration(scale)] if "vibration" in frame.columns else []
+
+    Args:
+        offer: a function of the prior of `noise.white` and of the readings' frame. Defined again, as a cell of a
+            notebook that is run again does, it takes the place of the one of its name.
+    """
+    same = [
+        (o.__module__, o.__qualname__) == (offer.__module__, offer.__qualname__) for o in OFFERS
+    ]
+    OFFERS[:] = [o for o, again in zip(OFFERS, same, strict=True) if not again]
+    OFFERS.append(offer)
+    return offer
+
+
+def scores_of_tails(lower: Float[Array, "n"], left: Float[Array, "n"]) -> Float[Array, "n"]:
+    """Standard normal numbers of the same tail probabilities, each on the side of what is left of its reading."""
+    return -jnp.sign(left) * ndtri(jnp.maximum(lower, NEVER))
+
+
+def known_variance(frame: Frame) -> Float[Array, "n"] | float:
+    """Variance of each reading that is known beforehand; zero where none is."""
+    return frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0

@@ -1,4 +1,0 @@
-"""Pictures of calibrations and searches, offered as `bayescal.plot`.
-
-Imports the rooms of results below.
-"""

@@ -1,0 +1,231 @@
+"""A result in one paragraph, as a colleague would say it: what the output does, the error, what is open."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.summary import curve_extent, place_of
+from bayescal._core.formatting import number, with_error
+from bayescal._data.unit_conversion import unit_label
+from bayescal._model.departure import Departure
+from bayescal._model.effect import Effect
+from bayescal._model.unknown_effect import covariate_in
+from bayescal._report.section import Chapter
+from bayescal._search.posterior import FOUND
+
+RIVAL = 0.05  # probability from which another set of effects is named beside what was found
+_SUBJECTS = {"bias": "the output", "scale": "the scale factor", "zero": "the zero"}
+_IGNORED = re.compile(
+    r"ignored, because they have no unit: (.*?) \((?:to|the)|column '(.*?)' ignored"
+)
+_GROUPS = {
+    "run": "run to run",
+    "cell": "one temperature point to the next",
+    "device": "device to device",
+}
+
+
+def conclusion(chapter: Chapter) -> str:
+    """What was found, the error before and after, what is left, what was not looked at, what is not decided."""
+    said = [*_against(chapter), _found(chapter), _error(chapter), _left(chapter)]
+    return " ".join([*said, *_not_looked_at(chapter), *_not_decided(chapter)])
+
+
+def _against(chapter: Chapter) -> Iterator[str]:
+    reasons = [
+        *chapter.data["verdict"]["reasons"],
+        *[chapter.data["gate"]["reason"]] * (not chapter.data["gate"]["ok"]),
+    ]
+    if reasons:
+        yield f"Not to be used as it is: {reasons[0]}"
+
+
+def _found(chapter: Chapter) -> str:
+    """What the last model has more than the first."""
+    c, steps = chapter.calibration, chapter.data["steps"]
+    first = set(steps[0]["effects"])
+    added = [e for e in c.model.effects if e.name not in first]
+    if not added:
+        weighed = (
+            "Nothing was found missing from"
+            if chapter.data["missing"]
+            else "Nothing was looked for beside"
+        )
+        return f"{weighed} the first model ({', '.join(c.model.names) or 'no effect'})."
+    by_subject: dict[str, list[str]] = {}
+    for effect in added:
+        likely = _probability(chapter, effect)
+        how = "" if likely is None or likely >= FOUND else f"probably ({likely:.2f}) "
+        by_subject.setdefault(_subject(effect), []).append(how + _does(c, effect))
+    sentences = (f"{subject} {_and(does)}." for subject, does in by_subject.items())
+    return " ".join(s[0].upper() + s[1:] for s in sentences)
+
+
+def _probability(chapter: Chapter, effect: Effect) -> float | None:
+    """That an effect is missing from the first model, alone or as one of several; None where that was not asked."""
+    first = (
+        chapter.data["missing"][0] if chapter.data["missing"] else {"candidates": [], "sets": []}
+    )
+    if any(effect.name in one["effects"] for one in first["sets"]):
+        return 1.0
+    known = {c["effect"]: c["probability"] for c in first["candidates"]}
+    return known.get(effect.name)
+
+
+def _subject(effect: Effect) -> str:
+    slot = effect.slot
+    return _SUBJECTS.get(slot, f"the {slot.replace('_', ' ')}")
+
+
+def _does(c: Calibration, effect: Effect) -> str:
+    """What an effect makes of its subject, with its size."""
+    cause = effect.name.partition(".")[2] or effect.name
+    if isinstance(effect, Departure):
+        return f"departs from the form of {effect.of} by up to {_extent(c, effect)}"
+    if covariate := covariate_in(effect.name):
+        form = covariate.partition(", ")[2]
+        if form == "jump":
+            return f"has a step in time of {_extent(c, effect)}"
+        if form == "cycle":
+            return f"varies periodically in time by up to {_extent(c, effect)}"
+        return (
+            f"depends on {covariate} in a form that has no name here, by up to {_extent(c, effect)}"
+        )
+    size, group = _size(c, effect), effect.coefficients[0].per
+    times = {s.name: _shape(c, effect, s.name) for s in effect.shapes}
+    if cause.startswith("thermal_lag") and "tau" in times:
+        return f"follows the temperature with a lag of {times['tau']} ({size})"
+    if cause == "warm_up" and "tau" in times:
+        return f"settles after the start by {size} with a time constant of {times['tau']}"
+    if group is not None and effect.coefficients[0].spread is not None:
+        between = _GROUPS.get(group, f"{group} to {group}")
+        return f"differs from {between} by {size} (standard deviation)"
+    column = effect.columns[0].replace("_", " ") if effect.columns else "time"
+    for ending, words in (
+        ("_quadratic", f"bends with {column} by {size}"),
+        ("_cubic", f"has a cubic term in {column} of {size}"),
+        ("_quartic", f"has a quartic term in {column} of {size}"),
+    ):
+        if cause.endswith(ending):
+            return words
+    if cause.startswith("rate"):
+        return f"follows the rate of change of {column} by {size}"
+    if cause == "drift":
+        return f"drifts by {size} over the test"
+    if cause == "hysteresis":
+        return f"depends on which way {column} went before, by {size}"
+    if cause == "constant":
+        return f"is off by {size}"
+    if cause.startswith("temperature") and len(effect.columns) == 1:
+        return f"changes with {column} by {size}"
+    return f"has {effect.name} ({effect.equation or column}) of {size}"
+
+
+def _extent(c: Calibration, effect: Effect) -> str:
+    _, largest, covariate, at = curve_extent(c, effect.name)
+    return f"{number(abs(largest), 2)} {unit_label(c.unit)}, most at {place_of(c, covariate, at)}"
+
+
+def _size(c: Calibration, effect: Effect) -> str:
+    first = effect.coefficients[0]
+    name = effect.coefficient_name(0)
+    spread = f"{name}.spread"
+    draws = c.samples(spread if first.per is not None and spread in c.posterior.data_vars else name)
+    if draws.ndim > 1:
+        low, high = (
+            number(float(v), 2) for v in (draws.mean(axis=0).min(), draws.mean(axis=0).max())
+        )
+        return f"{low} to {high} {unit_label(first.unit)}".rstrip()
+    return (
+        f"{with_error(float(draws.mean()), float(draws.std()))} {unit_label(first.unit)}".rstrip()
+    )
+
+
+def _shape(c: Calibration, effect: Effect, name: str) -> str:
+    shape = next(s for s in effect.shapes if s.name == name)
+    fixed = dict(c.model.fixed).get(effect.shape_name(shape))
+    if fixed is not None:
+        return f"{number(fixed)} {unit_label(shape.unit)}".rstrip()
+    draws = c.samples(effect.shape_name(shape))
+    return (
+        f"{with_error(float(draws.mean()), float(draws.std()))} {unit_label(shape.unit)}".rstrip()
+    )
+
+
+def _error(chapter: Chapter) -> str:
+    """The error of the first model and of the last, where it says most: hold-out data, left-out groups, the fit."""
+    steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
+    first, last = steps[0], steps[-1]
+
+    def of(step: dict[str, Any]) -> tuple[str, float | None]:
+        left_out = step["leave_one_group_out"]
+        if step["holdout_rmse"] is not None:
+            return "on the hold-out data", step["holdout_rmse"]
+        if left_out is not None:
+            return f"of each {left_out['group'].replace('_', ' ')} left out", left_out["rmse"]
+        return "as fitted", step["rmse_fitted"]
+
+    (where, before), (_, after) = of(first), of(last)
+    if len(steps) == 1 or before is None or after is None:
+        return f"The rms error {where} is {number(after or last['rmse_fitted'], 2)} {unit}."
+    verb = "fell" if after < before else "rose"
+    return f"The rms error {where} {verb} from {number(before, 2)} to {number(after, 2)} {unit}."
+
+
+def _left(chapter: Chapter) -> str:
+    """What the residuals look like."""
+    c, step, unit = (
+        chapter.calibration,
+        chapter.data["steps"][-1],
+        unit_label(chapter.calibration.unit),
+    )
+    depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > STRONG]
+    if depends:
+        return f"The residuals still depend on {_and(depends[:3])}."
+    law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
+    noise = f"{number(step['rmse_fitted'], 2)} {unit}"
+    if not chapter.data["gate"]["ok"]:
+        return f"What is left, {noise} rms, is not the noise that the model takes it for."
+    return f"What is left, {noise} rms, looks like {law}."
+
+
+def _not_looked_at(chapter: Chapter) -> Iterator[str]:
+    """Columns that were left out, and effects for which a column is lacking."""
+    flags = " ".join(chapter.calibration.readings.flags)
+    names = [n for pair in _IGNORED.findall(flags) for n in pair if n]
+    if names:
+        yield f"Not looked at: {', '.join(names)}."
+    last = chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
+    by_reason: dict[str, list[str]] = {}
+    for candidate in last:
+        if candidate["kind"] == "not testable":
+            by_reason.setdefault(candidate["reason"], []).append(candidate["effect"])
+    if by_reason:
+        told = "; ".join(f"{_and(names)} ({reason})" for reason, names in by_reason.items())
+        yield f"Not tested: {told}."
+
+
+def _not_decided(chapter: Chapter) -> Iterator[str]:
+    """What these readings leave open between."""
+    open_: list[str] = []
+    in_model = set(chapter.calibration.model.names)
+    for missing in chapter.data["missing"]:
+        for one in missing["sets"]:
+            names = list(one["effects"])
+            if len(names) > 1 and in_model & set(names):
+                open_.append(" or ".join(names))
+    last = chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
+    leads = [c["effect"] for c in last if c["kind"] == "lead" and c["effect"] not in in_model]
+    open_ += [f"whether there is {name} as well" for name in leads]
+    if open_:
+        yield f"Not decided: {'; '.join(dict.fromkeys(open_))}."
+    if chapter.data["other_path"] is not None:
+        yield f"Undecided: {chapter.data['other_path']['in_words']}".rstrip(".") + "."
+
+
+def _and(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

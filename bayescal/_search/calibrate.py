@@ -1,0 +1,454 @@
+"""The loop: compare with the readings, see where it fails, learn what is missing, add it, watch the error fall."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check import check
+from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.fit import fit
+from bayescal._calibration.guards import contradictions
+from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
+from bayescal._calibration.noise_in_time import noise_floor
+from bayescal._calibration.predict import predict
+from bayescal._core import deadline
+from bayescal._core.deadline import Door
+from bayescal._core.errors import TimeIsUp
+from bayescal._core.progress import stage
+from bayescal._data.measurements import Measurements
+from bayescal._data.set_aside import set_aside
+from bayescal._data.time_in_runs import going_on
+from bayescal._inference.least_squares import LeastSquares
+from bayescal._inference.marginal import NOT_SAMPLED
+from bayescal._inference.method import Method
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Reference
+from bayescal._model.model import Model
+from bayescal._model.unknown_effect import freed
+from bayescal._search.candidate import Candidate
+from bayescal._search.discover import WORK, structures_over, told, walked, with_causes
+from bayescal._search.gate import judged, wrong_question
+from bayescal._search.library import Library
+from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
+from bayescal._search.search_path import WORSE, Gate, SearchPath, Step
+from bayescal._search.structure_average import averaged
+from bayescal._search.structures import Structure, Structures
+from bayescal._search.walk import STOPPED, path
+
+QUICK = LeastSquares(draws=500)
+NOT_LOOKED = "Nothing was looked for."
+CUT = "The search was ended after {:.0f} s ({}), {}: more time may find more."
+NO_SECOND = "before a second structure was weighed"
+UNJUDGED = "Whether the last model is to be used was not judged ({})."
+UNDER_WAY = Gate(False, "The search is under way: this model is not its end.")
+
+
+def calibrate(
+    model: Model,
+    readings: Measurements,
+    *,
+    holdout: Measurements | None = None,
+    effects: Sequence[Effect] = (),
+    method: Method | None = None,
+    max_effects: int = 5,
+    widen_noise: bool = True,
+    keep_spikes: bool = False,
+    seed: int = 0,
+    reference: Reference | None = None,
+    time_limit: float | None = None,
+    seeds: Sequence[Structure | ShownStructure] = (),
+    accept_conflicts: Collection[str] = (),
+    ignore: Collection[str] = (),
+    covariates: Collection[str] | None = None,
+    follow: Callable[[SearchPath], None] = lambda _: None,
+) -> SearchPath:
+    """Fit, check, find what is missing, add it and fit again: the most probable structure, and the way to it.
+
+    The structures weighed differ by the effects added and by the noise law. What has a
+    probability of 0.95 is added; the steps shown lead from the model given to the one chosen, at each what gains most.
+
+    Args:
+        model: to begin with.
+        readings: to fit.
+        holdout: hold-out data: read after the last step, and never used to choose an effect.
+        effects: further candidates of the user's own.
+        method: of the last fit; `Marginal()` if not given. Steps on the way are fitted by least squares.
+        max_effects: most effects to add.
+        widen_noise: False leaves the noise law as given, whatever the residuals look like.
+        keep_spikes: False sets single readings far from both neighbours aside, and flags them; clipped ones always.
+        seed: of every random number.
+        reference: constants of the bases to use in place of the readings' own.
+        time_limit: seconds for everything; the search gets six tenths of them, and what was left out is said. Ctrl-C
+            ends with what there is at any time.
+        seeds: structures to weigh first: `trail.search.structures` of a search of these readings that was ended early.
+        accept_conflicts: coefficients or effects that may differ greatly from their priors; else nothing is looked for.
+        ignore: columns that are no causes.
+        covariates: of the columns that the instrument does not know, those that may be causes; None for all but other
+            channels of the unit.
+        follow: called with the trail so far, as soon as the first model stands and whenever it grows.
+
+    Raises:
+        ModelError: the readings lack what the model needs.
+        InputError: there is no such column to ignore or to allow.
+        TimeIsUp: the time limit came before the first model was fitted.
+    """
+
+    def run() -> SearchPath:
+        used = set_aside(with_causes(readings, model.instrument, ignore, covariates), keep_spikes)
+        kept = None if holdout is None else set_aside(holdout, keep_spikes)
+        used = _said_to_go_on(used, kept)
+        accepted = frozenset(accept_conflicts)
+        loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
+        loop, first = loop.begin(model)
+        more = loop.freed(first)
+        if first.against and not more:
+            return loop.not_looked(first)
+        loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
+        return loop.search(first, Library(structures), shut, seeds, follow)
+
+    if holdout is not None:
+        model.require(holdout)
+    with deadline.until(time_limit), deadline.share(WORK):
+        return deadline.within(run)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What stays the same from step to step: see `calibrate`."""
+
+    readings: Measurements
+    holdout: Measurements | None
+    method: Method | None
+    seed: int
+    reference: Reference | None
+    max_effects: int
+    accepted: frozenset[str]
+    begun: float = 0.0  # of the search
+    step_takes: float = 0.0  # s, as the first one did
+
+    def begin(self, model: Model) -> tuple[Loop, Step]:
+        """The first step."""
+        before = time.monotonic()
+        first = self.step(model, method=self.quick(model))
+        now = time.monotonic()
+        return replace(self, begun=now, step_takes=now - before), first
+
+    def open(
+        self, first: Step, effects: Sequence[Effect], widen_noise: bool
+    ) -> tuple[Loop, Structures, list[Candidate]]:
+        """The structures to look at beyond the first step, and the candidates that these readings cannot test."""
+        loop = self
+        if self.on_trial(first):
+            loop, widen_noise = replace(self, max_effects=0), False
+        c = first.calibration
+        structures, shut = structures_over(
+            c.model, self.readings, c.reference, effects=effects, widen_noise=widen_noise
+        )
+        return loop, structures, shut
+
+    def freed(self, first: Step) -> tuple[Effect, ...]:
+        """Effects of the first model once more, free of stated values that the readings contradict.
+
+        None where something else stands against the model. A contradiction is a finding: the value is wrong, or an
+        effect is missing that it stands in for, and the search weighs both.
+        """
+        found = contradictions(first.calibration, self.accepted) if first.against else ()
+        if not set(first.against) <= {one.said for one in found}:
+            return ()
+        model, away = first.calibration.model, dict[str, float]()
+        for one in found:
+            away[one.effect] = max(one.away, away.get(one.effect, 0.0))
+        named = {name: model.effect(name) for name in away}
+        if any(e.shapes or e.is_placeholder or e.coefficients[0].per for e in named.values()):
+            return ()
+        return tuple(freed(e, 10 ** math.ceil(math.log10(away[n]))) for n, e in named.items())
+
+    def quick(self, model: Model) -> Method | None:
+        """How steps on the way are fitted: not sampled, for their errors and evidence need no draws.
+
+        Under a heavy-tailed law they do, if there is time.
+        """
+        limited = deadline.current().ends_at < math.inf
+        return QUICK if model.noise.gaussian or limited else self.method
+
+    @staticmethod
+    def on_trial(first: Step) -> bool:
+        """Whether nothing may be added: no convergence, no probabilities; and a published calibration is not saved."""
+        wrong = first.check.fixed is not None and first.check.fixed.wrong
+        return not first.calibration.verdict.ok or wrong
+
+    def not_looked(self, first: Step) -> SearchPath:
+        """What is left of the loop where nothing can be learnt from the first model."""
+        search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(first.against)}")
+        return SearchPath(*judged((first,)), self.holdout, None, search)
+
+    def search(
+        self,
+        first: Step,
+        library: Library,
+        shut: Sequence[Candidate],
+        seeds: Sequence[Structure | ShownStructure],
+        follow: Callable[[SearchPath], None],
+    ) -> SearchPath:
+        """Walk over the structures, and fit those on the way to the most probable one."""
+
+        def tell() -> None:
+            self.tell([first], library.structures, to, follow)
+
+        to = deadline.door()
+        tell()
+        try:
+            library, stopped = self.look(library, seeds, tell)
+        except TimeIsUp as early:
+            return self.not_searched(first, early.why)
+        return self.steps_to_best(first, library, shut, stopped, follow)
+
+    def look(
+        self,
+        library: Library,
+        seeds: Sequence[Structure | ShownStructure] = (),
+        tell: Callable[[], None] = lambda: None,
+    ) -> tuple[Library, str]:
+        """Walk over the structures: these as weighed, and why the walk ended early, if it did.
+
+        Raises:
+            TimeIsUp: not even the first model was weighed.
+        """
+        known = self._known(seeds, library.structures)
+        return walked(library, self.max_effects, lambda _: tell(), known)
+
+    def steps_to_best(
+        self,
+        first: Step,
+        library: Library,
+        shut: Sequence[Candidate],
+        stopped: str,
+        follow: Callable[[SearchPath], None] = lambda _: None,
+    ) -> SearchPath:
+        """Fit the models on the way to the most probable structure."""
+        structures, steps, to = library.structures, [first], deadline.door()
+        way = self._way(library, Posterior.of(structures).chosen)
+        # Where sampling may be ended early, the last model stands before it begins.
+        twice = deadline.current().apart and not isinstance(self.method, LeastSquares)
+        try:
+            for before, at in pairwise(way):
+                model = structures.weigh(at).sized_model
+                once = at == way[-1] and not twice
+                method = self.method if once else self.quick(model)
+                steps.append(self.step(model, before, at, method=method))
+                self.tell(steps, structures, to, follow)
+            if self.method != QUICK and (len(way) == 1 or twice):
+                steps[-1] = self.sampled(steps[-1])
+                self.tell(steps, structures, to)
+        except KeyboardInterrupt:
+            if stopped:
+                raise
+            stopped = STOPPED.format(time.monotonic() - self.begun)
+        if first.calibration.verdict.ok:
+            steps = [
+                replace(s, discovery=told(library, at, shut, stopped))
+                for s, at in zip(steps, way, strict=False)
+            ]
+            if (last := steps[-1].discovery) and (why := self.incomplete(steps)):
+                steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
+        trail = self.trail(steps, structures, complete=not stopped, stopped=stopped)
+        return self.averaged(trail, structures, way[len(steps) - 1])
+
+    def averaged(self, trail: SearchPath, structures: Structures, at: Structure) -> SearchPath:
+        """The trail with what is used of it: an average over the structures, if there is time for it."""
+        last = trail.final.calibration
+        if self.max_effects == 0 or not last.verdict.ok:
+            return trail
+        try:
+            average, shares = averaged(last, structures, at.noise, self.seed)
+        except TimeIsUp:
+            return trail
+        return replace(trail, average=None if average is last else average, shares=shares)
+
+    def sampled(self, step: Step) -> Step:
+        """A step with its posterior sampled, as far as there is time for that and for checking it anew."""
+        with deadline.share(keep=self.step_takes) as end:
+            try:
+                end.ask()
+                found = self.step(step.calibration.model, method=self.method)
+            except TimeIsUp as early:
+                notes = (NOT_SAMPLED.format(early.why), *step.calibration.verdict.notes)
+                return replace(step, calibration=step.calibration.with_verdict(notes=notes))
+        return replace(found, added=step.added, changed=step.changed)
+
+    def _way(self, library: Library, chosen: Structure) -> list[Structure]:
+        """Structures on the way to the chosen one: none between, where there is no time to fit these."""
+        end, steps = deadline.current(), 1 + len(chosen.effects) + bool(chosen.noise)
+        if steps * self.step_takes < end.left:
+            return path(library, chosen)
+        return list(dict.fromkeys([Structure(), chosen]))
+
+    def tell(
+        self,
+        steps: Sequence[Step],
+        structures: Structures,
+        to: Door,
+        follow: Callable[[SearchPath], None] = lambda _: None,
+    ) -> None:
+        """Hand over the trail so far, and say it to who follows."""
+        steps = tuple(steps)
+        so_far = self.trail(steps, structures, complete=False)
+        with to.offering(lambda why: self.cut(steps, so_far.search, why)):
+            follow(so_far)
+
+    def not_searched(self, first: Step, why: str) -> SearchPath:
+        """The first model alone, sampled and judged, where no second structure was weighed in time."""
+        said = CUT.format(time.monotonic() - self.begun, why, NO_SECOND)
+        search = Search((), 0, complete=False, stopped=said)
+        if not isinstance(self.method, LeastSquares):
+            first = self.sampled(first)
+        return SearchPath(*judged((first,)), self.holdout, None, search)
+
+    def cut(self, steps: Sequence[Step], search: Search | None, why: str) -> SearchPath:
+        """A trail that was ended before its last model was found or judged."""
+        best = search.structures[0] if search and search.structures else None
+        have = set(steps[-1].calibration.model.names)
+        at = "with this as the best so far"
+        if best is None:
+            at = NO_SECOND
+        elif not have.issuperset(best.effects):
+            at = f"when {best} was the most probable so far, and was not fitted yet"
+        unjudged = Gate(False, UNJUDGED.format(why))
+        ended = replace(
+            search or Search((), 0, complete=False),
+            stopped=CUT.format(time.monotonic() - self.begun, why, at),
+        )
+        steps = (*steps[:-1], steps[-1].judged((unjudged.reason,)))
+        return SearchPath(steps, unjudged, self.holdout, None, ended)
+
+    def incomplete(self, steps: Sequence[Step]) -> str:
+        """Why the last model may not be called complete, whatever its probability; empty where it may."""
+        added, last = sum(s.added is not None for s in steps), steps[-1]
+        tested = last.discovery is not None and any(
+            c.probability is not None for c in last.discovery.candidates
+        )
+        if 0 < self.max_effects <= added and tested:
+            return (
+                f"not stated, as the search added the {added} effects that it may (--max-effects)"
+            )
+        earlier = [s.left_out.rmse for s in steps[:-1] if s.left_out]
+        if last.left_out and earlier and last.left_out.rmse > WORSE * min(earlier):
+            return f"not stated, as the {scheme(last.left_out.group)} error has risen on the way"
+        return ""
+
+    def _known(
+        self, seeds: Sequence[Structure | ShownStructure], structures: Structures
+    ) -> list[Structure]:
+        """Of an earlier search's structures, those that this one may weigh."""
+        given = dict.fromkeys(Structure(frozenset(s.effects), s.noise) for s in seeds)
+        return [
+            s
+            for s in given
+            if s.effects <= set(structures.candidates)
+            and s.effects.isdisjoint(structures.barred(s))
+            and len(s.effects) <= self.max_effects
+            and s.noise in ("", *structures.laws)
+        ]
+
+    def step(
+        self,
+        model: Model,
+        before: Structure | None = None,
+        at: Structure | None = None,
+        *,
+        method: Method | None,
+    ) -> Step:
+        """Fit a model and check it."""
+        calibration = fit(
+            model,
+            self.readings,
+            method,
+            seed=self.seed,
+            strict=False,
+            reference=self.reference,
+        )
+        added, changed = None, ""
+        if before is not None and at is not None:
+            added = " + ".join(sorted(at.effects - before.effects)) or None
+            if at.noise != before.noise:
+                changed = f"noise widened: {model.noise.in_words}"
+        with stage("checking"):
+            found = step_of(calibration, self.holdout, self.accepted)
+        return replace(found, added=added, changed=changed)
+
+    def trail(
+        self, steps: Sequence[Step], structures: Structures, *, complete: bool, stopped: str = ""
+    ) -> SearchPath:
+        search = Search.of(
+            structures,
+            complete=complete,
+            stopped=stopped,
+            seconds=time.monotonic() - self.begun,
+            max_effects=self.max_effects,
+        )
+        if not (complete or stopped):
+            under_way = (*steps[:-1], steps[-1].judged((UNDER_WAY.reason,)))
+            return SearchPath(under_way, UNDER_WAY, self.holdout, None, search)
+        return SearchPath(*judged(steps), self.holdout, _other_path(structures), search)
+
+
+def step_of(
+    calibration: Calibration,
+    holdout: Measurements | None = None,
+    accepted: Collection[str] = (),
+) -> Step:
+    """A fit as a step: checked, with its errors; what is missing from it is not asked yet.
+
+    Args:
+        calibration: the fit.
+        holdout: hold-out data.
+        accepted: coefficients or effects that may contradict their priors.
+    """
+    checked, floor = check(calibration), noise_floor(calibration)
+    kept = None if holdout is None else predict(calibration, holdout)
+    return Step(
+        calibration=calibration,
+        added=None,
+        rmse=predict(calibration).rmse,
+        rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
+        holdout_rmse=None if kept is None else kept.rmse,
+        holdout_sd=None if kept is None else float(np.sqrt(np.mean(kept.sd**2))),
+        left_out=leave_one_group_out(calibration),
+        noise_floor=floor,
+        check=checked,
+        discovery=None,
+        against=wrong_question(calibration, floor, accepted),
+    )
+
+
+def _said_to_go_on(readings: Measurements, holdout: Measurements | None) -> Measurements:
+    """The readings with a flag, where hold-out data continue their record."""
+    going = {} if holdout is None else going_on(readings, holdout)[0]
+    if not going:
+        return readings
+    many = sum(map(len, going.values()))
+    said = (
+        f"{readings.file}: {many} readings of the hold-out data continue its run {', '.join(going)}: they are "
+        "predicted with the record's past, so lags, hysteresis and correlated noise go on"
+    )
+    return replace(readings, flags=(*readings.flags, said))
+
+
+def _other_path(structures: Structures) -> OtherPath | None:
+    """The runner-up model: the best under another noise law, if it differs and is nearly as probable."""
+    best = structures.best
+    ends = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
+    other = max(ends, key=lambda w: w.total, default=None)
+    if other is None or not math.isfinite(other.total) or other.total < best.total - STRONG:
+        return None
+    if other.structure.effects == best.structure.effects:
+        return None
+    law, effects = other.assembly.noise, tuple(sorted(other.structure.effects))
+    return OtherPath(law.name, effects, other.total - best.total, law.in_words)

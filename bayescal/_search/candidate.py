@@ -1,0 +1,259 @@
+"""What the readings say of one effect that is not in a model: by refit where there was one, else by the score."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import chdtrc, logsumexp, ndtri
+
+from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.guards import off_scale
+from bayescal._inference.density import Density
+from bayescal._inference.linear_model import learned_size, linear_model
+from bayescal._model.unknown_effect import covariate_in
+from bayescal._search.library import Library
+from bayescal._search.posterior import FOUND
+from bayescal._search.scores import ScoredPoint, gain_of
+from bayescal._search.structures import Weighed
+
+POWER = 0.80
+FINE = np.geomspace(1 / 30, 30, 61)  # amplitudes of a group, about the likeliest of its grid
+ALIKE = 0.95  # cosine of fitted contributions from which two candidates are confounded
+LEAD = 0.2  # probability from which what is not found is a lead
+VISIBLE = 0.01  # share of the information left after the nuisances, below which a plausible size must still be seen
+HOPELESS = 10.0  # plausible sizes that an effect would need, above which it is not detectable in this experiment
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What the readings say of one effect that is not in the model.
+
+    Attributes:
+        effect: canonical name.
+        probability: that it is missing from the model; None if it cannot be tested.
+        log_bayes_factor: of the model with it against the model as it is, natural logarithm.
+        source: "refit" where the model was fitted again with it, else "score".
+        z: size over its uncertainty (a group's chi-square as the z of equal probability).
+        size, size_sd: expected coefficient and its uncertainty, in `unit`; for a group effect its spread, for an
+            unknown dependence its amplitude.
+        shape: expected shape parameters, in their units.
+        visibility: information left after the nuisances over information before them.
+        minimum_detectable: size in `unit` that would be found with 80 % power.
+        kind: "finding", "lead", "not visible", "not testable", or None: no evidence for it.
+        indistinguishable_from: others that these readings cannot tell from it.
+        reason: why it is not testable or not visible.
+    """
+
+    effect: str
+    probability: float | None = None
+    log_bayes_factor: float | None = None
+    source: str = "score"
+    z: float | None = None
+    size: float | None = None
+    size_sd: float | None = None
+    unit: str = ""
+    shape: dict[str, float] = field(default_factory=dict)
+    visibility: float | None = None
+    minimum_detectable: float | None = None
+    kind: str | None = None
+    indistinguishable_from: tuple[str, ...] = ()
+    reason: str = ""
+
+    @property
+    def unknown(self) -> bool:
+        """Whether it is an unknown function of a covariate rather than an effect with a name."""
+        return covariate_in(self.effect) is not None
+
+
+def judge(
+    library: Library, points: Sequence[ScoredPoint], at: Weighed, with_it: Weighed | None
+) -> Candidate:
+    """One candidate on its own.
+
+    Args:
+        library: of all candidates.
+        points: its scores, the most probable first.
+        at: the structure that it is missing from.
+        with_it: the same with it, refitted; None where it was not.
+    """
+    top = points[0]
+    effect = library.structures.candidates[top.effect]
+    size = effect.coefficients[0].size
+    found = Candidate(
+        effect=effect.name,
+        log_bayes_factor=gain_of(points),
+        z=_z(top, library.grouped(effect.name)),
+        unit=effect.coefficients[0].unit,
+        shape={**top.point.shapes, **top.size.scales},
+        visibility=_visibility(top),
+        minimum_detectable=_minimum_detectable(library, top, size),
+    )
+    if with_it is not None and math.isfinite(with_it.log_evidence):
+        factor = with_it.log_evidence - at.log_evidence
+        found = replace(found, log_bayes_factor=factor, source="refit")
+        return replace(found, **_by_refit(effect, with_it))
+    mean, variance = _size(library, points)
+    return replace(found, size=mean, size_sd=math.sqrt(variance))
+
+
+def too_small_or_large(
+    library: Library, points: Mapping[str, Sequence[ScoredPoint]], at: Weighed
+) -> tuple[str, ...]:
+    """Candidates that at their plausible size are far off the scale of these readings, in words."""
+    line, base, found = linear_model(at.assembly, at.mode), library.structures.base, []
+    noise = math.sqrt(float(np.median(line.variance)))
+    for name, (top, *_) in points.items():
+        effect = library.structures.candidates[name]
+        most = (
+            float(np.max(np.abs(top.columns[:, 0]))) * effect.coefficients[0].size
+        )  # of the noise
+        found += off_scale(effect, most * noise, noise, base.instrument.unit)
+    return tuple(found)
+
+
+def _by_refit(effect, with_it: Weighed) -> dict:
+    """Size with its uncertainty, and shapes, at the refit's mode."""
+    assembly, mode = with_it.assembly, with_it.mode
+    hyper = assembly.hyper(mode.v)
+    shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
+    if learned := learned_size(effect, assembly, mode):
+        return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
+    term = next(t for t in assembly.in_x if t.known.of == effect.name)
+    _, got = Density(assembly, mode.point, mode.flat, mode.v).at(mode.v)
+    sd = 0.0 if got is None else math.sqrt(got.covariance[term.at.start, term.at.start])
+    return {"size": float(mode.point.x[term.at.start]), "size_sd": sd, "shape": shapes}
+
+
+def _size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:
+    """Expected size and its variance by score, over the grid: of the first coefficient, a spread or an amplitude."""
+    gains = np.array([p.gain for p in points])
+    share = np.exp(gains - logsumexp(gains))
+    each = np.array([_at_point(library, p) for p in points])
+    mean = float(share @ each[:, 0])
+    return mean, float(share @ (each[:, 1] + (each[:, 0] - mean) ** 2))
+
+
+def _at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
+    effect = library.structures.candidates[point.effect]
+    if effect.measure:
+        return point.size.scales[effect.measure], 0.0
+    sd = point.size.sd
+    information = sd[:, None] * point.information * sd
+    if library.grouped(point.effect):
+        return _spread(information, sd * point.u, float(sd[0]), effect.coefficients[0].size)
+    inverse = np.linalg.inv(np.eye(len(sd)) + information)
+    return float((inverse @ (sd * point.u))[0] * sd[0]), float(inverse[0, 0] * sd[0] ** 2)
+
+
+def _spread(
+    information: np.ndarray, u: np.ndarray, scale: float, prior: float
+) -> tuple[float, float]:
+    """Expected spread of a group and its variance, under its half-normal prior."""
+    values, vectors = np.linalg.eigh(information)
+    values, along = np.maximum(values, 0.0), (vectors.T @ u) ** 2
+    square, size = FINE[:, None] ** 2, FINE * scale
+    factor = 0.5 * np.sum(
+        along * square / (1 + values * square) - np.log1p(values * square), axis=1
+    )
+    factor += np.log(size) - 0.5 * (size / prior) ** 2  # the prior, by the logarithm
+    weight = np.exp(factor - logsumexp(factor))
+    mean = float(weight @ size)
+    return mean, float(weight @ (size - mean) ** 2)
+
+
+def _main(point: ScoredPoint, group: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Score and information of what speaks for the effect, in plausible sizes: all members of a group, or the first
+    coefficient with its companions marginalised."""
+    sd = point.size.sd
+    u, information = sd * point.u, sd[:, None] * point.information * sd
+    if group or len(u) == 1:
+        return u, information
+    rest = information[1:, 1:] + np.eye(len(u) - 1)
+    pull = np.linalg.solve(rest, np.column_stack([information[1:, :1], u[1:]]))
+    cross = information[:1, 1:]
+    return u[:1] - cross @ pull[:, 1], information[:1, :1] - cross @ pull[:, :1]
+
+
+def _z(point: ScoredPoint, group: bool) -> float:
+    u, information = _main(point, group)
+    if len(u) == 1:
+        return float(u[0] / np.sqrt(information[0, 0])) if information[0, 0] > 0 else 0.0
+    values, vectors = np.linalg.eigh(information)
+    keep = values > 1e-10 * max(values.max(), 1e-300)
+    square = float(np.sum((vectors.T @ u)[keep] ** 2 / values[keep]))
+    return float(-ndtri(max(chdtrc(keep.sum(), square), 1e-300)))
+
+
+def _visibility(point: ScoredPoint) -> float:
+    before = float(np.sum(point.columns**2))
+    return float(np.trace(point.information)) / before if before > 0 else 0.0
+
+
+def _minimum_detectable(library: Library, point: ScoredPoint, size: float) -> float | None:
+    """Size found with 80 % power: the log Bayes factor reaches what a finding needs under its prior odds."""
+    needed = math.log(FOUND / (1 - FOUND)) - library.structures.log_odds[point.effect]
+    group = library.grouped(point.effect)
+    _, information = _main(point, group)
+    if group:
+        effect = library.structures.candidates[point.effect]
+        amplitude = point.size.scales[effect.measure] if effect.measure else float(point.size.sd[0])
+        return _detectable_amplitude(information, amplitude, needed)
+    i = float(information[0, 0])
+    if i <= 1e-12:
+        return None
+    threshold = np.sqrt(2 * (needed + 0.5 * np.log1p(i)) * (1 + i) / i)
+    return float((threshold + ndtri(POWER)) / np.sqrt(i) * point.size.sd[0])
+
+
+def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: float) -> float | None:
+    """For a group: the amplitude whose members' draws reach the needed log Bayes factor in 80 % of cases."""
+    values = np.maximum(np.linalg.eigvalsh(information), 0.0)
+    if values.max(initial=0.0) <= 1e-12:
+        return None
+    normal = np.random.default_rng(0).standard_normal((400, len(values)))
+    for factor in np.geomspace(0.01, 1e4, 120):
+        # u² along each axis has variance I + I²·factor² in units of the amplitude
+        square = normal**2 * (values + values**2 * factor**2)
+        weight = factor**2
+        gain = 0.5 * square * weight / (1 + values * weight) - 0.5 * np.log1p(values * weight)
+        if np.mean(gain.sum(axis=1) >= needed) >= POWER:
+            return float(factor * amplitude)
+    return None
+
+
+def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
+    """Which candidates' fitted contributions are one and the same to these readings."""
+    outside, inside = [], []
+    for own in points.values():
+        p = own[0]
+        sd = p.size.sd
+        information = sd[:, None] * p.information * sd
+        fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, sd * p.u)
+        outside.append(p.columns @ fitted)
+        inside.append(p.inside @ fitted)
+    names, c, p = list(points), np.array(outside), np.array(inside)
+    gram = c @ c.T - p @ p.T
+    norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    cosine = np.abs(gram / np.outer(norms, norms))
+    return {
+        name: {names[j] for j in np.flatnonzero(cosine[i] > ALIKE) if j != i}
+        for i, name in enumerate(names)
+    }
+
+
+def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
+    """The candidate with its kind: whether it is found, a lead, or not to be seen."""
+    if found:
+        return replace(candidate, kind="finding")
+    if (candidate.probability or 0.0) >= LEAD:
+        return replace(candidate, kind="lead")
+    if (candidate.log_bayes_factor or 0.0) > STRONG:
+        return candidate  # to be seen well enough, and explained by what was found
+    least = candidate.minimum_detectable
+    hidden = (candidate.visibility or 0.0) < VISIBLE
+    if least is None or least > HOPELESS * plausible or (hidden and least > plausible):
+        return replace(candidate, kind="not visible", reason="not detectable in this experiment")
+    return candidate

@@ -1,0 +1,131 @@
+"""The channels of one unit, calibrated together: a trail for each, and the shapes that they share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.evidence_scale import STRONG
+from bayescal._core.formatting import Printed, number, probability, table, with_error
+from bayescal._data.unit_conversion import unit_label
+from bayescal._search.search_path import SearchPath
+from bayescal._search.shared_shape import SharedShape
+
+APART = 1.1  # error of a new run over that of the readings as fitted, from which both are shown
+
+
+@dataclass(frozen=True, repr=False)
+class Channels(Printed):
+    """What `calibrate_channels` gives.
+
+    Attributes:
+        trails: of each channel, by name: its models, errors, findings and last calibration.
+        shared: what the channels say of each effect whose shape they share.
+    """
+
+    trails: Mapping[str, SearchPath]
+    shared: tuple[SharedShape, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether every channel's result is reliable."""
+        return all(trail.ok for trail in self.trails.values())
+
+    if TYPE_CHECKING:
+
+        def save(self, folder: Path) -> None:
+            """Write all results to a folder; `save_search.py` attaches it."""
+
+    @property
+    def reason(self) -> str:
+        """Why not, channel by channel; empty if all may be."""
+        return " ".join(f"{n}: {t.gate.reason}" for n, t in self.trails.items() if not t.ok)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects that some channel's last model holds, in the order of the models."""
+        return tuple(
+            dict.fromkeys(n for t in self.trails.values() for n in t.final.calibration.model.names)
+        )
+
+    def __str__(self) -> str:
+        head = ["", *self.trails]
+        parts = [table(head, [*self._errors(), *map(self._effect, self.effects), self._noise()])]
+        parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
+        parts += [  # of a search that ended early; one that could not begin is not reliable, which is said
+            f"{n}: {t.search.stopped}"
+            for n, t in self.trails.items()
+            if t.search is not None and not t.search.complete
+        ]
+        parts += [
+            f"{n}: result not reliable: {t.gate.reason}" for n, t in self.trails.items() if not t.ok
+        ]
+        return "\n".join(parts)
+
+    def _brief(self) -> str:
+        return f"{', '.join(self.trails)}; effects {', '.join(self.effects) or 'none'}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each channel's last model: errors in its unit, mean sizes of effects in theirs."""
+        finals = [trail.final for trail in self.trails.values()]
+        return {
+            "channel": list(self.trails),
+            "unit": [s.calibration.unit for s in finals],
+            "as fitted, first model": [t.steps[0].rmse_fitted for t in self.trails.values()],
+            "as fitted, last": [s.rmse_fitted for s in finals],
+            "new run, last": [s.rmse for s in finals],
+            "held out": [s.holdout_rmse for s in finals],
+            "noise floor": [s.noise_floor for s in finals],
+            **{e: [_size(s.calibration, e)[0] for s in finals] for e in self.effects},
+            "noise": [s.calibration.model.noise.law for s in finals],
+        }
+
+    def _errors(self) -> list[list[str]]:
+        trails = self.trails.values()
+        rows = [
+            ["unit", *(unit_label(t.final.calibration.unit) for t in trails)],
+            ["as fitted, first model", *(number(t.steps[0].rmse_fitted) for t in trails)],
+            ["as fitted, last", *(number(t.final.rmse_fitted) for t in trails)],
+        ]
+        if any(t.final.rmse > APART * t.final.rmse_fitted for t in trails):
+            rows.append(["new run, last", *(number(t.final.rmse) for t in trails)])
+        if any(t.holdout is not None for t in trails):
+            rows += [
+                ["held out, first", *(number(t.steps[0].holdout_rmse) for t in trails)],
+                ["held out, last", *(number(t.final.holdout_rmse) for t in trails)],
+            ]
+        return [*rows, ["noise floor", *(number(t.final.noise_floor) for t in trails)]]
+
+    def _effect(self, name: str) -> list[str]:
+        cells = []
+        for trail in self.trails.values():
+            mean, sd = _size(trail.final.calibration, name)
+            cells.append("–" if mean is None else with_error(mean, sd))
+        return [name, *cells]
+
+    def _noise(self) -> list[str]:
+        return ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
+
+
+def _size(calibration: Calibration, name: str) -> tuple[float | None, float]:
+    """Of an effect, and its uncertainty; None where the channel's model lacks it."""
+    if name not in calibration.model.names:
+        return None, 0.0
+    effect = calibration.model.effect(name)
+    size = f"{name}.{effect.measure}" if effect.measure else effect.coefficient_name(0)
+    draws = calibration.samples(size)
+    return float(draws.mean()), float(draws.std())
+
+
+def _shared_text(s: SharedShape) -> str:
+    """One line on what the unit has."""
+    middle, low, high = s.posterior
+    showing = ", ".join(n for n in s.says if s.evidence(n) > STRONG) or "none alone"
+    unit = unit_label(s.shape.unit)
+    return (
+        f"{s.effect}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "
+        f"{number(middle)} {unit} (95 %: {number(low)} to {number(high)}), shown by {showing}"
+    )

@@ -1,0 +1,429 @@
+"""The self-check of an instrument: simulated at its own plausible sizes, fitted, and what came back.
+
+It finds what an author cannot see in the file: a basis that is zero, an output that no slot changes, a size that is
+lost in the noise, coefficients that no readings could tell apart, units that disagree between slots and output.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fit import fit
+from bayescal._calibration.guards import off_scale
+from bayescal._calibration.summary import null_directions
+from bayescal._core.errors import BayescalError, ModelError
+from bayescal._core.formatting import Printed, number, table, with_error
+from bayescal._core.progress import stage
+from bayescal._data.column import Column
+from bayescal._data.measurements import Measurements
+from bayescal._data.unit_conversion import coefficient_factor, same_dimension, unit_label
+from bayescal._data.unit_parsing import ANY
+from bayescal._inference.least_squares import LeastSquares
+from bayescal._model import forward
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Frame, build_frame, reference_of
+from bayescal._model.instrument import Instrument
+from bayescal._model.model import Model, testable
+from bayescal._model.parameters import Layout, bind
+from bayescal._search.own_files import in_one_line
+
+RUNS, ROWS = 4, 60  # of the readings that are made up, where the instrument has no simulator
+SPANS = 5.0  # times the longest median time of an effect, that a run lasts at the least
+SAME = 1e-9  # of a slope, up to which it is 1
+BENT = 0.1  # of the noise, beyond which a response is said to be nonlinear
+BACK = 4.0  # standard deviations from the truth, beyond which a coefficient has not come back
+SEEN = 0.6  # contraction below which it is not identifiable; two that are one have a half each
+
+
+@dataclass(frozen=True)
+class Returned:
+    """What came back of one coefficient, or of the spread of a group's.
+
+    Attributes:
+        kind: "baseline", or "candidate": fitted beside the baseline.
+        name: of the unknown.
+        unit: its own.
+        adds: the most that it adds to the output at its plausible size, output unit.
+        truth: that was simulated.
+        mean, sd: of its posterior; None where it could not be fitted.
+        remark: what is to be known of it; empty where it came back.
+    """
+
+    kind: str
+    name: str
+    unit: str
+    adds: float | None
+    truth: float | None
+    mean: float | None
+    sd: float | None
+    remark: str = ""
+
+
+@dataclass(frozen=True, repr=False)
+class InstrumentCheck(Printed):
+    """What `check_instrument` finds.
+
+    Attributes:
+        instrument: its name.
+        unit: of the output.
+        noise: that was simulated, output unit.
+        rows: each coefficient.
+        errors: what is wrong with the instrument, a sentence each.
+        notes: what is to be known of it.
+    """
+
+    instrument: str
+    unit: str
+    noise: float
+    rows: tuple[Returned, ...]
+    errors: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.errors
+
+    def __str__(self) -> str:
+        unit = unit_label(self.unit)
+        head = [
+            "unknown",
+            f"adds at most [{unit or 1}]",
+            "simulated",
+            "came back",
+            "unit",
+            "remark",
+        ]
+        cells = [
+            [
+                r.name,
+                number(r.adds),
+                number(r.truth),
+                "–" if r.mean is None else with_error(r.mean, r.sd or 0.0),
+                unit_label(r.unit),
+                r.remark,
+            ]
+            for r in self.rows
+        ]
+        said = [f"error: {e}" for e in self.errors] + [f"note: {n}" for n in self.notes]
+        many = f"{len(self.errors)} error(s)" if self.errors else "no error"
+        end = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip() + f": {many}"
+        return "\n".join([*([table(head, cells, fold=24)] if cells else []), *said, end])
+
+    def _brief(self) -> str:
+        return f"{self.instrument}: {len(self.rows)} unknowns, {len(self.errors)} errors"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        names = ("name", "kind", "unit", "adds", "truth", "mean", "sd", "remark")
+        return {name: [getattr(row, name) for row in self.rows] for name in names}
+
+    def data(self) -> dict[str, Any]:
+        """As JSON."""
+        return {**vars(self), "rows": [vars(row) for row in self.rows], "ok": self.ok}
+
+
+def check_instrument(
+    instrument: Instrument, readings: Measurements | None = None, *, seed: int = 0
+) -> InstrumentCheck:
+    """Simulate an instrument at its own plausible sizes, fit it by least squares, and say what came back.
+
+    The baseline is fitted with the noise that its law expects, then each candidate beside it. Nothing is judged here
+    but the instrument: the readings are made by its own equation.
+
+    Args:
+        instrument: the instrument.
+        readings: of which the columns are taken, the output aside; those of its simulator, or made up within `low` and
+            `high` of each column, if not given.
+        seed: of every random number.
+
+    Raises:
+        ModelError: the instrument takes its unit from readings, and there are none.
+    """
+    if readings is not None:
+        instrument = instrument.for_readings(readings)
+    if instrument.unit == ANY:
+        raise ModelError(
+            f"instrument {instrument.name!r} takes its unit and sizes from readings: give some (readings=)"
+        )
+    return _CheckedInstrument(instrument, readings, seed).result()
+
+
+class _CheckedInstrument:
+    """One check under way: what it finds is added to `rows`, `errors` and `notes`."""
+
+    def __init__(self, instrument: Instrument, readings: Measurements | None, seed: int) -> None:
+        self.instrument, self.seed = instrument, seed
+        self.rows, self.errors, self.notes = list[Returned](), list[str](), list[str]()
+        self.noise, self.made_labels = 0.0, set[str]()
+        self.readings = self._columns() if readings is None else readings
+
+    def result(self) -> InstrumentCheck:
+        i = self.instrument
+        baseline = Model(i, i.effects, i.noise)
+        with stage(f"checking {i.name}"):
+            if self._fitted(baseline, i.effects, "baseline"):
+                for effect in i.candidates:
+                    reason = testable(effect, self.readings)
+                    if reason is not None:
+                        unit, why = effect.coefficients[0].unit, f"not tested, {reason}"
+                        nothing = (None, None, None, None)
+                        self.rows.append(Returned("candidate", effect.name, unit, *nothing, why))
+                        continue
+                    self._fitted(baseline + effect, (effect,), "candidate")
+        found = tuple(dict.fromkeys(self.errors)), tuple(dict.fromkeys(self.notes))
+        return InstrumentCheck(i.name, i.unit, self.noise, tuple(self.rows), *found)
+
+    def _columns(self) -> Measurements:
+        """Readings of every column: by the instrument's own simulator, or made up within what it declares."""
+        i = self.instrument
+        if i.simulator is not None:
+            return i.simulate({}, seed=self.seed)
+        random, rows = np.random.default_rng(self.seed), RUNS * ROWS
+        run = np.repeat(np.arange(RUNS), ROWS)
+        times = [
+            float(s.prior.value(0.0))
+            for e in (*i.effects, *i.candidates)
+            for s in e.shapes
+            if s.unit == "s" and not s.open
+        ]
+        step = max(10.0, SPANS * max(times, default=0.0) / ROWS)
+        made: dict[str, Any] = {}
+        for column in i.columns:
+            if column.name == "time":
+                made["time"] = step * (np.arange(rows) + ROWS * run)
+            elif column.name == "run":
+                made["run"] = [f"run {n + 1}" for n in run]
+            elif column.unit is None:
+                self.made_labels |= set() if column.allowed else {column.name}
+                members = column.allowed or ("a", "b", "c")
+                made[column.name] = [members[n] for n in random.integers(len(members), size=rows)]
+            elif column.name == "temperature_point":
+                made[column.name] = np.full(rows, np.nan)
+            elif column.name not in ("output", "output_uncertainty"):
+                made[column.name] = self._made_up(column, random, run)
+        made["output"] = random.standard_normal(rows)
+        return Measurements.from_arrays(i, **made)
+
+    def _made_up(self, column: Column, random: np.random.Generator, run: np.ndarray) -> np.ndarray:
+        """Values of a column within its limits: a temperature goes up and down in each run, another is drawn."""
+        usual = (10.0, 50.0) if column.unit == "degC" else (-1.0, 1.0)
+        low = usual[0] if column.low is None else column.low
+        high = (low + usual[1] - usual[0]) if column.high is None else column.high
+        low = (
+            high - (usual[1] - usual[0]) if column.low is None and column.high is not None else low
+        )
+        if column.unit == "degC":
+            low, high = max(low, usual[0]), min(high, usual[1])
+            phase = 2 * np.pi * np.arange(run.size) / ROWS + run
+            return 0.5 * (low + high) + 0.5 * (high - low) * np.sin(phase)
+        if column.low is None or column.high is None:
+            self.notes.append(
+                f"column {column.name!r} declares no low and high: made up between {low:g} and {high:g} "
+                f"{unit_label(column.unit or '1')}".rstrip()
+                + ". Declare them, or give readings, if its range is another"
+            )
+        return random.uniform(low, high, run.size)
+
+    def _fitted(self, model: Model, of: Sequence[Effect], kind: str) -> bool:
+        """Simulate a model, fit it, and note what came back of some of its effects; whether it could be done."""
+        names = ", ".join(e.name for e in of)
+        try:
+            self._round(model, of, kind)
+        except BayescalError as error:
+            self.errors.append(str(error) if names in str(error) else f"{names}: {error}")
+        except Exception as error:  # of the author's functions: said, not shown as a traceback
+            self.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
+        else:
+            return True
+        return False
+
+    def _round(self, model: Model, of: Sequence[Effect], kind: str) -> None:
+        readings, mine = self.readings, {e.name for e in of}
+        model.require(readings)
+        reference = reference_of(readings)
+        frame = build_frame(readings, reference)
+        layout, _ = bind(model, readings)
+        v = jnp.zeros(len(layout.hypers))
+        hyper = forward.hyper_values(layout, v)
+        x = self._truth(layout, hyper)
+        rows = jnp.zeros((frame.size, len(layout.row_blocks)))
+        line = forward.linearise(layout, frame, x, rows, hyper)
+        mean = np.asarray(line.mean)
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), len(self.rows)), 2)
+        rows = forward.row_sd(layout) * jax.random.normal(keys[0], rows.shape)
+        output = np.asarray(forward.draw_readings(layout, frame, x, rows, v, keys[1]))
+        self.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))
+        if kind == "baseline":
+            self._of_response(layout, frame, x, hyper, mean)
+        if not np.isfinite(output).all():
+            raise ModelError(
+                f"{', '.join(mine)}: the output is not finite in {int((~np.isfinite(output)).sum())} of "
+                f"{output.size} readings: is a logarithm, root or quotient out of its range?"
+            )
+        zero = self._zero_bases(layout, frame, hyper, mine)
+        self._bent(layout, frame, x, hyper, line, kind)
+        fitted = fit(
+            model,
+            readings.with_column("output", output),
+            LeastSquares(draws=300),
+            seed=self.seed,
+            reference=reference,
+            strict=False,
+        )
+        self._came_back(fitted, layout, np.asarray(x), np.asarray(line.jacobian), mine, zero, kind)
+        if kind == "baseline":
+            self.notes += [f"baseline: {d['in_words']}" for d in null_directions(fitted)]
+
+    def _truth(self, layout: Layout, hyper: forward.Values) -> jax.Array:
+        """Coefficients one plausible size from their means, up and down in turn; of groups, drawn."""
+        random = np.random.default_rng(self.seed + 1)
+        sd, signs = forward.prior_sd(layout, hyper), np.ones(layout.size)
+        for n, b in enumerate(layout.x_blocks):
+            at = slice(b.start, b.start + b.size)
+            one = b.coefficient.per is None
+            signs[at] = 1 - 2 * (n % 2) if one else random.standard_normal(b.size)
+        return forward.prior_mean(layout) + sd * signs
+
+    def _of_response(self, layout, frame: Frame, x, hyper, mean: np.ndarray) -> None:
+        """Slots that change no output, or change it one for one in another unit."""
+        i = self.instrument
+        rows = jnp.zeros((frame.size, len(layout.row_blocks)))
+        values = forward.coefficients(layout, x, rows, hyper)
+        slopes = forward.slot_derivatives(
+            layout, frame, values, hyper, tuple(s.name for s in i.slots)
+        )
+        slopes = {name: np.asarray(slope) for name, slope in slopes.items()}
+        if not any(np.any(slope) for slope in slopes.values()):
+            raise ModelError(
+                f"instrument {i.name!r}: the output is the same whatever its slots are ({', '.join(slopes)}): its "
+                "response must take them, as slots['bias']"
+            )
+        for slot in i.slots:
+            if not np.any(slopes[slot.name]):
+                self.notes.append(f"slot {slot.name!r} changes no output of these readings")
+            elif np.all(np.abs(slopes[slot.name] - 1) < SAME):
+                self._one_for_one(f"slot {slot.name!r}", slot.unit)
+        if i.use is not None and i.use.equation is None and i.use.stimulus in frame.columns:
+            name = i.use.stimulus
+            up = frame.with_column(name, frame[name] + 1.0)
+            there = forward.mean(layout, up, jnp.zeros_like(x), rows, hyper)
+            here = forward.mean(layout, frame, jnp.zeros_like(x), rows, hyper)
+            if np.all(np.abs(np.asarray(there - here) - 1) < 1e-6):
+                self._one_for_one(f"column {name!r}", str(i.column(name).unit))
+
+    def _one_for_one(self, what: str, unit: str) -> None:
+        """An error, where something adds to the output one for one in another unit of its dimension."""
+        own = self.instrument.unit
+        if not same_dimension(unit, own) or unit == own:
+            return
+        factor = coefficient_factor(unit, own)
+        if abs(factor - 1) > SAME:
+            self.errors.append(
+                f"{what} is in [{unit}] and adds to the output, in [{own}], one for one: it should by {factor:.6g}. "
+                "Declare both in one unit, or convert it in the response"
+            )
+
+    def _zero_bases(self, layout: Layout, frame: Frame, hyper, mine: set[str]) -> set[str]:
+        """Coefficients whose basis is zero in every reading, each an error."""
+        found = set()
+        for b in layout.blocks:
+            if b.effect.name not in mine:
+                continue
+            shapes = {s.name: hyper[b.effect.shape_name(s)] for s in b.effect.shapes}
+            basis = np.asarray(b.effect.evaluate(frame, shapes))[:, b.index]
+            if not np.any(basis):
+                found.add(b.name)
+                columns = ", ".join(b.effect.columns) or "none"
+                said = f"{b.name}: its basis is zero in every reading (its columns: {columns}). "
+                if free := self.made_labels.intersection(b.effect.columns):
+                    made = ", ".join(sorted(free))
+                    ask = f"The labels of {made} are made up: declare them, allowed=(…), or give readings"
+                    self.notes.append(said + ask)
+                else:
+                    ask = "Is a label written as in the file, and can the condition that it asks for occur?"
+                    self.errors.append(said + ask)
+        return found
+
+    def _bent(self, layout: Layout, frame: Frame, x, hyper, line, kind: str) -> None:
+        """A note, where the output departs from its linear form within the plausible sizes."""
+        rows = jnp.zeros((frame.size, len(layout.row_blocks)))
+        middle = forward.prior_mean(layout)
+        exact = forward.mean(layout, frame, middle, rows, hyper)
+        linear = line.mean + line.jacobian @ (middle - x)
+        departs = float(np.max(np.abs(np.asarray(exact - linear)), initial=0.0))
+        if departs > BENT * self.noise and (kind == "baseline" or not self._is_bent):
+            self._is_bent = True
+            unit = unit_label(self.instrument.unit)
+            self.notes.append(
+                "the response is nonlinear in its slots: over plausible sizes it departs from a straight line by up "
+                f"to {number(departs)} {unit}, {number(departs / self.noise, 2)} times the noise. It is fitted as it "
+                "is; compare with bc.NUTS() once"
+            )
+
+    _is_bent = False
+
+    def _came_back(
+        self,
+        fitted: Calibration,
+        layout: Layout,
+        x: np.ndarray,
+        jacobian: np.ndarray,
+        mine: set[str],
+        zero: set[str],
+        kind: str,
+    ) -> None:
+        unit = self.instrument.unit
+        for b in (b for b in layout.x_blocks if b.effect.name in mine):
+            at = slice(b.start, b.start + b.size)
+            c, columns = b.coefficient, jacobian[:, at]
+            sizes = c.size * np.abs(columns)
+            adds = float(np.max(sizes, initial=0.0))
+            draws = fitted.samples(b.name)
+            if c.per is None:
+                truth, mean, sd = float(x[b.start]), float(draws.mean()), float(draws.std())
+                remark = self._remark(b.name, truth, mean, sd, None if c.flat else c.size, zero)
+                self.rows.append(Returned(kind, b.name, c.unit, adds, truth, mean, sd, remark))
+            else:
+                spread = b.spread_name if c.spread is not None else None
+                draws = fitted.samples(spread) if spread else draws.std(axis=1)
+                truth = float(np.std(x[at] - c.mean)) if b.size > 1 else None
+                name = spread or f"{b.name}, one a {c.per}"
+                mean, sd = float(draws.mean()), float(draws.std())
+                self.rows.append(
+                    Returned(kind, name, c.unit, adds, truth, mean, sd, f"{b.size} of them")
+                )
+            said = off_scale(b.effect, adds, self.noise, unit) if b.name not in zero else []
+            self.errors += said
+        for effect in (e for e in layout.model.effects if e.name in mine):
+            for shape in effect.shapes:
+                name = effect.shape_name(shape)
+                draws, truth = fitted.samples(name), float(shape.prior.value(0.0))
+                self.rows.append(
+                    Returned(
+                        *(kind, name, shape.unit, None, truth),
+                        *(float(draws.mean()), float(draws.std())),
+                    )
+                )
+        if not fitted.verdict.ok:
+            self.notes.append(f"{', '.join(sorted(mine))}: {' '.join(fitted.verdict.reasons)}")
+
+    def _remark(
+        self, name: str, truth: float, mean: float, sd: float, size: float | None, zero: set[str]
+    ) -> str:
+        if name in zero:
+            return "its basis is zero"
+        if size is not None and 1 - (sd / size) ** 2 < SEEN:
+            return "not identifiable here"
+        if abs(mean - truth) > BACK * sd:
+            self.errors.append(
+                f"{name} did not come back: {number(truth)} simulated, {with_error(mean, sd)} found"
+            )
+            return "did not come back"
+        return ""

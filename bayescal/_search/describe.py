@@ -1,0 +1,152 @@
+"""An unexplained pattern in selected readings: in words, by which covariate it runs, and the draft of an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.efficient_score import projections, residuals
+from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.fit import fit
+from bayescal._core.errors import InputError, ModelError
+from bayescal._core.formatting import number
+from bayescal._data.unit_conversion import unit_label
+from bayescal._model.frame import derived
+from bayescal._search.calibrate import QUICK
+from bayescal._search.draft_effect import DraftShape, draft_effect, shape_of
+from bayescal._search.preview import Preview, Previews
+
+NARROW = 0.8  # of a covariate's range, below which a selection is said to lie at part of it
+SHARE = 0.5  # of what the best dependence explains in the selection, that another must explain to stand for it
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What selected readings show.
+
+    Attributes:
+        sentence: where they lie, how far the model is off there, and what explains it.
+        effect: the unknown dependence that describes it, such as "unknown(humidity)"; empty where none does.
+        size, unit: standard deviation of its contribution over all readings.
+        code: a first draft of an effect in its place, to edit and load; empty where none describes it.
+        shape: its shape along the covariate.
+        preview: what adding it would do.
+    """
+
+    sentence: str
+    effect: str = ""
+    size: float = 0.0
+    unit: str = ""
+    code: str = ""
+    shape: DraftShape | None = None
+    preview: Preview | None = None
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+def describe(
+    calibration: Calibration,
+    rows: Sequence[int] | Int[np.ndarray, "k"],
+    against: str = "",
+    *,
+    previews: Previews | None = None,
+) -> Draft:
+    """What some readings show that the model does not have, with the draft of an effect.
+
+    Args:
+        calibration: the model.
+        rows: numbers of the selected readings, from 0.
+        previews: over this calibration, where there are some.
+        against: name of the covariate that the region was selected along; empty: whichever explains it best.
+
+    Raises:
+        InputError: no reading is selected, or one that is not there.
+    """
+    rows = np.unique(np.asarray(rows, dtype=np.intp))
+    previews = previews or Previews(calibration)
+    if not rows.size or rows[0] < 0 or rows[-1] >= len(calibration.readings):
+        count = len(calibration.readings)
+        raise InputError(f"select readings to describe, of rows 0 to {count - 1}")
+    said, unit = _where_and_how_far(calibration, rows), unit_label(calibration.unit)
+    best = _explaining(calibration, rows, previews, against)
+    if best is None:
+        return Draft(f"{said} No dependence on a single column explains it.")
+    made = fit(
+        calibration.model + previews.effects[best.effect],
+        calibration.readings,
+        QUICK,
+        seed=calibration.seed,
+        strict=False,
+        reference=calibration.reference,
+    )
+    shape, code = shape_of(made, best.effect), draft_effect(made, best.effect)
+    looks = code.splitlines()[0].partition(": ")[2]
+    said += (
+        f" A dependence on {shape.covariate} explains it (log Bayes factor {best.log_bayes_factor:.1f}): over all "
+        f"readings it contributes {number(shape.size)} {unit} rms and {looks}"
+    )
+    return Draft(said, best.effect, shape.size, calibration.unit, code, shape, best)
+
+
+def _where_and_how_far(calibration: Calibration, rows: Int[np.ndarray, "k"]) -> str:
+    residual = residuals(calibration).raw
+    chosen = np.zeros((len(residual), 1))
+    chosen[rows] = 1.0
+    pull, weight = projections(calibration, residual, chosen)
+    mean = float(pull[0] / weight[0, 0]) if weight[0, 0] > 0 else 0.0
+    z = float(pull[0] / np.sqrt(weight[0, 0])) if weight[0, 0] > 0 else 0.0
+    unit, readings = unit_label(calibration.unit), calibration.readings
+    places = []
+    for name, values in derived(readings).items():
+        low, high, span = values[rows].min(), values[rows].max(), float(np.ptp(values))
+        if span > 0 and high - low < NARROW * span:
+            measured = unit_label(readings.unit(name) or "") if readings.has(name) else ""
+            places.append(f"{name} {number(low, 4)} to {number(high, 4)} {measured}".rstrip())
+    levels, codes = readings.groups("run")
+    inside = sorted({int(c) for c in codes[rows] if c >= 0})
+    if len(levels) > 1 and len(inside) < len(levels):
+        places.append(f"run {', '.join(levels[c] for c in inside)}")
+    where = f" ({'; '.join(places)})" if places else ""
+    count = (
+        f"In the {rows.size} selected readings{where}"
+        if rows.size > 1
+        else f"In row {rows[0] + 1}{where}"
+    )
+    rms = number(float(np.sqrt(np.mean(residual[rows] ** 2))))
+    return f"{count} the residuals have the mean {mean:+.3g} {unit} (z = {z:+.1f}) and {rms} {unit} rms."
+
+
+def _explaining(
+    calibration: Calibration, rows: Int[np.ndarray, "k"], previews: Previews, against: str
+) -> Preview | None:
+    """The unknown dependence with the most evidence, of those that explain the selection about as well as any."""
+    names = [
+        n
+        for n, e in previews.effects.items()
+        if e.is_placeholder
+        and n not in calibration.model.names
+        and (not against or _along(n) == against)
+    ]
+    found: list[tuple[float, Preview]] = []
+    residual = residuals(calibration).raw[rows]
+    for name in names:
+        try:
+            one = previews.of(name)
+        except ModelError:  # not beside this noise law
+            continue
+        explained = float(np.sum(residual**2) - np.sum((residual - one.curve[rows]) ** 2))
+        if (one.log_bayes_factor or 0.0) > STRONG:
+            found.append((explained, one))
+    most = max((explained for explained, _ in found), default=0.0)
+    near = [one for explained, one in found if explained >= SHARE * most and explained > 0]
+    return max(near, key=lambda one: one.log_bayes_factor or 0.0, default=None)
+
+
+def _along(name: str) -> str:
+    """The covariate of "unknown(time, jump)"."""
+    return name.removeprefix("unknown(").removesuffix(")").split(",")[0]

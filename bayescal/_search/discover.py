@@ -1,0 +1,411 @@
+"""Which effect is missing: the posterior over structures that hold the fitted model's effects."""
+
+from __future__ import annotations
+
+import copy
+import textwrap
+import time
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._core import deadline
+from bayescal._core.errors import InputError, TimeIsUp
+from bayescal._core.formatting import WIDTH, Printed, number, probability, table, with_error
+from bayescal._core.progress import stage
+from bayescal._data.measurements import Measurements
+from bayescal._data.unit_conversion import unit_label
+from bayescal._inference.linear_model import amplitudes, linear_model, sized
+from bayescal._inference.record import Record
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Reference, build_frame, derived
+from bayescal._model.instrument import Instrument
+from bayescal._model.model import Model, testable
+from bayescal._model.noise_law import Noise
+from bayescal._model.parameters import bind
+from bayescal._model.unknown_effect import FORMS, FREED
+from bayescal._search.candidate import Candidate, alike, judge, kind_of, too_small_or_large
+from bayescal._search.departures import Departed, departed
+from bayescal._search.library import Library
+from bayescal._search.noise_laws import laws_over
+from bayescal._search.posterior import Found, Posterior
+from bayescal._search.scores import View
+from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.walk import ended_early, walk
+
+# Of a time limit: what remains is for drawing, writing and printing what was found.
+WORK = 0.9
+# Of the time left, for the walk: the rest tells what it found, fits that, samples and checks it.
+SEARCH = 2 / 3
+SHOWN = 0.01  # probability from which a noise law is printed
+RIVALS = 4  # effects that an experiment is asked to tell apart, at most
+
+
+@dataclass(frozen=True)
+class LawProbability:
+    """A noise law and its probability."""
+
+    law: str
+    in_words: str
+    probability: float
+
+    def __str__(self) -> str:
+        return f"{self.in_words} {probability(self.probability)}"
+
+
+@dataclass(frozen=True, repr=False)
+class Discovery(Printed):
+    """The answer to "which effect is missing?".
+
+    Attributes:
+        nothing_missing: probability that none of the candidates is; None where the search cannot say.
+        sets: findings, the most probable first.
+        candidates: every candidate, the most probable first.
+        best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
+        noise: every noise law with its probability, the most probable first; empty where the readings cannot tell.
+        stopped: why the search ended before its end; empty where it did not.
+        unstated: why the search cannot say that, in words; empty where it can.
+        off_scale: candidates a million times smaller or larger than the noise at their plausible size, in words.
+        departures: from the forms of the effects to add, where there are any; `best` holds them too.
+        rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
+            with those that come nearest; without a set, the leads.
+    """
+
+    nothing_missing: float | None
+    sets: tuple[Found, ...]
+    candidates: tuple[Candidate, ...]
+    best: tuple[Effect, ...]
+    rivals: tuple[Effect, ...] = ()
+    departures: tuple[Departed, ...] = ()
+    noise: tuple[LawProbability, ...] = ()
+    stopped: str = ""
+    off_scale: tuple[str, ...] = ()
+    unstated: str = ""
+
+    def not_stated(self, why: str) -> Discovery:
+        """The same without a probability that the model is complete."""
+        return replace(self, nothing_missing=None, unstated=why)
+
+    @property
+    def noise_wanders(self) -> float | None:
+        """Probability of correlated (Ornstein–Uhlenbeck) noise; None where the readings cannot tell."""
+        correlated = {law.law for law in Noise.known.values() if not law.independent}
+        found = [n.probability for n in self.noise if n.law in correlated]
+        return sum(found) if found else None
+
+    def __str__(self) -> str:
+        return discovery_text(self)
+
+    def _brief(self) -> str:
+        return "; ".join(_findings(self))
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each candidate, also for those that are not printed; sizes in `unit`."""
+        names = ("effect", "probability", "log_bayes_factor", "size", "size_sd", "unit")
+        names = (*names, "minimum_detectable", "kind", "reason")
+        return {name: [getattr(c, name) for c in self.candidates] for name in names}
+
+
+def discover(
+    calibration: Calibration,
+    *,
+    effects: Sequence[Effect] = (),
+    max_effects: int = 5,
+    widen_noise: bool = True,
+    time_limit: float | None = None,
+    ignore: Collection[str] = (),
+    covariates: Collection[str] | None = None,
+) -> Discovery:
+    """Which effect is missing from a fitted model.
+
+    Args:
+        calibration: a converged fit.
+        effects: further candidates of the user's own, beside the instrument's.
+        max_effects: most effects that may be missing at once.
+        widen_noise: False holds the noise law as it is.
+        time_limit: seconds for everything; the search gets six tenths of them and ends with the best so far.
+        ignore: columns that are no causes.
+        covariates: of the columns that the instrument does not know, those that may be causes; None for all but other
+            channels of the unit.
+
+    Raises:
+        InputError: there is no such column.
+        TimeIsUp: the time limit came before anything could be said.
+    """
+    model = calibration.model
+    readings = with_causes(calibration.readings, model.instrument, ignore, covariates)
+
+    def run() -> Discovery:
+        structures, shut = structures_over(
+            model, readings, calibration.reference, effects=effects, widen_noise=widen_noise
+        )
+        library, stopped = walked(Library(structures), max_effects)
+        return told(library, Structure(), shut, stopped)
+
+    with deadline.until(time_limit), deadline.share(WORK):
+        return deadline.within(run)
+
+
+def walked(
+    library: Library,
+    max_effects: int,
+    follow: Callable[[Structures], None] = lambda _: None,
+    seeds: Sequence[Structure] = (),
+) -> tuple[Library, str]:
+    """Walk over the structures in the greater part of the time left.
+
+    Returns:
+        The library with what was weighed, and why the walk ended early, if it did.
+
+    Raises:
+        TimeIsUp: not even the model itself was weighed.
+    """
+
+    def run() -> str:
+        deadline.offer(lambda _: ended_early(end, begun))
+        return walk(library, max_effects, follow, seeds)
+
+    begun = time.monotonic()
+    with stage("looking for missing effects"), deadline.share(SEARCH) as end:
+        stopped = deadline.within(run)
+    if stopped:  # a walk that was left behind may still add to what it had
+        s, library = library.structures, copy.copy(library)
+        own = {n: dict(getattr(s, n)) for n in ("visited", "expected", "forms")}
+        library.structures = replace(s, **own)
+    if Structure() not in library.structures.visited:
+        raise TimeIsUp(end.why)
+    return library, stopped
+
+
+def structures_over(
+    model: Model,
+    readings: Measurements,
+    reference: Reference,
+    *,
+    effects: Sequence[Effect] = (),
+    widen_noise: bool = True,
+) -> tuple[Structures, list[Candidate]]:
+    """All structures over a model, and the candidates that these readings cannot test, each with the reason."""
+    instrument = model.instrument
+    known = {e.name: e for e in (*instrument.candidates, *instrument.effects, *effects)}
+    for effect in placeholders(model, readings):
+        known.setdefault(effect.name, effect)
+    own = {e.name for e in effects}  # who gives an effect says what it depends on
+    gone = {
+        n: f"the column {', '.join(columns)} is left out"
+        for n, e in known.items()
+        if n not in own and (columns := sorted(readings.no_causes.intersection(e.columns)))
+    }
+    reasons = {
+        n: gone.get(n) or testable(e, readings) for n, e in known.items() if n not in model.names
+    }
+    open_ = {n: known[n] for n, reason in reasons.items() if reason is None}
+    shut = [
+        Candidate(n, kind="not testable", reason=reason)
+        for n, reason in reasons.items()
+        if reason is not None and not known[n].is_placeholder
+    ]
+    frame = build_frame(readings, reference)
+    model = sized(model, readings, frame)
+    if any(e.open for e in open_.values()):
+        plausible = amplitudes(model, readings, frame)
+        open_ = {n: e.sized(*plausible) for n, e in open_.items()}
+    library = instrument.shown_by(frame, (*open_.values(), *model.effects))
+    record = Record(instrument, frame, np.asarray(readings["output"]), library)
+    laws = laws_over(model, frame) if widen_noise else {}
+    return Structures(model, bind(model, readings, open_.values())[0], record, open_, laws), shut
+
+
+def with_causes(
+    readings: Measurements,
+    instrument: Instrument,
+    ignore: Collection[str],
+    covariates: Collection[str] | None,
+) -> Measurements:
+    """The readings, in which nothing depends on the columns to ignore, and on no other one than given, if any is.
+
+    Args:
+        readings: as read, where other channels of the unit are no causes.
+        instrument: whose columns may be causes in any case.
+        ignore: columns that are none.
+        covariates: further columns that may be; None for all that were read as such.
+
+    Raises:
+        InputError: there is no such column, or one is both.
+    """
+    if both := sorted({*ignore}.intersection(covariates or ())):
+        raise InputError(f"{', '.join(both)}: to be ignored, and a covariate: say one of the two")
+    if covariates is not None:
+        for name in covariates:
+            readings[name]
+        known = {c.name for c in instrument.columns} | {"output_uncertainty"}
+        further = {n for n in readings.columns if n not in known and readings.unit(n) is not None}
+        readings = readings.without_causes(further - {*covariates}, others=False)
+    return readings.without_causes(ignore)
+
+
+def placeholders(model: Model, readings: Measurements) -> list[Effect]:
+    """An unknown smooth dependence on each covariate, a step and a periodic form in time, beside the catalogue."""
+    instrument = model.instrument
+    if all(s.unit != instrument.unit for s in instrument.slots):
+        return []
+    names = [name for name, values in derived(readings).items() if np.ptp(values) > 0]
+    forms = [form for form in FORMS if form.split(",")[0] in names]
+    return [instrument.unknown(name) for name in (*names, *forms)]
+
+
+def told(
+    library: Library, at: Structure, shut: Sequence[Candidate], stopped: str = ""
+) -> Discovery:
+    """What the posterior over structures says is missing from one of them."""
+    structures = library.structures
+    posterior = Posterior.of(structures, at.effects)
+    here = structures.weigh(at)
+    names = [n for n in structures.candidates if n not in at.effects]
+    points = View(library, here).without().scores(names) if names else {}
+    same = alike(points) if points else {}
+    found = posterior.findings
+    in_sets = {name: set(f.effects) for f in found for name in f.effects}
+    judged = []
+    for name in names:
+        with_it = structures.visited.get(at.plus(name))
+        candidate = judge(library, points[name], here, with_it)
+        near = (same[name] | in_sets.get(name, set())) - {name}
+        candidate = replace(
+            candidate,
+            probability=posterior.inclusion(name),
+            indistinguishable_from=tuple(sorted(near)),
+        )
+        judged.append(kind_of(candidate, name in in_sets, _plausible(structures.candidates[name])))
+    ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
+    new, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
+    best = [made.sized_model.effect(name) for name in structures.candidates if name in new]
+    departures = _departures(structures, posterior.chosen, here)
+    leads = [c.effect for c in ranked if c.kind == "lead"]
+    return Discovery(
+        nothing_missing=posterior.nothing,
+        sets=found,
+        candidates=(*ranked, *shut),
+        best=tuple(dict.fromkeys((*best, *departures))),
+        departures=tuple(departures.values()),
+        rivals=tuple(structures.candidates[n] for n in _rivals(posterior, leads)),
+        noise=tuple(_laws(structures, posterior)),
+        stopped=stopped,
+        off_scale=too_small_or_large(library, points, here),
+    )
+
+
+def _laws(structures: Structures, posterior: Posterior) -> list[LawProbability]:
+    """The laws that were weighed, the most probable first; none where there was no choice."""
+    if not structures.laws:
+        return []
+    laws = {"": structures.base.noise, **structures.laws}
+    each = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
+    return sorted(each, key=lambda law: -law.probability)
+
+
+def _departures(structures: Structures, to: Structure, here: Weighed) -> dict[Effect, Departed]:
+    """Departures that the model to use has and this one has not."""
+    end = structures.weigh(to)
+    had = {e.name for e in here.departures}
+    line = linear_model(end.assembly, end.mode) if end.departures else None
+    return {e: departed(line, e) for e in end.departures if line and e.name not in had}
+
+
+def _rivals(posterior: Posterior, leads: list[str]) -> list[str]:
+    """Names of what another experiment should tell apart, the most probable first."""
+    first: list[str] = list(posterior.findings[0].effects) if posterior.findings else []
+    return list(dict.fromkeys(first + (leads if len(first) < 2 else [])))[:RIVALS]
+
+
+def _plausible(effect: Effect) -> float:
+    """The size that an effect plausibly has, in the unit in which it is reported."""
+    amplitude = next((s for s in effect.shapes if s.name == effect.measure), None)
+    return effect.coefficients[0].size if amplitude is None else amplitude.high
+
+
+def discovery_text(found: Discovery) -> str:
+    """What is missing, and every candidate, the most probable first."""
+    lines = [*_findings(found), *map(str, found.departures)]
+    if found.noise:
+        shown = [n for n in found.noise if n.probability >= SHOWN]
+        line = f"noise law (probability): {', '.join(map(str, shown))}"
+        lines.append(textwrap.fill(line, WIDTH, subsequent_indent="  "))
+    lines += [found.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in found.off_scale)]
+    quiet = (None, "not visible")  # an unknown dependence without evidence is not printed
+    tested = [
+        c
+        for c in found.candidates
+        if c.kind != "not testable" and not (c.unknown and c.kind in quiet)
+    ]
+    head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
+    lines.append(table(head, [_candidate_row(c) for c in tested], fold=29) if tested else "")
+    if any(c.source == "refit" for c in tested):
+        lines.append("* log Bayes factor by refit; the others by score")
+    lines += _alike(found) + _not_testable(found)
+    return "\n".join(line for line in lines if line)
+
+
+def _findings(found: Discovery) -> list[str]:
+    complete = found.unstated or probability(found.nothing_missing)
+    lines = [f"probability that the model is complete: {complete}"]
+    for s in found.sets:
+        names = " or ".join(s.effects)
+        tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
+        lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
+    for c in found.candidates:
+        if c.effect.endswith(FREED) and c.probability is not None:
+            rest = [r for r in found.candidates if not r.effect.endswith(FREED)]
+            rival = next((r for r in rest if (r.probability or 0.0) >= SHOWN), None)
+            other = (
+                f", or {rival.effect} is missing ({probability(rival.probability)})"
+                if rival
+                else ""
+            )
+            stated = c.effect.removesuffix(FREED)
+            lines.append(
+                f"{stated} contradicts its prior: its stated value is wrong ({probability(c.probability)}){other}"
+            )
+    return lines
+
+
+def _candidate_row(c: Candidate) -> list[str]:
+    remark = "not detectable in this experiment" if c.kind == "not visible" else c.kind or ""
+    factor = "–" if c.log_bayes_factor is None else f"{c.log_bayes_factor:z.1f}"
+    return [
+        c.effect,
+        probability(c.probability),
+        factor + ("*" if c.source == "refit" else " "),
+        f"{with_error(c.size or 0.0, c.size_sd or 0.0)} {unit_label(c.unit)}".rstrip(),
+        number(c.minimum_detectable, 2),
+        remark,
+    ]
+
+
+def _alike(found: Discovery) -> list[str]:
+    """One line for each group of confounded candidates."""
+    groups: dict[frozenset[str], str] = {}
+    for c in found.candidates:
+        if c.indistinguishable_from:
+            members = (c.effect, *c.indistinguishable_from)
+            if not any(frozenset(members) <= known for known in groups):
+                groups[frozenset(members)] = ", ".join(members)
+    return [
+        textwrap.fill(f"confounded: {names}", WIDTH, subsequent_indent="  ")
+        for names in groups.values()
+    ]
+
+
+def _not_testable(found: Discovery) -> list[str]:
+    """One line for each reason, with the effects that it holds back."""
+    by_reason: dict[str, list[str]] = {}
+    for c in found.candidates:
+        if c.kind == "not testable":
+            by_reason.setdefault(c.reason, []).append(c.effect)
+    return [
+        textwrap.fill(f"not testable, {reason}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
+        for reason, names in by_reason.items()
+    ]

@@ -1,0 +1,246 @@
+"""The gate: whether the last model is to be used. It asks everything that the fits and checks know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.evidence_scale import VERY_STRONG
+from bayescal._calibration.guards import conflicts, without_priors
+from bayescal._calibration.leave_group_out import scheme
+from bayescal._data.rounding import AS_GOOD_AS_NOISE, rounding_step
+from bayescal._data.unit_conversion import unit_label
+from bayescal._model.unknown_effect import FORMS, FREED, covariate_in
+from bayescal._search.search_path import WORSE, Gate, Step
+
+AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
+NOTICEABLE = 0.1  # if the coefficient itself is above this
+FEWEST = int(AUTOCORRELATED**2) + 1  # readings, below which no correlation reaches that z
+RARE = 1e-5  # p-value of a test that asks once for each covariate
+WITHIN = 0.05  # of the squares of a step, that lie within runs where it is one between them
+UNLIKELY = 0.05  # probability that the model is complete, below which it is not to be used as it is
+EXPECTED = 2.0  # times the error that a model expects of hold-out data
+
+
+def gate(steps: Sequence[Step]) -> Gate:
+    """Whether the last model is to be used and its probabilities believed; if not, every reason."""
+    return _gate(steps, against(steps))
+
+
+def _gate(steps: Sequence[Step], reasons: Sequence[str]) -> Gate:
+    if reasons:
+        return Gate(False, " ".join(reasons))
+    if len(steps[-1].calibration.readings) < FEWEST:
+        return Gate(True, "converged; too few readings to see whether neighbours are correlated")
+    return Gate(True, "converged; neighbouring residuals are not correlated")
+
+
+def against(steps: Sequence[Step]) -> list[str]:
+    """Why the last model is not to be used, in words; what was found against it earlier among them."""
+    last = steps[-1]
+    found = last.against or [
+        *_of_noise(last),
+        *_undecided(last),
+        *_against_the_steps_before(steps),
+    ]
+    found = [*_freed(steps), *found]
+    return list(dict.fromkeys([*last.calibration.verdict.against, *found]))
+
+
+def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
+    """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
+    reasons, last = against(steps), steps[-1]
+    if reasons and last.calibration.verdict.ok:
+        steps = (*steps[:-1], last.judged(reasons))
+    return tuple(steps), _gate(steps, reasons)
+
+
+def wrong_question(
+    calibration: Calibration, floor: float, accepted: Collection[str]
+) -> tuple[str, ...]:
+    """Why nothing can be learnt from a model: readings that contradict it, or that were rounded more than they vary.
+
+    Args:
+        calibration: of the model.
+        floor: noise that no model could remove, output unit.
+        accepted: coefficients or effects that may contradict their priors.
+    """
+    free = [n.removesuffix(FREED) for n in calibration.model.names if n.endswith(FREED)]
+    accepted = {*accepted, *free, *(n + FREED for n in free)}
+    found = conflicts(calibration, accepted)
+    found = found or [one.said for one in without_priors(calibration, accepted)]
+    grid, unit = rounding_step(calibration.readings["output"]), unit_label(calibration.unit)
+    if floor < AS_GOOD_AS_NOISE * grid:
+        found.append(
+            f"The output is rounded in steps of {grid:.3g} {unit}, which is more than its noise: nothing finer than "
+            "a step can be known, and standard uncertainties are too small. Record it with more digits."
+        )
+    return tuple(found)
+
+
+def _freed(steps: Sequence[Step]) -> list[str]:
+    """What stands against a model in which a coefficient is free of its stated value, in words."""
+    free = [n for n in steps[-1].calibration.model.names if n.endswith(FREED)]
+    if not free:
+        return []
+    told = [said for said in steps[0].against if any(n.removesuffix(FREED) in said for n in free)]
+    return [
+        f"{', '.join(n.removesuffix(FREED) for n in free)}: the readings are explained with a value other than the "
+        "stated one, and by no missing effect alone.",
+        *told,
+    ]
+
+
+def _undecided(step: Step) -> list[str]:
+    """Something is missing, and the readings do not say what: neither an effect nor one of several."""
+    found = step.discovery
+    if found is None or found.nothing_missing is None or found.sets:
+        return []
+    if found.nothing_missing >= UNLIKELY:
+        return []
+    leads = [c for c in found.candidates if c.probability is not None][:3]
+    named = ", ".join(f"{c.effect} ({c.probability:.2f})" for c in leads)
+    return [
+        f"The model is complete with probability {found.nothing_missing:.2g} only, and the readings do not tell what "
+        f"is missing; the most probable are {named}."
+    ]
+
+
+def _of_noise(step: Step) -> list[str]:
+    verdict = step.calibration.verdict
+    if not verdict.ok:
+        return ["The fit did not converge: " + " ".join(verdict.reasons)]
+    if step.check.fixed is not None and step.check.fixed.wrong:
+        return [
+            f"The fixed coefficients leave residuals of {step.check.fixed.rms:.3g} {step.check.unit} rms, "
+            f"{step.check.fixed.rms / step.check.fixed.noise:.1f} times the noise of the same model with free "
+            "coefficients."
+        ]
+    found, evidence = [], step.calibration.log_evidence
+    if evidence is not None and not math.isfinite(evidence[0]):
+        found.append(
+            "The log evidence is not finite: the readings have too few digits, or a prior is improper."
+        )
+    found += step.doubts
+    found += _of_scatter(step)
+    found += _left_over(step)
+    found += _between_runs(step)
+    coefficient, z = step.check.autocorrelation
+    if abs(z) > AUTOCORRELATED and abs(coefficient) > NOTICEABLE:
+        found.append(
+            f"Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), "
+            "so the probabilities of missing effects are too confident. Either the noise is correlated in "
+            "time or something is missing that no candidate describes."
+        )
+    return found
+
+
+def _left_over(step: Step) -> list[str]:
+    """What the residuals still depend on; and readings too few to tell noise from unknowns."""
+    free, size = len(step.calibration.layout.blocks), len(step.calibration.readings)
+    if size < free + 3:
+        return [
+            f"{size} readings are too few for {free} unknowns: the noise cannot be told, and uncertainties hang on "
+            "the priors."
+        ]
+    rows = [(e.log_bayes_factor, e.against) for e in step.check.entries]
+    rows += [(p.log_bayes_factor, " and ".join(p.against)) for p in step.check.pairs]
+    factor, against = max(rows, default=(0.0, ""))
+    if factor > 2 * VERY_STRONG:
+        said = f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): "
+        candidates = step.discovery.candidates if step.discovery else ()
+        if leads := [c for c in candidates if c.kind == "lead"]:
+            named = " or ".join(f"{c.effect} (probability {c.probability:.2f})" for c in leads)
+            return [
+                f"{said}{named} may be what is missing. Add it (--add {leads[0].effect}), or take the readings of the "
+                "next experiment."
+            ]
+        return [
+            f"{said}something is missing that no candidate describes, or readings of two devices or conditions are "
+            "mixed."
+        ]
+    return []
+
+
+def _between_runs(step: Step) -> list[str]:
+    """A function of time that only tells runs apart: of which of them a new run would be is not known."""
+    calibration = step.calibration
+    _, codes = calibration.readings.groups("run")
+    for name in calibration.model.names:
+        if covariate_in(name) not in FORMS:
+            continue
+        added = calibration.linear.contribution(name)
+        means = np.bincount(codes, added) / np.bincount(codes)
+        if np.sum((added - means[codes]) ** 2) < WITHIN * np.sum((added - added.mean()) ** 2):
+            return [
+                f"Runs stand {np.ptp(means):.3g} {unit_label(calibration.unit)} apart ({name} steps where none goes "
+                "on): they are of two devices or conditions, or the sensor was restarted, and which of them a new run "
+                "will be like is not known."
+            ]
+    return []
+
+
+def _of_scatter(step: Step) -> list[str]:
+    """What the leave-one-out tests say against the noise law."""
+    check = step.check
+    along = [name for name, p in check.spread_with.items() if p < RARE]
+    if along:
+        return [
+            f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "
+            "for no part of the record. Give the readings their own uncertainties (column output_uncertainty)."
+        ]
+    if check.one_sided < RARE:
+        return [
+            "Noise model inadequate: the readings far from the model stand on one side "
+            f"(p = {check.one_sided:.1g}), outliers that draw it there. Find what makes them, and leave them out."
+        ]
+    if check.pit_p < RARE:
+        outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
+        return [
+            "Noise model inadequate: readings do not scatter about the model as normal noise does (leave-one-out "
+            f"probabilities uniform: p = {check.pit_p:.1g}{outside}). Look at the readings; a model with noise "
+            "bc.StudentT() bears outliers on both sides."
+        ]
+    return []
+
+
+def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
+    """What an added effect made worse: the error as fitted, leave-one-group-out, of the hold-out data."""
+    reasons, unit = [], unit_label(steps[-1].calibration.unit)
+    for before, after in pairwise(steps):
+        # Under another noise law readings weigh differently: their plain error may well be larger.
+        if after.added is not None and after.rmse_fitted > WORSE * before.rmse_fitted:
+            reasons.append(
+                f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
+                f"{after.rmse_fitted:.3g} {unit}: do not use it."
+            )
+    last = steps[-1]
+    group = last.left_out.group if last.left_out else "group"
+    errors = {
+        f"each {group} from the others ({scheme(group)})": [
+            s.left_out and s.left_out.rmse for s in steps
+        ],
+        "the hold-out data": [s.holdout_rmse for s in steps],
+    }
+    for what, (*earlier, late) in errors.items():
+        known = {
+            s.title: error for s, error in zip(steps, earlier, strict=False) if error is not None
+        }
+        if late is not None and known and late > WORSE * min(known.values()):
+            best = min(known, key=known.__getitem__)
+            reasons.append(
+                f"The last model predicts {what} worse than step {best!r}, {known[best]:.3g} → {late:.3g} {unit}: "
+                "what was changed since holds for these readings alone."
+            )
+    expected = last.holdout_sd
+    if expected is not None and (last.holdout_rmse or 0.0) > EXPECTED * expected:
+        reasons.append(
+            "The last model predicts the hold-out data worse than it claims: "
+            f"{last.holdout_rmse:.3g} against {expected:.3g} {unit} expected. They are of another device or "
+            "condition, or the model is wrong."
+        )
+    return reasons

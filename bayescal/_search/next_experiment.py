@@ -1,0 +1,242 @@
+"""Which experiment next: the change of the campaign that would tell apart what these readings cannot.
+
+Each member of a credible set is fitted to the readings at hand; what each then expects of a further campaign is a
+normal distribution (posterior draws, new group members and noise). The log Bayes factor between two members that the
+campaign is expected to give, if one of them is the truth, is the divergence between the two distributions, in closed
+form: no campaign is simulated many times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import permutations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.evidence_scale import VERY_STRONG
+from bayescal._calibration.fit import fit
+from bayescal._core.errors import ModelError
+from bayescal._core.formatting import table
+from bayescal._core.jit import compiled
+from bayescal._core.parallel import over
+from bayescal._core.progress import stage
+from bayescal._data.measurements import Measurements
+from bayescal._inference.least_squares import LeastSquares
+from bayescal._model import forward
+from bayescal._model.effect import Effect
+from bayescal._model.frame import build_frame
+from bayescal._model.noise_law import in_time
+from bayescal._model.parameters import Layout
+
+DRAWS = 300
+MOST = 1500  # readings of a campaign that are looked at, evenly spread
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One feasible campaign.
+
+    Attributes:
+        name: what is done, in words.
+        expected: (truth, rival) → expected log Bayes factor for the truth.
+        readings: the campaign's plan; its outputs count for nothing.
+    """
+
+    name: str
+    expected: dict[tuple[str, str], float]
+    readings: Measurements = field(repr=False)
+
+    @property
+    def worst(self) -> float:
+        """The least expected log Bayes factor of a truth against a rival: what it is ranked by."""
+        return min(self.expected.values())
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """Feasible campaigns, the most telling first.
+
+    Attributes:
+        members: the effects to tell apart.
+        experiments: ranked by the least expected log Bayes factor.
+    """
+
+    members: tuple[str, ...]
+    experiments: tuple[Experiment, ...]
+
+    def __str__(self) -> str:
+        return experiment_text(self)
+
+
+def experiment_text(found: NextExperiment) -> str:
+    """Feasible experiments, the most telling first."""
+    rows = []
+    for e in found.experiments:
+        (truth, rival), least = min(e.expected.items(), key=lambda item: item[1])
+        rows.append([e.name, f"{least:.1f}", f"{truth} against {rival}"])
+    lines = [
+        f"to tell apart: {', '.join(found.members)}",
+        table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
+    ]
+    if found.experiments[0].worst < VERY_STRONG:
+        lines.append(
+            f"None of these is expected to tell them apart (a log Bayes factor of {VERY_STRONG:g} would)."
+        )
+    return "\n".join(lines)
+
+
+def next_experiment(
+    calibration: Calibration,
+    effects: Sequence[Effect | str],
+    experiments: Mapping[str, Measurements] | None = None,
+) -> NextExperiment:
+    """Rank feasible campaigns by how well they would tell effects apart.
+
+    Args:
+        calibration: the fit that lacks one of the effects.
+        effects: those that its readings cannot tell apart, two or more, such as a credible set of `discover`.
+        experiments: name → readings of a campaign as it would be recorded (outputs do not count); those that the
+            instrument lists, if not given.
+
+    Raises:
+        ModelError: fewer than two effects, no feasible campaign, or one that lacks a column that an effect needs.
+    """
+    instrument = calibration.model.instrument
+    chosen = [instrument.effect(e) if isinstance(e, str) else e for e in effects]
+    if len(chosen) < 2:
+        raise ModelError(
+            f"next_experiment needs two effects or more to tell apart, not {len(chosen)}"
+        )
+    plans = (
+        {
+            name: Measurements.from_arrays(instrument, **record())
+            for name, record in instrument.experiments
+        }
+        if experiments is None
+        else dict(experiments)
+    )
+    if not plans:
+        raise ModelError(
+            f"Instrument {instrument.name!r} lists no experiment: give readings of feasible campaigns, "
+            "next_experiment(calibration, effects, {'slower': readings, …})"
+        )
+    with stage("fitting each possibility"):
+        fits = {e.name: _fitted(calibration, e) for e in chosen}
+    longest = min(MOST, max(len(readings) for readings in plans.values()))
+    with stage("expecting the outcome of each experiment"):
+        found = [
+            Experiment(name, _expected(fits, readings, longest), readings)
+            for name, readings in plans.items()
+        ]
+    return NextExperiment(tuple(fits), tuple(sorted(found, key=lambda e: -e.worst)))
+
+
+def _fitted(calibration: Calibration, effect: Effect) -> Calibration:
+    return fit(
+        calibration.model + effect,
+        calibration.readings,
+        LeastSquares(draws=DRAWS),
+        reference=calibration.reference,
+        strict=False,
+    )
+
+
+def _expected(
+    fits: Mapping[str, Calibration], readings: Measurements, length: int
+) -> dict[tuple[str, str], float]:
+    """Expected log Bayes factors, truth against rival, in nats."""
+    outlooks = {name: outlook(c, readings, length) for name, c in fits.items()}
+    return {
+        (truth, rival): divergence(outlooks[truth], outlooks[rival])
+        for truth, rival in permutations(fits, 2)
+    }
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a model expects of a campaign: a mean (n,) and a covariance (n, n), output unit."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+def divergence(truth: Outlook, rival: Outlook) -> float:
+    """Kullback–Leibler divergence of two normals: the expected log density ratio if the first is true, nats."""
+    root = np.linalg.cholesky(rival.covariance)
+    own = np.linalg.solve(root, np.linalg.cholesky(truth.covariance))
+    gap = np.linalg.solve(root, rival.mean - truth.mean)
+    logs = np.sum(np.log(np.abs(np.diag(own))))  # both factors are triangular: so is `own`
+    return float(0.5 * (np.sum(own**2) + gap @ gap - gap.size) - logs)
+
+
+def outlook(calibration: Calibration, readings: Measurements, length: int | None = None) -> Outlook:
+    """What a fitted model expects of a campaign.
+
+    Args:
+        calibration: the fit.
+        readings: the campaign's plan.
+        length: campaigns of unlike length are brought to this one, so that one compiled program serves all: longer
+            ones are thinned; rows repeated at the end of shorter ones are left out of the answer.
+    """
+    calibration.model.require(readings)
+    length = len(readings) if length is None else length
+    kept = np.arange(0, len(readings), -(-len(readings) // length))
+    count = kept.size
+    readings = readings.select(np.concatenate([kept, np.full(length - count, kept[-1])]))
+    frame = build_frame(readings, calibration.reference)
+    counts = {
+        **dict(calibration.layout.counts),
+        "reading": len(readings),
+    }
+    x, rows, v = calibration.draws(DRAWS)
+    rows = np.zeros((len(x), len(readings), rows.shape[2]))
+    unseen = eqx.tree_at(
+        lambda f: f.codes, frame, {k: -jnp.ones_like(c) for k, c in frame.codes.items()}
+    )
+    layout = Layout(calibration.model, tuple(counts.items()), calibration.layout.promoted)
+    arrays = tuple(jnp.asarray(a) for a in (x, rows, v))
+    means, root, deviations, beside = _moments(layout, unseen, arrays)
+    means = np.asarray(means)
+    centred = means - means.mean(axis=0)
+    covariance = centred.T @ centred / len(means) + np.asarray(root) + np.diag(np.asarray(beside))
+    for per, columns in deviations.items():
+        codes = np.asarray(frame.codes[per])
+        same = (codes[:, None] == codes[None, :]) & (codes[:, None] >= 0)
+        for column in np.asarray(columns):
+            covariance += same * np.outer(column, column)
+    return Outlook(means.mean(axis=0)[:count], covariance[:count, :count])
+
+
+@compiled
+def _moments(layout: Layout, frame, draws):
+    """Expected output of each draw; at the middle draw's φ, the noise covariance, columns of new group members in
+    units of their spread, and the variance of per-reading coefficients."""
+
+    def mean(draw):
+        x, rows, v = draw
+        return forward.mean(layout, frame, x, rows, forward.hyper_values(layout, v))
+
+    middle = jnp.median(draws[2], axis=0)
+    hyper = forward.hyper_values(layout, middle)
+    x, rows = jnp.mean(draws[0], axis=0), draws[1][0]
+    values = forward.coefficients(layout, x, rows, hyper)
+    noise = layout.model.noise
+    zero = jnp.zeros(frame.size)
+    ordered, own = in_time(noise, frame, jnp.eye(frame.size))
+    white, _ = noise.whiten(own, zero, hyper, ordered)
+    line = forward.linearise(layout, frame, x, rows, hyper)
+    beside = jnp.sum((line.rows * forward.row_sd(layout)) ** 2, axis=1)
+    deviations: dict[str, list] = {}
+    for block in layout.blocks:
+        c = block.coefficient
+        if c.per is None or c.per == "reading" or block.place == "fixed":
+            continue
+        spread = hyper[block.spread_name] if c.spread is not None else c.size
+        column = forward.effect_slope(layout, frame, values, hyper, block) * spread
+        deviations.setdefault(c.per, []).append(column)
+    stacked = {per: jnp.stack(columns) for per, columns in deviations.items()}
+    return over(mean, draws, 64), jnp.linalg.inv(white.T @ white), stacked, beside

@@ -1,0 +1,257 @@
+"""A trail: the sequence of models from the baseline to the last, with the error of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check_result import Check
+from bayescal._calibration.guards import doubts_of_the_mode
+from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
+from bayescal._core.formatting import Printed, number, probability, table
+from bayescal._data.measurements import Measurements
+from bayescal._data.unit_conversion import unit_label
+from bayescal._search.candidate import Candidate
+from bayescal._search.discover import Discovery
+from bayescal._search.posterior import FOUND, OtherPath, Search
+from bayescal._search.structure_average import StructureShare
+
+WORSE = 1.05  # error against that of an earlier step, above which a step does harm
+RISES = " ↑"  # beside a hold-out error that is so
+
+
+@dataclass(frozen=True)
+class Step:
+    """One model of the sequence, with its errors in the output unit.
+
+    Attributes:
+        calibration: the fit.
+        added: effect that this step added, or several where there was no time for each; None for the first and where
+            something else was changed.
+        changed: what was done to the model beside or in place of that, in words; empty if nothing.
+        rmse: of the fitted readings, group deviations at zero (what an unseen group would see).
+        rmse_fitted: the same with group deviations as fitted.
+        holdout_rmse: of the hold-out data; None without them.
+        holdout_sd: that the model expects there, rms.
+        against: why nothing can be learnt from this model, in words; empty for most.
+        left_out: each group predicted from the others.
+        noise_floor: from neighbouring readings alone, whatever the model.
+        check: where this model fails.
+        discovery: what is missing from it; None where probabilities would not be honest.
+    """
+
+    calibration: Calibration
+    added: str | None
+    rmse: float
+    rmse_fitted: float
+    holdout_rmse: float | None
+    left_out: LeaveOneGroupOut | None
+    noise_floor: float
+    check: Check
+    discovery: Discovery | None
+    changed: str = ""
+    holdout_sd: float | None = None
+    against: tuple[str, ...] = ()
+
+    def judged(self, against: Sequence[str]) -> Step:
+        """The same, whose calibration knows why it is not to be used."""
+        return replace(self, calibration=self.calibration.judged(against))
+
+    @cached_property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the Gaussian fit about its mode does not describe the posterior, in words; empty for most."""
+        return tuple(doubts_of_the_mode(self.calibration))
+
+    @property
+    def title(self) -> str:
+        """The step in a few words."""
+        return self.changed or "baseline" if self.added is None else f"+ {self.added}"
+
+    def raises_holdout(self, before: Step) -> bool:
+        """Whether its hold-out error is more than a twentieth above that of the step before."""
+        now, then = self.holdout_rmse, before.holdout_rmse
+        return now is not None and then is not None and now > WORSE * then
+
+    def errors(self) -> dict[str, Any]:
+        """Title and errors as plain data, output unit: what result.json says of them, and what pictures show."""
+        left_out = self.left_out
+        return {
+            "title": self.title,
+            "unit": self.calibration.unit,
+            "rmse_fitted": self.rmse_fitted,
+            "rmse": self.rmse,
+            "leave_one_group_out": None
+            if left_out is None
+            else {"group": left_out.group, "n": left_out.count, "rmse": left_out.rmse},
+            "holdout_rmse": self.holdout_rmse,
+            "noise_floor": self.noise_floor,
+        }
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Whether probabilities of missing effects may be given at all."""
+
+    ok: bool
+    reason: str
+
+
+@dataclass(frozen=True, repr=False)
+class SearchPath(Printed):
+    """The sequence of models from the first to the chosen one, and whether to trust the last.
+
+    Attributes:
+        steps: in order.
+        gate: of the last model.
+        holdout: the hold-out data.
+        other_path: an end under another noise law that is nearly as probable; None where there is none.
+        search: the structures weighed; None where none was asked for.
+        average: the last model's calibration averaged over the structures; None where one has nearly all probability.
+        shares: of the structures in it.
+    """
+
+    steps: tuple[Step, ...]
+    gate: Gate
+    holdout: Measurements | None
+    other_path: OtherPath | None = None
+    search: Search | None = None
+    average: Calibration | None = None
+    shares: tuple[StructureShare, ...] = ()
+
+    @property
+    def final(self) -> Step:
+        return self.steps[-1]
+
+    @property
+    def calibration(self) -> Calibration:
+        """What is to be used: averaged over the structures, where several share the probability."""
+        return self.final.calibration if self.average is None else self.average
+
+    @property
+    def ok(self) -> bool:
+        return self.gate.ok and self.final.calibration.verdict.ok
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is left to search: not under way, not ended early."""
+        return self.search is None or self.search.complete
+
+    @property
+    def ending(self) -> str:
+        """Why the search ended where it did, in words; empty where none was made."""
+        if self.search is None or not (self.search.complete or self.search.stopped):
+            return ""
+        added = sum(s.added is not None for s in self.steps)
+        return ending(self.final.discovery, added, self.search.max_effects, self.search.stopped)
+
+    if TYPE_CHECKING:
+
+        @property
+        def in_short(self) -> str:
+            """The result in one paragraph; `save_search` attaches it."""
+            ...
+
+        def save(self, folder: Path) -> None:
+            """Write result.json, calibration.nc (of the last step) and loop.png; `save_search` attaches it."""
+
+    def __str__(self) -> str:
+        return trail_text(self)
+
+    def _brief(self) -> str:
+        unit = unit_label(self.final.calibration.unit)
+        first, last = self.steps[0].rmse_fitted, self.final.rmse_fitted
+        errors = f"error as fitted {number(first)} → {number(last)} {unit}"
+        return f"{', '.join(s.title for s in self.steps)}; {errors}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each step; errors in the output's unit, rms."""
+        steps = self.steps
+        evidence = [s.calibration.log_evidence for s in steps]
+        return {
+            "step": [s.title for s in steps],
+            "as fitted": [s.rmse_fitted for s in steps],
+            "new run": [s.rmse for s in steps],
+            "left-out": [s.left_out.rmse if s.left_out else None for s in steps],
+            "held-out": [s.holdout_rmse for s in steps],
+            "floor": [s.noise_floor for s in steps],
+            "unit": [s.calibration.unit for s in steps],
+            "log evidence": [e[0] if e else None for e in evidence],
+            "nothing missing": [
+                s.discovery.nothing_missing if s.discovery else None for s in steps
+            ],
+        }
+
+
+def trail_text(trail: SearchPath) -> str:
+    """The error, step by step: as fitted, of a new run, held out, and the floor."""
+    unit = unit_label(trail.final.calibration.unit)
+    held_out = trail.holdout is not None
+    group = next((s.left_out.group for s in trail.steps if s.left_out), "group")
+    head = [
+        *(
+            "step",
+            f"as fitted [{unit}]",
+            "new run",
+            scheme(group),
+            *(["held-out"] if held_out else []),
+        ),
+        *("floor", "log evidence", "P(complete)"),
+    ]
+    rows, rises = [], [False, *(a.raises_holdout(b) for b, a in pairwise(trail.steps))]
+    for i, s in enumerate(trail.steps):
+        evidence = s.calibration.log_evidence
+        rows.append(
+            [
+                f"{i} {s.title}",
+                number(s.rmse_fitted),
+                number(s.rmse),
+                number(s.left_out.rmse if s.left_out else None),
+                *([f"{number(s.holdout_rmse)}{RISES * rises[i]}"] if held_out else []),
+                number(s.noise_floor),
+                "–" if evidence is None else f"{evidence[0]:z.1f}",
+                probability(s.discovery.nothing_missing if s.discovery else None),
+            ]
+        )
+    told = f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
+    return table(head, rows) + (told if any(rises) else "")
+
+
+def ending(found: Discovery | None, added: int, most: int | None, stopped: str) -> str:
+    """Why a search ended where it did: time, a bound on the effects, or that nothing more is probable enough.
+
+    Args:
+        found: what is missing from the last model.
+        added: effects that were added.
+        most: effects that may be.
+        stopped: why it ended early; empty where it did not.
+    """
+    if found is None:
+        return stopped or "Nothing was looked for: the result of the fit is not reliable."
+    said = [stopped] if stopped else []
+    if not stopped and most is not None and added >= most > 0:
+        said.append(
+            f"The search has added as many effects as it may, {most} (--max-effects, in Python max_effects): "
+            "with more, more may be found."
+        )
+    tested = [c for c in found.candidates if c.probability is not None]
+    if tested:
+        said.append(_nearest(max(tested, key=lambda c: c.probability or 0.0), added))
+    elif not said:
+        said.append("These readings can test no further candidate.")
+    return " ".join(said)
+
+
+def _nearest(best: Candidate, added: int) -> str:
+    """The most probable candidate that was not added."""
+    it = f"{best.effect}, probability {probability(best.probability)}"
+    if (best.probability or 0.0) >= FOUND:
+        return f"Still missing: {it}."
+    more = "Nothing more" if added else "Nothing"
+    if best.kind == "lead":
+        return f"{more} is found: {it}: a lead, below the {FOUND:g} asked for."
+    return f"{more} is found: the most probable candidate is {it}, below the {FOUND:g} asked for."

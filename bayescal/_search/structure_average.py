@@ -1,0 +1,215 @@
+"""The average over structures: draws of each in proportion to its probability, in one model that holds all of them.
+
+An interval of one structure does not hold what is not known of the structure. In the model that has the effects of all
+structures, a draw of one of them is a draw whose other coefficients are zero: so everything that is computed from draws
+(predictions, compensation, budgets, exports) is averaged without knowing it.
+Source: J. Hoeting et al., Statist. Sci. 14 (1999) 382 (Bayesian model averaging).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._core import deadline
+from bayescal._core.importance_weights import resample, smoothed
+from bayescal._core.parallel import on_one_thread
+from bayescal._core.progress import stage
+from bayescal._inference.assembly import Point
+from bayescal._inference.method import CHAINS, Draws, by_chain
+from bayescal._inference.mode import Mode
+from bayescal._inference.sampling import weighted_draws
+from bayescal._model.effect import Effect
+from bayescal._model.model import Model
+from bayescal._model.parameters import Layout
+from bayescal._search.posterior import Posterior
+from bayescal._search.structures import Structure, Structures, Weighed
+
+LEAST = (
+    0.01  # probability from which a structure takes part; together the others then have little more
+)
+COUNT = 4000  # draws in all
+PROPOSALS = 512, 4096  # for each structure's, at least and at most
+ABSENT = (
+    -30.0
+)  # coordinate of a between-group standard deviation that is not there, 1e-13 of its scale
+
+
+@dataclass(frozen=True)
+class StructureShare:
+    """A set of effects with its part of the average, all noise laws together."""
+
+    effects: tuple[str, ...]
+    probability: float
+
+
+class _Values(NamedTuple):
+    """Draws by name: coefficients (s, members), what stands in φ (s,), per-reading coefficients (s, n) each."""
+
+    coefficients: dict[str, np.ndarray]
+    hypers: dict[str, np.ndarray]
+    rows: dict[str, np.ndarray]
+
+
+@on_one_thread
+def averaged(
+    last: Calibration, structures: Structures, noise: str, seed: int
+) -> tuple[Calibration, tuple[StructureShare, ...]]:
+    """The last model's calibration averaged over the structures, and what each has of it.
+
+    Args:
+        last: calibration of the structure that is shown.
+        structures: that were weighed.
+        noise: law of the last model, under which all are drawn.
+        seed: of every random number.
+    """
+    shares = shares_of(structures, noise)
+    own = frozenset(last.model.names) - frozenset(structures.base.names)
+    if len(shares) < 2:
+        return last, shares
+    random, parts, models = np.random.default_rng(seed), [], []
+    with stage("averaging over structures"):
+        for share in shares:
+            deadline.current().ask()
+            count = max(1, round(COUNT * share.probability))
+            if frozenset(share.effects) == own:
+                x, rows, v = last.draws()
+                pick = random.choice(len(x), count, replace=count > len(x))
+                parts.append(_by_name(last.layout, x[pick], rows[pick], v[pick]))
+                models.append(last.model)
+                continue
+            weighed = structures.weigh(Structure(frozenset(share.effects), noise))
+            parts.append(_drawn(weighed, count, seed))
+            models.append(weighed.sized_model)
+    model = _union(structures, models)
+    return _together(last, model, parts, shares), shares
+
+
+def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
+    """Sets of effects that take part, the most probable first, and their parts, which sum to one."""
+    posterior, mass = Posterior.of(structures), dict[frozenset[str], float]()
+    for s, probability in zip(posterior.structures, posterior.probability, strict=True):
+        if s in posterior.refitted:
+            mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
+    barred = structures.barred(Structure(noise=noise))
+    kept = {e: p for e, p in mass.items() if p >= LEAST and e.isdisjoint(barred)}
+    order = sorted(kept, key=lambda e: -kept[e])
+    total = sum(kept.values())
+    return tuple(StructureShare(tuple(sorted(e)), kept[e] / total) for e in order)
+
+
+def _drawn(weighed: Weighed, count: int, seed: int) -> _Values:
+    """Draws of a structure about its mode, by importance sampling."""
+    proposals = int(np.clip(4 * count, *PROPOSALS))
+    found = weighted_draws(weighed.assembly, weighed.mode, seed, proposals, 2)
+    weights, _ = smoothed(found.log_weight)
+    pick = resample(weights, count, seed)
+    return _by_name(weighed.assembly.layout, found.x[pick], found.rows[pick], found.v[pick])
+
+
+def _by_name(layout: Layout, x: np.ndarray, rows: np.ndarray, v: np.ndarray) -> _Values:
+    hypers = {h.name: np.asarray(h.prior.value(v[:, i])) for i, h in enumerate(layout.hypers)}
+    fixed = {name: np.full(len(x), float(value)) for name, value in layout.model.fixed}
+    coefficients, beside = {}, {}
+    for b in layout.blocks:
+        if b.place == "x":
+            coefficients[b.name] = x[:, b.start : b.start + b.size]
+        elif b.place == "row":
+            beside[b.name] = rows[:, :, len(beside)]
+        elif b.place == "phi":
+            value = np.stack([hypers[name] for name in b.member_names()], axis=1)
+            if b.coefficient.spread is not None:
+                spread = {**fixed, **hypers}[b.spread_name]
+                value = b.coefficient.mean + spread[:, None] * value
+            coefficients[b.name] = value
+    return _Values(coefficients, hypers, beside)
+
+
+def _union(structures: Structures, models: Sequence[Model]) -> Model:
+    """The model that holds the effects of all, each as the most probable structure has it; departures last."""
+    known: dict[str, Effect] = {}
+    for model in models:
+        for effect in model.effects:
+            known.setdefault(effect.name, effect)
+    order = [*structures.base.names, *structures.candidates]
+    places = {name: i for i, name in enumerate(order)}
+    effects = sorted(known.values(), key=lambda e: places.get(e.name, len(places)))
+    return Model(models[0].instrument, tuple(effects), models[0].noise, models[0].fixed)
+
+
+def _together(
+    last: Calibration, model: Model, parts: Sequence[_Values], shares: Sequence[StructureShare]
+) -> Calibration:
+    """The draws of all structures as those of one model, in a random order."""
+    layout, n = Layout(model, last.layout.counts), len(last.readings)
+    counts = [len(next(iter((p.hypers or p.coefficients).values()))) for p in parts]
+    total = sum(counts)
+    x, v = np.zeros((total, layout.size)), np.zeros((total, len(layout.hypers)))
+    rows = np.zeros((total, n, len(layout.row_blocks)))
+    begin = 0
+    for part, count in zip(parts, counts, strict=True):
+        at = slice(begin, begin + count)
+        for b in layout.x_blocks:
+            if b.name in part.coefficients:
+                x[at, b.start : b.start + b.size] = part.coefficients[b.name]
+        for k, b in enumerate(layout.row_blocks):
+            if b.name in part.rows:
+                rows[at, :, k] = part.rows[b.name]
+        begin += count
+    for i, h in enumerate(layout.hypers):
+        v[:, i] = _coordinates(h, parts, counts)
+    random = np.random.default_rng(last.seed)
+    order = random.permutation(total)[: CHAINS * (total // CHAINS)]
+    verdict = last.verdict
+    said = ", ".join(
+        f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares
+    )
+    notes = (
+        *verdict.notes,
+        f"Averaged over {len(shares)} structures with their probabilities: {said}.",
+    )
+    return replace(
+        last,
+        model=model,
+        joint=Draws(by_chain(x[order]), by_chain(rows[order]), by_chain(v[order])),
+        verdict=replace(verdict, notes=notes),
+        method=f"{last.method}, averaged",
+        layout=layout,
+        mode=_mode(last, layout, x, rows, v),
+    )
+
+
+def _coordinates(h, parts: Sequence[_Values], counts: Sequence[int]) -> Float[np.ndarray, "s"]:
+    """Of one entry of φ; where a structure has it not, as in those that have it, or no between-group deviation."""
+    there = [np.asarray(h.prior.coordinate(p.hypers[h.name])) for p in parts if h.name in p.hypers]
+    usual = float(np.median(np.concatenate(there)))
+    found = []
+    for part, count in zip(parts, counts, strict=True):
+        if h.name in part.hypers:
+            found.append(h.prior.coordinate(part.hypers[h.name]))
+        else:
+            learned = h.kind == "spread" and h.name.endswith(".spread")
+            found.append(np.full(count, ABSENT if learned else usual))
+    return np.concatenate(found)
+
+
+def _mode(last: Calibration, layout: Layout, x, rows, v) -> Mode:
+    """Where the average is linearised: at the means of the draws."""
+    scales: Mapping[str, np.ndarray] = {
+        b.name: last.mode.flat[b.start : b.start + b.size] for b in last.layout.x_blocks
+    }
+    flat = [scales.get(b.name, np.ones(b.size)) for b in layout.x_blocks]
+    middle = np.median(v, axis=0)
+    around = np.where(v > 0.5 * ABSENT, v, middle)
+    covariance = np.atleast_2d(np.cov(around.T)) if v.shape[1] else np.zeros((0, 0))
+    return last.mode._replace(
+        point=Point(x.mean(axis=0), rows.mean(axis=0)),
+        v=np.where(middle > 0.5 * ABSENT, middle, ABSENT),
+        covariance=covariance + 1e-9 * np.eye(v.shape[1]),
+        flat=np.concatenate([np.zeros(0), *flat]),
+    )

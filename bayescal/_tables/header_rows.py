@@ -1,0 +1,106 @@
+"""Which rows of a file name its columns: below lines that tell of the test, and above a row of units."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+from bayescal._tables.cells import is_missing
+from bayescal._tables.dates import unix_seconds
+
+LOOKED_AT = 200  # rows from the start of a file
+_LAST = 5  # of these, whose width is that of the readings
+_UNITS = 2  # rows of units and the like, at most, between names and readings
+_LONGEST_UNIT = 24  # characters
+_NO_UNITS = ("TS", "RN")  # what Campbell's loggers write for moments and the numbers of records
+
+
+class HeaderRows(NamedTuple):
+    """Rows that name columns.
+
+    Attributes:
+        first: index of the row of names.
+        last: of the last row that belongs to them.
+        names: with units in brackets, where a row of units stands below; one for each column.
+    """
+
+    first: int
+    last: int
+    names: list[str]
+
+
+def header_rows(rows: Sequence[Sequence[str]], first: int = 0) -> HeaderRows | None:
+    """The rows that name the columns, if `rows[first]` begins them; None if it does not.
+
+    Names are text; readings with as many fields and a number or a date among them follow, at once or after a row of
+    units. Readings may end each row with one empty field more.
+
+    Args:
+        rows: the first rows of a file, blank ones left out, as fields.
+        first: the row that may be the one of names.
+    """
+    names = [name.strip() for name in rows[first]]
+    if len(names) < 2 or any(map(is_reading, names)) or sum(map(bool, names)) < 2:
+        return None
+    last = [row for row in rows[first + 1 :][-_LAST:] if any(map(is_reading, row))]
+    if not last or sum(map(bool, names)) < min(sum(map(bool, row)) for row in last):
+        return None
+    width, ends_empty = _readings_width(last)
+    if width == len(names) - 1 and names[-1].lower() in ("", "comment"):
+        names = names[:-1]
+    elif width == len(names) + 1 and ends_empty:
+        names = [*names, ""]
+    if width != len(names):
+        return None
+    below = first + 1
+    while below < min(len(rows), first + 2 + _UNITS) and _names_units(rows[below], len(names)):
+        below += 1
+    if below == len(rows) or len(rows[below]) != width or not any(map(is_reading, rows[below])):
+        return None
+    return HeaderRows(first, below - 1, _with_units(names, rows[first + 1 : below]))
+
+
+def is_reading(text: str) -> bool:
+    """Whether a field holds a number or a date."""
+    with suppress(ValueError):
+        float(text.strip().replace(",", ".", 1))
+        return not is_missing(text)
+    with suppress(ValueError):
+        unix_seconds(text)
+        return True
+    return False
+
+
+def _readings_width(rows: Sequence[Sequence[str]]) -> tuple[int, bool]:
+    """How many fields most of these rows have, and whether the last of these is empty in all of them."""
+    width = Counter(map(len, rows)).most_common(1)[0][0]
+    return width, all(not row[-1].strip() for row in rows if len(row) == width)
+
+
+def _names_units(row: Sequence[str], width: int) -> bool:
+    """Whether a row between names and readings may be one of units: short texts, none of them a reading."""
+    texts = [text.strip() for text in row if text.strip()]
+    short = all(len(text) <= _LONGEST_UNIT for text in texts)
+    there = abs(len(row) - width) <= 1 and len(texts) >= 2
+    return there and short and not any(is_reading(t) or (is_missing(t) and t != "-") for t in texts)
+
+
+def _with_units(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Names, each with its unit of the first row of units behind it in brackets."""
+    if not rows:
+        return list(names)
+    units = [*(text.strip() for text in rows[0]), *[""] * len(names)]
+    return [
+        f"{name} [{bare}]" if name and (bare := _bare(unit)) and not name.endswith("]") else name
+        for name, unit in zip(names, units, strict=False)
+    ]
+
+
+def _bare(unit: str) -> str:
+    """A unit without the brackets around it."""
+    pairs = ("()", "[]", "<>", "{}")
+    if unit in _NO_UNITS:
+        return ""
+    return unit[1:-1].strip() if unit[:1] + unit[-1:] in pairs else unit

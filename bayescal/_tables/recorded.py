@@ -1,0 +1,152 @@
+"""What a log holds, whatever its format: sensors with channels, each sampled at times of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bayescal._core.errors import InputError
+
+RATE, ACCELERATION = "rad/s", "m/s^2"  # units in which all these formats log
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Channels of one sensor that are sampled together.
+
+    Attributes:
+        time: of the samples, s, (n,).
+        channels: name, such as "gyro_x", and "gyro_x_1" of a second one → values, (n,).
+        units: name → unit.
+        temperature: °C, (m,); None where the log has none for this sensor.
+        temperature_time: when the temperature was sampled, s, (m,); None where with the channels.
+        device: identifier of the device, as the log states it.
+    """
+
+    time: np.ndarray
+    channels: dict[str, np.ndarray]
+    units: dict[str, str]
+    temperature: np.ndarray | None = None
+    temperature_time: np.ndarray | None = None
+    device: str | None = None
+
+
+@dataclass(frozen=True)
+class LogColumns:
+    """Channels of a log as columns of one length.
+
+    Attributes:
+        columns: header, such as "gyro_x [rad/s]" → one value per sample: numbers, or labels.
+        notes: what was done to make them so, and what is odd about the log, each a sentence.
+    """
+
+    columns: dict[str, np.ndarray]
+    notes: tuple[str, ...] = field(default=())
+
+
+def triad(kind: str, unit: str, values: dict[str, np.ndarray], instance: int) -> tuple[dict, dict]:
+    """Channels and units of three axes.
+
+    Args:
+        kind: "gyro", "acc" or "mag".
+        unit: of all three.
+        values: axis → values, (n,).
+        instance: which sensor of its kind, from 0; the first has no number in its names.
+    """
+    number = f"_{instance}" if instance else ""
+    channels = {f"{kind}_{axis}{number}": np.asarray(v, float) for axis, v in values.items()}
+    return channels, dict.fromkeys(channels, unit)
+
+
+def columns_of(sensors: Collection[Sensor], chosen: Collection[str], file: str) -> LogColumns:
+    """The chosen channels as columns, with time, temperature and what they are of.
+
+    The rows are the samples of the chosen sensor that is sampled most slowly. Other sensors give
+    their sample nearest in time, so that noise stays as it is; the temperature, where it was
+    sampled at other times, is interpolated between its own.
+
+    Args:
+        sensors: of the log.
+        chosen: names of channels; what else is named here is left to the caller.
+        file: its name in messages.
+
+    Raises:
+        InputError: no channel is chosen that the log has, or no row has all that is asked for.
+    """
+    known = {name: sensor for sensor in sensors for name in sensor.channels}
+    wanted = [name for name in dict.fromkeys(chosen) if name in known]
+    if not wanted:
+        listed = ", ".join(known) or "none of a sensor that is read"
+        raise InputError(
+            f"{file!r} is a log, and which of its channels to read is not said. It has: {listed}. "
+            "Choose one: --columns output=gyro_x (in Python columns={'output': 'gyro_x'})"
+        )
+    used = list({id(known[name]): known[name] for name in wanted}.values())
+    base = max(used, key=lambda sensor: _step(sensor.time))
+    kept, notes = _common(base, used, file), []
+    time = base.time[kept]
+    columns: dict[str, np.ndarray] = {"time [s]": time}
+    if base.temperature is not None:
+        columns["temperature [degC]"] = _temperature_at(base, kept)
+        if base.temperature_time is not None:
+            notes.append(
+                f"{file}: the temperature was sampled every {_step(base.temperature_time):.3g} s, and is "
+                f"interpolated to the times of {wanted[0]} (every {_step(base.time):.3g} s)"
+            )
+    if lost := len(base.time) - len(time):
+        notes.append(f"{file}: {lost} samples left out: not all that was asked for was logged then")
+    for name in wanted:
+        sensor = known[name]
+        at = kept if sensor is base else _nearest(sensor.time, time)
+        columns[f"{name} [{sensor.units[name]}]"] = sensor.channels[name][at]
+    if len(used) > 1:
+        notes.append(f"{file}: rows at the times of {next(n for n in wanted if known[n] is base)}")
+    if len(wanted) == 1:
+        labels = {"axis": wanted[0], "device": base.device}
+        columns |= {k: np.full(len(time), v, object) for k, v in labels.items() if v is not None}
+    return LogColumns(columns, tuple(notes))
+
+
+def _step(time: np.ndarray) -> float:
+    """The usual time between samples, s."""
+    return float(np.median(np.diff(time))) if len(time) > 1 else np.inf
+
+
+def _common(base: Sensor, used: Collection[Sensor], file: str) -> np.ndarray:
+    """Which samples of `base` lie where everything was logged.
+
+    Raises:
+        InputError: none does.
+    """
+    spans = [sensor.time for sensor in used]
+    if base.temperature_time is not None:
+        spans.append(base.temperature_time)
+    low, high = (
+        max(t.min(initial=np.inf) for t in spans),
+        min(t.max(initial=-np.inf) for t in spans),
+    )
+    kept = np.flatnonzero((base.time >= low) & (base.time <= high))
+    if not len(kept):
+        raise InputError(
+            f"{file!r}: the channels chosen and their temperature were not logged at one time: "
+            "choose others, or log them together"
+        )
+    return kept
+
+
+def _temperature_at(sensor: Sensor, kept: np.ndarray) -> np.ndarray:
+    assert sensor.temperature is not None
+    if sensor.temperature_time is None:
+        return sensor.temperature[kept]
+    return np.interp(sensor.time[kept], sensor.temperature_time, sensor.temperature)
+
+
+def _nearest(time: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """Index of the sample nearest to each time asked for."""
+    right = np.clip(np.searchsorted(time, asked), 1, max(len(time) - 1, 1))
+    left = right - 1
+    right = np.minimum(right, len(time) - 1)
+    return np.where(asked - time[left] <= time[right] - asked, left, right)

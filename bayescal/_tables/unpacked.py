@@ -1,0 +1,236 @@
+"""What a file unpacks to, looked at before it is unpacked: so that a small file takes neither memory nor time.
+
+A few megabytes of zeros unpack to gigabytes, arrays may be stated that were never written, lists may stand in each
+other until the library that reads them ends the process, and a file may name others. Readings do none of that.
+"""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bayescal._core.errors import InputError
+from bayescal._core.json_shape import DEEPEST
+from bayescal._tables.raw_table import bytes_text
+
+_CHUNK = 1 << 20  # bytes unpacked at a time
+
+
+class Limit(NamedTuple):
+    """How much a format may unpack to: so many times its size, and whatever that is, so many bytes.
+
+    Measured: a sheet of constants 10 times, MATLAB's compressed doubles 4 to 7 times, and 700 times a constant alone.
+    """
+
+    times: float
+    free: float
+
+
+SHEET, ARRAYS = Limit(25, 2e7), Limit(100, 1e8)
+_OBJECTS = 100_000  # groups and arrays of an HDF5 file
+
+
+def refuse_unpacked(file: str, packed: float, unpacked: float, limit: Limit) -> None:
+    """Refuse a file that unpacks to far more than readings do.
+
+    Raises:
+        InputError: it does.
+    """
+    if unpacked > max(limit.free, limit.times * packed):
+        raise InputError(
+            f"{file!r} holds {bytes_text(packed)} that unpack to {bytes_text(unpacked)} or more, at least "
+            f"{unpacked / packed:,.0f} times as much; at most {limit.times:g} times are read. Save the readings as CSV"
+        )
+
+
+def refuse_zip(path: Path, file: str) -> None:
+    """Look at the sizes that a ZIP archive, such as an Excel file, states; no more than these are ever unpacked.
+
+    Raises:
+        InputError: it unpacks to too much.
+        zipfile.BadZipFile: it is none.
+    """
+    with zipfile.ZipFile(path) as archive:
+        total = sum(one.file_size for one in archive.infolist())
+    refuse_unpacked(file, path.stat().st_size, total, SHEET)
+
+
+def refuse_hdf5(opened: Any, file: str, size: int) -> None:
+    """Look at an open HDF5 file: what its arrays state, how deep its groups go, whether it names other files.
+
+    Raises:
+        InputError: it states too much, is nested deeper than any, or leads elsewhere.
+    """
+    import h5py  # a tenth of a second that other formats do without
+    from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
+
+    total, waiting = 0, [(opened, 0)]
+    seen = {h5o.get_info(opened.id).addr}
+    while waiting:
+        group, depth = waiting.pop()
+        for name in group:
+            link, inner = group.get(name, getlink=True), f"{group.name.rstrip('/')}/{name}"
+            if not isinstance(link, h5py.HardLink):
+                raise InputError(
+                    f"{file!r}: {inner} is a link to somewhere else, which is not followed. Save the readings in the "
+                    "file itself"
+                )
+            node = group[name]
+            address = h5o.get_info(node.id).addr
+            if address in seen and isinstance(node, h5py.Group):
+                raise InputError(f"{file!r}: the group {inner} stands there twice, or in itself")
+            seen.add(address)
+            if len(seen) > _OBJECTS or depth >= DEEPEST:
+                raise InputError(
+                    f"{file!r} has more than {_OBJECTS:,} arrays and groups, or groups in each other deeper than "
+                    f"{DEEPEST}: save the readings as CSV"
+                )
+            if isinstance(node, h5py.Group):
+                waiting.append((node, depth + 1))
+            elif isinstance(node, h5py.Dataset):
+                if node.is_virtual or node.external:
+                    raise InputError(
+                        f"{file!r}: the numbers of {inner} stand in another file, which is not read. Save them in the "
+                        "file itself"
+                    )
+                total += int(node.size or 0) * node.dtype.itemsize
+    refuse_unpacked(file, size, total, ARRAYS)
+
+
+# Matrices in a MATLAB file up to 7.2 ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
+_MATRIX, _COMPRESSED = 14, 15
+_CELL, _STRUCT, _OBJECT, _FUNCTION, _OPAQUE = 1, 2, 3, 16, 17
+_TEXT, _SPARSE, _COMPLEX = 4, 5, 0x800
+_HOLDS_OTHERS = (_CELL, _STRUCT, _OBJECT, _FUNCTION, _OPAQUE)
+
+
+def refuse_matlab(path: Path, file: str) -> None:
+    """Look through a MATLAB file up to 7.2: what its compressed variables unpack to, how deep cells and structures go.
+
+    Raises:
+        InputError: it unpacks to too much, is nested deeper than any, or contradicts itself where it is nested.
+    """
+    size, total = path.stat().st_size, 0
+    with path.open("rb") as handle:
+        head = handle.read(128)
+        if 0 in head[:4]:  # version 4: plain matrices, each as long as the file has bytes for
+            return
+        order = ">" if head[126:] == b"MI" else "<"
+        while len(tag := handle.read(8)) == 8:
+            kind, length = struct.unpack(f"{order}II", tag)
+            if length > size - handle.tell():
+                raise ValueError("a variable is longer than the file")
+            if kind == _COMPRESSED:
+                packed = handle.read(length)
+                total += sum(map(len, _inflated(packed, file, size, total)))
+                data = b"".join(_inflated(packed, file, size, 0)) if _nested(packed, order) else b""
+            elif kind == _MATRIX:
+                data = tag + handle.read(length)
+                data = data if _class_of(data, order) in _HOLDS_OTHERS else b""
+            else:
+                handle.seek(length, 1)
+                continue
+            if data:
+                _refuse_deep(data, order, file)
+
+
+def _inflated(packed: bytes, file: str, size: int, before: int) -> Iterator[bytes]:
+    """A compressed variable, a piece at a time, as long as the whole stays within what a file may unpack to."""
+    inflater, total = zlib.decompressobj(), before
+    piece = inflater.decompress(packed, _CHUNK)
+    while piece:
+        total += len(piece)
+        refuse_unpacked(file, size, total, ARRAYS)
+        yield piece
+        piece = inflater.decompress(inflater.unconsumed_tail, _CHUNK)
+
+
+def _nested(packed: bytes, order: str) -> bool:
+    return _class_of(zlib.decompressobj().decompress(packed, 32), order) in _HOLDS_OTHERS
+
+
+def _class_of(data: bytes, order: str) -> int:
+    """Of a matrix: cells, a structure, numbers, …"""
+    return struct.unpack_from(f"{order}I", data, 16)[0] & 0xFF if len(data) >= 20 else 0
+
+
+def _element(data: bytes, at: int, order: str) -> tuple[int, int, int, int]:
+    """Kind of an element, where its bytes begin, how many there are, and where the next element begins."""
+    kind, length = struct.unpack_from(f"{order}II", data, at)
+    if kind >> 16:  # a small one: both numbers and the bytes in eight
+        return kind & 0xFFFF, at + 4, kind >> 16, at + 8
+    return kind, at + 8, length, at + 8 + (length if kind == _MATRIX else -(-length // 8) * 8)
+
+
+def _refuse_deep(data: bytes, order: str, file: str) -> None:
+    """Walk through matrices in each other, without recursion; each must hold what it states, and end where it says.
+
+    Raises:
+        InputError: they are nested deeper than any.
+        ValueError, struct.error: they contradict themselves.
+    """
+    stack: list[list[int]] = []  # of each matrix around: what it still holds, and where it ends
+    at, left = 0, 1
+    while left or stack:
+        if not left:
+            left, end = stack.pop()
+            if at != end:
+                raise ValueError("a cell or structure does not end where it says")
+            continue
+        kind, begin, length, after = _element(data, at, order)
+        if kind != _MATRIX or after > (stack[-1][1] if stack else len(data)):
+            raise ValueError("a cell or structure holds something else than it says")
+        left -= 1
+        if not length:
+            at = after
+            continue
+        if _class_of(data[at : at + 24], order) not in _HOLDS_OTHERS:
+            _refuse_torn(data, begin, after, order)
+            at = after
+            continue
+        if len(stack) >= DEEPEST:
+            raise InputError(
+                f"{file!r} has cells or structures in each other deeper than {DEEPEST}: save the readings as CSV"
+            )
+        stack.append([left, after])
+        left, at = _held(data, begin, after, order)
+
+
+def _refuse_torn(data: bytes, at: int, end: int, order: str) -> None:
+    """A matrix of numbers or text has the parts of its kind, and they fill it: else its reader would go on behind it.
+
+    Raises:
+        ValueError: it has not.
+    """
+    flags = struct.unpack_from(f"{order}I", data, at + 8)[0]
+    parts = 3 + {_TEXT: 1, _SPARSE: 3}.get(flags & 0xFF, 1) + bool(flags & _COMPLEX)
+    for _ in range(parts):
+        *_, at = _element(data, at, order)
+    if at != end:
+        raise ValueError("a matrix within a cell or structure is not as long as it says")
+
+
+def _held(data: bytes, at: int, end: int, order: str) -> tuple[int, int]:
+    """How many matrices one holds, and where the first begins."""
+    kind, elements = data[at + 8] if order == "<" else data[at + 11], list[tuple[int, int]]()
+    while at < end:
+        told, begin, length, after = _element(data, at, order)
+        if told == _MATRIX:
+            break
+        elements.append((begin, length))
+        at = after
+    if kind in (_FUNCTION, _OPAQUE):
+        return 1, at
+    begin, length = elements[1]
+    count = 1
+    for size in struct.unpack_from(f"{order}{length // 4}i", data, begin):
+        count *= size
+    if kind in (_STRUCT, _OBJECT):
+        width, names = (elements[-2], elements[-1])
+        longest = struct.unpack_from(f"{order}i", data, width[0])[0]
+        count *= names[1] // max(longest, 1)
+    return count, at

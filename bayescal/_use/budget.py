@@ -1,0 +1,323 @@
+"""The uncertainty budget of a compensated value, after JCGM 100 (GUM), at a chosen operating point.
+
+Two tables split the same variance, correlations included:
+
+- *by coefficient*: sensitivity c = ∂value/∂θ, contribution |c|·u(θ), and the share c_i·Σ_j C_ij·c_j/u², which adds up
+  to one and may be negative where correlation reduces the variance (JCGM 100, 5.2.2);
+- *by source*: where the posterior's width comes from, linearised at the fit: noise of the calibration's readings and
+  how its runs differ (Type A), priors (Type B), those of nuisance angles among them, which tell how well a bias is
+  known. What sampling between-group standard deviations and shapes adds has a row of its own.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.mixture import inclusion, without
+from bayescal._calibration.prior_influence import variance_by_origin
+from bayescal._core.errors import InputError
+from bayescal._core.formatting import WIDTH, number, table, with_error
+from bayescal._data.unit_conversion import (
+    coefficient_factor,
+    convert,
+    needs_gravity,
+    same_dimension,
+    unit_label,
+)
+from bayescal._use import inversion
+from bayescal._use.budget_notes import learned_spreads, notes_on
+from bayescal._use.compensator import Compensator, compensator
+
+REST = "between-group sd, shapes, curvature"
+STRUCTURES = "which effects there are (average over structures)"
+SMALL = 5e-4  # share of the variance below which a coefficient is not printed
+READINGS = "noise of the calibration's readings"
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One coefficient's part.
+
+    Attributes:
+        name, unit: of the coefficient, as reported.
+        value, uncertainty: posterior mean and standard uncertainty, in that unit.
+        sensitivity: ∂value/∂coefficient, stimulus unit per reported unit.
+        contribution: |sensitivity|·uncertainty, stimulus unit.
+        share: of the variance, correlations included.
+    """
+
+    name: str
+    unit: str
+    value: float
+    uncertainty: float
+    sensitivity: float
+    contribution: float
+    share: float
+
+    def cells(self) -> list[str]:
+        """Name, estimate, sensitivity and contribution as people read them."""
+        estimate = f"{with_error(self.value, self.uncertainty)} {unit_label(self.unit)}".strip()
+        return [self.name, estimate, number(self.sensitivity), number(self.contribution)]
+
+
+@dataclass(frozen=True)
+class SourceShare:
+    """One source's part: kind "A" (readings and their runs), "B" (a prior) or "" (the rest); share of the variance."""
+
+    name: str
+    kind: str
+    contribution: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Budget:
+    """An uncertainty budget.
+
+    Attributes:
+        stimulus, unit: what the value is of.
+        at: operating point: the stimulus and every covariate, in `at_units`.
+        at_units: the fixed units.
+        reading: expected there, in `output_unit`.
+        output_unit: of the instrument's readings.
+        uncertainty: combined standard uncertainty of the compensated value, without the noise of the reading.
+        noise: standard uncertainty that the noise of one reading adds, stimulus unit.
+        k: coverage factor.
+        coefficients, sources: the two tables.
+        covariance: of the coefficients, in their order, reported units.
+        notes: what to know, each a sentence.
+    """
+
+    stimulus: str
+    unit: str
+    at: dict[str, float]
+    at_units: dict[str, str]
+    reading: float
+    output_unit: str
+    uncertainty: float
+    noise: float
+    k: float
+    coefficients: tuple[Contribution, ...]
+    sources: tuple[SourceShare, ...]
+    covariance: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    @property
+    def expanded(self) -> float:
+        """k times the combined standard uncertainty, without the noise of the reading."""
+        return self.k * self.uncertainty
+
+    @property
+    def expanded_reading(self) -> float:
+        """The same with the noise of one reading."""
+        return self.k * float(np.hypot(self.uncertainty, self.noise))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        sd = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.where(sd > 0, np.outer(sd, sd), 1.0)
+
+    def shown(self) -> Budget:
+        """The same in the readings' unit where the stimulus is of their kind, angles of the point in degrees."""
+        to = self.output_unit
+        if to == self.unit or not same_dimension(self.unit, to) or needs_gravity(self.unit, to):
+            to = self.unit
+        factor = coefficient_factor(self.unit, to)
+        coefficients = tuple(
+            replace(c, sensitivity=factor * c.sensitivity, contribution=factor * c.contribution)
+            for c in self.coefficients
+        )
+        degrees = {n: "deg" if unit == "rad" else unit for n, unit in self.at_units.items()}
+        return replace(
+            self,
+            unit=to,
+            at={n: float(convert(v, self.at_units[n], degrees[n])) for n, v in self.at.items()},
+            at_units=degrees,
+            uncertainty=factor * self.uncertainty,
+            noise=factor * self.noise,
+            coefficients=coefficients,
+            sources=tuple(replace(s, contribution=factor * s.contribution) for s in self.sources),
+        )
+
+    def data(self) -> dict[str, Any]:
+        """As JSON, in fixed units."""
+        return {
+            **asdict(self),
+            "expanded": self.expanded,
+            "expanded_reading": self.expanded_reading,
+            "covariance": self.covariance.tolist(),
+        }
+
+    def __str__(self) -> str:
+        return budget_text(self.shown())
+
+
+def budget_text(found: Budget) -> str:
+    """Both tables of an uncertainty budget; k and the kind of each interval said."""
+    unit = unit_label(found.unit)
+    at = ", ".join(
+        f"{name} = {number(value, 4)} {unit_label(found.at_units[name])}".strip()
+        for name, value in found.at.items()
+    )
+    seen = [c for c in found.coefficients if abs(c.share) >= SMALL]
+    left = len(found.coefficients) - len(seen)
+    hidden = f" {left} coefficients below {SMALL:.2%} are not shown." if left else ""
+    tail = [f"contribution {unit}".strip(), "share"]
+    parts = [
+        f"Uncertainty budget of {found.stimulus} at {at}",
+        table(
+            ["coefficient", "estimate", "sensitivity", *tail],
+            [[*c.cells(), f"{100 * c.share:.1f} %"] for c in seen],
+        ),
+        "Shares count correlations and add up to 100 %; a negative share reduces the variance."
+        + hidden,
+        table(
+            ["the same by where it comes from", "type", *tail],
+            [
+                [s.name, s.kind, number(s.contribution), f"{100 * s.share:.1f} %"]
+                for s in found.sources
+            ],
+        ),
+        f"Combined standard uncertainty {number(found.uncertainty)} {unit}; with the noise of one reading "
+        f"({number(found.noise)} {unit}): {number(found.expanded_reading / found.k)} {unit}.",
+        f"Expanded uncertainty (k = {found.k:g}): {number(found.expanded)} {unit}; with the noise of one reading: "
+        f"{number(found.expanded_reading)} {unit}.",
+        textwrap.fill(" ".join(found.notes), WIDTH),
+    ]
+    return "\n\n".join(parts)
+
+
+def budget(
+    calibration: Calibration | Compensator,
+    at: Mapping[str, float] | None = None,
+    *,
+    k: float = 2.0,
+) -> Budget:
+    """The uncertainty budget of a compensated value.
+
+    Args:
+        calibration: a fit, or a compensator of one.
+        at: operating point: the stimulus and covariates by name, fixed units. Left out are the middle of the
+            calibrated range; zero for the stimulus where that is not known, and for rates and lags.
+        k: coverage factor of the expanded uncertainty.
+
+    Raises:
+        InputError: a name that the calibration does not know, or k is not positive.
+        ModelError: the instrument does not say what it measures.
+    """
+    chosen = compensator(calibration) if isinstance(calibration, Calibration) else calibration
+    if chosen.calibration is None or chosen.equation is None:
+        raise InputError("a loaded compensator has no posterior: give the calibration itself")
+    if not (np.isfinite(k) and k > 0):
+        raise InputError(f"k = {k}: a coverage factor is a positive number, such as 2")
+    point = _operating_point(chosen, dict(at or {}))
+    found, gradient = _slopes(chosen, point)
+    covariance = chosen._moments.covariance
+    variance = float(gradient @ covariance @ gradient)
+    return Budget(
+        stimulus=chosen.stimulus,
+        unit=chosen.unit,
+        at=point,
+        at_units={chosen.stimulus: chosen.unit, **{i.name: i.unit for i in chosen.inputs}},
+        reading=found.expected,
+        output_unit=chosen.output_unit,
+        uncertainty=variance**0.5,
+        noise=chosen.noise / abs(found.slope),
+        k=float(k),
+        coefficients=_by_coefficient(chosen, gradient, variance),
+        sources=_by_source(chosen, point, gradient, variance),
+        covariance=covariance,
+        notes=notes_on(chosen, point),
+    )
+
+
+def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, float]:
+    inputs = {i.name: i for i in chosen.inputs if i.kind != "lag slope"}
+    for name, value in at.items():
+        if name != chosen.stimulus and name not in inputs:
+            raise InputError(
+                f"{name!r} plays no part in this compensation; what does: "
+                f"{', '.join([chosen.stimulus, *inputs])}"
+            )
+        if not np.isfinite(value):
+            raise InputError(f"{name} = {value}: give a finite number")
+    low, high = chosen.stimulus_range or (0.0, 0.0)
+    point = {chosen.stimulus: 0.5 * (low + high)}
+    for name, i in inputs.items():
+        point[name] = 0.5 * (i.low + i.high) if i.kind in ("column", "elapsed") else 0.0
+    return {**point, **{n: float(v) for n, v in at.items()}}
+
+
+def _by_coefficient(
+    chosen: Compensator, gradient: np.ndarray, variance: float
+) -> tuple[Contribution, ...]:
+    moments = chosen._moments
+    sd = np.sqrt(np.diag(moments.covariance))
+    share = gradient * (moments.covariance @ gradient) / (variance or np.inf)
+    return tuple(
+        Contribution(
+            name=unknown.name,
+            unit=unknown.unit,
+            value=float(moments.mean[i]),
+            uncertainty=float(sd[i]),
+            sensitivity=float(gradient[i]),
+            contribution=float(abs(gradient[i]) * sd[i]),
+            share=float(share[i]),
+        )
+        for i, unknown in enumerate(chosen._equation.unknowns())
+    )
+
+
+def _slopes(
+    chosen: Compensator, point: Mapping[str, float]
+) -> tuple[inversion.AtPoint, np.ndarray]:
+    """The equation at a point, and ∂value/∂θ there."""
+    assert chosen.equation is not None
+    inverse, mean = chosen._inverse, chosen._moments.mean
+    found = inversion.at_point(chosen.equation, inverse.reference, mean, point, inverse.names)
+    return found, 0.0 - found.gradient / found.slope
+
+
+def _by_source(
+    chosen: Compensator, point: Mapping[str, float], gradient: np.ndarray, variance: float
+) -> tuple[SourceShare, ...]:
+    """The split by what the calibration knew: noise, each prior, each deviation that is new in use."""
+    unlikely = [name for name, share in inclusion(chosen._calibration).items() if share <= 0.5]
+    parts, total = dict[tuple[str, str], float](), variance
+    if unlikely:
+        assert chosen.equation is not None
+        chosen = compensator(
+            without(chosen._calibration, unlikely), members=dict(chosen.equation.members)
+        )
+        _, gradient = _slopes(chosen, point)
+        total = float(gradient @ chosen._moments.covariance @ gradient)
+    slopes, learned = dict[str, float](), learned_spreads(chosen._equation)
+    for i, unknown in enumerate(chosen._equation.unknowns()):
+        if unknown.kind == "new":
+            kind = "A" if unknown.key in learned else "B"
+            parts[unknown.name, kind] = gradient[i] ** 2 * chosen._moments.covariance[i, i]
+        else:
+            slopes[unknown.name] = float(gradient[i])
+    split = variance_by_origin(chosen._calibration, slopes)
+    if split is not None:
+        parts[READINGS, "A"] = split.readings
+        parts |= {(f"prior of {name}", "B"): value for name, value in split.priors.items()}
+    rest = {REST: total - sum(parts.values())}
+    if unlikely:
+        rest[STRUCTURES] = variance - total
+    rows = [
+        _share(name, kind, value, variance)
+        for (name, kind), value in sorted(parts.items(), key=lambda p: -p[1])
+    ]
+    return (*rows, *(_share(name, "", value, variance) for name, value in rest.items()))
+
+
+def _share(name: str, kind: str, value: float, variance: float) -> SourceShare:
+    share = value / variance if variance > 0 else 0.0
+    return SourceShare(name, kind, float(np.sign(value) * abs(value) ** 0.5), share)

@@ -1,0 +1,332 @@
+"""Compensate a file: every column and row as they were, and two columns more.
+
+Text and Parquet go through a stretch of rows at a time, unless the calibration needs the past of the record or its
+time; then the columns that it needs are held whole, never the file. What cannot be written as it was (Excel, MATLAB)
+becomes CSV. Rows with a missing reading are gaps, and come out empty. The new file is written beside its place and
+renamed.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import xarray as xr
+
+from bayescal._core.atomic_file import netcdf_bytes, replacing_for_user
+from bayescal._core.errors import InputError
+from bayescal._core.quoting import csv_line
+from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
+from bayescal._data.column_conversion import convert_columns, kept_table
+from bayescal._data.column_matching import ReadOptions, match
+from bayescal._data.dataset_checks import problems_of_whole
+from bayescal._data.header_matching import understood
+from bayescal._data.measurements import Measurements, assemble
+from bayescal._tables.csv_reader import csv_parts
+from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
+from bayescal._tables.parquet_netcdf import parquet_parts
+from bayescal._tables.problems import Problems
+from bayescal._tables.raw_table import ROW, Table, bytes_text, load_whole
+from bayescal._use.compensator import Compensated, Compensator, Method
+
+KEPT = (*TEXT, ".parquet", ".nc")  # in which a file can be written as it was
+AS_CSV = (".xlsx", ".mat")
+ROWS = 200_000  # compensated at a time
+
+
+@dataclass(frozen=True)
+class ExpectedColumns:
+    """What a file to compensate must hold, as `convert_columns` asks an instrument."""
+
+    name: str
+    columns: tuple[Column, ...]
+    nominal_scale: NominalScale | None
+
+
+@dataclass
+class CompensationSummary:
+    """What was done.
+
+    Attributes:
+        file: written.
+        columns: names of the two columns added.
+        rows: compensated.
+        outside: name → readings outside its calibrated range.
+        unsolved: readings for which the equation has no solution; their value is NaN.
+        missing: rows without a reading, or without an input; their value is empty.
+        flags: input warnings, each a sentence.
+    """
+
+    file: Path
+    columns: tuple[str, str]
+    rows: int = 0
+    outside: dict[str, int] = field(default_factory=dict)
+    unsolved: int = 0
+    missing: int = 0
+    flags: tuple[str, ...] = ()
+
+
+@dataclass
+class _FileCompensation:
+    """One file on its way: by what it is compensated, and what has been done so far."""
+
+    compensator: Compensator
+    options: ReadOptions
+    method: Method | None
+    noise: bool
+    expected: ExpectedColumns
+    done: CompensationSummary
+
+    def part(self, table: Table) -> Compensated:
+        """Compensate the rows of a table by themselves."""
+        converted = convert_columns(table, self.expected, self.options)
+        if not self.done.flags:
+            self.done.flags = tuple(converted.flags)
+        return self._take(table, converted)
+
+    def whole(self, table: Table) -> Compensated:
+        """Compensate all rows of a table, the past of each counting."""
+        size = 8 * table.rows * len(self.expected.columns)
+        if size > MAX_BYTES:
+            raise InputError(
+                f"{table.file!r}: this calibration needs the past of the record, {bytes_text(size)} in memory; the "
+                f"limit is {bytes_text(MAX_BYTES)}. Split it by runs, or average it"
+            )
+        converted = convert_columns(table, self.expected, self.options)
+        source = Source(table.file, table.sha256, table.rows)
+        there = kept_table(table, converted)
+        problems_of_whole([there], converted, self.expected, True).refuse()
+        self.done.flags = assemble([there], converted, self.expected, (source,)).flags
+        return self._take(table, converted)
+
+    @property
+    def needs_whole(self) -> bool:
+        """Whether rows cannot be taken by themselves: their past counts, or times that count from the first."""
+        return self.compensator.history or any(c.name == "time" for c in self.expected.columns)
+
+    def _take(self, table: Table, converted: ConvertedColumns) -> Compensated:
+        readings = _measurements(converted)
+        found = self.compensator(readings, noise=self.noise, method=self.method, warn=False)
+        self.done.rows += table.rows
+        self.done.unsolved += int(np.isnan(found.value).sum())
+        for name, mask in found.outside.items():
+            self.done.outside[name] = self.done.outside.get(name, 0) + int(mask.sum())
+        if converted.kept is None:
+            return found
+        self.done.missing += table.rows - len(converted.kept)
+        value, uncertainty = np.full((2, table.rows), np.nan)
+        value[converted.kept], uncertainty[converted.kept] = found.value, found.uncertainty
+        return replace(found, value=value, uncertainty=uncertainty)
+
+
+def compensate_file(
+    compensator: Compensator,
+    path: str | Path,
+    out: str | Path,
+    *,
+    local_gravity: float = 9.80665,
+    missing: str = "drop",
+    method: Method | None = None,
+    noise: bool = True,
+    **how: Any,
+) -> CompensationSummary:
+    """Add `<output>_compensated` and `<output>_uncertainty` to a file of readings.
+
+    Args:
+        compensator: of the instrument.
+        path: text, .parquet or .nc; Excel or MATLAB.
+        out: file to write, of the same format, or .csv for Excel and MATLAB; may be the same file.
+        local_gravity: as of `bayescal.read`.
+        missing: "drop" for a gap where a reading is missing: its row stays and comes out empty; or "refuse".
+        method, noise: as of the compensator.
+        how: columns, units, decimal, date_order, nominal_scale, nominal_zero, as of `bayescal.read`; without a nominal
+            scale that of the calibration holds.
+
+    Raises:
+        InputError: what `bayescal.read` refuses; another format; columns of these names are there already.
+    """
+    path, out = Path(path), Path(out)
+    suffix = path.suffix.lower()
+    check_files([path], 1 << 62)
+    if suffix not in (*KEPT, *AS_CSV):
+        raise InputError(
+            f"{path.name!r} cannot be compensated as a file: choose one of {', '.join((*KEPT, *AS_CSV))}. Of a log "
+            "read the channels, and compensate these: bc.compensator(…)(bc.read(…))"
+        )
+    wanted = ".csv" if suffix in AS_CSV else suffix
+    if out.suffix.lower() != wanted and not (suffix in TEXT and out.suffix.lower() in TEXT):
+        kept = "it is written as CSV" if suffix in AS_CSV else "every column is kept as it is"
+        raise InputError(
+            f"{out.name!r}: {kept}, so the file to write must be {wanted} like {path.name!r}"
+            if suffix not in AS_CSV
+            else f"{out.name!r}: {path.name!r} can only be written as text: name a file .csv"
+        )
+    expected = _expected(compensator)
+    how.pop("ignore", None)  # nothing is left out of the file
+    given = {name: value for name, value in how.items() if value is not None}
+    options = ReadOptions.of(
+        expected, local_gravity=local_gravity, missing=missing, only=True, **given
+    )
+    with replacing_for_user(out) as partial:
+        asked = tuple(options.columns.values())
+        table = open_table(path, path.name, _limit(suffix), options.decimal, asked)
+        raw, names = _names(table, expected, options)
+        done = CompensationSummary(out, names)
+        job = _FileCompensation(
+            compensator=compensator,
+            options=options,
+            method=method,
+            noise=noise,
+            expected=expected,
+            done=done,
+        )
+        writers = {".parquet": _parquet, ".nc": _netcdf, **dict.fromkeys(AS_CSV, _as_csv)}
+        writers.get(suffix, _csv)(job, path, partial, table, raw)
+    return done
+
+
+def _limit(suffix: str) -> int:
+    return 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet is read a stretch at a time
+
+
+def _expected(compensator: Compensator) -> ExpectedColumns:
+    if compensator.calibration is not None:
+        instrument = compensator.calibration.model.instrument
+        scale = compensator.calibration.readings.scale or instrument.nominal_scale
+        return ExpectedColumns(instrument.name, compensator.columns, scale)
+    about = compensator.program.about
+    scale = NominalScale(*about.raw) if about.raw else None
+    return ExpectedColumns(about.instrument, compensator.columns, scale)
+
+
+def _names(
+    table: Table, expected: ExpectedColumns, options: ReadOptions
+) -> tuple[str, tuple[str, str]]:
+    """The output's header in the file, and the names of the columns to add.
+
+    Raises:
+        InputError: there is no output, or the names are taken.
+    """
+    columns = {column.name: column for column in expected.columns}
+    table = understood(table, expected, options)
+    problems = Problems(table.problems)
+    places = match(table, columns, options, problems)
+    problems.refuse()
+    if "output" not in places:
+        raise InputError(
+            f"{table.file!r} has no column 'output' (it has: {', '.join(h.name for h in table.headers)}). If it is "
+            "called otherwise, say so: columns={'output': …} (--columns output=…)"
+        )
+    header = table.headers[places["output"]]
+    names = f"{header.name}_compensated", f"{header.name}_uncertainty"
+    for name in names:
+        if any(h.name == name for h in table.headers):
+            raise InputError(
+                f"{table.file!r} has a column {name!r} already: take it out, or compensate the original"
+            )
+    return header.raw, names
+
+
+def _measurements(converted: ConvertedColumns) -> Measurements:
+    variables: dict[str, Any] = {}
+    for name, values in converted.values.items():
+        unit = converted.units[name]
+        variables[name] = (ROW, np.asarray(values), {"units": unit} if unit else {})
+    return Measurements(xr.Dataset(variables))
+
+
+def _slices(
+    job: _FileCompensation, whole: Compensated | None
+) -> Callable[[Table], tuple[np.ndarray, np.ndarray]]:
+    """A function that gives value and uncertainty of the next rows."""
+    start = 0
+
+    def take(table: Table) -> tuple[np.ndarray, np.ndarray]:
+        nonlocal start
+        if whole is None:
+            found = job.part(table)
+            return found.value, found.uncertainty
+        rows = slice(start, start + table.rows)
+        start += table.rows
+        return whole.value[rows], whole.uncertainty[rows]
+
+    return take
+
+
+def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
+    """Lines as they stand, with two fields more."""
+    whole = job.whole(table) if job.needs_whole else None
+    take, unit = _slices(job, whole), job.compensator.unit
+    with partial.open("wb") as target:
+        for part in csv_parts(path, table.file, ROWS, job.options.decimal):
+            if part.table is None:  # comments and the header
+                added = [f"{name} [{unit}]" for name in job.done.columns]
+                target.writelines(part.before)
+                target.write(_longer(part.lines[0], added, part.separator))
+                target.writelines(_longer(line, ["", ""], part.separator) for line in part.behind)
+                continue
+            value, uncertainty = take(part.table)
+            rows = iter(zip(value.tolist(), uncertainty.tolist(), strict=True))
+            for line in part.lines:
+                if not line.strip():
+                    target.write(line)
+                    continue
+                fields = [_number(v, part.decimal) for v in next(rows)]
+                target.write(_longer(line, fields, part.separator))
+
+
+def _number(value: float, decimal: str = ".") -> str:
+    """As the file writes numbers; nothing where there is none."""
+    return "" if value != value else repr(value).replace(".", decimal)
+
+
+def _longer(line: bytes, fields: list[str], separator: str) -> bytes:
+    body = line.rstrip(b"\r\n")
+    end = line[len(body) :] or b"\n"
+    return body + (separator + csv_line(fields, separator)).encode("utf-8") + end
+
+
+def _parquet(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
+    whole = job.whole(table) if job.needs_whole else None
+    take, unit = _slices(job, whole), job.compensator.unit
+    with pq.ParquetFile(path) as opened:
+        schema = opened.schema_arrow
+    in_header = raw != raw.partition(" [")[0]  # the unit of the output stands in its name
+    names = [f"{name} [{unit}]" if in_header else name for name in job.done.columns]
+    for name in names:
+        schema = schema.append(pa.field(name, pa.float64(), metadata={"units": unit}))
+    with pq.ParquetWriter(partial, schema) as writer:
+        for batch, part in parquet_parts(path, table.file, ROWS):
+            columns = [*batch.columns, *(pa.array(v) for v in take(part))]
+            writer.write_table(pa.Table.from_arrays(columns, schema=schema))
+
+
+def _as_csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
+    """A sheet or vectors as CSV: its cells as text, with two columns more."""
+    found = job.whole(table) if job.needs_whole else job.part(table)
+    told = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
+    unit = job.compensator.unit
+    with partial.open("w", encoding="utf-8", newline="") as target:
+        writer = csv.writer(target, lineterminator="\n")
+        added = [f"{name} [{unit}]" for name in job.done.columns]
+        writer.writerow([*(header.raw for header in table.headers), *added])
+        texts = [told[i].values.tolist() for i in range(len(table.headers))]
+        values = ([_number(v) for v in vs.tolist()] for vs in (found.value, found.uncertainty))
+        writer.writerows(zip(*texts, *values, strict=True))
+
+
+def _netcdf(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
+    found = job.whole(table) if job.needs_whole else job.part(table)
+    with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
+        dataset = opened.load()
+    (dimension,) = dataset[raw].dims
+    unit = {"units": job.compensator.unit}
+    values = zip(job.done.columns, (found.value, found.uncertainty), strict=True)
+    dataset = dataset.assign({name: (dimension, v, unit) for name, v in values})
+    partial.write_bytes(netcdf_bytes(dataset))

@@ -1,0 +1,300 @@
+"""Compensation: from a reading and its covariates back to the stimulus, with standard uncertainty.
+
+From posterior draws, or by first-order propagation of mean and covariance (what firmware does).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.mixture import usual_columns, with_columns
+from bayescal._core.errors import InputError
+from bayescal._data.column import UNCERTAINTY, Column
+from bayescal._data.measurements import Measurements
+from bayescal._use import code_writer, inversion
+from bayescal._use.compensation_program import CompensationProgram, program_of
+from bayescal._use.inputs import (
+    PAST,
+    Input,
+    gathered,
+    input_of,
+    inputs_at_fit,
+    limits,
+    outside,
+    ranges_in_words,
+    warn_outside,
+)
+from bayescal._use.operating_equation import (
+    OperatingEquation,
+    equation_in_use,
+    input_names,
+)
+from bayescal._use.posterior_moments import PosteriorMoments, posterior_moments
+from bayescal._use.provenance import notes_on_use, provenance_of
+
+Method = Literal["draws", "first order"]
+
+
+@dataclass(frozen=True)
+class Compensated:
+    """Compensated readings.
+
+    Attributes:
+        value: the stimulus, (n,); NaN where the equation has no solution.
+        uncertainty: its standard uncertainty, (n,).
+        unit: of both.
+        outside: name → where that covariate (or the stimulus) is outside its calibrated range, (n,); only those
+            that are outside somewhere.
+    """
+
+    value: np.ndarray
+    uncertainty: np.ndarray
+    unit: str
+    outside: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Compensator:
+    """Turns readings back into the stimulus: call it with readings, or export it.
+
+        compensate = bc.compensator(calibration)
+        found = compensate(readings)                      # or compensate(output=1.2, temperature=40.0)
+        compensate.export("calibration.h")                # or .json, .py
+
+    Attributes:
+        calibration: that it is of; None for one loaded from an export, which knows mean and covariance only.
+        equation: of the calibrated instrument in use; None for a loaded one.
+        draws: posterior draws to average over, at most.
+        loaded: the program of a loaded one.
+    """
+
+    calibration: Calibration | None
+    equation: OperatingEquation | None = None
+    draws: int = 400
+    loaded: CompensationProgram | None = None
+
+    def __call__(
+        self,
+        readings: Measurements | None = None,
+        /,
+        *,
+        noise: bool = True,
+        method: Method | None = None,
+        warn: bool = True,
+        **columns: ArrayLike,
+    ) -> Compensated:
+        """Compensate readings.
+
+        Args:
+            readings: with the output and the covariates needed; or give these as `columns`.
+            noise: count the noise of each reading in its uncertainty, by the noise law (its correlated part too)
+                and by the column `output_uncertainty` where there is one; False leaves what the calibration itself
+                is uncertain by.
+            method: "draws" solves the equation for every posterior draw; "first order" propagates mean and
+                covariance, as exports do. Default: draws where there are any.
+            warn: give an `OutsideCalibration` warning for what is outside its calibrated range.
+            **columns: one value per reading or one for all, in fixed units. The past of a record can be given too
+                (`temperature_rate`, `temperature_lag`, `elapsed`), in place of `time`.
+
+        Raises:
+            InputError: a column that is needed is missing, or the method needs draws and there are none.
+        """
+        method = method or ("draws" if self.calibration is not None else "first order")
+        if method == "draws" and self.calibration is None:
+            raise InputError(
+                "a loaded compensator has no draws: use method='first order', or the calibration itself"
+            )
+        given, record = gathered(self.inputs, readings, columns)
+        if self.calibration is None:
+            value, own, inclination = self.program.run(given["output"], given)
+            variance, inclination = own**2, inclination**2
+        else:
+            value, variance, inclination = inversion.solved(
+                self._inverse, self._moments, given, record, by_draws=method == "draws"
+            )
+        if noise:
+            spread = self.noise**2 + given.get(UNCERTAINTY, np.zeros(1)) ** 2
+            variance = variance + inclination * spread
+        masks = outside(self._ranges, {**given, self.stimulus: value})
+        if warn and masks:
+            told = ranges_in_words(self.inputs, self.stimulus, self.unit, self.stimulus_range)
+            warn_outside(masks, told, len(value))
+        return Compensated(value, np.sqrt(variance), self.unit, masks)
+
+    @property
+    def stimulus(self) -> str:
+        """Name of what is compensated for."""
+        return self.loaded.about.stimulus if self.loaded else self._equation.use.stimulus
+
+    @property
+    def unit(self) -> str:
+        """Its fixed unit."""
+        return self.loaded.about.unit if self.loaded else self._equation.use.unit
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know before a reading is compensated, each a sentence."""
+        if self.loaded:
+            return self.loaded.about.notes_on_use
+        return notes_on_use(self._calibration, self._equation, self.stimulus_range)
+
+    @property
+    def output_unit(self) -> str:
+        return self.loaded.about.output_unit if self.loaded else self._calibration.unit
+
+    @cached_property
+    def noise(self) -> float:
+        """Standard deviation of the noise of one reading, output unit; of one that follows a column, over the fit."""
+        return (
+            self.loaded.noise if self.loaded else inversion.noise_variance(self._calibration) ** 0.5
+        )
+
+    @cached_property
+    def inputs(self) -> tuple[Input, ...]:
+        """Covariates that are needed, with their calibrated ranges."""
+        if self.loaded:
+            return self.loaded.inputs
+        values = self._inputs_at_fit
+        return tuple(
+            input_of(self._calibration, self._equation, name, values[name])
+            for name in self._inverse.inputs
+            if name in values
+        )
+
+    @property
+    def history(self) -> bool:
+        """Whether the past of a record is needed, so that it cannot be taken apart."""
+        return any(i.kind != "column" for i in self.inputs)
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """What a file to compensate must hold, in the form in which an instrument says it."""
+        needed = dict.fromkeys(i.column for i in self.inputs)
+        if self.history:
+            needed["time"] = None
+        found = [Column("output", self.output_unit, "reading"), Column("run", None, required=False)]
+        if self.loaded:
+            units = {i.column: i.unit for i in self.inputs if i.kind == "column"}
+            past = {i.column: "degC" for i in self.inputs if i.kind in PAST}
+            return (*found, *(Column(n, {"time": "s", **past, **units}[n]) for n in needed))
+        own = {c.name: c for c in self._calibration.model.instrument.columns}
+        for name in needed:
+            unit = self._calibration.readings.unit(name)
+            found.append(replace(own[name], required=True) if name in own else Column(name, unit))
+        return tuple(found)
+
+    @cached_property
+    def program(self) -> CompensationProgram:
+        """Mean, covariance and equation, as exports hold them.
+
+        Raises:
+            ModelError: an effect cannot be exported; says which and what to do.
+        """
+        if self.loaded:
+            return self.loaded
+        return program_of(
+            self._inverse,
+            self._moments,
+            self.inputs,
+            stimulus_range=self.stimulus_range,
+            noise=self.noise,
+            about=provenance_of(self._calibration, self._equation, self.stimulus_range),
+        )
+
+    def export(self, path: str | Path, format: str | None = None) -> Path:
+        """Write for firmware or elsewhere: .h (C99), .py (Python) or .json, by suffix or `format`.
+
+        Raises:
+            ModelError: an effect cannot be exported.
+            InputError: another format, or a place that cannot be written to.
+        """
+        return code_writer.export(self.program, path, format)
+
+    @property
+    def _calibration(self) -> Calibration:
+        assert self.calibration is not None
+        return self.calibration
+
+    @property
+    def _equation(self) -> OperatingEquation:
+        assert self.equation is not None
+        return self.equation
+
+    @cached_property
+    def _inverse(self) -> inversion.Inverse:
+        frame = self._calibration.frame
+        names = input_names(self._equation, frame)
+        return inversion.Inverse(self._equation, frame.reference, tuple(names))
+
+    @cached_property
+    def _moments(self) -> PosteriorMoments:
+        return posterior_moments(
+            self._equation, self._calibration, self.draws, self._calibration.seed
+        )
+
+    @cached_property
+    def _inputs_at_fit(self) -> dict[str, np.ndarray]:
+        return inputs_at_fit(self._calibration, self._equation)
+
+    @cached_property
+    def stimulus_range(self) -> tuple[float, float] | None:
+        """Of the stimulus in the calibration; None where it was not varied, or is no column."""
+        if self.loaded:
+            return self.loaded.stimulus_range
+        readings, name = self._calibration.readings, self._equation.use.stimulus
+        if self._equation.use.equation is not None or not readings.has(name):
+            return None
+        low, high = float(readings[name].min()), float(readings[name].max())
+        return (low, high) if high > low else None
+
+    @cached_property
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        """Beyond which a reading is flagged, by input; the stimulus with them where it was varied."""
+        ranges = {i.name: (i.low, i.high) for i in self.inputs}
+        if self.calibration is not None:
+            # What the equation does not use was held in a range too.
+            for name in self._equation.known:
+                values = self._inputs_at_fit[name]
+                if name not in ("time", "elapsed") and np.ptp(values) > 0:
+                    ranges.setdefault(name, (float(values.min()), float(values.max())))
+        if self.stimulus_range:
+            ranges[self.stimulus] = limits(self.stimulus_range)
+        return ranges
+
+
+def compensator(
+    calibration: Calibration, *, draws: int = 400, members: Mapping[str, str] | None = None
+) -> Compensator:
+    """The compensator of a calibrated instrument.
+
+    Args:
+        calibration: a fit, or an average over structures: over those that need no further input than the likely ones.
+        draws: posterior draws to average over, at most.
+        members: which member of a group is used, such as {"device": "A17"}; every other run, cell or device counts
+            as a new one, whose deviation is drawn from its spread.
+
+    Raises:
+        ModelError: the instrument does not say what it measures (`Instrument.use`).
+        InputError: a member that the calibration did not see.
+    """
+    if draws < 2:
+        raise InputError(f"draws={draws}: an uncertainty needs at least 2")
+    calibration = with_columns(calibration, usual_columns(calibration))
+    return Compensator(calibration, equation_in_use(calibration, members), draws)
+
+
+def load_compensator(path: str | Path) -> Compensator:
+    """A compensator from a JSON export. Nothing in the file is evaluated as code.
+
+    Raises:
+        InputError: there is no such file, it is no compensator, of another version, or damaged.
+    """
+    return Compensator(None, loaded=code_writer.load_program(Path(path)))

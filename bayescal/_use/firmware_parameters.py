@@ -1,0 +1,226 @@
+"""Several calibrations, one for each axis, as one file of an autopilot's parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.description import identity
+from bayescal._core.atomic_file import write_text
+from bayescal._core.errors import InputError
+from bayescal._core.formatting import number, table
+from bayescal._core.quoting import ascii_text, one_line
+from bayescal._core.version import __version__
+from bayescal._data.unit_conversion import unit_label
+from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._use.autopilots import AUTOPILOTS, AXES, Autopilot, Axis, Values
+from bayescal._use.compensator import Compensator, compensator
+from bayescal._use.thermal_polynomial import AtRest, ThermalPolynomial, at_rest, project
+
+_NAME = re.compile(r"(gyro|acc)_([xyz])(?:_(\d))?")
+_SENSOR = re.compile(r"(gyro|acc)(?:_(\d))?")
+
+
+@dataclass(frozen=True)
+class FirmwareParameters:
+    """Thermal parameters of an autopilot.
+
+    Attributes:
+        format: "px4-params" or "ardupilot-params".
+        values: parameter → value, as it is loaded.
+        axes: "gyro_x" and its like → the polynomial behind its parameters.
+        sources: axis → identity of the calibration.
+        notes: what to know, each a sentence.
+    """
+
+    format: str
+    values: Values
+    axes: dict[str, ThermalPolynomial]
+    sources: dict[str, str]
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join(self._said(str))
+
+    def _said(self, spelled: Callable[[str], str]) -> list[str]:
+        """Lines of the table and the notes; `spelled` is done to each cell before columns are laid out."""
+        head = ["axis", "unit", "from °C", "to °C", "u(calibration)", "noise"]
+        head += ["not in the cubic, rms", "largest", "error to expect, rms"]
+        rows = [
+            [
+                *(name, unit_label(p.unit), f"{p.low:.1f}", f"{p.high:.1f}"),
+                *map(number, (p.of.uncertainty, p.of.noise)),
+                *(number(v if v > 1e-3 * p.of.noise else 0.0) for v in (p.rms, p.largest)),
+                number(p.expected_error),
+            ]
+            for name, p in self.axes.items()
+        ]
+        laid_out = table(list(map(spelled, head)), [list(map(spelled, row)) for row in rows])
+        return [*laid_out.splitlines(), *map(spelled, self.notes)]
+
+    def text(self) -> str:
+        """The parameter file, ASCII."""
+        autopilot = AUTOPILOTS[self.format]
+        said = [
+            f"Thermal parameters of {autopilot.title}, made by bayescal {__version__}",
+            *(f"{name}: calibration {identity}" for name, identity in self.sources.items()),
+            *(line.replace("─", "-") for line in self._said(lambda t: ascii_text(one_line(t)))),
+            *autopilot.head,
+        ]
+        lines = [f"# {line}".rstrip() for line in said]
+        lines += [autopilot.line(name, value) for name, value in self.values.items()]
+        return "\n".join(lines) + "\n"
+
+    def write(self, path: str | Path) -> Path:
+        """Write the parameter file, beside and then renamed.
+
+        Raises:
+            InputError: a place that cannot be written to.
+        """
+        return write_text(self.text(), path)
+
+
+def firmware_parameters(
+    calibrations: Mapping[str, Calibration | Compensator],
+    format: str,
+    *,
+    devices: Mapping[str, int] | None = None,
+    local_gravity: float = STANDARD_GRAVITY,
+) -> FirmwareParameters:
+    """The thermal parameters of PX4 or ArduPilot that calibrations at rest come to.
+
+    A model that is no cubic of the temperature is projected on one, by least squares over the readings of
+    its calibration; what that leaves out stands in the result and in its file. Formulas and their sources
+    stand in `_firmware/autopilots.py`.
+
+    Args:
+        calibrations: axis → its calibration: "gyro_x", "acc_z", and "gyro_x_1" of a second sensor. Axes
+            of a sensor that are not given have no correction.
+        format: "px4-params" or "ardupilot-params".
+        devices: device_id of each sensor ("gyro", "acc_1"), for PX4; that of a PX4 log is known.
+        local_gravity: m/s², that was taken where the readings were read.
+
+    Raises:
+        InputError: no such format, axis or sensor; a calibration of another quantity or of several
+            devices; no temperature that all axes of a sensor were calibrated at; for PX4, no device_id.
+        ModelError: an effect that cannot be evaluated outside Python.
+    """
+    if format not in AUTOPILOTS:
+        raise InputError(f"format {format!r} is not one of {', '.join(AUTOPILOTS)}")
+    autopilot = AUTOPILOTS[format]
+    if not calibrations:
+        raise InputError(f"{autopilot.title}: give at least one calibration")
+    chosen = {
+        _axis(name, autopilot): c if isinstance(c, Compensator) else compensator(c)
+        for name, c in calibrations.items()
+    }
+    rest = {a: at_rest(c, a.unit, str(a), local_gravity) for a, c in sorted(chosen.items())}
+    found: dict[Axis, ThermalPolynomial] = {}
+    for key in dict.fromkeys(map(autopilot.together, rest)):
+        own = {a: r for a, r in rest.items() if autopilot.together(a) == key}
+        low, high = _range(own)
+        reference = float(autopilot.reference(low, high))
+        found |= {a: project(r, reference, low, high) for a, r in own.items()}
+    values = autopilot.values(found, _devices(chosen, devices or {}))
+    sources = {str(a): identity(c.calibration) for a, c in sorted(chosen.items()) if c.calibration}
+    axes = {str(a): p for a, p in found.items()}
+    return FirmwareParameters(
+        format, values, axes, sources, tuple(_notes(found, chosen, autopilot))
+    )
+
+
+def axis_of(calibration: Calibration) -> str | None:
+    """The axis that a calibration is of, by the label `axis` of its readings or the column read; None if by neither."""
+    readings = calibration.readings
+    labels = readings.groups("axis")[0] if readings.has("axis") else ()
+    named = set(labels) or {source.output for source in readings.sources}
+    name = next(iter(named), "")
+    return name if len(named) == 1 and _NAME.fullmatch(name) else None
+
+
+def _axis(name: str, autopilot: Autopilot) -> Axis:
+    match = _NAME.fullmatch(name)
+    if match is None or int(match[3] or 0) >= autopilot.sensors:
+        raise InputError(
+            f"{name!r} is no axis of {autopilot.title}: gyro_x, gyro_y, gyro_z, acc_x, acc_y, acc_z, and "
+            f"gyro_x_1 … gyro_x_{autopilot.sensors - 1} of further sensors"
+        )
+    return Axis(match[1], match[2], int(match[3] or 0))
+
+
+def _range(own: Mapping[Axis, AtRest]) -> tuple[float, float]:
+    """The temperatures that all axes of a sensor were calibrated at.
+
+    Raises:
+        InputError: there are none.
+    """
+    low, high = max(r.low for r in own.values()), min(r.high for r in own.values())
+    if not low < high:
+        ranges = ", ".join(f"{a} {r.low:.4g} to {r.high:.4g} °C" for a, r in own.items())
+        raise InputError(
+            f"one range of temperatures holds for these axes, and they share none: {ranges}. Calibrate them "
+            "over one range, or leave one out"
+        )
+    return low, high
+
+
+def _devices(
+    chosen: Mapping[Axis, Compensator], said: Mapping[str, int]
+) -> dict[tuple[str, int], int]:
+    """device_id of each sensor: what is said, else what its log named.
+
+    Raises:
+        InputError: one is said for no sensor, or the axes of a sensor are of different devices.
+    """
+    found: dict[tuple[str, int], int] = {}
+    for a, c in chosen.items():
+        readings = c.calibration.readings if c.calibration else None
+        named = readings.groups("device")[0] if readings and readings.has("device") else ()
+        if len(named) > 1:
+            raise InputError(
+                f"{a}: the calibration is of several devices ({', '.join(named)}), firmware's parameters of one"
+            )
+        if named and named[0].isdecimal():
+            device = int(named[0])
+            if found.setdefault((a.kind, a.sensor), device) != device:
+                raise InputError(
+                    f"{a} is of the device {device}, another axis of its sensor of "
+                    f"{found[a.kind, a.sensor]}: give calibrations of one sensor"
+                )
+    for name, device in said.items():
+        match = _SENSOR.fullmatch(name)
+        key = (match[1], int(match[2] or 0)) if match else ("", 0)
+        if not any((a.kind, a.sensor) == key for a in chosen):
+            sensors = dict.fromkeys(f"{a.kind}{f'_{a.sensor}' if a.sensor else ''}" for a in chosen)
+            raise InputError(f"device {name!r} is none of the sensors given: {', '.join(sensors)}")
+        found[key] = device
+    return found
+
+
+def _notes(
+    found: Mapping[Axis, ThermalPolynomial],
+    chosen: Mapping[Axis, Compensator],
+    autopilot: Autopilot,
+) -> list[str]:
+    sensors = dict.fromkeys((a.kind, a.sensor) for a in found)
+    every = [Axis(kind, x, sensor) for kind, sensor in sensors for x in AXES]
+    missing = ", ".join(str(a) for a in every if a not in found)
+    notes = [f"Not calibrated, and written without a correction: {missing}."] * bool(missing)
+    for a, p in found.items():
+        narrower = p.low - p.of.low > 1e-3 or p.of.high - p.high > 1e-3
+        if narrower:
+            notes.append(
+                f"{a} was calibrated from {p.of.low:.1f} to {p.of.high:.1f} °C, its sensor from {p.low:.1f} to "
+                f"{p.high:.1f} °C."
+            )
+        calibration = chosen[a].calibration
+        if calibration is not None and not calibration.verdict.reliable:
+            notes.append(f"{a}: RESULT NOT RELIABLE: {calibration.verdict.why_not}")
+    return [
+        *notes,
+        "Beyond these temperatures the correction stays as at their ends.",
+        autopilot.afterwards,
+    ]

@@ -1,0 +1,106 @@
+"""Whatever a column is called, used or not: nothing breaks, on the command line or in a file; no page is marked up."""
+
+from __future__ import annotations
+
+import csv
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._search.draft_effect import draft_effect
+from bayescal._tables.raw_table import in_one_line
+from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.hostile_names import HOSTILE
+
+pytestmark = needs_installation
+RNG = np.random.default_rng(1)
+TIME = np.arange(60) * 10.0
+TEMPERATURE = 20 + 0.125 * TIME + 3 * np.sin(TIME / 60)
+BESIDE = np.sin(TIME / 35) + 0.3 * RNG.normal(size=60)
+OUTPUT = 0.5 + 0.0156 * (TEMPERATURE - 25) + 0.01 * RNG.normal(size=60)
+MARKUP = re.compile(r"<b>bold|<b>a/b|<script>alert|<img src=x|</script><script>")
+
+
+def write(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, quoting=csv.QUOTE_NONNUMERIC)
+        writer.writerow(columns)
+        writer.writerows(zip(*(v.tolist() for v in columns.values()), strict=True))
+    return path
+
+
+def taken_away(folder: Path, file: Path, *said: str) -> None:
+    """Everything that is made of a result, of which nothing may fail."""
+    out = folder / "out"
+    for arguments in (
+        ("report", out, "--out", folder / "report.html"),
+        ("predict", out, file, "--out", folder / "predicted.csv", *said),
+        ("predict", out, file, "--out", folder / "predicted.nc", *said),
+        ("predict", out, file, "--out", folder / "predicted.parquet", *said),
+        ("compensate", out, file, "--out", folder / "compensated.csv", *said),
+        ("budget", out, "--prior-sensitivity"),
+        ("discover", out),
+        ("check", out),
+        ("export", out, "--out", folder / "a.h"),
+        ("export", out, "--out", folder / "a.py"),
+        ("export", out, "--out", folder / "a.json"),
+    ):
+        done = run(*arguments)
+        assert done.status == 0, (arguments[0], done.err)
+    assert not MARKUP.search((folder / "report.html").read_text("utf-8"))
+    compile((folder / "a.py").read_text("utf-8"), "a.py", "exec")
+
+
+def test_names_that_are_not_used(tmp_path) -> None:
+    columns = {"time [s]": TIME, "temperature [degC]": TEMPERATURE, "output [deg/s]": OUTPUT}
+    columns |= {f"{name} [V]": RNG.normal(size=60) for name in HOSTILE}
+    file = write(tmp_path / "lab.csv", columns)
+    done = run("calibrate", file, *GYRO, "--out", tmp_path / "out", "--max-effects", 1)
+    assert done.status == 0, done.err
+    kept = bc.load(tmp_path / "out" / "calibration.nc").readings
+    assert len(HOSTILE) >= 30 and set(kept.columns) >= set(map(in_one_line, HOSTILE))
+    taken_away(tmp_path, file)
+
+
+def test_names_without_units_are_noted_or_refused_with_a_cure(tmp_path) -> None:
+    columns = {"time [s]": TIME, "temperature [degC]": TEMPERATURE, "output [deg/s]": OUTPUT}
+    file = write(tmp_path / "lab.csv", columns | dict.fromkeys(HOSTILE, BESIDE))
+    first = run("fit", file, *GYRO, "--method", "least-squares")
+    assert first.status == 2 and "--ignore" in first.err
+    cures = shlex.split(first.err.strip().splitlines()[-1].partition("meant: ")[2])
+    again = run("fit", file, *GYRO, "--method", "least-squares", *cures)
+    assert again.status == 0, again.err
+
+
+@pytest.mark.parametrize(
+    "name", ['<b>a/b</b> "q", x', "it's $(id) ${a}", "x" * 200, "a\nb", "50% = {x}"]
+)
+def test_a_name_that_is_found_and_one_that_is_the_output(tmp_path, name) -> None:
+    output = OUTPUT + 0.1 * BESIDE + 0.05 * BESIDE**2
+    columns = {"time [s]": TIME, "temperature [degC]": TEMPERATURE}
+    columns |= {f"{name} out [deg/s]": output, f"{name} [V]": BESIDE}
+    if "\n" in name:
+        pytest.importorskip("openpyxl")
+        import pandas as pd
+
+        file = tmp_path / "lab.xlsx"
+        pd.DataFrame(columns).to_excel(file, index=False)
+    else:
+        file = write(tmp_path / "lab.csv", columns)
+    said = ("--columns", f"output={name} out [deg/s]")
+    done = run("calibrate", file, *GYRO, *said, "--out", tmp_path / "out", "--max-effects", 1)
+    assert done.status == 0, done.err
+    found = bc.load(tmp_path / "out" / "calibration.nc")
+    name = in_one_line(name)
+    unknown = f"unknown({name})"
+    assert unknown in found.model.names
+    drafted = draft_effect(found, unknown)
+    namespace: dict[str, object] = {}
+    exec(compile(drafted, "draft.py", "exec"), namespace)  # the draft is Python, its names are data
+    effect = namespace["effect"]
+    assert isinstance(effect, bc.Effect) and effect.columns == (name,)
+    taken_away(tmp_path, file, *said)

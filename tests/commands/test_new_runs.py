@@ -1,0 +1,195 @@
+"""Readings of use are taken as they come: without runs, with gaps, in other formats, into folders that are made."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayescal as bc
+from bayescal._cli.column_options import ColumnOptions
+from bayescal._cli.options import ModelOptions
+from bayescal._cli.request import Asked, open_channels
+from bayescal._use.compensate_file import compensate_file
+from bayescal_models import mems_gyro
+from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.made_up import bent_sensor
+
+pytestmark = needs_installation
+
+
+@pytest.fixture(scope="module")
+def tilt(tmp_path_factory) -> Path:
+    """An inclinometer's calibration, whose model has an offset of each run."""
+    folder = tmp_path_factory.mktemp("tilt")
+    how = ("--instrument", "inclinometer", *QUICK)
+    assert run("simulate", *how[:2], "--out", folder / "tilt.csv").status == 0
+    assert run("fit", folder / "tilt.csv", *how, "--out", folder / "result").status == 0
+    return folder
+
+
+def test_a_file_without_runs_is_one_new_run(tilt, tmp_path) -> None:
+    table = pd.read_csv(tilt / "tilt.csv")
+    one = table[table.run == table.run[0]]
+    one.assign(run="never seen").to_csv(tmp_path / "named.csv", index=False)
+    one.drop(columns="run").to_csv(tmp_path / "none.csv", index=False)
+    named, none = (
+        run(
+            "predict",
+            tilt / "result",
+            tmp_path / n,
+            "--out",
+            tmp_path / "deep" / "er" / n,
+            "--json",
+        )
+        for n in ("named.csv", "none.csv")
+    )
+    assert named.status == none.status == 0, none.err
+    assert none.data["rmse"] == named.data["rmse"] and none.data["rows"] == len(one)
+    both = [pd.read_csv(tmp_path / "deep" / "er" / n) for n in ("named.csv", "none.csv")]
+    for name in ("predicted [rad]", "predicted_uncertainty [rad]"):
+        name = next(c for c in both[0] if c.startswith(name.split(" ")[0] + " "))
+        np.testing.assert_array_equal(both[0][name], both[1][name])
+    done = [
+        run("compensate", tilt / "result", tmp_path / n, "--out", tmp_path / f"c_{n}", "--json")
+        for n in ("named.csv", "none.csv")
+    ]
+    assert [d.status for d in done] == [0, 0], done[1].err
+
+
+@pytest.fixture(scope="module")
+def lagging(tmp_path_factory) -> Path:
+    """A calibration of a model with memory."""
+    return bent_sensor.calibration().save(tmp_path_factory.mktemp("lag") / "calibration.nc")
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".csv", ".tsv", ".parquet", ".nc", ".xlsx", ".mat"])
+@pytest.mark.parametrize("memory", [False, True])
+def test_gaps_come_out_empty_and_are_counted(suffix, memory, tmp_path) -> None:
+    if suffix == ".xlsx":
+        pytest.importorskip("openpyxl")
+    chosen = bc.compensator(bent_sensor.calibration() if memory else bent_sensor.gyro())
+    record = bent_sensor.readings(2) if memory else bent_sensor.gyro().readings
+    names = [n for n in ("run", "time", "temperature", "humidity", "output") if record.has(n)]
+    table = pd.DataFrame({f"{n} [{u}]" if (u := record.unit(n)) else n: record[n] for n in names})
+    output = f"output [{record.unit('output')}]"
+    table.loc[[3, 8], output] = np.nan
+    path, out = tmp_path / f"in{suffix}", tmp_path / "made" / f"out{suffix}"
+    if suffix in (".xlsx", ".mat"):
+        out = out.with_suffix(".csv")
+    write(table, path)
+    units = {n: str(record.unit(n)) for n in names if record.unit(n)} if suffix == ".mat" else {}
+    done = compensate_file(chosen, path, out, units=units)
+    assert done.missing == 2 and done.rows == len(table) and done.unsolved == 0
+    back = read_back(out)
+    value = np.asarray(pd.to_numeric(back.iloc[:, -2], errors="coerce"), float)
+    assert np.flatnonzero(np.isnan(value)).tolist() == [3, 8]
+    kept = record.select(np.setdiff1d(np.arange(len(table)), [3, 8]))
+    np.testing.assert_allclose(value[~np.isnan(value)], chosen(kept, warn=False).value, rtol=1e-9)
+
+
+def write(table: pd.DataFrame, path: Path) -> None:
+    if path.suffix in (".txt", ".csv", ".tsv"):
+        table.to_csv(path, index=False, sep="\t" if path.suffix == ".tsv" else ",")
+    elif path.suffix == ".parquet":
+        table.to_parquet(path)
+    elif path.suffix == ".xlsx":
+        table.to_excel(path, index=False)
+    elif path.suffix == ".nc":
+        table.columns = [c.replace(" [", "|").rstrip("]") for c in table]
+        data = table.to_xarray().reset_coords(drop=True)
+        for name in list(data):
+            bare, _, unit = str(name).partition("|")
+            data = data.rename({name: bare})
+            data[bare].attrs = {"units": unit} if unit else {}
+        data.to_netcdf(path, engine="h5netcdf")
+    else:
+        import scipy.io
+
+        scipy.io.savemat(path, {c.partition(" ")[0]: table[c].to_numpy() for c in table})
+
+
+def read_back(path: Path) -> pd.DataFrame:
+    if path.suffix == ".parquet":
+        return pd.read_parquet(path)
+    if path.suffix == ".nc":
+        import xarray as xr
+
+        return xr.open_dataset(path, engine="h5netcdf").load().to_dataframe()
+    return pd.read_csv(path, sep="\t" if path.suffix == ".tsv" else ",", skip_blank_lines=True)
+
+
+def test_a_repeated_row_stays_a_row(lagging, tmp_path) -> None:
+    record = bent_sensor.readings(2)
+    record.write(tmp_path / "in.csv")
+    lines = (tmp_path / "in.csv").read_text().splitlines()
+    (tmp_path / "in.csv").write_text("\n".join([*lines[:5], lines[4], *lines[5:], ""]))
+    done = compensate_file(
+        bc.compensator(bent_sensor.calibration()), tmp_path / "in.csv", tmp_path / "out.csv"
+    )
+    value = pd.read_csv(tmp_path / "out.csv").iloc[:, -2].to_numpy()
+    assert done.rows == len(record) + 1 and value[3] == value[4] and not np.isnan(value).any()
+
+
+def test_a_decimal_comma_stays_one(tmp_path) -> None:
+    (tmp_path / "in.txt").write_text(
+        "temperature [degC];output [deg/s]\n40,25;1,5\n41,25;\n42,25;2,5\n"
+    )
+    done = compensate_file(
+        bc.compensator(bent_sensor.gyro()), tmp_path / "in.txt", tmp_path / "out.txt"
+    )
+    lines = (tmp_path / "out.txt").read_text().splitlines()
+    assert done.missing == 1 and lines[2] == "41,25;;;"
+    assert "." not in lines[1] and "," in lines[1].split(";")[2]
+
+
+def test_refusing_gaps_is_still_to_be_had(tmp_path) -> None:
+    saved = bent_sensor.gyro().save(tmp_path / "calibration.nc")
+    (tmp_path / "in.csv").write_text("temperature [degC],output [deg/s]\n40,1.5\n41,\n")
+    own = ("--instrument", f"{Path(mems_gyro.__file__).parent / 'model.py'}:INSTRUMENT")
+    left = run("compensate", saved, tmp_path / "in.csv", "--out", tmp_path / "o.csv", *own)
+    assert left.status == 0 and "1 rows are empty" in left.out, left.err
+    kept = run(
+        "compensate",
+        saved,
+        tmp_path / "in.csv",
+        "--out",
+        tmp_path / "p.csv",
+        "--missing",
+        "refuse",
+        *own,
+    )
+    assert kept.status == 2 and "is empty or NaN" in kept.err
+
+
+def test_means_are_proposed_for_long_channels_too(tmp_path) -> None:
+    time = np.arange(20_010) * 0.01
+    rng = np.random.default_rng(5)
+    table = pd.DataFrame({"time [s]": time, "temperature [degC]": 20 + 0.1 * time})
+    for name in ("gx [deg/s]", "gy [deg/s]"):
+        table[name] = rng.normal(0, 1, time.size)
+    table.to_csv(tmp_path / "log.csv", index=False)
+    names = ["gx", "gy"]
+    asked = Asked("mems_gyro", [tmp_path / "log.csv"], ColumnOptions(), ModelOptions())
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        open_channels(names, asked)
+    assert said.getvalue().count("--average 0.1s would leave about 2,000") == 1
+
+
+def test_six_channels_of_one_file_are_proposed_as_channels(tmp_path) -> None:
+    time = np.arange(12) * 10.0
+    table = pd.DataFrame({"time [s]": time, "temperature [degC]": 20 + 0.1 * time})
+    for name in ("gyro_x", "gyro_y", "gyro_z"):
+        table[f"{name} [deg/s]"] = np.random.default_rng(5).normal(0, 1, 12)
+    for name in ("acc_x", "acc_y", "acc_z"):
+        table[f"{name} [g]"] = 0.0 * time
+    table.to_csv(tmp_path / "unit.csv", index=False)
+    refused = run("calibrate", tmp_path / "unit.csv", *GYRO)
+    assert refused.status == 2
+    said = " ".join(refused.err.split())
+    assert "--channels gyro_x,gyro_y,gyro_z" in said, said

@@ -1,0 +1,116 @@
+"""A folder of results that somebody else left: its report holds no markup of theirs, or is refused in words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import bayescal as bc
+from bayescal._cli.saved import of_units
+from bayescal._report.save_search import _channel_folders
+from bayescal._report.section import of_folder
+from bayescal._report.whole_folder import whole_folder
+from bayescal_models import mems_gyro
+from tests.support.reported import Page, trail
+
+NASTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)> $\\frac{$ \"'"
+KEPT = ("schema", "instrument", "effects", "calibration", "sha256")  # by which the folder is known
+UNITS = ("unit", "covariate_unit")  # of which no text but a unit is let through
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory) -> Path:
+    made = tmp_path_factory.mktemp("result")
+    trail().save(made)
+    return made
+
+
+def leaves(data: Any, place: tuple = ()) -> Iterator[tuple]:
+    """Places of all plain values."""
+    inner = data.items() if isinstance(data, dict) else enumerate(data)
+    for key, value in inner:
+        if isinstance(value, dict | list) and value:
+            yield from leaves(value, (*place, key))
+        else:
+            yield (*place, key)
+
+
+def put(data: Any, place: tuple, change: Callable[[Any], Any]) -> None:
+    for key in place[:-1]:
+        data = data[key]
+    data[place[-1]] = change(data[place[-1]])
+
+
+def changed(saved: Path, folder: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    """The folder with another result.json, and a manifest that is right."""
+    folder.mkdir()
+    data = json.loads((saved / "result.json").read_text("utf-8"))
+    change(data)
+    with whole_folder(folder, data.get("calibration")) as hidden:
+        for path in saved.iterdir():
+            if path.name not in ("manifest.json", "result.json"):
+                (hidden / path.name).write_bytes(path.read_bytes())
+        (hidden / "result.json").write_text(json.dumps(data), "utf-8")
+    return folder
+
+
+def reported(folder: Path) -> str:
+    """The page, or the refusal."""
+    try:
+        chapter = of_folder(folder, instruments=[mems_gyro.INSTRUMENT])
+        return bc.report(chapter, folder / "report.html").read_text("utf-8")
+    except bc.InputError as error:
+        return f"refused: {error}"
+
+
+def test_every_text_of_a_result_is_text_in_its_report(saved, tmp_path) -> None:
+    def nasty(data: dict[str, Any]) -> None:
+        for place in list(leaves(data)):
+            known = {str(part) for part in place} & {*KEPT, *UNITS}
+            if not known:
+                put(data, place, lambda old: NASTY if isinstance(old, str) and old else old)
+
+    text = reported(changed(saved, tmp_path / "nasty", nasty))
+    assert not text.startswith("refused"), text
+    assert "<script" not in text and "<img src=x" not in text
+    assert "&lt;script&gt;" in text
+
+
+def test_a_result_of_other_types_is_refused_or_reported(saved, tmp_path) -> None:
+    """Each part in turn: a list in place of a number, nothing in place of a table."""
+    data = json.loads((saved / "result.json").read_text("utf-8"))
+    parts = [key for key in data if key not in KEPT][::4]
+    outcomes = []
+    for number, part in enumerate(parts):
+        wrong = NASTY if number % 2 else [[NASTY]]
+        folder = changed(saved, tmp_path / str(number), lambda d, p=part, w=wrong: d.update({p: w}))
+        text = reported(folder)
+        outcomes.append(text.startswith("refused"))
+        assert "<script" not in text.removeprefix("refused: ") or text.startswith("refused")
+        assert not (folder / "report.html").is_file() or not outcomes[-1]
+    assert any(outcomes)
+
+
+def test_channels_that_lie_elsewhere_are_refused(tmp_path) -> None:
+    for name in ("..", "../other", "/etc", "", 3, None, "a\\b"):
+        told = {"channels": {"gyro_x": {"folder": name}}}
+        (tmp_path / "channels.json").write_text(json.dumps(told))
+        with pytest.raises(bc.InputError, match=r"channels\.json cannot be read"):
+            of_units([tmp_path])
+        assert _channel_folders(tmp_path) == set()  # whose results the next run would remove
+    (tmp_path / "channels.json").write_text('{"channels": {"gyro_x": {"folder": "gyro_x"}}}')
+    assert of_units([tmp_path]) == [tmp_path / "gyro_x"]
+    assert _channel_folders(tmp_path) == {"gyro_x"}
+    (tmp_path / "channels.json").write_text("[" * 100_000)
+    assert _channel_folders(tmp_path) == set()
+    with pytest.raises(bc.InputError, match=r"channels\.json cannot be read"):
+        of_units([tmp_path])
+
+
+def test_a_right_folder_is_reported(saved) -> None:
+    chapter = of_folder(saved, instruments=[mems_gyro.INSTRUMENT])
+    assert Page(bc.report(chapter, saved / "report.html"))

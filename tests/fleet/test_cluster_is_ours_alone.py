@@ -1,0 +1,63 @@
+"""The processes that share a fleet's work listen to nobody else."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import urllib.error
+import urllib.request
+
+import pytest
+
+pytest.importorskip("distributed", reason="needs Dask: pip install 'bayescal[fleet]'")
+
+from distributed import Client
+
+from bayescal._fleet.open_cluster import open_cluster
+from tests.support.open_ports import listening, needs_proc
+
+
+def address_of(client: Client) -> str:
+    assert client.scheduler is not None
+    return str(client.scheduler.address)
+
+
+sealed = importlib.util.find_spec("cryptography") is not None
+
+
+@needs_proc
+def test_scheduler_and_workers_listen_on_this_computer_alone(capsys) -> None:
+    before = listening(os.getpid())
+    with open_cluster(1) as client:
+        client.submit(abs, -1).result()
+        ports = listening(os.getpid()) - before
+        assert len(ports) >= 3, "scheduler, worker and its nanny"
+        assert {address for address, _ in ports} == {"127.0.0.1"}
+        told = client.scheduler_info()
+        parts = [told, *told["workers"].values()]
+        pages = {part["services"]["dashboard"] for part in parts}
+        assert pages <= {port for _, port in ports}
+        for port in pages:
+            for page in ("status", "info/main/workers.html", "json/counts.json", "api/v1"):
+                with pytest.raises(urllib.error.HTTPError, match="404"):
+                    urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}", timeout=1)
+        address = address_of(client)
+        assert address.startswith("tls://" if sealed else "tcp://")
+        said = capsys.readouterr().err
+        assert ("have no keys" in said) is not sealed
+
+
+@pytest.mark.skipif(not sealed, reason="needs keys: pip install cryptography")
+def test_a_stranger_on_this_computer_is_refused() -> None:
+    """One without keys, one who speaks plainly, and one who made keys of his own."""
+    from distributed.security import Security
+
+    with open_cluster(1) as client:
+        address = address_of(client)
+        plain = address.replace("tls://", "tcp://")
+        with pytest.raises(TypeError, match="TLS expects"):
+            Client(address, timeout=3)
+        for asked, keys in ((plain, None), (address, Security.temporary())):
+            with pytest.raises(OSError, match=r"."):
+                Client(asked, timeout=3, security=keys)
+        assert client.submit(abs, -2).result() == 2

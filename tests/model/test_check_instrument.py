@@ -1,0 +1,184 @@
+"""The self-check of an instrument says what came back, and what its author got wrong."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal import effects
+from bayescal_models import mems_gyro, still_sensor
+from tests.support.command_line import needs_installation, run
+
+SOURCE, PAGE = "made up", Path(__file__).parents[2] / "docs" / "own_instrument.md"
+GOOD = bc.Instrument(
+    name="barometer",
+    title="a barometer in a chamber",
+    columns=(
+        bc.Column("time", "s", required=False),
+        bc.Column("temperature", "degC", low=-20.0, high=60.0),
+        bc.Column("pressure", "hPa", low=900.0, high=1100.0),
+        bc.Column("mount", None, required=False, allowed=("up", "down")),
+        bc.Column("output", "hPa"),
+    ),
+    slots=(bc.Slot("zero", "hPa"), bc.Slot("scale", "1")),
+    response=lambda slots, r: slots["zero"] + (1 + slots["scale"]) * r["pressure"],
+    effects=(
+        effects.constant("zero", 5.0, "hPa", source=SOURCE),
+        effects.constant("scale", 1000.0, "ppm", source=SOURCE),
+    ),
+    candidates=(effects.linear("zero", 0.1, "Pa/degC", source=SOURCE),),
+    noise=bc.White(bc.HalfCauchy(0.001)),
+    use=bc.Use("pressure", "hPa"),
+)
+
+
+def of(found: bc.InstrumentCheck, name: str):
+    return next(row for row in found.rows if row.name == name)
+
+
+def turned(label: str) -> bc.Effect:
+    return bc.Effect(
+        "zero.mount",
+        "zero",
+        basis=lambda r: r.has_label("mount", label),
+        coefficients=(bc.Coefficient("hPa", bc.Normal(0.0, 0.1)),),
+        columns=("mount",),
+    )
+
+
+def test_all_that_is_declared_comes_back() -> None:
+    found = bc.check_instrument(replace(GOOD, candidates=(*GOOD.candidates, turned("down"))))
+    assert found.ok and not found.errors
+    names = [row.name for row in found.rows]
+    assert names == ["zero.constant", "scale.constant", "zero.temperature", "zero.mount"]
+    for row in found.rows:
+        assert row.remark == "" and row.truth is not None and row.mean is not None
+        assert row.mean == pytest.approx(row.truth, abs=4 * (row.sd or 0.0))
+    temperature = of(found, "zero.temperature")
+    assert temperature.unit == "Pa/degC" and temperature.kind == "candidate"
+    assert temperature.adds == pytest.approx(
+        0.1 * 20 * 0.01, rel=0.1
+    )  # hPa, at 20 °C from the middle
+    assert "barometer, with noise of 0.001 hPa: no error" in str(found)
+    assert list(found.to_pandas().index) == names
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"candidates": (turned("downwards"),)}, "zero.mount: its basis is zero in every reading"),
+        (
+            {"response": lambda slots, r: r["pressure"], "use": None},
+            "the output is the same whatever its slots are (zero, scale)",
+        ),
+        (
+            {
+                "slots": (bc.Slot("zero", "Pa"), bc.Slot("scale", "1")),
+                "effects": (effects.constant("zero", 5.0, "Pa", source=SOURCE),),
+                "candidates": (),
+            },
+            "slot 'zero' is in [Pa] and adds to the output, in [hPa], one for one: it should by 0.01",
+        ),
+        (
+            {
+                "response": lambda slots, r: jnp.log(slots["zero"] - 1e9) + r["pressure"],
+                "use": None,
+            },
+            "the output is not finite in",
+        ),
+        (
+            {"response": lambda slots, r: slots["zero"] + r["presure"], "use": None},
+            "fails: KeyError: 'presure'",
+        ),
+        (
+            {"candidates": (effects.linear("zero", 1e-12, "hPa/degC", source=SOURCE),)},
+            "zero.temperature contributes at most",
+        ),
+    ],
+    ids=["zero basis", "constant", "slot's unit", "not finite", "fails", "off scale"],
+)
+def test_what_is_wrong_is_an_error(changed: dict, said: str) -> None:
+    found = bc.check_instrument(replace(GOOD, **changed))
+    assert not found.ok
+    assert any(said in error for error in found.errors), found.errors
+
+
+def test_what_cannot_be_told_apart_or_is_nonlinear_is_noted() -> None:
+    twice = replace(GOOD.effects[0], name="zero.again")
+    found = bc.check_instrument(replace(GOOD, effects=(*GOOD.effects, twice), candidates=()))
+    assert of(found, "zero.again").remark == "not identifiable here"
+    assert any("zero.again" in note and "not identifiable" in note for note in found.notes)
+    bent = lambda slots, r: slots["zero"] + r["pressure"] * jnp.exp(300 * slots["scale"])  # noqa: E731
+    found = bc.check_instrument(replace(GOOD, response=bent, candidates=(), use=None))
+    assert any("the response is nonlinear in its slots" in note for note in found.notes)
+    straight = bc.check_instrument(GOOD)
+    assert not any("nonlinear" in note for note in straight.notes)
+
+
+def test_labels_and_ranges_that_are_not_declared_are_said() -> None:
+    columns = tuple(
+        replace(c, allowed=()) if c.name == "mount" else replace(c, low=None, high=None)
+        for c in GOOD.columns
+    )
+    found = bc.check_instrument(replace(GOOD, columns=columns, candidates=(turned("down"),)))
+    assert any("The labels of mount are made up: declare them, allowed=" in n for n in found.notes)
+    assert any("column 'pressure' declares no low and high" in n for n in found.notes)
+
+
+def test_columns_of_readings_are_taken_where_they_are_given() -> None:
+    readings = bc.Measurements.from_arrays(
+        still_sensor.INSTRUMENT,
+        units={"output": "ppm"},
+        time=10.0 * np.arange(200),
+        temperature=30 + 10 * np.sin(np.arange(200) / 20),
+        output=np.random.default_rng(1).standard_normal(200),
+    )
+    assert bc.check_instrument(still_sensor.INSTRUMENT, readings).unit == "ppm"
+    with pytest.raises(bc.ModelError, match="takes its unit and sizes from readings"):
+        bc.check_instrument(still_sensor.INSTRUMENT)
+
+
+def test_an_instrument_that_is_offered_passes() -> None:
+    found = bc.check_instrument(mems_gyro.INSTRUMENT)
+    assert found.ok, found.errors
+
+
+def blocks(kind: str) -> list[str]:
+    return re.findall(rf"```{kind}[^\n]*\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+
+
+@needs_installation
+def test_the_page_tells_it_first_and_shows_what_it_prints(tmp_path: Path) -> None:
+    (tmp_path / "level.py").write_text(blocks("python")[0], "utf-8")
+    first = blocks("sh")[0]
+    assert first.startswith("bayescal instruments --check level.py:INSTRUMENT")
+    done = run("instruments", "--check", f"{tmp_path / 'level.py'}:INSTRUMENT")
+    assert done.status == 0
+    shown = [line.split()[0] for line in blocks("text")[0].splitlines()]
+    assert [line.split()[0] for line in done.out.splitlines()] == shown
+
+
+@needs_installation
+def test_the_command_leaves_with_1_where_something_is_wrong(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        textwrap.dedent("""
+        import bayescal as bc
+        from bayescal import effects
+        INSTRUMENT = bc.Instrument(
+            name="own", title="of no use", columns=(bc.Column("output", "V"),), slots=(bc.Slot("bias", "V"),),
+            response=lambda slots, r: 0 * slots["bias"],
+            effects=(effects.constant("bias", 1.0, "V", source="made up"),),
+        )
+        """),
+        "utf-8",
+    )
+    done = run("instruments", "--check", f"{tmp_path / 'own.py'}:INSTRUMENT", "--json")
+    assert done.status == 1 and done.data["ok"] is False
+    assert "the output is the same whatever its slots are" in done.data["errors"][0]

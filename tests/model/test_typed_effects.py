@@ -1,0 +1,241 @@
+"""Effects from one typed line: fifteen that are right, fifteen that are refused with the place marked, none runs."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayescal as bc
+from bayescal._core.errors import BayescalError, InputError
+from bayescal._model.formula import Formula
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.instrument import Instrument
+from bayescal_models import mems_gyro
+from tests.support.command_line import GYRO, QUICK, needs_installation, run
+
+GYROSCOPE: Instrument = mems_gyro.INSTRUMENT
+N = 40
+
+
+@pytest.fixture(scope="module")
+def readings() -> bc.Measurements:
+    random = np.random.default_rng(4)
+    time = np.arange(N) * 60.0
+    temperature = 25 + 20 * np.sin(time / 500)
+    columns = {
+        "run": np.repeat(["a", "b"], N // 2),
+        "time": time,
+        "temperature": temperature,
+        "rate_input": 100 * np.cos(time / 300),
+        "supply_voltage": 5 + 0.2 * random.normal(size=N),
+        "oven temp": temperature + 3,
+        "humidity": 0.4 + 0.1 * random.random(N),
+    }
+    units = {"supply_voltage": "V", "oven temp": "degC", "humidity": "%", "temperature": "degC"}
+    columns["humidity"] = 100 * columns["humidity"]
+    return bc.Measurements.from_arrays(
+        GYROSCOPE, units=units, output=20 + 0.05 * temperature, **columns
+    )
+
+
+# Line; unit of its first coefficient; the basis by hand, in base units; shapes at which.
+RIGHT = {
+    "supply: s * (supply_voltage - 5); s = 0.1 deg/s/V": (lambda r, e: r["supply_voltage"] - 5, {}),
+    "bias.ratio: s * (V - 5) / V; s = 0.1 deg/s; V = supply_voltage": (
+        lambda r, e: (r["supply_voltage"] - 5) / r["supply_voltage"], {},
+    ),
+    "warm: a * exp(-elapsed / tau); a = 0.1 deg/s; tau = 100 to 2000 s": (
+        lambda r, e: np.exp(-e / 300.0), {"tau": 300.0},
+    ),
+    "warm: a * (1 - exp(-elapsed/tau)); a = 0.1 deg/s; tau = 5 min": (
+        lambda r, e: 1 - np.exp(-e / 300.0), {"tau": 300.0},
+    ),
+    "square: k * (temperature - 25)^2; k = 1e-4 deg/s/degC^2": (
+        lambda r, e: (r["temperature"] - 25) ** 2, {},
+    ),
+    "power: k * 2 * T ** 2 ** 1; k = 1e-4 deg/s/degC^2": (lambda r, e: 2 * r["temperature"] ** 2, {}),
+    "signs: -k * --T / -2; k = 0.01 deg/s/degC": (lambda r, e: r["temperature"] / 2, {}),
+    "gradient: g * (`oven temp` - temperature); g = 10 mdps/degC": (lambda r, e: 3 + 0 * e, {}),
+    "damp: h * (humidity - 0.45); h = 0.01 deg/s/%": (lambda r, e: r["humidity"] - 0.45, {}),
+    "hinge: h * max(0, T - 30); h = 0.01 deg/s/degC": (
+        lambda r, e: np.maximum(0, r["temperature"] - 30), {},
+    ),
+    "late: h * step(elapsed - 600); h = 0.1 deg/s": (lambda r, e: 1.0 * (e > 600), {}),
+    "wave: a * sin(2 * 3.14159 * t / p); a = 0.1 deg/s; p = 1000 s": (
+        lambda r, e: np.sin(2 * 3.14159 * r["time"] / 1000.0), {"p": 1000.0},
+    ),
+    "scale.own: k * (T - 25) / 100; k = 500 ppm/degC": (lambda r, e: (r["temperature"] - 25) / 100, {}),
+    "input: k * (rate_input - 50); k = 0.5 %": (
+        lambda r, e: None, {},
+    ),
+    "root: k * sqrt(abs(T - 25)) * (1.5e0 + .5); k = 0.1 deg/s/degC^0.5": (
+        lambda r, e: 2 * np.sqrt(abs(r["temperature"] - 25)), {},
+    ),
+    "both: a + b * T; a = 0.5 ± 0.1 deg/s; b = 0.01 deg/s/degC": (
+        lambda r, e: np.column_stack([1 + 0 * e, r["temperature"]]), {},
+    ),
+    "slope: k * rate(temperature); k = 0.1 deg/s/(degC/min)": (lambda r, e: None, {}),
+    "body: k * lag(temperature, tau); k = 0.1 deg/s/degC; tau = 300 s": (lambda r, e: None, {"tau": 300.0}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("line", RIGHT)
+def test_a_formula_is_what_it_says(readings, line) -> None:
+    by_hand, shapes = RIGHT[line]
+    made = bc.effect(line, readings=readings, instrument=GYROSCOPE)
+    frame = build_frame(readings, reference_of(readings))
+    found = np.asarray(made.evaluate(frame, shapes))
+    elapsed = np.asarray(frame.elapsed)
+    expected = by_hand(readings, elapsed)
+    if line.startswith("input"):
+        expected = np.pi / 180 * (readings["rate_input"] - 50)  # base units are rad/s
+    if line.startswith("slope"):
+        expected = np.asarray(frame.rate("temperature"))
+    if line.startswith("body"):
+        expected = np.asarray(frame.lag(jnp.array(300.0), "temperature"))
+    np.testing.assert_allclose(found, np.reshape(expected, (N, -1)), rtol=1e-9, atol=1e-12)
+    assert pickle.loads(pickle.dumps(made)) == made
+    assert isinstance(made.basis, Formula)
+    again = bc.effect(made.basis.text, readings=readings, instrument=GYROSCOPE)
+    assert again == made and hash(again) == hash(made)
+
+
+def test_the_slot_is_the_one_that_the_units_fit(readings) -> None:
+    def slot(line: str) -> str:
+        return bc.effect(line, readings=readings, instrument=GYROSCOPE).slot
+
+    assert (
+        slot("own: k * T; k = 1 ppm/degC") == "scale"
+        and slot("own: k * T; k = 1 dps/degC") == "bias"
+    )
+
+
+def test_what_is_not_said_of_a_size_the_readings_say(readings) -> None:
+    made = bc.effect("supply: s * (supply_voltage - 5)", readings=readings, instrument=GYROSCOPE)
+    (own,) = made.coefficients
+    spread = np.std(readings["output"]) / np.std(readings["supply_voltage"])
+    assert own.unit == "deg/s/V" and own.size == pytest.approx(spread, rel=0.06)
+
+
+# Line; what stands right behind the mark; words.
+REFUSED = {
+    "supply: s * (supply_voltage - 5": ("''", "a closing bracket was expected"),
+    "supply: s * * T": ("'* T'", "a number, a name or a bracket"),
+    "supply: s * T T": ("'T'", "an operator or the end"),
+    "supply: s * suply_voltage": ("'suply_voltage'", "is 'supply_voltage' meant"),
+    "supply: s * T # c": ("'# c'", "'#' has no meaning"),
+    "supply: s * T.__class__": ("'.__class__'", "'.' has no meaning"),
+    "supply: s * eval(T)": ("'eval(T)'", "there is no function 'eval'"),
+    "supply: s * __import__(T)": ("'__import__(T)'", "there is no function '__import__'"),
+    "supply: s * T[0]": ("'[0]'", "'[' has no meaning"),
+    "supply: s * (supply_voltage - temperature)": ("'temperature)'", "this is [degC], what it is added to"),
+    "supply: s * exp(T); s = 1 deg/s": ("'T)'", "exp takes a plain number"),
+    "supply: s * k * T": ("'s * k * T'", "k and s multiply each other"),
+    "supply: T - 25": ("'T - 25'", "multiplied by no coefficient"),
+    "supply: s * T ^ humidity": ("'humidity'", "only a power such as 2"),
+    "supply: s * lag(T)": ("'lag(T)'", "lag takes 2 arguments"),
+    "supply: s * rate(T * 2)": ("'T * 2)'", "takes the name of a column"),
+    "supply: s * exp(-elapsed / tau); s = 1 deg/s": ("'tau)'", "tau = 100 to 2000 s"),
+    "supply: s * 1e999": ("'1e999'", "too large"),
+    "supply: s * min(T, supply_voltage)": ("'supply_voltage)'", "added to or compared with"),
+    "supply: " + "(" * 60: ("'" + "(" * 20, "brackets deeper"),
+    "supply: s * output": ("'output'", ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_a_formula_that_is_none_is_refused_with_the_place_marked(readings, line) -> None:
+    behind, words = REFUSED[line]
+    if line.endswith("output"):  # of itself: an unknown by that name multiplies s
+        behind, words = "'s * output'", "multiply each other"
+    with pytest.raises(InputError) as refused:
+        bc.effect(line, readings=readings, instrument=GYROSCOPE)
+    said = str(refused.value)
+    assert f"▸ {behind}" in said and words in said, said
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("supply: s * (supply_voltage - 5); s = 0.1 degC", "correct the unit of s"),
+        ("supply: s * T; s = much", "is no column of numbers"),
+        ("supply: s * T; s = 0 deg/s/degC", "a size is not zero"),
+        ("supply: s * T; k = 1 V", "k is given, and does not stand in"),
+        ("supply: s * T; s : 1 V", "is not of the form s = 0.1 mV/V"),
+        ("supply s * T", "has no name and formula"),
+        ("supply: s * exp(-elapsed / tau); s = 1 deg/s; tau = 20 to 10 s", "from a positive number to a larger"),
+        ("supply: " + "s * T + " * 100 + "1", "500 at most"),
+        ("a.b.c: s * T", "has no name and formula"),
+    ],
+)  # fmt: skip
+def test_what_is_given_beside_it_is_checked(readings, line, words) -> None:
+    with pytest.raises(InputError, match=words):
+        bc.effect(line, readings=readings, instrument=GYROSCOPE)
+
+
+def test_a_formula_in_python_meets_its_readings_later(readings) -> None:
+    made = bc.effect("supply", "s * (V - 5)", s="100 mdps/V", V="supply_voltage")
+    bc.fit(GYROSCOPE.baseline() + made, readings, bc.LeastSquares(), strict=False)
+    wrong = bc.effect("supply", "s * (V - 5) / V", s="0.1 mV/V", V="supply_voltage")
+    with pytest.raises(BayescalError, match="correct the unit of s"):
+        bc.fit(GYROSCOPE.baseline() + wrong, readings, bc.LeastSquares())
+    other = bc.effect("supply", "s * V", s="1 deg/s/degC", V="supply_voltage [degC]")
+    with pytest.raises(BayescalError, match="supply_voltage is in \\[V\\]"):
+        bc.fit(GYROSCOPE.baseline() + other, readings, bc.LeastSquares())
+
+
+# The command line.
+
+
+@needs_installation
+def test_it_is_found_saved_loaded_compensated_and_exported(tmp_path: Path) -> None:
+    random = np.random.default_rng(7)
+    time = np.arange(120) * 30.0
+    supply = 5 + 0.3 * np.sin(time / 700) + 0.02 * random.normal(size=time.size)
+    temperature = 25 + 20 * np.sin(time / 1500)
+    output = (
+        20 + 0.05 * (temperature - 25) + 0.8 * (supply - 5) + 0.02 * random.normal(size=time.size)
+    )
+    table = {
+        "time [s]": time,
+        "temperature [degC]": temperature,
+        "supply_voltage [V]": supply,
+        "output [deg/s]": output,
+    }
+    pd.DataFrame(table).to_csv(tmp_path / "lab.csv", index=False)
+    typed = ("--effect", "supply: s * (supply_voltage - 5); s = 0.5 deg/s/V")
+    found = run(
+        "calibrate",
+        tmp_path / "lab.csv",
+        *GYRO,
+        *typed,
+        "--max-effects",
+        1,
+        "--out",
+        tmp_path / "out",
+        "--json",
+    )
+    assert found.status == 0, found.err
+    loaded = bc.load(tmp_path / "out" / "calibration.nc")  # without a file of effects
+    assert "bias.supply" in loaded.model.names
+    assert abs(loaded.samples("bias.supply").mean() - 0.8) < 0.03
+    done = run("compensate", tmp_path / "out", tmp_path / "lab.csv", "--out", tmp_path / "c.csv")
+    assert done.status == 0, done.err
+    exported = run("export", tmp_path / "out", "--out", tmp_path / "c.py")
+    assert exported.status == 0, exported.err
+    fitted = run(
+        "fit", tmp_path / "lab.csv", *GYRO, *QUICK, *typed, "--add", "bias.supply", "--json"
+    )
+    assert fitted.status == 0, fitted.err
+    refused = run(
+        "fit", tmp_path / "lab.csv", *GYRO, *QUICK, "--effect", "supply: s * exp(supply_voltage)"
+    )
+    assert refused.status == 2 and "▸ 'supply_voltage)'" in refused.err
+    described = json.dumps(found.data)
+    assert "bias.supply" in described

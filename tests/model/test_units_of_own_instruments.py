@@ -1,0 +1,301 @@
+"""An instrument of one's own is right in whatever units it is declared, or refused with the units that do not agree."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal import effects
+from bayescal._model.parameters import Layout
+
+ARCSEC = math.pi / 648000
+FAMILIES = {  # a second table of units, which knows nothing of the first
+    "pressure": {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "mbar": 1e2, "bar": 1e5},
+    "angle": {"rad": 1.0, "arcsec": ARCSEC, "mrad": 1e-3, "deg": math.pi / 180, "arcmin": 60 * ARCSEC},
+    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
+    "current": {"A": 1.0, "mA": 1e-3, "uA": 1e-6},
+    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2},
+    "field": {"uT": 1e-6, "nT": 1e-9, "mT": 1e-3, "gauss": 1e-4},
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "mHz": 1e-3},
+    "acceleration": {"um/s^2": 1e-6, "m/s^2": 1.0, "mGal": 1e-5, "uGal": 1e-8},
+    "rate": {"deg/s": math.pi / 180, "rad/s": 1.0, "deg/h": ARCSEC, "rpm": math.pi / 30},
+    "ratio": {"1": 1.0, "%": 1e-2, "ppm": 1e-6, "ppb": 1e-9},
+}  # fmt: skip
+FORMS = {  # a basis, its columns, and the coefficient's unit
+    "a": (lambda a, b: a, ("a",), "{y}/({a})"),
+    "a²": (lambda a, b: a**2, ("a",), "{y}/({a})^2"),
+    "a·b": (lambda a, b: a * b, ("a", "b"), "{y}/({a})/({b})"),
+    "a/b": (lambda a, b: a / b, ("a", "b"), "({y})*({b})/({a})"),
+    "a·b²": (lambda a, b: a * b**2, ("a", "b"), "{y}/(({a})*({b})^2)"),
+}
+SEEDS = range(40)
+BEYOND = 2.5758  # standard deviations, of the central 99 %
+
+
+class Drawn:
+    """An instrument of random units, and readings of it in further random units, made by SI alone."""
+
+    def __init__(self, seed: int, rows: int = 40) -> None:
+        random = np.random.default_rng(seed)
+        families = [str(family) for family in random.choice([*FAMILIES], 3)]
+        size = [FAMILIES[family] for family in families]
+
+        def units() -> list[str]:
+            return [str(random.choice([*of])) for of in size]
+
+        (self.y, self.a, self.b), reported, files = units(), units(), units()
+        for i, declared in ((1, self.a), (2, self.b)):
+            if reported[i] == "1":  # "per 1" is said by no unit
+                reported[i] = declared
+        self.form, self.columns, unit = FORMS[str(random.choice([*FORMS]))]
+        self.unit = unit.format(y=reported[0], a=reported[1], b=reported[2])
+        a, b = (
+            random.uniform(1, 3, rows) * size[1][self.a],
+            random.uniform(1, 3, rows) * size[2][self.b],
+        )
+        one = size[0][reported[0]] / self.form(size[1][reported[1]], size[2][reported[2]])  # in SI
+        si = size[0][self.y]
+        self.truth = float(random.uniform(10, 30) * si / np.abs(one * self.form(a, b)).max())
+        y = 12.0 * si + self.truth * one * self.form(a, b) + random.normal(0, 0.1 * si, rows)
+        made = zip(("output", "a", "b"), (y, a, b), size, files, strict=True)
+        self.arrays: dict[str, Any] = {name: values / of[file] for name, values, of, file in made}
+        self.files: dict[str, str] = dict(zip(("output", "a", "b"), files, strict=True))
+
+    def instrument(self) -> bc.Instrument:
+        slope = bc.Effect(
+            "zero.slope",
+            "zero",
+            basis=lambda r: self.form(r["a"], r["b"]),
+            coefficients=(bc.Coefficient(self.unit, bc.Normal(0.0, 10 * self.truth)),),
+            columns=self.columns,
+        )
+        return bc.Instrument(
+            name="drawn",
+            title="an instrument of random units",
+            columns=(bc.Column("a", self.a), bc.Column("b", self.b), bc.Column("output", self.y)),
+            slots=(bc.Slot("zero", self.y),),
+            response=lambda slots, r: slots["zero"],
+            effects=(effects.constant("zero", 100.0, self.y, source="made up"), slope),
+            noise=bc.White(bc.HalfCauchy(0.1)),
+        )
+
+
+def standing(seed: int) -> float | str:
+    """How many standard deviations from the truth the coefficient stands; why it was refused, where it was."""
+    drawn = Drawn(seed)
+    try:
+        instrument = drawn.instrument()
+    except bc.ModelError as refused:
+        return str(refused)
+    readings = bc.Measurements.from_arrays(instrument, units=drawn.files, **drawn.arrays)
+    found = bc.fit(instrument.baseline(), readings, bc.LeastSquares(draws=500), strict=False)
+    draws = found.samples("zero.slope")
+    return float((draws.mean() - drawn.truth) / draws.std())
+
+
+@pytest.fixture(scope="module")
+def standings() -> list[float | str]:
+    return [standing(seed) for seed in SEEDS]
+
+
+def test_forty_instruments_of_random_units_are_right_or_refused(standings) -> None:
+    wrong = [s for s in standings if not isinstance(s, str) and abs(s) > BEYOND]
+    assert not wrong
+
+
+def test_few_of_them_are_refused_and_those_with_their_units(standings) -> None:
+    refused = [s for s in standings if isinstance(s, str)]
+    assert len(refused) <= 5
+    for said in refused:
+        assert "declare them in one unit" in said or "declare them in [1]" in said
+        assert "Its columns: a [" in said
+
+
+def gravimeter(unit: str, column: str = "hPa", **more) -> bc.Instrument:
+    """A gravimeter with a coefficient of the air pressure in this unit, its column in that one."""
+    pressure = bc.Effect(
+        "reading.pressure",
+        "reading",
+        basis=more.pop("basis", lambda r: r["pressure"] - 1000.0),
+        coefficients=(bc.Coefficient(unit, bc.Normal(0.0, 0.01)),),
+        columns=("pressure",),
+    )
+    return bc.Instrument(
+        name="gravimeter",
+        title="a gravimeter under changing pressure",
+        columns=(
+            bc.Column("pressure", column),
+            bc.Column("output", "um/s^2"),
+            *more.pop("more", ()),
+        ),
+        slots=(bc.Slot("reading", "um/s^2"),),
+        response=lambda slots, r: slots["reading"],
+        effects=(effects.constant("reading", 10.0, "um/s^2", source="made up"), pressure),
+        noise=bc.White(bc.HalfCauchy(0.01)),
+    )
+
+
+def test_a_coefficient_per_hectopascal_is_what_it_was() -> None:
+    random = np.random.default_rng(1)
+    pressure = random.uniform(980.0, 1030.0, 200)
+    output = 2.0 + 0.003 * (pressure - 1000.0) + 0.01 * random.standard_normal(200)
+    instrument = gravimeter("um/s^2/hPa")
+    readings = bc.Measurements.from_arrays(instrument, pressure=pressure, output=output)
+    draws = bc.fit(instrument.baseline(), readings, bc.LeastSquares(draws=500)).samples(
+        "reading.pressure"
+    )
+    assert draws.mean() == pytest.approx(0.003, abs=3 * draws.std())
+    assert draws.std() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("unit", "column", "factor"),
+    [
+        ("um/s^2/hPa", "hPa", 1.0),
+        ("um/s^2/Pa", "hPa", 100.0),
+        ("nm/s^2/hPa", "kPa", 1e-2),
+        ("um/s^2/mbar^2", "hPa", 1.0),
+        ("mGal/hPa", "hPa", 10.0),
+    ],
+)
+def test_a_factor_stands_between_the_units_that_are_declared(unit, column, factor) -> None:
+    model = gravimeter(unit, column).baseline()
+    _, block = Layout(model, ()).blocks
+    assert block.factor == pytest.approx(factor, rel=1e-12)
+
+
+def test_units_that_do_not_agree_are_refused_with_both() -> None:
+    with pytest.raises(bc.ModelError) as refused:
+        gravimeter("um/s^2/degC")
+    said = str(refused.value)
+    assert "a coefficient in [um/s^2/degC] on a slot in [um/s^2] needs a basis in [degC]" in said
+    assert "Its columns: pressure [hPa]" in said
+
+
+def test_an_effect_of_ones_own_meets_a_column_that_no_instrument_declares_in_base_units() -> None:
+    from bayescal_models.mems_gyro import INSTRUMENT
+
+    humid = bc.Effect(
+        "bias.humidity",
+        "bias",
+        basis=lambda r: r["humidity"] - 0.45,
+        coefficients=(bc.Coefficient("deg/s/%"),),
+        columns=("humidity",),
+    )
+    pressed = replace(
+        humid,
+        name="bias.pressure",
+        columns=("pressure",),
+        coefficients=(bc.Coefficient("deg/s/hPa"),),
+    )
+    model = INSTRUMENT.baseline() + humid + pressed
+    blocks = {b.name: b.factor for b in Layout(model, ()).blocks}
+    assert blocks["bias.humidity"] == pytest.approx(100.0)  # of a humidity of 0 … 1
+    assert blocks["bias.pressure"] == pytest.approx(0.01)  # of a pressure in Pa
+
+
+def test_an_acceleration_that_no_instrument_declares_is_one_of_local_g() -> None:
+    from bayescal_models.mems_gyro import INSTRUMENT
+
+    felt = slope("acceleration", "deg/s/g", 1.0)
+    felt = replace(felt, name="bias.acceleration", slot="bias")
+    factor = Layout(INSTRUMENT.baseline() + felt, ()).blocks[-1].factor
+    assert factor == pytest.approx(1e-6)  # the column is in µg
+    metric = replace(felt, coefficients=(bc.Coefficient("deg/s/(m/s^2)"),))
+    with pytest.raises(bc.ModelError, match="is kept in ug: write the coefficient per ug, mg or g"):
+        _ = INSTRUMENT.baseline() + metric
+
+
+def test_a_ratio_column_declared_in_percent_comes_in_percent() -> None:
+    instrument = gravimeter("um/s^2/%", "%")
+    assert Layout(instrument.baseline(), ()).blocks[1].factor == pytest.approx(1.0)
+
+
+def test_a_clock_in_hours_is_refused() -> None:
+    with pytest.raises(bc.ModelError, match=r"its column 'time' is in \[h\]: declare it in \[s\]"):
+        gravimeter("um/s^2/hPa", more=(bc.Column("time", "h"),))
+
+
+@pytest.mark.parametrize(
+    ("basis", "said"),
+    [
+        (lambda r: r.has_label("run", "1"), "'run' is a group"),
+        (lambda r: r.has_label("pressure", "1"), "'pressure' holds numbers"),
+        (lambda r: r.centred("pressure"), "'pressure' has no reference value"),
+    ],
+)
+def test_a_basis_that_would_be_zero_or_fail_says_why(basis, said) -> None:
+    instrument = gravimeter("um/s^2/hPa", basis=basis)
+    arrays = {"pressure": np.linspace(990.0, 1010.0, 9), "output": np.arange(9.0)}
+    readings = bc.Measurements.from_arrays(instrument, **arrays)
+    with pytest.raises(bc.ModelError, match=said):
+        bc.fit(instrument.baseline(), readings, bc.LeastSquares(draws=50))
+
+
+def slope(column: str, unit: str, size: float, origin: float = 0.0) -> bc.Effect:
+    return bc.Effect(
+        f"zero.{column}",
+        "zero",
+        basis=lambda r: r[column] - origin,
+        coefficients=(bc.Coefficient(unit, bc.Normal(0.0, size)),),
+        columns=(column,),
+        varies=(column,),
+        source="made up",
+    )
+
+
+RESONATOR = bc.Instrument(
+    name="resonator",
+    title="a resonator's relative frequency",
+    columns=(
+        bc.Column("time", "s", required=False),
+        bc.Column("temperature", "degC", low=-40.0, high=85.0),
+        bc.Column("pressure", "hPa", low=800.0, high=1100.0),
+        bc.Column("tilt", "arcsec", low=-3600.0, high=3600.0),
+        bc.Column("output", "ppm"),
+    ),
+    slots=(bc.Slot("zero", "ppm", "deviation of the frequency"),),
+    response=lambda slots, r: slots["zero"],
+    effects=(
+        effects.constant("zero", 100.0, "ppm", source="made up"),
+        effects.linear("zero", 1.0, "ppm/degC", source="made up"),
+    ),
+    candidates=(
+        slope("pressure", "ppb/hPa", 1000.0, 1000.0),
+        slope("tilt", "ppm/arcsec", 0.5),
+        effects.drift("zero", 5.0, "ppm", source="made up"),
+    ),
+    noise=bc.White(bc.HalfCauchy(0.5)),
+)
+
+
+def test_columns_in_hpa_arcsec_and_ppm_are_right_at_the_first_try(tmp_path) -> None:
+    """The file is in h, Pa, deg and ppb; what is hidden in it is found, in the units that are declared."""
+    assert bc.check_instrument(RESONATOR).ok
+    random = np.random.default_rng(3)
+    time = 60.0 * np.arange(300)
+    temperature, pressure = 25 + 10 * np.sin(time / 3000), 1000 + 20 * np.sin(time / 5200 + 1)
+    tilt = random.uniform(-300, 300, 300)
+    output = 12 + 0.3 * (temperature - 25) + 0.05 * (pressure - 1000) + 0.02 * tilt
+    output += 0.3 * random.standard_normal(300)
+    columns = np.column_stack(
+        [time / 3600, temperature, 100 * pressure, tilt / 3600, 1000 * output]
+    )
+    head = "time [h],temperature [degC],pressure [Pa],tilt [deg],output [ppb]"
+    path = tmp_path / "resonator.csv"
+    np.savetxt(path, columns, delimiter=",", header=head, comments="", fmt="%.10g")
+    readings = bc.read(path, RESONATOR)
+    found = bc.calibrate(RESONATOR.baseline(), readings, method=bc.LeastSquares(draws=500))
+    assert found.ok, found.gate.reason
+    last = found.final.calibration
+    truths = {"zero.temperature": 0.3, "zero.pressure": 50.0, "zero.tilt": 0.02}
+    assert set(truths) <= set(last.model.names)
+    for name, truth in truths.items():
+        draws = last.samples(name)
+        assert abs(draws.mean() - truth) < BEYOND * draws.std()
+    assert "ppb/hPa" in str(last) and "ppm/arcsec" in str(last)

@@ -1,0 +1,194 @@
+"""Files that unpack without end, nest without end, or name other files: refused in words, before they are unpacked."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+import bayescal as bc
+from bayescal._core.atomic_file import write_sealed
+from bayescal._data import header_matching
+from bayescal._report.certificate import read_certificate
+from bayescal._tables.mapping_file import load_mapping
+from bayescal._tables.unpacked import refuse_matlab
+from bayescal_models import mems_gyro
+from tests.support.hostile_files import (
+    HEADER,
+    NESTED,
+    REFUSED,
+    WIDE,
+    hdf5,
+    never_written,
+    row,
+    sheet,
+    table_rows,
+    text_of,
+    write_book,
+)
+
+GYRO = mems_gyro.INSTRUMENT
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_hostile_file_is_refused(name, tmp_path) -> None:
+    if name.endswith(".xlsx"):
+        pytest.importorskip("openpyxl")
+    path = tmp_path / name
+    REFUSED[name](path)
+    assert path.stat().st_size < 40_000_000
+    with pytest.raises(bc.InputError) as error:
+        bc.read(path, GYRO)
+    assert "recursion" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("blanks.xlsx", "times as much; at most 25 times are read"),
+        ("zeros.mat", "times as much; at most 100 times are read"),
+        ("cells.mat", "cells or structures in each other deeper than 32"),
+        ("never_written.nc", "times as much"),
+        ("external_link.nc", "/output is a link to somewhere else"),
+        ("external_file.mat", "the numbers of /output stand in another file"),
+        ("columns.csv", "has 200,000 columns, at most 100,000 are read"),
+    ],
+)
+def test_the_refusal_says_why(name, said, tmp_path) -> None:
+    if name.endswith(".xlsx"):
+        pytest.importorskip("openpyxl")
+    REFUSED[name](tmp_path / name)
+    with pytest.raises(bc.InputError, match=said):
+        bc.read(tmp_path / name, GYRO)
+
+
+@pytest.mark.parametrize("text", NESTED.values(), ids=NESTED)
+def test_nested_toml_is_refused(text, tmp_path) -> None:
+    path = tmp_path / "nested.toml"
+    path.write_text(text)
+    with pytest.raises(
+        bc.InputError, match=r"nested\.toml: is no TOML: it (is nested|is larger|has a line of)"
+    ):
+        load_mapping(path)
+    with pytest.raises(
+        bc.InputError, match=r"'nested\.toml' is not TOML: it (is nested|is larger|has a line of)"
+    ):
+        read_certificate(path)
+
+
+@pytest.mark.parametrize("value", ["inf", "nan", "true", "'1'", "[1.0]", f"1{'0' * 400}"])
+def test_a_mapping_of_another_shape_is_refused(value, tmp_path) -> None:
+    path = tmp_path / "mapping.toml"
+    path.write_text(f"local_gravity = {value}\n")
+    with pytest.raises(bc.InputError, match="is none of its entries"):
+        load_mapping(path)
+
+
+def test_a_saved_calibration_that_states_more_than_it_holds_is_refused(tmp_path) -> None:
+    hdf5(never_written)(tmp_path / "plain.nc")
+    path = tmp_path / "calibration.nc"
+    write_sealed((tmp_path / "plain.nc").read_bytes(), path)
+    with pytest.raises(bc.InputError, match="times as much"):
+        bc.load(path)
+
+
+def test_many_columns_are_looked_at_once_each(tmp_path, monkeypatch) -> None:
+    """20,000 columns took 11 s, or 100 with units: each column looked through all the others."""
+    count = 0
+
+    def counted(name: str) -> str:
+        nonlocal count
+        count += 1
+        return plain(name)
+
+    plain = header_matching.plain
+    monkeypatch.setattr(header_matching, "plain", counted)
+    path = tmp_path / "wide.csv"
+    text_of(WIDE)(path)
+    calls = 0
+
+    def profiled(frame, event, argument) -> None:
+        nonlocal calls
+        calls += event == "call"
+
+    sys.setprofile(profiled)
+    try:
+        readings = bc.read(path, GYRO)
+    finally:
+        sys.setprofile(None)
+    columns = len(readings.columns)
+    assert columns > 4_000
+    assert count < 4 * columns
+    assert calls < 1000 * columns
+
+
+def test_a_sheet_is_read_whole_whatever_size_it_states(tmp_path) -> None:
+    """Of 330 rows 110 were read where the sheet stated A1:C111, without a word."""
+    pytest.importorskip("openpyxl")
+    read = {}
+    for stated in ("A1:C331", "A1:C111", "A1:B331", "A1", "A5:C9", "A1:XFD1048576", ""):
+        path = tmp_path / "sheet.xlsx"
+        write_book(path, sheet(table_rows(330), dimension=stated))
+        read[stated] = bc.read(path, GYRO)
+        assert len(read[stated]) == 330, stated
+        np.testing.assert_array_equal(read[stated]["output"], read["A1:C331"]["output"])
+
+
+def test_rows_and_cells_of_a_sheet_count_wherever_they_stand(tmp_path) -> None:
+    pytest.importorskip("openpyxl")
+    path = tmp_path / "sheet.xlsx"
+    rows = [row(i + 2, (i, 20 + i, 0.1 * i)) for i in range(5)]
+    head = row(1, tuple(HEADER.split(",")))
+    plain = sheet(head + "".join(rows))
+    turned = sheet("".join(reversed(rows)) + head)
+    backwards = sheet(head + "".join(row(i + 2, (0.1 * i, 20 + i, i), "CBA") for i in range(5)))
+    far = sheet(head + "".join(rows) + row(1_048_576, (7, 27, 0.7)))
+    write_book(path, plain)
+    first = bc.read(path, GYRO)
+    for text in (turned, backwards):
+        write_book(path, text)
+        again = bc.read(path, GYRO)
+        for name in ("time", "temperature", "output"):
+            np.testing.assert_array_equal(again[name], first[name])
+    write_book(path, far)
+    assert len(bc.read(path, GYRO)) == 6
+    for twice in (head + "".join([*rows, rows[2]]), head + row(2, (1, 20, 1, 2), "ABCC")):
+        write_book(path, sheet(twice))
+        with pytest.raises(bc.InputError, match="stands there twice"):
+            bc.read(path, GYRO)
+
+
+def test_matlab_files_of_readings_are_let_through(tmp_path) -> None:
+    """What MATLAB and others write, nested as structures are: by each kind that the walk knows."""
+    values = {
+        "numbers": np.arange(6.0),
+        "complex": np.array([1 + 2j]),
+        "text": "kk",
+        "whole": np.arange(3, dtype=np.int16),
+        "flags": np.array([True, False]),
+        "empty": np.zeros((0, 0)),
+    }
+    import scipy.sparse
+
+    values["sparse"] = scipy.sparse.csc_matrix(np.eye(3))
+    cells = np.empty((2, 3), dtype=object)
+    for place, value in zip(np.ndindex(2, 3), values.values(), strict=False):
+        cells[place] = value
+    nested = {"log": {**values, "inner": {"cells": cells, "more": {"a": 1.0}}}, "cells": cells}
+    for packed in (False, True):
+        path = tmp_path / "made.mat"
+        scipy.io.savemat(path, nested, do_compression=packed)
+        refuse_matlab(path, path.name)
+    scipy.io.savemat(tmp_path / "old.mat", {"a": np.arange(4.0)}, format="4")
+    refuse_matlab(tmp_path / "old.mat", "old.mat")
+
+
+def test_a_structure_of_a_log_is_read_as_before(tmp_path: Path) -> None:
+    path = tmp_path / "log.mat"
+    some = {"time": np.arange(9.0), "temperature": 20 + np.arange(9.0), "output": np.arange(9.0)}
+    scipy.io.savemat(path, {"log": some}, do_compression=True)
+    found = bc.read(path, GYRO, units={"time": "s", "temperature": "degC", "output": "deg/s"})
+    assert len(found) == 9

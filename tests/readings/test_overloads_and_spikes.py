@@ -1,0 +1,96 @@
+"""An instrument's overload code is named at the door; a spike is one however many other readings stand out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._data.spikes import find_spikes
+from bayescal_models import still_sensor
+from tests.support.command_line import needs_installation, run
+
+SENSOR = still_sensor.INSTRUMENT
+
+
+def record(output: np.ndarray) -> bc.Measurements:
+    time = np.arange(len(output)) * 1.0
+    temperature = 20 + 5 * np.sin(time / 99)
+    columns = {"time": time, "temperature": temperature, "output": output}
+    return bc.Measurements.from_arrays(SENSOR, units={"output": "V"}, **columns)
+
+
+def written(path: Path, code: str, column: int = 2) -> Path:
+    random = np.random.default_rng(1)
+    rows = [
+        [f"{i}", f"{20 + i / 10:.1f}", f"{1 + 0.01 * random.normal():.6f}", "1000"]
+        for i in range(60)
+    ]
+    rows[17][column] = code
+    head = "time [s],temperature [degC],output [V],pressure [hPa]"
+    path.write_text("\n".join([head, *map(",".join, rows)]) + "\n", "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("code", ["9.9E37", "-9.9E+37", "9.91E37", "9.90000000E+37"])
+def test_an_overload_code_is_refused_by_name_and_row(code: str, tmp_path: Path) -> None:
+    with pytest.raises(bc.InputError) as refused:
+        bc.read(written(tmp_path / "a.csv", code), SENSOR)
+    said = str(refused.value)
+    assert (
+        "row 19" in said
+        and "'output [V]'" in said
+        and "an instrument's code for an overload" in said
+    )
+    kept = bc.read(tmp_path / "a.csv", SENSOR, missing="drop")
+    assert len(kept) == 59
+    assert np.ptp(kept["output"]) < 1
+
+
+def test_an_overload_in_a_column_beside_the_instruments_leaves_that_column_out(tmp_path) -> None:
+    found = bc.read(written(tmp_path / "a.csv", "9.91E37", column=3), SENSOR)
+    assert "pressure" not in found.columns
+    assert any("pressure" in flag and "row 19 reads 9.91e+37" in flag for flag in found.flags)
+
+
+@needs_installation
+def test_a_fit_of_an_overload_leaves_with_2(tmp_path: Path) -> None:
+    file = written(tmp_path / "a.csv", "9.9E37")
+    done = run("fit", file, "--instrument", "still_sensor", "--method", "least-squares")
+    assert done.status == 2
+    assert "code for an overload" in done.said[-1]
+
+
+def heavy(seed: int, rows: int = 2000) -> np.ndarray:
+    """Noise of which one reading in 60 or so stands out."""
+    return np.random.default_rng(seed).standard_t(1.6, rows)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_heavy_tails_alone_are_no_spikes(seed: int) -> None:
+    assert len(find_spikes(record(heavy(seed)))) == 0
+
+
+@pytest.mark.parametrize("share", [0.0005, 0.01, 0.03])
+def test_spikes_of_700_standard_deviations_are_found_whatever_their_number(share: float) -> None:
+    random = np.random.default_rng(5)
+    output = random.standard_normal(2000)
+    output[random.choice(2000, 24, replace=False)] *= 12.0  # more than one row in 200 passes eight
+    at = 2 * random.choice(np.arange(5, 995), max(1, int(share * 2000)), replace=False)
+    output[at] += 700.0
+    assert set(at) <= set(find_spikes(record(output)))
+
+
+def test_a_spike_among_heavy_tails_is_one() -> None:
+    output = heavy(1)
+    largest = np.abs(output).max()
+    output[1234] = 1e4 * largest
+    assert list(find_spikes(record(output))) == [1234]
+
+
+def test_spikes_at_both_ends_are_found_and_their_neighbours_kept() -> None:
+    output = np.random.default_rng(3).standard_normal(400)
+    output[[0, 399]] = 700.0
+    assert list(find_spikes(record(output))) == [0, 399]

@@ -1,0 +1,67 @@
+"""A candidate with one coefficient for each label of a column is searched like any other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal import effects
+from bayescal_models import mems_gyro
+
+STATION = effects.deviation("bias", "station", 0.2, "deg/s", source="ours")
+AT_STATIONS = replace(
+    mems_gyro.INSTRUMENT,
+    columns=(*mems_gyro.INSTRUMENT.columns, bc.Column("station", None, required=False)),
+    candidates=(effects.quadratic("bias", 1e-4, "deg/s/degC^2", source="ours"), STATION),
+)
+BIASES = {"hall": 0.0, "cellar": 0.3, "roof": -0.2}  # °/s
+EACH_ITS_OWN = replace(
+    STATION,
+    name="bias.of_station",
+    coefficients=(bc.Coefficient("deg/s", bc.Normal(0.0, 0.2), per="station"),),
+)
+
+
+def at_stations() -> bc.Measurements:
+    stations = np.repeat([*BIASES], 30)
+    temperature = np.linspace(20.0, 60.0, 90)
+    noise = np.random.default_rng(1).standard_normal(90)
+    output = 0.02 * (temperature - 40) + [BIASES[s] for s in stations] + 0.01 * noise
+    columns = {"temperature": temperature, "station": stations, "output": output}
+    return bc.Measurements.from_arrays(AT_STATIONS, **columns)
+
+
+@pytest.mark.parametrize("effect", [STATION, EACH_ITS_OWN], ids=["learned", "fixed"])
+def test_a_candidate_per_station_is_found(effect: bc.Effect) -> None:
+    line = bc.fit(AT_STATIONS.baseline(), at_stations(), bc.LeastSquares(draws=100), strict=False)
+    found = bc.discover(line, effects=[effect], widen_noise=False)
+    named = [name for one in found.sets for name in one.effects]
+    assert effect.name in named
+
+
+def test_a_calibration_adds_a_candidate_per_station() -> None:
+    path = bc.calibrate(
+        AT_STATIONS.baseline(),
+        at_stations(),
+        method=bc.LeastSquares(draws=100),
+        max_effects=1,
+    )
+    assert [step.added for step in path.steps] == [None, "bias.station"]
+
+
+def test_readings_without_the_labels_cannot_test_it() -> None:
+    readings = at_stations()
+    columns: dict[str, Any] = {n: readings[n] for n in ("temperature", "output")}
+    line = bc.fit(
+        AT_STATIONS.baseline(),
+        bc.Measurements.from_arrays(AT_STATIONS, **columns),
+        bc.LeastSquares(draws=100),
+        strict=False,
+    )
+    found = bc.discover(line, widen_noise=False)
+    reasons = {c.effect: c.reason for c in found.candidates if c.kind == "not testable"}
+    assert reasons["bias.station"] == "needs the column station"

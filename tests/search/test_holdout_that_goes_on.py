@@ -1,0 +1,127 @@
+"""Hold-out data cut from the record that was fitted go on with its lags, its runs and its correlated noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._data.time_in_runs import going_on
+from bayescal_models import still_sensor
+
+SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)
+STEP, TAU, LAG, NOISE = 20.0, 1500.0, 40.0, 1.0
+
+
+def lagging(rows: int = 900, seed: int = 1) -> dict[str, Any]:
+    """A body of 25 minutes behind a temperature that goes up and down."""
+    random = np.random.default_rng(seed)
+    time = STEP * np.arange(rows)
+    temperature = 30 + 12 * np.sin(time / 1300 + seed) + 3 * np.sin(time / 371)
+    behind = np.zeros(rows)
+    for i in range(1, rows):
+        kept, step = np.exp(-STEP / TAU), temperature[i] - temperature[i - 1]
+        behind[i] = kept * behind[i - 1] + step * np.expm1(-STEP / TAU) / (STEP / TAU)
+    output = 2 * (temperature - 30) + LAG * behind + NOISE * random.standard_normal(rows)
+    return {"time": time, "temperature": temperature, "output": output}
+
+
+def readings(columns: dict[str, Any], rows: np.ndarray) -> bc.Measurements:
+    chosen: dict[str, Any] = {name: values[rows] for name, values in columns.items()}
+    return bc.Measurements.from_arrays(SENSOR, units={"output": "ug"}, **chosen)
+
+
+WHOLE = lagging()
+EARLY, LATE = np.arange(600), np.arange(600, 900)
+BLOCKS = np.arange(900) // 15 % 2 == 1  # of five minutes, a fifth of the time constant
+
+
+def fitted(part: bc.Measurements) -> bc.Calibration:
+    model = SENSOR.for_readings(part).baseline() + "bias.thermal_lag"
+    return bc.fit(model, part, QUICK, strict=False)
+
+
+@pytest.mark.parametrize("cut", ["end", "blocks"])
+def test_a_lag_goes_on_in_hold_out_data_cut_from_the_record(cut: str) -> None:
+    kept = LATE if cut == "end" else np.flatnonzero(BLOCKS)
+    used = EARLY if cut == "end" else np.flatnonzero(~BLOCKS)
+    calibration, later = fitted(readings(WHOLE, used)), readings(WHOLE, kept)
+    # between blocks the fit interpolates the temperature, which costs a little
+    assert bc.predict(calibration, later).rmse < (1.2 if cut == "end" else 3.0) * NOISE
+    moved = later.with_column("time", later["time"] + 1e6)  # of another day: the past is not known
+    assert bc.predict(calibration, moved).rmse > 10 * NOISE
+
+
+def test_another_test_on_a_clock_of_its_own_does_not_go_on() -> None:
+    record = readings(WHOLE, EARLY)
+    assert list(going_on(record, readings(WHOLE, LATE))[0]) == ["1"]
+    again = readings(lagging(seed=2), np.arange(900))
+    assert going_on(record, again)[0] == {}  # the very same times
+    shifted = again.with_column("time", again["time"] + 0.4 * STEP)
+    assert going_on(record, shifted)[0] == {}  # among the record's
+    named = bc.Measurements.from_arrays(
+        SENSOR, units={"output": "ug"}, run="2", **{n: v[LATE] for n, v in WHOLE.items()}
+    )
+    assert going_on(record, named)[0] == {}
+
+
+def test_a_clock_of_dates_goes_on_in_a_second_file(tmp_path: Path) -> None:
+    start = np.datetime64("2026-03-01T10:00:00")
+    for name, rows in (("early.csv", EARLY), ("late.csv", LATE)):
+        lines = ["time,temperature [degC],output [ug]"]
+        for i in rows:
+            at = start + np.timedelta64(int(WHOLE["time"][i]), "s")
+            lines.append(
+                f"{at},{WHOLE['temperature'][i]:.6f},{WHOLE['output'][i]:.6f}".replace("T", " ")
+            )
+        (tmp_path / name).write_text("\n".join(lines) + "\n", "utf-8")
+    early, late = (bc.read(tmp_path / name, SENSOR) for name in ("early.csv", "late.csv"))
+    assert late["time"][0] == 0.0
+    assert bc.predict(fitted(early), late).rmse == pytest.approx(NOISE, rel=0.2)
+
+
+def test_the_gate_judges_by_the_record_that_goes_on() -> None:
+    early, late = readings(WHOLE, EARLY), readings(WHOLE, LATE)
+    path = bc.calibrate(
+        SENSOR.for_readings(early).baseline(),
+        early,
+        holdout=late,
+        method=QUICK,
+        max_effects=2,
+        widen_noise=False,
+    )
+    first, last = path.steps[0].holdout_rmse, path.final.holdout_rmse
+    assert last is not None and first is not None
+    assert last < 1.3 * NOISE < 0.1 * first
+    assert "hold-out data" not in path.gate.reason
+    flags = path.final.calibration.readings.flags
+    assert any("300 readings of the hold-out data continue its run 1" in flag for flag in flags)
+
+
+def test_correlated_noise_goes_on_from_the_last_readings() -> None:
+    random = np.random.default_rng(3)
+    rows, tau = 600, 2000.0
+    time, kept = STEP * np.arange(rows), np.exp(-STEP / tau)
+    wander = np.zeros(rows)
+    for i in range(1, rows):
+        wander[i] = kept * wander[i - 1] + 20 * np.sqrt(1 - kept**2) * random.standard_normal()
+    columns = {
+        "time": time,
+        "temperature": 30 + 5 * np.sin(time / 900),
+        "output": wander + NOISE * random.standard_normal(rows),
+    }
+    early, late = readings(columns, np.arange(560)), readings(columns, np.arange(560, 565))
+    model = (
+        SENSOR.for_readings(early)
+        .baseline()
+        .with_noise(bc.OrnsteinUhlenbeck(200.0, 2e4, correlated=bc.HalfCauchy(20.0)))
+    )
+    calibration = bc.fit(model, early, QUICK, strict=False)
+    found = bc.predict(calibration, late)
+    assert found.wander is None
+    first = found.residual[0]
+    assert abs(first) < 4 * found.sd[0] < 0.5 * 4 * 20  # the next reading is known better than any
+    assert np.all(np.diff(found.sd) > 0)  # and those after it less and less

@@ -1,0 +1,112 @@
+"""What a search and a table of channels state is what they know."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._search.calibrate import Loop
+from bayescal_models import mems_gyro, still_sensor
+
+QUICK = bc.LeastSquares(draws=200)
+
+
+def search(most: int) -> bc.SearchPath:
+    hidden = {"bias.thermal_lag": 0.05, "bias.temperature_quadratic": 5e-4}
+    readings = mems_gyro.simulate(hidden, seed=3)
+    model = mems_gyro.INSTRUMENT.baseline()
+    return bc.calibrate(model, readings, method=QUICK, max_effects=most, widen_noise=False)
+
+
+def test_at_the_limit_of_effects_no_model_is_called_complete() -> None:
+    last = search(1).final.discovery
+    assert last is not None and last.nothing_missing is None
+    said = "not stated, as the search added the 1 effects that it may (--max-effects)"
+    assert f"probability that the model is complete: {said}" in str(last)
+
+
+def test_below_the_limit_it_is() -> None:
+    path = search(4)
+    last = path.final.discovery
+    assert last is not None and last.nothing_missing is not None
+    assert str(path).splitlines()[-1].split()[-1] == f"{last.nothing_missing:.2f}"
+
+
+@pytest.mark.parametrize(("late", "said"), [(1.2, "leave-one-run-out error has risen"), (0.8, "")])
+def test_no_model_is_called_complete_whose_left_out_error_has_risen(late: float, said: str) -> None:
+    def step(rmse: float, added: str | None) -> SimpleNamespace:
+        discovery = SimpleNamespace(candidates=())
+        left_out = SimpleNamespace(rmse=rmse, group="run")
+        return SimpleNamespace(left_out=left_out, added=added, discovery=discovery)
+
+    loop = Loop(None, None, None, 0, None, 5, frozenset())  # pyright: ignore[reportArgumentType]
+    found = loop.incomplete([step(1.0, None), step(late, "bias.x")])  # pyright: ignore[reportArgumentType]
+    assert said in found and bool(said) == bool(found)
+
+
+def channels() -> bc.Channels:
+    """Two channels whose runs stand apart by fifty times their noise."""
+    random = np.random.default_rng(2)
+    runs, rows = 4, 60
+    temperature = np.tile(np.linspace(20, 40, rows), runs)
+    codes = np.repeat(np.arange(runs), rows)
+    readings, models = {}, {}
+    for name in ("acc_x", "acc_y"):
+        apart = 50 * random.standard_normal(runs)
+        output = apart[codes] + 2 * temperature + random.standard_normal(runs * rows)
+        columns = {"time": 10.0 * np.arange(runs * rows), "run": [f"r{c}" for c in codes]}
+        readings[name] = bc.Measurements.from_arrays(
+            still_sensor.INSTRUMENT,
+            units={"output": "ug"},
+            temperature=temperature,
+            output=output,
+            **columns,
+        )
+        model = still_sensor.INSTRUMENT.for_readings(readings[name]).baseline()
+        models[name] = model + "bias.run"
+    return bc.calibrate_channels(models, readings, method=QUICK, max_effects=0, widen_noise=False)
+
+
+def test_the_table_of_channels_names_the_error_that_it_prints() -> None:
+    found = channels()
+    rows = {line[:24].strip(): line[24:].split() for line in str(found).splitlines()}
+    for i, path in enumerate(found.trails.values()):
+        fitted, new = path.final.rmse_fitted, path.final.rmse
+        assert fitted == pytest.approx(1.0, rel=0.1) and new > 20
+        assert float(rows["as fitted, last"][i]) == pytest.approx(fitted, rel=0.01)
+        assert float(rows["new run, last"][i]) == pytest.approx(new, rel=0.01)
+    assert list(found.to_pandas()["as fitted, last"]) == pytest.approx([1.0, 1.0], rel=0.1)
+
+
+def plateaus(temperatures: list[float]) -> bc.Measurements:
+    random = np.random.default_rng(1)
+    count = len(temperatures)
+    temperature = np.repeat(temperatures, 20) + 0.01 * random.standard_normal(20 * count)
+    return bc.Measurements.from_arrays(
+        mems_gyro.INSTRUMENT,
+        temperature=temperature,
+        output=random.standard_normal(20 * count),
+        run=np.repeat([f"r{i}" for i in range(count)], 20),
+    )
+
+
+@pytest.mark.parametrize(
+    ("temperatures", "said"),
+    [([20.0, 40.0, 60.0], True), ([20.0, 40.0, 20.0], False), ([20.0], False)],
+)
+def test_one_plateau_of_temperature_a_run_is_said_to_be_confounded(temperatures, said) -> None:
+    ramps = len(temperatures) == 1
+    readings = mems_gyro.simulate({}, seed=1) if ramps else plateaus(temperatures)
+    flags = [f for f in readings.flags if "each run has one temperature of its own" in f]
+    assert bool(flags) is said
+    assert all("are confounded" in flag for flag in flags)
+
+
+def test_a_discovery_can_be_told_not_to_state_it() -> None:
+    found = search(4).final.discovery
+    assert found is not None
+    assert replace(found).not_stated("not stated").unstated == "not stated"

@@ -1,0 +1,115 @@
+"""Which columns may be causes: no channel of the same unit, none that the user leaves out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._data.column_matching import channels_beside
+from bayescal_models import still_sensor
+from tests.support.command_line import needs_installation, run
+
+SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three axes that follow the temperature alike, a pressure, and a supply that the output follows."""
+    random = np.random.default_rng(4)
+    time = 10.0 * np.arange(300)
+    temperature = 30 + 10 * np.sin(time / 700)
+    supply = 5 + 0.05 * np.cos(time / 150)
+    curved = 0.2 * (temperature - 30) ** 2
+    axes = [
+        curved * s + 20 * (supply - 5) * s + 0.05 * random.standard_normal(300)
+        for s in (1, -2, 1.5)
+    ]
+    columns = np.column_stack(
+        [time, temperature, *axes, supply, 1000 + random.standard_normal(300)]
+    )
+    names = "time [s],temperature [degC],acc_x [mg],acc_y [mg],acc_z [mg],supply [V],pressure [hPa]"
+    path = tmp_path_factory.mktemp("log") / "imu.csv"
+    np.savetxt(path, columns, delimiter=",", header=names, comments="")
+    return path
+
+
+def searched(found: bc.Discovery) -> set[str]:
+    return {c.effect for c in found.candidates if c.kind != "not testable"}
+
+
+@pytest.fixture(scope="module")
+def line(log: Path) -> bc.Calibration:
+    readings = bc.read(log, SENSOR, columns={"output": "acc_z"})
+    return bc.fit(SENSOR.for_readings(readings).baseline(), readings, QUICK, strict=False)
+
+
+def test_channels_of_one_unit_are_not_each_others_causes(line: bc.Calibration) -> None:
+    found = searched(bc.discover(line, widen_noise=False, max_effects=2))
+    assert {"unknown(supply)", "unknown(pressure)"} <= found
+    assert not {"unknown(acc_x)", "unknown(acc_y)"} & found
+    assert {"acc_x", "acc_y"} <= set(line.readings.columns)  # an effect of one's own may take them
+    assert {"acc_x", "acc_y"}.isdisjoint(e.against for e in bc.check(line).entries)
+    assert any(
+        "acc_x, acc_y: other channels beside the output 'acc_z'" in f for f in line.readings.flags
+    )
+
+
+def test_the_mark_stays_with_the_readings(line: bc.Calibration, tmp_path: Path) -> None:
+    readings = line.readings
+    for same in (readings.select(np.arange(90)), readings.average("30 s"), bc.set_aside(readings)):
+        assert same.no_causes == {"acc_x", "acc_y"}
+    assert bc.load(line.save(tmp_path / "c.nc")).readings.no_causes == {"acc_x", "acc_y"}
+
+
+def test_a_column_is_ignored(line: bc.Calibration) -> None:
+    found = bc.discover(line, widen_noise=False, max_effects=1, ignore=["supply"])
+    assert "unknown(supply)" not in searched(found)
+    found = bc.discover(line, widen_noise=False, max_effects=1, ignore=["time"])
+    reasons = {c.effect: c.reason for c in found.candidates if c.kind == "not testable"}
+    assert reasons["bias.thermal_lag"] == "the column time is left out"
+    with pytest.raises(bc.InputError, match="no column 'suply'"):
+        bc.discover(line, ignore=["suply"])
+
+
+def test_only_covariates_that_are_named_are_causes(line: bc.Calibration) -> None:
+    found = searched(bc.discover(line, widen_noise=False, max_effects=1, covariates=["acc_x"]))
+    assert "unknown(acc_x)" in found and "unknown(temperature)" in found
+    assert not {"unknown(supply)", "unknown(pressure)", "unknown(acc_y)"} & found
+    with pytest.raises(bc.InputError, match="say one of the two"):
+        bc.discover(line, ignore=["supply"], covariates=["supply"])
+
+
+@needs_installation
+def test_the_command_takes_both(log: Path) -> None:
+    given = [
+        "--instrument",
+        "still_sensor",
+        "--columns",
+        "output=acc_z",
+        "--method",
+        "least-squares",
+    ]
+    done = run("calibrate", log, *given, "--max-effects", "1", "--ignore", "supply", "--json")
+    names = {c["effect"] for c in done.data["missing"][0]["candidates"]}
+    assert "unknown(pressure)" in names and "unknown(supply)" not in names
+    refused = run("calibrate", log, *given, "--covariates", "moon")
+    assert refused.status == 2 and "no column 'moon'" in refused.said[-1]
+
+
+@pytest.mark.parametrize(
+    ("output", "others"),
+    [
+        ("acc_z", ["acc_x", "acc_y", "gyro_x"]),
+        ("AccZ", ["AccX", "GyrY"]),
+        ("zacc", ["xacc", "ygyro"]),
+        ("gyro_z_dps", ["acc_x_g"]),
+        ("dut 3", ["dut 1", "dut 12"]),
+    ],
+)
+def test_channels_are_known_by_their_names(output: str, others: list[str]) -> None:
+    apart = dict.fromkeys(["max", "supply", "index", "oxygen", "T1", "zinc"], "V")
+    columns = dict.fromkeys(others, "V")
+    assert channels_beside(output, {**columns, **apart}, "V") == others
