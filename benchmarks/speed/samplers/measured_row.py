@@ -136,7 +136,7 @@ def rows() -> dict[str, Row]:
         f"bayescal, {name}": partial(ours, proposals=proposals, rounds=rounds)
         for name, (proposals, rounds) in PROPOSALS.items()
     }
-    for kind, warmup in (("plain", 1000), ("plain", 5000), ("whitened", 500), ("marginal", 500)):
+    for kind, warmup in (("plain", 1000), ("plain", 5000), ("whitened", 500)):
         for name, sampler in _peers(warmup).items():
             if _asked(kind, warmup, name):
                 found[f"{name}, {kind}, {warmup} warm-up"] = of_chains(kind, sampler)

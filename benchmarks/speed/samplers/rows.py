@@ -61,9 +61,7 @@ def reference(row: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str,
     """The row of chains on an exact target of the same problem with most effective draws, R̂ below 1.01."""
     problem = row["row"].partition(":")[0]
     good = [
-        r
-        for n, r in done.items()
-        if n.startswith(f"{problem}:") and r.get("max_r_hat", 2) < 1.01 and "marginal" not in n
+        r for n, r in done.items() if n.startswith(f"{problem}:") and r.get("max_r_hat", 2) < 1.01
     ]
     return max(good, key=lambda r: r["least_ess"], default=None)
 

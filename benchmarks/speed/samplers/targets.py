@@ -1,8 +1,7 @@
 """The log densities that samplers are given, of one model bound to its readings.
 
 - *plain*: the NumPyro program, non-centred, as anyone would write it;
-- *marginal*: of φ alone, coefficients integrated out of the linearised model, but for those that bend it, in φ;
-- *whitened*: exact, in coordinates whitened by that.
+- *whitened*: exact, in coordinates whitened by the linearised model's posterior.
 """
 
 from __future__ import annotations
@@ -86,25 +85,7 @@ def whitened_target(p: BoundProblem) -> Target:
     return Target(lambda q: density(centre + root @ q), 0.5 * noise, unknowns, none)
 
 
-def marginal_target(p: BoundProblem) -> Target:
-    """φ alone."""
-    assembly = _on_record(p)
-    mode = find_mode(assembly)
-    density = nuts_chains.of_phi(assembly, mode)
-    if density is None:
-        raise RuntimeError(f"{p.layout.model.names}: the model is no table of columns")
-    root = jnp.linalg.cholesky(mode.covariance)
-    noise = jax.random.normal(jax.random.key(SEED), (CHAINS, mode.v.size))
-    missing = jnp.full(p.layout.size, jnp.nan)
-
-    def unknowns(q: jax.Array) -> jax.Array:
-        return jnp.concatenate([missing, mode.v + root @ q])
-
-    none = np.zeros(mode.v.size, bool)
-    return Target(lambda q: density(mode.v + root @ q), 0.5 * noise, unknowns, none)
-
-
-TARGETS = {"plain": plain_target, "whitened": whitened_target, "marginal": marginal_target}
+TARGETS = {"plain": plain_target, "whitened": whitened_target}
 
 
 def in_plain_order(plain: Any, layout: Any, x: np.ndarray, v: np.ndarray) -> np.ndarray:

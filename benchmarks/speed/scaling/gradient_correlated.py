@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.speed.scaling.gradient_cost import AT, T0, Bound, bound, per_call
+from benchmarks.speed.scaling.gradient_cost import AT, T0, Bound, bound, slopes
 from benchmarks.speed.timing import clocks, interleaved
 
 GOAL = 1e5  # readings a second
@@ -19,11 +19,9 @@ SIZES, DENSE = (1_000, 3_000, 10_000, 100_000, 1_000_000), (1_000, 3_000)
 REPEATS = 3
 
 
-def _ready(function: Callable[..., Any], *data: Any) -> Any:
-    """What a compiled function returns, once it is there."""
-    import jax
-
-    return jax.block_until_ready(function(*data))
+def _another(density: Any, v: np.ndarray) -> Any:
+    """The density a little aside, for which nothing is kept."""
+    return density.at(v + 1e-9 * np.random.default_rng().standard_normal(len(v)))
 
 
 def dense_density(b: Bound) -> float:
@@ -50,18 +48,14 @@ def wander() -> dict[str, Any]:
     Raises:
         RuntimeError: the value is not the dense one's.
     """
-    import jax
-
     seconds: dict[int, dict[str, float]] = {}
     for n in SIZES:
         b = bound(n, correlated=True)
 
-        of_phi = b.table.traced()
-        value = jax.jit(of_phi)
-        mine, steps = float(value(b.v)), max(1, 30_000 // n)
+        mine, steps = b.density.at(b.v)[0], max(1, 30_000 // n)
         runs: dict[str, Callable[[], Any]] = {
-            "gradient": per_call(of_phi, b.v, steps),
-            "value": partial(_ready, value, b.v),
+            "gradient": slopes(b.density, b.v, steps),
+            "value": partial(_another, b.density, b.v),
         }
         if n in DENSE:
             theirs = dense_density(b)

@@ -22,7 +22,7 @@ class Bound(NamedTuple):
     layout: Any
     frame: Any
     y: Any
-    table: Any
+    density: Any
     v: Any
 
 
@@ -54,10 +54,10 @@ def bound(n: int, correlated: bool) -> Bound:
     layout, _ = bind(model, readings)
     reference = {**reference_of(readings), "T0": T0}
     frame = build_frame(readings, reference)
-    v = jnp.array([_at(h) for h in layout.hypers])
+    v = np.array([_at(h) for h in layout.hypers])
     assembly = Assembly(layout, Record(model.instrument, frame, y))
-    density = Density(assembly, assembly.start, np.ones(layout.size), np.asarray(v))
-    return Bound(layout=layout, frame=frame, y=jnp.asarray(y), table=density.table, v=v)
+    density = Density(assembly, assembly.start, np.ones(layout.size), v)
+    return Bound(layout=layout, frame=frame, y=jnp.asarray(y), density=density, v=v)
 
 
 def _at(h: Any) -> float:
@@ -66,6 +66,24 @@ def _at(h: Any) -> float:
     if hasattr(prior, "coordinate"):
         return prior.coordinate(value)
     return float(np.log(value / prior.median) / prior.sd)
+
+
+def slopes(density: Any, v: np.ndarray, steps: int) -> Callable[[], Any]:
+    """`steps` values and gradients of our density one after another, each where the last one points.
+
+    Returns:
+        A call that runs them; it has run once.
+    """
+
+    def loop() -> Any:
+        at = v
+        for _ in range(steps):
+            value, slope = density.slope(at)
+            at = at + 1e-12 * slope  # so that nothing kept from the last one serves
+        return value
+
+    loop()
+    return loop
 
 
 def per_call(function: Callable[..., Any], start: Any, steps: int, *data: Any) -> Callable[[], Any]:

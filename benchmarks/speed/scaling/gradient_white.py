@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.speed.scaling.gradient_cost import AT, T0, Bound, bound, per_call
+from benchmarks.speed.scaling.gradient_cost import AT, T0, Bound, bound, per_call, slopes
 from benchmarks.speed.timing import clocks, interleaved
 
 GOAL = 1.2  # growth from 10³ readings to 10⁶
@@ -71,18 +71,17 @@ def _white_at(n: int) -> tuple[Bound, dict[str, float]]:
     import jax
 
     b = bound(n, correlated=False)
-    of_phi = b.table.traced()
     joint = plain(b.layout.model)
     data = (b.frame["temperature"] - T0, b.y)
 
-    mine = jax.jit(jax.value_and_grad(of_phi))(b.v)
+    mine = b.density.slope(b.v)
     theirs = jax.jit(jax.value_and_grad(lambda v: integrated(joint)(v[0], *data)))(b.v)
     for a, c in zip(jax.tree.leaves(mine), jax.tree.leaves(theirs), strict=True):
         if not np.allclose(a, c, rtol=1e-7, atol=1e-6):
             raise RuntimeError(f"at {n} readings: {mine}, NumPyro's integrated {theirs}")
     steps, few = 2000, max(4, 4_000_000 // n)
-    q = np.append(np.array([0.04, 0.6]), np.asarray(b.v))
-    runs = {"ours": per_call(of_phi, b.v, steps), "plain": per_call(joint, q, few, *data)}
+    q = np.append([0.04, 0.6], b.v)
+    runs = {"ours": slopes(b.density, b.v, steps), "plain": per_call(joint, q, few, *data)}
     best = clocks(interleaved(runs, REPEATS))
     return b, {"ours": best["ours"] / steps, "NumPyro": best["plain"] / few}
 
@@ -98,7 +97,7 @@ def _one_pass(b: Bound) -> dict[str, float]:
     from bayescal._inference.record import Record
 
     assembly = Assembly(b.layout, Record(b.layout.model.instrument, b.frame, np.asarray(b.y)))
-    v = np.asarray(b.v)
+    v = b.v
 
     def run() -> Any:
         density = Density(assembly, assembly.start, np.ones(b.layout.size), v)
