@@ -32,7 +32,7 @@ def calibration_text(calibration: Fitted) -> str:
     coefficients, spreads = summary(calibration)
     large = _large_groups(calibration)
     for s in (*coefficients, *spreads):
-        if s["effect"] in _curves(calibration):
+        if s["effect"] in curves(calibration):
             if s["effect"] not in told:
                 rows.append(_curve_row(calibration, s["effect"]))
                 told.add(s["effect"])
@@ -76,7 +76,7 @@ def calibration_text(calibration: Fitted) -> str:
 MOST_MEMBERS = 4  # of a group, that have a line each
 
 
-def _curves(calibration: Fitted) -> set[str]:
+def curves(calibration: Fitted) -> set[str]:
     """Effects whose coefficients stand for a curve: unknown dependences and departures."""
     return {
         e.name for e in calibration.model.effects if e.is_placeholder or isinstance(e, Departure)

@@ -13,9 +13,10 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.compare import Comparison
 from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.mixture import moved
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import null_directions, summary
-from bayescal._core.formatting import WIDTH, number, probability, table
+from bayescal._core.formatting import WIDTH, number, probability, table, with_error
 from bayescal._core.progress import tell
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -30,6 +31,7 @@ from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import Step
 
 Kinds = Mapping[str, Sequence[Effect]]
+SHOWN_STRUCTURES = 6  # of those averaged over, that have a line each
 
 
 def instruments_text(known: Mapping[str, Instrument]) -> str:
@@ -210,11 +212,45 @@ def loop_text(
         )
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
     parts.append(f"COEFFICIENTS\n\n{final.calibration}")
+    if averaged := averaged_text(trail):
+        parts.append(averaged)
     if trail.ending:
         parts.append(textwrap.fill(f"end: {trail.ending}", WIDTH))
     parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))
     parts.append(f"IN SHORT\n\n{textwrap.fill(trail.in_short, WIDTH)}")
     return "\n\n".join(parts).removeprefix("\n")
+
+
+def averaged_text(trail: SearchPath) -> str:
+    """The structures that are averaged over, and the coefficients that this changes; empty where one has it all."""
+    if trail.average is None:
+        return ""
+    added = [
+        [" + ".join(s.effects) or "nothing added", probability(s.probability)]
+        for s in trail.shares[:SHOWN_STRUCTURES]
+    ]
+    if more := trail.shares[SHOWN_STRUCTURES:]:
+        added.append([f"{len(more)} others", probability(sum(s.probability for s in more))])
+    said = (
+        "Predictions, compensation and exports are averaged over these structures; "
+        "--structure best uses the one above."
+    )
+    parts = [
+        f"STRUCTURES\n\n{table(['effects added', 'probability'], added, left=1, fold=60)}",
+        textwrap.fill(said, WIDTH),
+    ]
+    rows = [
+        [
+            m.name,
+            with_error(m.mean, m.sd),
+            with_error(m.averaged_mean, m.averaged_sd),
+            unit_label(m.unit),
+        ]
+        for m in moved(trail.final.calibration, trail.average)
+    ]
+    if rows:
+        parts.append(table(["coefficient", "in this structure", "over structures", "unit"], rows))
+    return "\n".join(parts)
 
 
 def channels_in_short(found: Channels) -> str:

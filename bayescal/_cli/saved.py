@@ -12,7 +12,7 @@ from bayescal._core.json_shape import read_json
 from bayescal._model.instrument import Instrument
 from bayescal._report.dcc import dcc_text
 from bayescal._report.section import CALIBRATION, Chapter, chapters, of_folder
-from bayescal._report.whole_folder import AVERAGED, CHANNELS, is_inside, refuse_mixed
+from bayescal._report.whole_folder import AVERAGED, CHANNELS, files_of, is_inside, refuse_mixed
 from bayescal._search.own_files import instrument_named, user_effects
 from bayescal._use.autopilots import AUTOPILOTS
 from bayescal._use.code_writer import FORMATS
@@ -41,8 +41,9 @@ def load_saved(path: Path, own: OwnParts) -> Calibration:
     if isinstance(own, UsedParts) and path.name == CALIBRATION:
         if own.structure not in ("average", "best"):
             raise InputError(f"--structure {own.structure!r} is neither 'average' nor 'best'")
-        if own.structure == "average" and (average := path.with_name(AVERAGED)).is_file():
-            path = average
+        refuse_mixed(path.parent, CALIBRATION)
+        if own.structure == "average" and AVERAGED in files_of(path.parent):
+            path = path.with_name(AVERAGED)
     refuse_mixed(path.parent, path.name)
     return load(path, effects=user_effects(own.effects_file), instruments=_own_instruments(own))
 

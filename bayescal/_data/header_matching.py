@@ -250,8 +250,9 @@ def _alike(column: Column, headers: list[Header], raw_output: bool) -> list[Head
     }
     kinds = (column.unit or "",)
     fitting = [h for h in headers if any(_fits(r.unit or "", kinds) for r in readings_of(h))]
+    fits = {h.raw for h in fitting}
     if near := [h for h in headers if not names[h.raw].isdisjoint(close)]:
-        return [h for h in near if h in fitting] or near
+        return [h for h in near if h.raw in fits] or near
     if column.unit is None:
         return []
     usual = [w for unit, w in _LIKELY.items() if column.unit == ANY or _same(unit, column.unit)]
@@ -261,7 +262,7 @@ def _alike(column: Column, headers: list[Header], raw_output: bool) -> list[Head
         if raw_output
         else []
     )
-    return [h for h in named if h in fitting] or named or fitting or raw
+    return [h for h in named if h.raw in fits] or named or fitting or raw
 
 
 def _raw(unit: str) -> bool:
@@ -310,6 +311,7 @@ def note_missing(
         if c.required and c.default is None and name not in positions and name not in said
     ]
     alike = {c.name: _alike(c, free, c.name == output) for c in lacking}
+    place = {h.raw: i for i, h in reversed([*enumerate(table.headers)])}
     single = [found[0].raw for found in alike.values() if len(found) == 1]
     for column in lacking:
         found = alike[column.name]
@@ -324,8 +326,8 @@ def note_missing(
             )
             reading = _fitting(like, kinds, {})
             named = like if reading is None else Header(like.raw, like.name, reading.unit)
-            offered[column.name] = (table.headers.index(like), named)
-    return offered, {table.headers.index(h) for found in alike.values() for h in found}
+            offered[column.name] = (place[like.raw], named)
+    return offered, {place[h.raw] for found in alike.values() for h in found}
 
 
 def could_be(

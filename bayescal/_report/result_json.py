@@ -41,6 +41,13 @@ def result(trail: SearchPath) -> dict[str, Any]:
     """Everything that a calibration found, as plain data."""
     final = trail.final.calibration
     coefficients, spreads = summary(final)
+    for row in (*coefficients, *spreads):
+        row["averaged"] = None
+    if trail.average is not None:
+        averaged = {r["name"]: r for part in summary(trail.average) for r in part}
+        for row in (*coefficients, *spreads):
+            if there := averaged.get(row["name"]):
+                row["averaged"] = {k: there[k] for k in ("mean", "sd", "interval95")}
     verdict = final.verdict
     reasons = [*verdict.reasons, *([] if trail.gate.ok else [trail.gate.reason])]
     return clean(
@@ -105,6 +112,9 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
                 "probability": s.probability,
             }
             for s in search.structures
+        ],
+        "averaged_over": [
+            {"effects": list(s.effects), "probability": s.probability} for s in trail.shares
         ],
     }
 

@@ -20,6 +20,9 @@ from bayescal._tables.problems import Problem
 ROW = "reading"  # the one dimension of readings
 FORMATS = (".csv", ".parquet", ".nc")  # that are written
 MOST_COLUMNS = 100_000
+LONGEST_NAME = (
+    1_000  # characters; a longer one is a row or a text, in which looking for a unit takes minutes
+)
 
 
 def bytes_text(size: float) -> str:
@@ -29,7 +32,8 @@ def bytes_text(size: float) -> str:
 
 def in_one_line(text: str) -> str:
     """A name without line breaks and other control characters."""
-    return re.sub(r"\s*[\x00-\x1f\x7f-\x9f\u2028\u2029]+\s*", " ", text).strip()
+    parts = (part.strip() for part in re.split(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+", text))
+    return " ".join(part for part in parts if part)
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,9 @@ class Table:
         notes: how it was read, where that is not as usual, a sentence each.
         problems: what keeps it from being used.
         readable: whether its cells can be looked at all the same.
+
+    Raises:
+        InputError: a column's name is too long to be one.
     """
 
     file: str
@@ -85,6 +92,12 @@ class Table:
         Raises:
             InputError: no readings, or one name for two columns.
         """
+        for i, header in enumerate(self.headers):
+            if len(header.raw) > LONGEST_NAME:
+                raise InputError(
+                    f"{self.file!r}: the name of column {i + 1}, {header.raw[:20]!r}…, has {len(header.raw):,} "
+                    f"characters, at most {LONGEST_NAME:,} are read: give the column a short name"
+                )
         if self.rows < 1:
             raise InputError(
                 f"{self.file!r} holds no readings: give a file with at least one row of numbers"

@@ -67,7 +67,7 @@ def write_export(
         InputError: what the export itself refuses.
     """
     refuse_unknown(what)
-    made = compensator(trail.final.calibration)
+    made = compensator(trail.calibration)
     if what in SUFFIXES:
         return made.export(folder / f"compensation{SUFFIXES[what]}", what)
     if what == "dcc":

@@ -26,7 +26,7 @@ def test_the_loop_finds_what_is_missing_and_writes_what_it_says(loop: Ran, folde
     assert said["steps"][-1]["added"] == "bias.temperature_quadratic"
     assert json.loads((folder / "loop" / "result.json").read_text("utf-8")) == said
     names = {p.name for p in (folder / "loop").iterdir()}
-    assert names == {"result.json", "calibration.nc", "loop.png", "manifest.json"}
+    assert names == {"result.json", "calibration.nc", "averaged.nc", "loop.png", "manifest.json"}
 
 
 def test_readings_kept_apart_change_nothing_but_their_own_error(loop: Ran, folder: Path) -> None:

@@ -21,7 +21,7 @@ from bayescal._report.whole_folder import MANIFEST, bring_back, files_of, refuse
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import run
 
-NAMES = {"result.json", "calibration.nc", "loop.png", MANIFEST}
+NAMES = {"result.json", "calibration.nc", "averaged.nc", "loop.png", MANIFEST}
 
 
 def trail_of(seed: int) -> bc.SearchPath:

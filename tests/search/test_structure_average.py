@@ -1,0 +1,129 @@
+"""What leaves a search is averaged over its structures: draws of each in proportion to its probability."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._calibration.mixture import has_effect, inclusion, moved, with_columns
+from bayescal._cli.output import averaged_text
+from bayescal_models import mems_gyro
+from tests.support.made_up import split_search
+
+CAMPAIGNS = 40
+
+
+@pytest.fixture(scope="module")
+def trail() -> bc.SearchPath:
+    return split_search.trail()
+
+
+@pytest.fixture(scope="module")
+def average(trail) -> bc.Calibration:
+    assert trail.average is not None
+    return trail.average
+
+
+def test_shares_are_the_probabilities_of_the_search(trail) -> None:
+    assert sum(s.probability for s in trail.shares) == pytest.approx(1)
+    found = [s.probability for s in trail.shares]
+    assert found == sorted(found, reverse=True) and min(found) >= 0.0099
+    weighed = {}
+    for s in trail.search.structures:
+        weighed[frozenset(s.effects)] = weighed.get(frozenset(s.effects), 0) + s.probability
+    of = [weighed[frozenset(s.effects)] for s in trail.shares]
+    np.testing.assert_allclose(found, np.array(of) / sum(of), rtol=1e-9)
+
+
+def test_draws_have_each_effect_as_often_as_it_is_probable(trail, average) -> None:
+    shares = inclusion(average)
+    for name in average.model.names[2:]:
+        probable = sum(s.probability for s in trail.shares if name in s.effects)
+        assert shares[name] == pytest.approx(probable, abs=0.002)
+    assert shares["bias.constant"] == 1
+    x, _, _ = average.draws()
+    own = [b for b in average.layout.x_blocks if b.effect.name == "bias.reference_voltage"]
+    out = ~has_effect(average, "bias.reference_voltage")
+    assert np.all(x[out, own[0].start] == 0)
+
+
+def test_mean_and_variance_of_a_prediction_are_those_of_a_mixture(trail, average) -> None:
+    """Σp·m and Σp·(s² + m²) − (Σp·m)², over fits of the structures by themselves."""
+    weights, means, squares = [], [], []
+    for share in trail.shares:
+        model = trail.steps[0].calibration.model
+        for name in share.effects:
+            model = model + name
+        fit = bc.fit(model, trail.final.calibration.readings, strict=False)
+        found = bc.predict(fit, new_groups=False, draws=4000)
+        weights.append(share.probability)
+        means.append(found.mean)
+        squares.append(found.mean**2 + found.model_sd**2)
+    p = np.array(weights)[:, None]
+    mean = np.sum(p * means, axis=0)
+    sd = np.sqrt(np.sum(p * squares, axis=0) - mean**2)
+    found = bc.predict(average, new_groups=False, draws=4000)
+    assert np.max(np.abs(found.mean - mean) / sd) < 0.2
+    np.testing.assert_allclose(found.model_sd, sd, rtol=0.15)
+
+
+def test_it_is_saved_beside_the_structure_that_is_shown_and_commands_use_it(
+    trail, average, tmp_path
+) -> None:
+    trail.save(tmp_path)
+    loaded = bc.load(tmp_path / "averaged.nc")
+    assert inclusion(loaded) == inclusion(average)
+    one, other = bc.compensator(loaded), bc.compensator(average)
+    given = {i.name: np.array([i.low, i.high]) for i in other.inputs}
+    reading = np.array([20.0, 22.0])
+    for of in ("value", "uncertainty"):
+        np.testing.assert_allclose(
+            getattr(one(output=reading, **given), of),
+            getattr(other(output=reading, **given), of),
+            rtol=1e-12,
+        )
+
+
+def test_a_file_without_the_column_of_an_improbable_effect_is_predicted(average) -> None:
+    columns = set(average.readings.columns) - {"board_temperature"}
+    left = with_columns(average, columns)
+    assert "bias.reference_voltage" not in left.model.names
+    assert inclusion(left)["bias.run"] > 0.5
+
+
+def test_coefficients_that_move_are_said(trail, average) -> None:
+    text = averaged_text(trail)
+    assert "STRUCTURES" in text and "--structure best" in text
+    names = [m.name for m in moved(trail.final.calibration, average)]
+    assert "bias.constant" in names and "bias.constant" in text
+
+
+def test_a_search_of_one_structure_is_not_averaged() -> None:
+    readings = mems_gyro.simulate({"bias.thermal_lag": 0.3}, seed=1)
+    found = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings)
+    if found.average is None:
+        assert found.calibration is found.final.calibration and averaged_text(found) == ""
+    else:
+        assert found.shares[0].probability < 1 - 0.009
+
+
+@pytest.mark.slow
+def test_where_the_search_is_split_the_average_covers_and_one_structure_does_not() -> None:
+    """95 % intervals of the true noise-free curve over the readings; sizes too small for a certain answer."""
+    sizes = np.random.default_rng(11).uniform(0.003, 0.012, CAMPAIGNS)
+    best, averaged = [], []
+    for seed, size in enumerate(sizes):
+        hidden = {"bias.thermal_lag": float(size)}
+        readings = mems_gyro.simulate(hidden, seed=seed)
+        quiet = mems_gyro.simulate(hidden, seed=seed, campaign=mems_gyro.Campaign(noise=1e-9))
+        trail = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings)
+        if trail.average is None or trail.shares[0].probability > 0.8:
+            continue
+        shares = []
+        for one in (trail.final.calibration, trail.average):
+            found = bc.predict(one, new_groups=False)
+            shares.append(np.mean(np.abs(quiet["output"] - found.mean) < 1.96 * found.model_sd))
+        best.append(shares[0]), averaged.append(shares[1])
+    assert len(best) >= 8
+    assert np.mean(averaged) > np.mean(best) and np.mean(averaged) > 0.88
