@@ -17,6 +17,7 @@ from bayescal._calibration.summary import curves, summary
 from bayescal._inference.assembly import Point
 from bayescal._inference.method import CHAINS, Draws, by_chain
 from bayescal._model.effect import Effect
+from bayescal._model.frame import GROUPS
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 
@@ -43,7 +44,7 @@ def inclusion(calibration: Fitted) -> dict[str, float]:
     }
 
 
-class Moved(NamedTuple):
+class AveragedCoefficient(NamedTuple):
     """A coefficient of the structure that is shown, there and in the average over structures."""
 
     name: str
@@ -54,7 +55,7 @@ class Moved(NamedTuple):
     averaged_sd: float
 
 
-def moved(shown: Fitted, averaged: Fitted) -> list[Moved]:
+def moved(shown: Fitted, averaged: Fitted) -> list[AveragedCoefficient]:
     """Coefficients, those of curves left out, whose mean or standard uncertainty differs by more than `A_FIFTH`."""
     there = {r["name"]: r for r in summary(averaged)[0]}
     found = []
@@ -64,7 +65,7 @@ def moved(shown: Fitted, averaged: Fitted) -> list[Moved]:
             change = max(abs(other["mean"] - r["mean"]), abs(other["sd"] - r["sd"]))
             if change > A_FIFTH * r["sd"]:
                 values = (r["mean"], r["sd"], other["mean"], other["sd"])
-                found.append(Moved(r["name"], r["unit"], *values))
+                found.append(AveragedCoefficient(r["name"], r["unit"], *values))
     return found
 
 
@@ -86,10 +87,10 @@ def needs(effect: Effect) -> set[str]:
 
 
 def usual_columns(calibration: Fitted) -> set[str]:
-    """Columns that the more probable effects need."""
+    """Columns that effects more probable than not need; a group is none: what is used is a new member of it."""
     shares = inclusion(calibration)
     likely = (e for e in calibration.model.effects if shares[e.name] > 0.5)
-    return set().union(*(needs(e) for e in likely))
+    return set().union(GROUPS, *(needs(e) for e in likely))
 
 
 def without(calibration: F, names: Collection[str]) -> F:

@@ -252,7 +252,7 @@ def _one(
             **settings,
         )
         from bayescal._report.result_json import result
-        from bayescal._report.whole_folder import files_of
+        from bayescal._report.whole_folder import AVERAGED, files_of
 
         def write() -> None:
             if folder is not None:
@@ -262,7 +262,8 @@ def _one(
             print_result(result(trail) if json_ else loop_text(trail, own, told.begun, verbose))
             if folder is not None and not json_:
                 there = files_of(folder)
-                names = (n for n in ("result.json", "calibration.nc", "loop.png") if n in there)
+                usual = ("result.json", "calibration.nc", AVERAGED, "loop.png")
+                names = (n for n in usual if n in there)
                 print(f"\nwritten: {folder}/{', '.join(names)}, manifest.json")
 
         deadline.finish(write)

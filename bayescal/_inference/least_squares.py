@@ -25,7 +25,7 @@ from bayescal._model.parameters import Layout
 
 
 class LeastSquares(Method):
-    """Maximum a posteriori by optimistix, with a Laplace covariance.
+    """Maximum a posteriori, with a Laplace covariance: by Gauss–Newton; where that stalls, by optimistix.
 
     Attributes:
         curvature: "gauss-newton" leaves out second derivatives of the expected output; "hessian" keeps them.

@@ -11,7 +11,7 @@ import bayescal as bc
 from bayescal._calibration.prior_influence import prior_sensitivity
 from bayescal._use.budget import READINGS
 from bayescal_models import mems_gyro
-from tests.support.made_up import bent_sensor
+from tests.support.made_up import bent_sensor, split_search
 
 
 @pytest.fixture(scope="module")
@@ -130,3 +130,15 @@ def test_noise_that_follows_a_column_is_averaged_over_the_readings_of_the_calibr
     model = mems_gyro.INSTRUMENT.baseline().with_noise(bc.Heteroscedastic("temperature"))
     found = bc.budget(bc.fit(model, readings), {"temperature": 60.0})
     assert found.noise == pytest.approx(np.sqrt(np.mean(spread**2)), rel=0.15)
+
+
+def test_not_to_know_the_structure_is_a_source() -> None:
+    """The average's variance is what the compensator states; what structures add is most of it, and is named."""
+    average = split_search.trail().calibration
+    found, compensate = bc.budget(average, {"temperature": 70.0}), bc.compensator(average)
+    given = {n: v for n, v in found.at.items() if n != "rate_input"}
+    value = compensate(output=found.reading, **given, method="first order", noise=False)
+    np.testing.assert_allclose(found.uncertainty, value.uncertainty[0], rtol=1e-9)
+    assert sum(s.share for s in found.sources) == pytest.approx(1)
+    largest = max(found.sources, key=lambda s: s.share)
+    assert largest.name.startswith("which effects there are") and largest.share > 0.5

@@ -19,7 +19,7 @@ from bayescal._use.inversion import Inverse
 from bayescal._use.posterior_moments import posterior_moments
 from bayescal_models import inclinometer
 from tests.support.export_check import needs_compiler, run_header
-from tests.support.made_up import bent_sensor
+from tests.support.made_up import bent_sensor, split_search
 
 ROWS = 10_000
 pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCalibration")
@@ -38,6 +38,7 @@ MADE = {
     "bent": lambda: bc.compensator(bent_sensor.calibration()),
     "gyro": lambda: bc.compensator(bent_sensor.gyro()),
     "inclinometer": tilted,
+    "averaged over structures": lambda: bc.compensator(split_search.trail().calibration),
 }
 
 

@@ -80,6 +80,7 @@ def test_every_text_of_a_result_is_text_in_its_report(saved, tmp_path) -> None:
     assert "&lt;script&gt;" in text
 
 
+@pytest.mark.slow
 def test_a_result_of_other_types_is_refused_or_reported(saved, tmp_path) -> None:
     """Each part in turn: a list in place of a number, nothing in place of a table."""
     data = json.loads((saved / "result.json").read_text("utf-8"))

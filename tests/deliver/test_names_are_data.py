@@ -401,7 +401,9 @@ IN_A_FILE = [BY_HAND[0], BY_HAND[4], BY_HAND[5]]
 IN_A_FILE += ["board\x1b[2J", "a\udcffb", "$\\frac{$ $$\\href{javascript:x}{y}$$"]
 
 
-@pytest.mark.parametrize("name", IN_A_FILE)
+@pytest.mark.parametrize(
+    "name", [IN_A_FILE[0], *(pytest.param(n, marks=pytest.mark.slow) for n in IN_A_FILE[1:])]
+)
 def test_a_hostile_name_in_a_file_reaches_no_deliverable_as_code(name, tmp_path) -> None:
     """From the file to exports, report, certificate, tables and drafts."""
     gyro = mems_gyro.INSTRUMENT

@@ -38,8 +38,9 @@ KEYS = {
     "readings": "file sha256 rows groups",
     "holdout": "file sha256 rows",
     "gate": "ok reason",
-    "search": "weighed complete stopped ending seconds structures",
+    "search": "weighed complete stopped ending seconds structures averaged_over",
     "search.structures[]": "effects wanders noise log_evidence probability",
+    "search.averaged_over[]": "effects probability",
     "other_path": "noise added log_bayes_factor in_words",
     "steps[]": "effects added dropped rmse rmse_fitted unit holdout_rmse leave_one_group_out "
     "log_evidence noise noise_floor verdict",
@@ -57,8 +58,8 @@ KEYS = {
     "missing[].candidates[]": "effect probability log_bayes_factor source z size size_sd unit "
     "shape visibility minimum_detectable kind indistinguishable_from",
     "missing[].unknown[]": "column size unit log_bayes_factor probability",
-    "coefficients[]": "name effect unit mean sd interval95 contraction",
-    "spreads[]": "name effect unit mean sd interval95 contraction",
+    "coefficients[]": "name effect unit mean sd interval95 contraction averaged",
+    "spreads[]": "name effect unit mean sd interval95 contraction averaged",
     "identifiability": "null_directions",
     "verdict": "ok reasons",
 }

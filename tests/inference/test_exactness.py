@@ -220,6 +220,7 @@ def ramps() -> bc.Measurements:
     return still_sensor.simulate({"bias.thermal_lag": 5.0}, seed=3, runs=3, interval=4)
 
 
+@pytest.mark.slow
 def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
     ramps: bc.Measurements, monkeypatch
 ) -> None:
