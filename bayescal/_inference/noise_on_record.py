@@ -24,6 +24,7 @@ Values = Mapping[str, Any]  # φ by name, one number each
 Each = Mapping[str, Any]  # φ by name, one number a draw, or one for all
 WIDTH = 8  # columns that a table is padded to at least, else to twice as many, and so on
 CELLS = 2_000_000  # numbers in the tables of several draws that are held at once
+FEW = 8  # draws that are worked out together where there are few
 
 
 class Whitening(NamedTuple):
@@ -60,7 +61,12 @@ class Whitening(NamedTuple):
         return np.asarray(made)[:n, :m], 2.0 * float(np.sum(np.asarray(log_sd)[:n]))
 
     def slopes(self, table: Float[np.ndarray, "n m"]) -> dict[str, float]:
-        """Of −½·(trace of TᵀΣ⁻¹T + log|Σ|) by each of the law's parameters, the table held."""
+        """Of −½·(trace of TᵀΣ⁻¹T + log|Σ|) by each of the law's parameters, the table held.
+
+        Of independent readings the trace needs each row's sum of squares alone.
+        """
+        if self.law.independent:
+            table = np.sqrt(np.einsum("ij,ij->i", table, table))[:, None]
         made = _slopes(*self._arguments(table), np.float64(self.record.size))
         return {name: float(one) for name, one in made.items()}
 
@@ -301,6 +307,18 @@ def _densities(law: Noise, frame: Frame, y, left, values):
 
 
 @program
+def _totals(law: Noise, frame: Frame, y, left, values, size):
+    counted = jnp.arange(frame.size) < size
+
+    def of(left, own):
+        return jnp.sum(jnp.where(counted, law.log_density(y, y - left, own, frame), 0.0))
+
+    if left.shape[0] == 1:
+        return jax.lax.map(lambda own: of(left[0], own), values)
+    return jax.lax.map(lambda one: of(*one), (left, values))
+
+
+@program
 def _variances(law: Noise, frame: Frame, values):
     def one(own):
         return jnp.broadcast_to(law.variance(own, frame), (frame.size,))
@@ -380,7 +398,7 @@ def _by_draws(
     arrays = tuple(_forth(law, record, np.asarray(a), 1) for a in arrays)
     found = np.empty((record.size, count))
     most = max(1, CELLS // record.padded_size)
-    together = 1 if count == 1 else 32 if count <= 32 else min(256, most)
+    together = 1 if count == 1 else FEW if count <= 8 * FEW else min(256, most)
     for start in range(0, count, together):
         pick = np.minimum(start + np.arange(together), count - 1)
         some = [record.longer(a[pick if len(a) > 1 else 0 * pick]) for a in arrays]
@@ -395,5 +413,19 @@ def _by_draws(
 def total_log_density(
     law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each
 ) -> Float[np.ndarray, "b"]:
-    """Log density of all readings together."""
-    return np.sum(log_densities(law, record, left, hyper), axis=1)
+    """Log density of all readings together, at what the expected output leaves of them: in each draw, or (1, n)."""
+    names = list(law.parameters())
+    count = max([*(np.size(hyper[n]) for n in names), len(left)])
+    own = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
+    y = record.longer(_forth(law, record, record.y, 0))
+    left, found = _forth(law, record, left, 1), np.empty(count)
+    together = FEW if count <= 8 * FEW else max(FEW, min(256, CELLS // record.padded_size))
+    single = record.longer(left[0])[None] if len(left) == 1 else None
+    for start in range(0, count, together):
+        pick = np.minimum(start + np.arange(together), count - 1)
+        some = record.longer(left[pick]) if single is None else single
+        values = {n: v[pick] for n, v in own.items()}
+        made = _totals(law.plain, record.padded_for(law), y, some, values, np.float64(record.size))
+        stop = min(start + together, count)
+        found[start:stop] = np.asarray(made)[: stop - start]
+    return found

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.gaussian import LOG_2PI
-from bayescal._inference.noise_on_record import log_densities
+from bayescal._inference.noise_on_record import total_log_density
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.model import Model
@@ -78,7 +78,7 @@ def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> On
 
     def values(v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
         hyper = {name: p.value(v[:, i]) for i, (name, p) in enumerate(priors.items())}
-        density = log_densities(law, record, left[None], hyper).sum(axis=1)
+        density = total_log_density(law, record, left[None], hyper)
         return density + sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
 
     white, scale = next(iter(priors.values())), float(np.sqrt(np.mean(left**2)))

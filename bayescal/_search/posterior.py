@@ -118,18 +118,18 @@ class Posterior:
         Source: M. Barbieri and J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
         """
         found = {n for f in self.findings for n in f.effects if n in self.best.effects}
-        effects, inside = frozenset(self.given), self.structures
+        effects = frozenset(self.given)
+        inside = list(zip(self.structures, self.probability.tolist(), strict=True))
         while True:
-            weight = {
-                s: p for s, p in zip(self.structures, self.probability, strict=True) if s in inside
-            }
-            further = {n for s in weight for n in s.effects} - effects
-            share = {n: sum(p for s, p in weight.items() if n in s.effects) for n in further}
+            share: dict[str, float] = {}
+            for s, p in inside:
+                for n in s.effects - effects:
+                    share[n] = share.get(n, 0.0) + p
             likely = max(share, key=lambda n: (share[n], n), default="")
-            if not likely or share[likely] <= 0.5 * sum(weight.values()):
+            if not likely or share[likely] <= 0.5 * sum(p for _, p in inside):
                 break
             effects |= {likely}
-            inside = tuple(s for s in weight if likely in s.effects)
+            inside = [(s, p) for s, p in inside if likely in s.effects]
         effects |= found
         return Structure(
             effects, next((s for s in self.structures if s.effects >= effects), self.best).noise
