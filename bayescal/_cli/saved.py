@@ -9,6 +9,8 @@ from bayescal._calibration.fit import load
 from bayescal._cli.options import OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
+from bayescal._fleet.fleet_result import load_fleet
+from bayescal._fleet.population import Population
 from bayescal._model.instrument import Instrument
 from bayescal._report.dcc import dcc_text
 from bayescal._report.section import CALIBRATION, Chapter, chapters, of_folder
@@ -60,6 +62,26 @@ def compensator_from(path: Path, own: UsedParts, members: list[str] | None) -> C
             )
         return load_compensator(path)
     return compensator(load_saved(path, own), members=named_values(members, "--member"))
+
+
+def population_of(given: list[str] | None) -> Population | list[str] | None:
+    """Devices of one kind: the population of a fleet's folder, or as they were written.
+
+    Raises:
+        InputError: a fleet cannot be read or has no population, or it is given beside another population.
+    """
+    folders = [one for one in given or [] if Path(one).is_dir()]
+    if not folders:
+        return given or None
+    if len(given or []) > 1:
+        raise InputError(f"--population {folders[0]} is a fleet: give it alone, or devices as text")
+    found = load_fleet(folders[0]).population
+    if found is None:
+        raise InputError(
+            f"--population {folders[0]}: this fleet has no population; fit it with --population, or give the "
+            'devices as text, such as "sd 0.2 °/s"'
+        )
+    return found
 
 
 def why_not(chosen: Compensator) -> str:
