@@ -30,6 +30,14 @@ def exit_unless_reliable(given: Mapping[str, bc.Compensator]) -> None:
     exit_unless(not any(told.values()), "; ".join(f"{n} {w}".strip() for n, w in told.items() if w))
 
 
+def exit_unless_conforms(found: bc.Decisions) -> None:
+    """Leave with status 1 where a limit is not met, or that is undecided."""
+    open_ = [f"{d.limit} ({d.decision})" for d in found.decisions if d.decision != "accept"]
+    if open_:
+        print_notes([f"not shown to conform: {', '.join(open_)}"])
+        raise typer.Exit(1)
+
+
 @commands.command(
     epilog="Example: bayescal compensate result/calibration.nc flight.csv --out done.csv"
 )
@@ -230,8 +238,8 @@ def decide(
         list[str] | None,
         typer.Option(
             "--population",
-            help='Devices of this kind, for global risks: a folder of a fleet, or "sd 0.2 °/s"; repeat, by name of a '
-            'limit: "bias: sd 0.2 °/s".',
+            help='Devices of this kind, for global risks: what `bayescal batch --population` wrote, or "sd 0.2 °/s"; '
+            'repeat, by name of a limit: "bias: sd 0.2 °/s".',
         ),
     ] = None,
     capability: Annotated[
@@ -271,8 +279,7 @@ def decide(
     if out is not None:
         text = json.dumps(found.data(), indent=1, ensure_ascii=False, allow_nan=False)
         write_text(f"{text}\n", out)
-    if not found.conforms:
-        raise typer.Exit(1)
+    exit_unless_conforms(found)
 
 
 @commands.command(epilog="Example: bayescal report result -o report.html")

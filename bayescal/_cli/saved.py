@@ -9,6 +9,7 @@ from bayescal._calibration.fit import load
 from bayescal._cli.options import OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
+from bayescal._fleet.batch_result import load_batch
 from bayescal._fleet.fleet_result import load_fleet
 from bayescal._fleet.population import Population
 from bayescal._model.instrument import Instrument
@@ -65,21 +66,24 @@ def compensator_from(path: Path, own: UsedParts, members: list[str] | None) -> C
 
 
 def population_of(given: list[str] | None) -> Population | list[str] | None:
-    """Devices of one kind: the population of a fleet's folder, or as they were written.
+    """Devices of one kind: the population that `bayescal batch` learned, or as they were written.
 
     Raises:
-        InputError: a fleet cannot be read or has no population, or it is given beside another population.
+        InputError: results cannot be read or have no population, or another population is given beside them.
     """
-    folders = [one for one in given or [] if Path(one).is_dir()]
-    if not folders:
+    results = [one for one in given or [] if Path(one).exists()]
+    if not results:
         return given or None
     if len(given or []) > 1:
-        raise InputError(f"--population {folders[0]} is a fleet: give it alone, or devices as text")
-    found = load_fleet(folders[0]).population
+        raise InputError(
+            f"--population {results[0]} is a fleet's: give it alone, or devices as text"
+        )
+    path = Path(results[0])
+    found = (load_fleet(path) if path.is_dir() else load_batch(path)).population
     if found is None:
         raise InputError(
-            f"--population {folders[0]}: this fleet has no population; fit it with --population, or give the "
-            'devices as text, such as "sd 0.2 °/s"'
+            f"--population {path}: these results have no population; fit them with `bayescal batch --population all`, "
+            'or give the devices as text, such as "sd 0.2 °/s"'
         )
     return found
 

@@ -179,7 +179,10 @@ def _said(d: Decision) -> Iterator[str]:
     """Each in a line: the decision and its risk, where it holds, the population's risks, when to calibrate again."""
     yield f"{d.limit}: {d.decision}; {d.why}."
     if d.at:
-        yield f"  at {', '.join(_place(name, *place) for name, place in d.at.items())}"
+        scatter = f"; single readings scatter by {number(d.scatter)} {unit_label(d.unit)}" * (
+            d.scatter > 0
+        )
+        yield f"  at {', '.join(_place(name, *place) for name, place in d.at.items())}{scatter}"
     if d.global_risks is not None and d.population is not None:
         g, (mean, sd) = d.global_risks, d.population
         yield (
