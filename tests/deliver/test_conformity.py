@@ -79,7 +79,7 @@ def test_consumers_risk_of_four_to_one_by_the_table_of_rp_19(conforming, per_cen
 
     The digits are those against which Suncal's own tests check (github.com/sandialabs/suncal, test_risk.py).
     """
-    sd = 1 / stats.norm.ppf(0.5 * (1 + conforming))
+    sd = float(1 / stats.norm.ppf(0.5 * (1 + conforming)))
     found = global_risks(0.0, sd, sd / 4, Limits(-1.0, 1.0), Acceptance(-1.0, 1.0))
     assert found.conforming == pytest.approx(conforming, abs=1e-9)
     assert 100 * found.consumer == pytest.approx(per_cent, abs=2e-6)
@@ -126,7 +126,7 @@ def test_guard_bands_of_a_normal_distribution_are_its_quantiles() -> None:
 
 def test_a_guard_band_of_one_expanded_uncertainty_leaves_two_point_three_per_cent() -> None:
     """JCGM 106, 8.3.2: w = U, k = 2, at the acceptance limit: p of false acceptance at most 2.3 %."""
-    found = acceptance(normal(0.0, 0.5), Limits(-np.inf, 4.0), 1 - stats.norm.cdf(2.0))
+    found = acceptance(normal(0.0, 0.5), Limits(-np.inf, 4.0), float(stats.norm.sf(2.0)))
     assert found is not None and 4.0 - found.high == pytest.approx(2 * 0.5, abs=1e-3)
     assert round(100 * (1 - normal(3.0, 0.5).probability(Limits(-np.inf, 4.0))), 1) == 2.3
 
