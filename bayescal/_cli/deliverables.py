@@ -125,7 +125,8 @@ def export(
         str | None,
         typer.Option(
             "--format",
-            help="json, c or python, else by the suffix of --out; px4-params or ardupilot-params; dcc.",
+            help="json, c, python or html (a page with sliders), else by the suffix of --out; px4-params or "
+            "ardupilot-params; dcc.",
         ),
     ] = None,
     out: Annotated[
@@ -147,7 +148,7 @@ def export(
     member: options.Members = None,
     own: UsedParts,
 ) -> None:
-    """Write the calibration for use elsewhere: C99, Python, JSON, an autopilot's parameters, a digital certificate."""
+    """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate."""
     from bayescal._cli import saved
     from bayescal._core.atomic_file import write_text
 

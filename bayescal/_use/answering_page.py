@@ -7,14 +7,16 @@ the script knows inputs, coefficients and effects by number.
 
 from __future__ import annotations
 
+import re
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
+from bayescal._core.errors import InputError
 from bayescal._core.quoting import html_text, number_text, one_line
 from bayescal._data.unit_conversion import unit_label
 from bayescal._use.compensation_program import STEPS, STIMULUS, CompensationProgram
-from bayescal._use.inputs import Input
+from bayescal._use.inputs import PAST, Input
 from bayescal._use.languages import JAVASCRIPT, statements, template
 
 TICKS = 500  # steps of a slider: a step is less than a pixel of a wide one
@@ -36,7 +38,7 @@ def page(program: CompensationProgram) -> str:
     places = {i.name: k for k, i in enumerate(program.inputs)}
     names = {name: f"x[{k}]" for name, k in places.items()} | {STIMULUS: "s"}
     factor = program.factor
-    return template("page.html.jinja", {"text": _text, "unit": _unit}, autoescape=True).render(
+    return template("page.html.jinja", FILTERS, autoescape=True).render(
         p=program,
         about=program.about,
         why_not=program.about.why_not,
@@ -92,5 +94,13 @@ def _unit(unit: str) -> Markup:
     """A unit for people; as it stands where it is none."""
     try:
         return _text(unit_label(unit))
-    except ValueError:
+    except InputError:
         return _text(unit)
+
+
+def _meaning(i: Input) -> str:
+    """What an input is, without the recursion that firmware needs."""
+    return re.split("[,:]", i.meaning)[0] if i.kind in PAST else i.meaning
+
+
+FILTERS = {"text": _text, "unit": _unit, "meaning": _meaning}

@@ -19,7 +19,7 @@ from bayescal._use.code_writer import as_text
 from bayescal._use.compensation_program import STIMULUS
 from bayescal._use.expression_graph import OPERATIONS, Graph
 from bayescal._use.languages import JAVASCRIPT, statements
-from tests.support.browser import Opened
+from tests.support.browser import chromium
 from tests.support.export_check import COMPILER, run_header
 from tests.support.made_up import bent_sensor
 
@@ -203,15 +203,56 @@ def test_it_is_exported_by_its_suffix_and_from_json(tmp_path, compensator, page)
     assert (tmp_path / "again.html").read_text("utf-8") == page
 
 
-def test_it_opens_in_a_browser(compensator, page, tmp_path: Path) -> None:
-    """In Chromium, without network: the middle of the ranges is shown, with bands, shares and a chart."""
-    file = compensator.export(tmp_path / "page.html")
-    opened = Opened(file, tmp_path)
-    seen = opened.dom(1200)
-    value = re.search(r'<span id="value">([^<]+)</span>', seen)
-    assert value is not None and "no solution" not in value[1]
-    assert seen.count(" %</td>") == 1 + len(effects_of(compensator.program))
-    assert '<path class="dashed"' in seen
-    for width in (1200, 800, 400):
-        _, said = opened.screenshot(width, 1000)
-        assert said == []
+@pytest.mark.slow
+def test_in_a_browser_without_network_it_computes_what_python_computes(
+    compensator, tmp_path: Path
+) -> None:
+    """In Chromium, offline: 1,000 points against Python, one condition moved by hand, no line on the console."""
+    sync_api = pytest.importorskip("playwright.sync_api")
+    file, rows = compensator.export(tmp_path / "page.html"), random_rows(compensator)
+    inputs = {i.name: rows[:, 1 + k] for k, i in enumerate(compensator.inputs)}
+    by_python, uncertainty, _ = compensator.program.run(rows[:, 0], inputs)
+    with sync_api.sync_playwright() as program:
+        arguments = ["--no-sandbox", "--disable-gpu"]
+        browser = program.chromium.launch(executable_path=chromium(), args=arguments)
+        context = browser.new_context(offline=True)
+        page, said, asked = context.new_page(), [], []
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(file.as_uri())
+        found = page.evaluate(
+            "rows => rows.map(row => compensate(row[0], row.slice(1)))", rows.tolist()
+        )
+        value = np.array([f["value"] for f in found])
+        floor = 1e-3 * np.abs(by_python).max()
+        assert np.max(np.abs(value - by_python) / np.maximum(np.abs(by_python), floor)) < 1e-12
+        own = [f["uncertainty"] for f in found]
+        np.testing.assert_allclose(own, uncertainty, rtol=1e-12)
+
+        # The reading stays while the temperature moves beyond its range: what is shown is what Python says.
+        k, temperature = next(
+            (k, i) for k, i in enumerate(compensator.inputs) if i.name == "temperature"
+        )
+        beyond = temperature.high + 10.0
+        page.fill(f"#input-{k}-number", repr(beyond))
+        reading = float(page.input_value("#reading-number"))
+        shown = float(page.inner_text("#value").replace("\u2212", "-"))
+        at = {i.name: np.array([0.5 * (i.low + i.high)]) for i in compensator.inputs}
+        at |= {
+            i.name: np.zeros(1) for i in compensator.inputs if i.kind not in ("column", "elapsed")
+        }
+        at["temperature"] = np.array([beyond])
+        want, alone, inclination = compensator.program.run(np.array([reading]), at)
+        one = np.hypot(alone[0], compensator.noise * inclination[0])
+        assert shown == pytest.approx(want[0], abs=0.051 * one)  # to two digits of its uncertainty
+        assert "temperature" in page.inner_text("#outside")
+        shares = page.locator("td[id^=share-]").all_inner_texts()
+        numbers = [float(s.removesuffix("%").replace("\u2212", "-")) for s in shares]
+        assert sum(numbers) == pytest.approx(100.0, abs=0.05 * len(numbers) + 0.01)
+        for width in (1200, 800, 400):
+            page.set_viewport_size({"width": width, "height": 900})
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.locator("#chart path.dashed").count() == 1
+        assert said == [] and asked == [file.as_uri()]
+        browser.close()
