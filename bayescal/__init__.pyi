@@ -33,6 +33,7 @@ from ._data.allan_deviation import AllanDeviation as AllanDeviation
 from ._use.compensator import compensator as compensator
 from ._use.compensator import load_compensator as load_compensator
 from ._use.budget import budget as budget
+from ._use.decide import decide as decide
 from ._use.firmware_parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot
@@ -88,6 +89,7 @@ from ._search.next_experiment import NextExperiment as NextExperiment
 from ._search.false_reports import FalseReports as FalseReports
 from ._use.compensator import Compensator as Compensator
 from ._use.budget import Budget as Budget
+from ._use.decision import Decisions as Decisions
 from ._use.firmware_parameters import FirmwareParameters as FirmwareParameters
 
 # many devices at once

@@ -1,10 +1,11 @@
-"""Commands for what the user takes away: compensate, export, budget, report.
+"""Commands for what the user takes away: compensate, export, budget, decide, report.
 
 Heavy modules load inside the commands.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -27,6 +28,14 @@ def exit_unless_reliable(given: Mapping[str, bc.Compensator]) -> None:
 
     told = {name: why_not(compensator) for name, compensator in given.items()}
     exit_unless(not any(told.values()), "; ".join(f"{n} {w}".strip() for n, w in told.items() if w))
+
+
+def exit_unless_conforms(found: bc.Decisions) -> None:
+    """Leave with status 1 where a limit is not met, or that is undecided."""
+    open_ = [f"{d.limit} ({d.decision})" for d in found.decisions if d.decision != "accept"]
+    if open_:
+        print_notes([f"not shown to conform: {', '.join(open_)}"])
+        raise typer.Exit(1)
 
 
 @commands.command(
@@ -116,7 +125,8 @@ def export(
         str | None,
         typer.Option(
             "--format",
-            help="json, c or python, else by the suffix of --out; px4-params or ardupilot-params; dcc.",
+            help="json, c, python or html (a page with sliders), else by the suffix of --out; px4-params or "
+            "ardupilot-params; dcc.",
         ),
     ] = None,
     out: Annotated[
@@ -138,7 +148,7 @@ def export(
     member: options.Members = None,
     own: UsedParts,
 ) -> None:
-    """Write the calibration for use elsewhere: C99, Python, JSON, an autopilot's parameters, a digital certificate."""
+    """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate."""
     from bayescal._cli import saved
     from bayescal._core.atomic_file import write_text
 
@@ -204,6 +214,73 @@ def budget(
     if priors is not None and not json_:
         print(f"\nPrior sensitivity (above 0.05 it matters):\n{priors}")
     exit_unless_reliable({"": chosen})
+
+
+@commands.command(epilog='Example: bayescal decide result --limit "bias: ±0.5 °/s"')
+@with_groups
+def decide(
+    *,
+    calibration: options.Saved,
+    limit: Annotated[
+        list[str],
+        typer.Option(
+            "--limit",
+            help='"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.',
+            show_default=False,
+        ),
+    ],
+    rule: Annotated[
+        str, typer.Option("--rule", help="guarded, simple or shared-risk: as agreed on beforehand.")
+    ] = "guarded",
+    false_accept: Annotated[
+        float, typer.Option("--false-accept", help="Probability that 'guarded' allows.")
+    ] = 0.025,
+    population: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--population",
+            help='Devices of this kind, for global risks: what `bayescal batch --population` wrote, or "sd 0.2 °/s"; '
+            'repeat, by name of a limit: "bias: sd 0.2 °/s".',
+        ),
+    ] = None,
+    capability: Annotated[
+        float, typer.Option("--capability", help="Least T/(4u) with which 'shared-risk' decides.")
+    ] = 3.0,
+    conformity: Annotated[
+        float,
+        typer.Option("--conformity", help="Probability of which the next calibration is stated."),
+    ] = 0.95,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="JSON file to write the decisions to.")
+    ] = None,
+    local_gravity: Gravity = None,
+    member: options.Members = None,
+    own: UsedParts,
+    json_: options.Json = False,
+) -> None:
+    """Does it conform? Decisions about limits, with guard bands, risks and when to calibrate again.
+
+    Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
+    """
+    from bayescal._cli import saved
+    from bayescal._core.atomic_file import write_text
+
+    found = bc.decide(
+        saved.load_saved(calibration, own),
+        limit,
+        rule=rule,  # pyright: ignore[reportArgumentType]  refused there if it is none
+        false_accept=false_accept,
+        population=saved.population_of(population),
+        capability=capability,
+        conformity=conformity,
+        members=options.named_values(member, "--member"),
+        local_gravity=local_gravity or STANDARD_GRAVITY,
+    )
+    print_result(found.data() if json_ else found)
+    if out is not None:
+        text = json.dumps(found.data(), indent=1, ensure_ascii=False, allow_nan=False)
+        write_text(f"{text}\n", out)
+    exit_unless_conforms(found)
 
 
 @commands.command(epilog="Example: bayescal report result -o report.html")

@@ -9,6 +9,9 @@ from bayescal._calibration.fit import load
 from bayescal._cli.options import OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
+from bayescal._fleet.batch_result import load_batch
+from bayescal._fleet.fleet_result import load_fleet
+from bayescal._fleet.population import Population
 from bayescal._model.instrument import Instrument
 from bayescal._report.dcc import dcc_text
 from bayescal._report.section import CALIBRATION, Chapter, chapters, of_folder
@@ -61,6 +64,29 @@ def compensator_from(path: Path, own: UsedParts, members: list[str] | None) -> C
             )
         return load_compensator(path)
     return compensator(load_saved(path, own), members=named_values(members, "--member"))
+
+
+def population_of(given: list[str] | None) -> Population | list[str] | None:
+    """Devices of one kind: the population that `bayescal batch` learned, or as they were written.
+
+    Raises:
+        InputError: results cannot be read or have no population, or another population is given beside them.
+    """
+    results = [one for one in given or [] if Path(one).exists()]
+    if not results:
+        return given or None
+    if len(given or []) > 1:
+        raise InputError(
+            f"--population {results[0]} is a fleet's: give it alone, or devices as text"
+        )
+    path = Path(results[0])
+    found = (load_fleet(path) if path.is_dir() else load_batch(path)).population
+    if found is None:
+        raise InputError(
+            f"--population {path}: these results have no population; fit them with `bayescal batch --population all`, "
+            'or give the devices as text, such as "sd 0.2 °/s"'
+        )
+    return found
 
 
 def why_not(chosen: Compensator) -> str:

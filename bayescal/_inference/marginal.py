@@ -169,9 +169,8 @@ class Marginal(Method):
             ran = self._chains(
                 log_density, start, covariance, seed, 800, dense=dense, name="exact NUTS"
             )
-            place = jax.jit(lambda q: jax.lax.map(lambda one: unpack(one)[:3], q, batch_size=64))
-            x, rows, v = place(ran.draws.reshape(-1, start.size))
-        layout = assembly.layout
+            layout = assembly.layout
+            x, rows, v = _placed(unpack, ran.draws.reshape(-1, start.size), bool(layout.row_blocks))
         known = not layout.improper and np.isfinite(mode.log_evidence)
         known = known and (layout.model.noise.gaussian or not layout.row_blocks)
         return Outcome(
@@ -181,6 +180,15 @@ class Marginal(Method):
             verdict=trust.chain_verdict(ran, "NUTS on whitened unknowns", notes),
             log_evidence=(float(mode.log_evidence), None) if known else None,
         )
+
+
+def _placed(unpack, draws, has_rows: bool):
+    """Draws of whitened unknowns as x, rows and v; a few at a time, because rows are as many as readings."""
+    if (
+        not has_rows
+    ):  # `jax.lax.map` divides by the size of what it puts together, which is then zero
+        return jax.jit(jax.vmap(lambda one: unpack(one)[:3]))(draws)
+    return jax.jit(lambda q: jax.lax.map(lambda one: unpack(one)[:3], q, batch_size=64))(draws)
 
 
 class _Judged(NamedTuple):

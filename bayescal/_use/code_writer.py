@@ -1,36 +1,30 @@
-"""A compensation program as a file: JSON, which is read back; C99 or Python, by the templates beside this file."""
+"""A compensation program as a file: JSON, which is read back; by templates C99, Python, or a page with JavaScript."""
 
 from __future__ import annotations
 
 import json
-import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
-from bayescal._core.quoting import (
-    c_comment,
-    identifier,
-    number_text,
-    python_string,
-    python_words,
-)
+from bayescal._core.quoting import identifier, number_text, python_string
+from bayescal._use.answering_page import page
 from bayescal._use.compensation_program import (
     STEPS,
     STIMULUS,
     CompensationProgram,
     from_data,
 )
-from bayescal._use.expression_graph import OPERATIONS, Graph
+from bayescal._use.languages import LANGUAGES, Language, statements, template
 
-FORMATS = {".json": "json", ".h": "c", ".py": "python"}
+FORMATS = {".json": "json", ".h": "c", ".py": "python", ".html": "html"}
 
 
 def export(program: CompensationProgram, path: str | Path, format: str | None = None) -> Path:
-    """Write as .h (C99), .py (Python) or .json; beside and then renamed.
+    """Write as .h (C99), .py (Python), .html (a page) or .json; beside and then renamed.
 
     Raises:
         InputError: another suffix or format, or a place that cannot be written to.
@@ -39,8 +33,8 @@ def export(program: CompensationProgram, path: str | Path, format: str | None = 
     format = format or FORMATS.get(path.suffix.lower(), "")
     if format not in FORMATS.values():
         raise InputError(
-            f"a compensator cannot be written as {format or path.name!r}: choose json, c or python "
-            "(.json, .h, .py)"
+            f"a compensator cannot be written as {format or path.name!r}: choose json, c, python "
+            "or html (.json, .h, .py, .html)"
         )
     return write_text(as_text(program, format), path)
 
@@ -61,10 +55,12 @@ def load_program(path: Path) -> CompensationProgram:
 
 
 def as_text(program: CompensationProgram, format: str) -> str:
-    """The program as a C99 header ("c"), a Python module ("python") or "json"."""
+    """The program as a C99 header ("c"), a Python module ("python"), a page ("html") or "json"."""
     if format == "json":
         return json.dumps(program.data(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    return _from_template(program, format)
+    if format == "html":
+        return page(program)
+    return _from_template(program, LANGUAGES[format])
 
 
 # Names that the templates give themselves.
@@ -72,38 +68,22 @@ _WORDS = "reading stimulus inputs expected slope gradient square total values ou
 _OWN_WORDS = frozenset(_WORDS.split())
 
 
-def _from_template(program: CompensationProgram, language: str) -> str:
+def _from_template(program: CompensationProgram, language: Language) -> str:
     """The C99 header or the Python module, from its template."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # only an export needs it
-
     fields: dict[str, str] = {}
     for i in program.inputs:
         name = identifier(i.name, _OWN_WORDS | set(fields.values()))
         fields[i.name] = f"{name}_" if re.fullmatch(r"t\d+", name) else name
-    own = {k: f"in->{v}" for k, v in fields.items()} if language == "c" else dict(fields)
-    names = {**own, STIMULUS: "stimulus"}
-    first = _statements(program.graph, (program.expected, program.slope), names, language)
-    second = _statements(program.graph, program.gradient, names, language)
+    names = {**{k: language.input.format(v) for k, v in fields.items()}, STIMULUS: "stimulus"}
     factor = program.factor
-    environment = Environment(
-        loader=PackageLoader("bayescal._use"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    words = c_comment if language == "c" else python_words
-    environment.filters |= {"comment": words, "quoted": python_string, "number": number_text}
-    template = environment.get_template(
-        {"c": "compensator.h.jinja", "python": "compensator.py.jinja"}[language]
-    )
-    return template.render(
+    words = language.words
+    return template(language.template, {"comment": words, "quoted": python_string}).render(
         p=program,
         about=program.about,
         name=identifier(program.about.instrument),
         fields=fields,
-        expected=first,
-        gradient=second,
+        expected=statements(program, (program.expected, program.slope), names, language),
+        gradient=statements(program, program.gradient, names, language),
         factor=[number_text(factor[i, j]) for i in range(len(factor)) for j in range(i + 1)],
         steps=1 if program.affine else STEPS,
         uses_stimulus=[
@@ -124,48 +104,3 @@ def _uses(program: CompensationProgram, outputs: Sequence[int]) -> bool:
 def _uses_inputs(program: CompensationProgram, outputs: Sequence[int]) -> bool:
     nodes = (program.graph.nodes[n] for n in program.graph.needed(outputs))
     return any(n.op == "input" and n.value != STIMULUS for n in nodes)
-
-
-def _python_number(value: float | bool) -> str:
-    if isinstance(value, bool) or math.isfinite(value):
-        return repr(value) if value >= 0 else f"({value!r})"
-    return "math.nan" if math.isnan(value) else "math.inf" if value > 0 else "-math.inf"
-
-
-def _c_number(value: float | bool) -> str:
-    if isinstance(value, bool):
-        return "1" if value else "0"
-    if not math.isfinite(value):
-        return "(BAYESCAL_REAL)" + (
-            "NAN" if math.isnan(value) else "INFINITY" if value > 0 else "-INFINITY"
-        )
-    return f"(BAYESCAL_REAL){value!r}" if value >= 0 else f"(BAYESCAL_REAL)({value!r})"
-
-
-def _statements(
-    graph: Graph, outputs: Sequence[int], names: Mapping[str, str], language: str
-) -> tuple[list[str], list[str]]:
-    """Statements, one for each operation, and the expressions of the outputs.
-
-    Args:
-        graph, outputs: what is written.
-        names: of the inputs, as the language writes them.
-        language: "c" or "python".
-    """
-    text, statements, count = {}, [], 0
-    number = _c_number if language == "c" else _python_number
-    for place in graph.needed(outputs):
-        node = graph.nodes[place]
-        if node.op == "const":
-            text[place] = number(node.value)  # pyright: ignore[reportArgumentType]
-        elif node.op == "input":
-            text[place] = names[str(node.value)]
-        else:
-            form = getattr(OPERATIONS[node.op], language)
-            made = form.format(*(text[a] for a in node.args))
-            kind = "int" if graph.boolean(place) else "BAYESCAL_REAL"
-            left = f"const {kind} t{count}" if language == "c" else f"t{count}"
-            statements.append(f"{left} = {made}" + (";" if language == "c" else ""))
-            text[place] = f"t{count}"
-            count += 1
-    return statements, [text[o] for o in outputs]

@@ -210,7 +210,9 @@ class Compensator:
         )
 
     def export(self, path: str | Path, format: str | None = None) -> Path:
-        """Write for firmware or elsewhere: .h (C99), .py (Python) or .json, by suffix or `format`.
+        """Write for firmware or elsewhere: .h (C99), .py (Python), .html (a page with sliders) or .json.
+
+        By suffix, or by `format`: "c", "python", "html", "json".
 
         Raises:
             ModelError: an effect cannot be exported.

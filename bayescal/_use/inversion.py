@@ -111,6 +111,38 @@ def first_order(
     return found, jnp.einsum("ni,ij,nj->n", gradient, covariance, gradient), inclination**-2
 
 
+@compiled
+def errors_over_draws(
+    equation: OperatingEquation, reference, affine: bool, theta, mean, stimulus, inputs
+):
+    """Corrected reading minus stimulus where θ is what a draw says and the correction is made with its mean, (d, n).
+
+    With them 1/|slope| of the output by the stimulus, (n,). A reading has no noise here.
+    """
+
+    def error(one):
+        named = _named(equation, one)
+        output = jax.vmap(lambda s, i: equation.point(named, s, i, reference))(stimulus, inputs)
+        return _invert(equation, reference, affine, mean, output, inputs)[0] - stimulus
+
+    middle = _named(equation, mean)
+    slope = jax.vmap(jax.grad(lambda s, i: equation.point(middle, s, i, reference)))(
+        stimulus, inputs
+    )
+    return jax.vmap(error)(theta), 1 / jnp.abs(slope)
+
+
+@compiled
+def slots_over_draws(equation: OperatingEquation, reference, name: str, theta, stimulus, inputs):
+    """What a slot comes to at each place, for draws of θ, (d, n)."""
+
+    def values(one):
+        named = _named(equation, one)
+        return jax.vmap(lambda s, i: equation.slot(name, named, s, i, reference))(stimulus, inputs)
+
+    return jax.vmap(values)(theta)
+
+
 def _named(equation: OperatingEquation, theta: Float[Array, "p"]) -> Scalars:
     return {u.key: theta[i] for i, u in enumerate(equation.unknowns())}
 

@@ -149,6 +149,18 @@ class OperatingEquation(eqx.Module):
             found = self.use.equation(jnp.reshape(stimulus, (1,)), slots, corrected)
         return jnp.reshape(found, ())
 
+    def slot(
+        self,
+        name: str,
+        theta: Scalars,
+        stimulus: Float[Array, ""],
+        inputs: Scalars,
+        reference: Scalars,
+    ) -> Float[Array, ""]:
+        """What one slot comes to in one reading, in the slot's unit; the other arguments are those of `point`."""
+        frame = self.one_reading(stimulus, self._with_moved_lags(theta, inputs), reference)
+        return jnp.reshape(self._composed(theta, frame)[0][name], ())
+
     def _with_moved_lags(self, theta: Scalars, inputs: Scalars) -> Scalars:
         """The inputs with each lag, given at the mean of its τ, at the τ of θ, to first order."""
         moved = dict(inputs)

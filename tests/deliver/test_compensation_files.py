@@ -158,7 +158,7 @@ def test_the_commands_refuse_in_one_sentence(saved, tmp_path) -> None:
     for arguments, said in (
         (("export", saved, *own), "say which format"),
         (("export", saved, "--format", "pascal", *own), "is not one of json, c, python"),
-        (("export", saved, "--out", tmp_path / "x.txt", *own), "choose json, c or python"),
+        (("export", saved, "--out", tmp_path / "x.txt", *own), "choose json, c, python or html"),
         (("budget", saved, "--at", "pressure=1", *own), "'pressure' plays no part"),
         (("budget", saved, "-k", "-1", *own), "a coverage factor is a positive number"),
         (

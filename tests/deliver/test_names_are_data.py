@@ -6,6 +6,7 @@ import ast
 import csv
 import io
 import json
+import re
 import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -254,6 +255,25 @@ def test_a_name_is_no_code_in_an_exported_module(name) -> None:
 @given(TEXT)
 def test_no_hostile_name_is_code_in_c(name) -> None:
     check_c(name)
+
+
+def check_page(name: str) -> None:
+    """The page has the same tags and the same scripts whatever its texts say."""
+    hostile, plain = exported(lambda _: name, "html"), exported(lambda _: "plain", "html")
+    assert Seen(hostile).tags == Seen(plain).tags
+    scripts = re.compile(r"<script.*?</script>", re.DOTALL)
+    assert scripts.findall(hostile) == scripts.findall(plain)
+
+
+@pytest.mark.parametrize("name", BY_HAND)
+def test_a_name_is_no_code_in_an_exported_page(name) -> None:
+    check_page(name)
+
+
+@MANY
+@given(TEXT)
+def test_no_hostile_name_is_code_in_a_page(name) -> None:
+    check_page(name)
 
 
 @MANY

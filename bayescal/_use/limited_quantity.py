@@ -1,0 +1,444 @@
+"""What a limit is on: the error of a corrected reading, a slot of the instrument in use, or an unknown of the model.
+
+- "corrected reading": corrected reading minus what acts, with the noise of one reading; "corrected mean": the same
+  without, as the mean of many readings has it. The correction is made with the posterior mean, as exports make it.
+- A slot, such as "bias": what all effects on it come to in use, for a run, cell or device that is new unless it is
+  named, so that its deviation counts.
+- An unknown, such as "bias.temperature", "bias.run.spread" or "noise.white", by the name that a calibration prints.
+
+The first two are values at an operating point: covariates at the middle of their calibrated range, rates and lags
+zero, the time that of the last reading, unless the limit says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._core.errors import InputError
+from bayescal._data.unit_conversion import convert, same_dimension, unit_label
+from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._use import inversion
+from bayescal._use.budget_notes import notes_on
+from bayescal._use.compensator import Compensator, compensator
+from bayescal._use.conformity import DrawnQuantity, Limits
+from bayescal._use.inputs import limits as calibrated_limits
+from bayescal._use.limit import LimitedRange, SpreadOfDevices, StatedLimit
+
+READING, MEAN = "corrected reading", "corrected mean"
+ALL = 10**9  # draws: every one there is
+PLACES = {
+    1: 33,
+    2: 9,
+    3: 5,
+}  # along each of so many ranges. Between 33 places a parabola rises by less than 1/1000 of
+# what it rises over the range ((1/32)²); with two and three ranges 81 and 125 places keep the draws in memory.
+
+HELD = "{} was held at its estimate, so that its uncertainty is not known: fit with --method marginal or nuts"
+
+
+@dataclass(frozen=True)
+class LimitedQuantity:
+    """A quantity that is limited, evaluated on draws.
+
+    Attributes:
+        limit: that it is of.
+        limits: in `unit`.
+        unit: of the quantity, fixed.
+        notes: what to know, each a sentence.
+        not_covered: what the limit asks for and the calibration does not know, each a clause; then nothing is decided.
+    """
+
+    limit: StatedLimit
+    limits: Limits
+    unit: str
+    notes: tuple[str, ...] = ()
+    not_covered: tuple[str, ...] = ()
+
+    @property
+    def place(self) -> dict[str, tuple[float, float, str]]:
+        """Where it is evaluated: name → lowest value, highest value, unit; nothing for an unknown."""
+        return {}
+
+    @property
+    def follows_time(self) -> bool:
+        """Whether it changes with the time of the record."""
+        return False
+
+    def drawn(self, later: float = 0.0) -> DrawnQuantity:
+        """What the posterior says of it, s after the last reading of the calibration."""
+        raise NotImplementedError
+
+    def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
+        """Mean and standard deviation over devices whose coefficients have these; None where that cannot be said."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class LimitedUnknown(LimitedQuantity):
+    """An unknown of the model: draws (d,)."""
+
+    draws: tuple[float, ...] | np.ndarray = ()
+
+    def drawn(self, later: float = 0.0) -> DrawnQuantity:
+        draws = np.asarray(self.draws)
+        mean = float(draws.mean())
+        return DrawnQuantity(draws, draws, (mean, mean))
+
+    def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
+        return table.get(self.limit.quantity)
+
+
+@dataclass(frozen=True, eq=False)
+class QuantityInUse(LimitedQuantity):
+    """A slot, or the error of a corrected reading, at the places of a grid.
+
+    Attributes:
+        chosen: compensator with all draws.
+        places: the stimulus and every input by name, (g,) each.
+    """
+
+    chosen: Compensator | None = None
+    places: Mapping[str, np.ndarray] | None = None
+
+    @property
+    def place(self) -> dict[str, tuple[float, float, str]]:
+        units = {self._chosen.stimulus: self._chosen.unit}
+        units |= {i.name: i.unit for i in self._chosen.inputs if i.kind != "lag slope"}
+        names = [
+            n
+            for n in units
+            if n in self._acting or n in (self._chosen.stimulus,) * self._is_corrected
+        ]
+        return {
+            n: (float(v.min()), float(v.max()), units[n])
+            for n in names
+            if (v := self._places[n]).size
+        }
+
+    @cached_property
+    def _acting(self) -> set[str]:
+        """Inputs, and the stimulus, that it depends on."""
+        if self._is_corrected:
+            return set(self._chosen._inverse.inputs)
+        equation, reference = self._chosen._equation, self._chosen._inverse.reference
+        theta = {u.key: jnp.ones(()) for u in equation.unknowns()}
+        inputs = {n: jnp.ones(()) for n in sorted(self._chosen._inverse.names)}
+
+        def value(s, inputs):
+            return equation.slot(self.limit.quantity, theta, s, inputs, reference)
+
+        names = [self._chosen.stimulus, *inputs]
+        live = inversion.live(value, jnp.ones(()), inputs)
+        return {n for n, acts in zip(names, live, strict=True) if acts}
+
+    @property
+    def follows_time(self) -> bool:
+        return "time" in self._acting
+
+    def drawn(self, later: float = 0.0) -> DrawnQuantity:
+        values, scatter = self._values(self._chosen._moments.draws, later)
+        middle = values.mean(axis=0)
+        return DrawnQuantity(
+            values.min(axis=1),
+            values.max(axis=1),
+            (float(middle.min()), float(middle.max())),
+            scatter,
+        )
+
+    def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
+        if self._is_corrected or self._size > 1:
+            return None
+        chosen, moments = self._chosen, self._chosen._moments
+        theta = np.tile(moments.mean, (len(moments.draws), 1))
+        random = np.random.default_rng(chosen._calibration.seed)
+        known = [i for i, u in enumerate(chosen._equation.unknowns()) if u.name in table]
+        if not known:
+            return None
+        for i in known:
+            mean, sd = table[chosen._equation.unknowns()[i].name]
+            theta[:, i] = mean + sd * random.standard_normal(len(theta))
+        values, _ = self._values(theta, 0.0)
+        return float(values.mean()), float(values.std())
+
+    @property
+    def _is_corrected(self) -> bool:
+        return self.limit.quantity in (READING, MEAN)
+
+    @property
+    def _chosen(self) -> Compensator:
+        assert self.chosen is not None
+        return self.chosen
+
+    @property
+    def _places(self) -> Mapping[str, np.ndarray]:
+        assert self.places is not None
+        return self.places
+
+    @property
+    def _size(self) -> int:
+        return len(self._places[self._chosen.stimulus])
+
+    def _values(
+        self, theta: Float[np.ndarray, "d p"], later: float
+    ) -> tuple[Float[np.ndarray, "d g"], float]:
+        """Values for θ at the places, and by how much single readings scatter."""
+        chosen = self._chosen
+        inverse, moments = chosen._inverse, chosen._moments
+        zero = np.zeros(self._size)
+        inputs = {n: jnp.asarray(self._places.get(n, zero)) for n in inverse.names}
+        if "time" in inputs:
+            inputs["time"] = inputs["time"] + later
+        stimulus, draws = jnp.asarray(self._places[chosen.stimulus]), jnp.asarray(theta)
+        start = inverse.equation, inverse.reference
+        if not self._is_corrected:
+            name = self.limit.quantity
+            found = inversion.slots_over_draws(*start, name, draws, stimulus, inputs)
+            return np.asarray(found), 0.0
+        mean = jnp.asarray(moments.mean)
+        found, inclination = inversion.errors_over_draws(
+            *start, inverse.affine, draws, mean, stimulus, inputs
+        )
+        noise = chosen.noise * float(np.max(inclination)) if self.limit.quantity == READING else 0.0
+        return np.asarray(found), noise
+
+
+def limited_quantity(
+    calibration: Calibration,
+    limit: StatedLimit,
+    *,
+    members: Mapping[str, str] | None = None,
+    local_gravity: float = STANDARD_GRAVITY,
+) -> LimitedQuantity:
+    """The quantity that a limit is on.
+
+    Args:
+        calibration: a fit, or an average over structures.
+        limit: on what.
+        members: which member of a group is used, as `compensator` takes it.
+        local_gravity: m/s², for limits in m/s² on accelerations in g.
+
+    Raises:
+        InputError: nothing is called so, the unit is of another dimension, or a range is of no column.
+        ModelError: the instrument does not say what it measures, and the limit is on something in use.
+    """
+    instrument = calibration.model.instrument
+    slots = {s.name: s.unit for s in instrument.slots}
+    if limit.quantity not in (READING, MEAN, *slots):
+        return _unknown(calibration, limit, local_gravity)
+    chosen = compensator(calibration, draws=ALL, members=members)
+    equation = chosen._equation
+    if limit.quantity in slots and limit.quantity not in {b.slot for b in equation.blocks}:
+        raise InputError(
+            f"limit {limit.text!r}: no effect of the model acts on {limit.quantity!r} in use, so that nothing is known "
+            "of it"
+        )
+    unit = slots.get(limit.quantity, chosen.unit)
+    point = _point(chosen)
+    spans, not_covered, notes = [], [], []
+    for span in limit.over:
+        name, low, high = _resolved(chosen, span, limit, local_gravity)
+        not_covered += _beyond(chosen, name, low, high)
+        if name not in point:
+            notes.append(f"{limit.quantity} does not depend on {name}.")
+        spans.append((name, low, high))
+    ranges = [(n, low, high) for n, low, high in spans if high > low and n in point]
+    if len(ranges) > max(PLACES):
+        raise InputError(
+            f"limit {limit.text!r}: at most {max(PLACES)} ranges, it has {len(ranges)}"
+        )
+    point |= {n: low for n, low, high in spans if high == low and n in point}
+    grid = np.meshgrid(
+        *(np.linspace(low, high, PLACES[len(ranges)]) for _, low, high in ranges), indexing="ij"
+    )
+    size = grid[0].size if grid else 1
+    places = {n: np.full(size, v) for n, v in point.items()}
+    places |= {n: g.ravel() for (n, _, _), g in zip(ranges, grid, strict=True)}
+    # Where a range leaves what was calibrated is said by `not_covered`, in its own words.
+    said = [n for n in notes_on(chosen, point) if "outside its calibrated range" not in n]
+    return QuantityInUse(
+        limit=limit,
+        limits=_limits(limit, unit, local_gravity),
+        unit=unit,
+        notes=(*notes, *said),
+        not_covered=tuple(not_covered),
+        chosen=chosen,
+        places=places,
+    )
+
+
+def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
+    """The tolerance limits in the unit of the quantity.
+
+    Raises:
+        InputError: the unit is of another dimension, or none is given.
+    """
+    if not limit.unit and unit_label(unit):
+        raise InputError(
+            f"limit {limit.text!r} has no unit: {limit.quantity} is in {unit_label(unit)}"
+        )
+    if not same_dimension(limit.unit or "1", unit or "1"):
+        raise InputError(
+            f"limit {limit.text!r}: {limit.quantity} is in {unit_label(unit) or 'plain numbers'}, not in "
+            f"{unit_label(limit.unit) or 'plain numbers'}"
+        )
+    low, high = (
+        float(
+            convert(v, limit.unit or "1", unit or "1", local_gravity=local_gravity, difference=True)
+        )
+        for v in (limit.low, limit.high)
+    )
+    return Limits(low, high)
+
+
+def _unknown(calibration: Calibration, limit: StatedLimit, local_gravity: float) -> LimitedUnknown:
+    draws = _draws_by_name(calibration)
+    if limit.quantity not in draws:
+        slots = ", ".join(s.name for s in calibration.model.instrument.slots)
+        raise InputError(
+            f"limit {limit.text!r}: nothing is called {limit.quantity!r}. A limit is on {READING!r}, {MEAN!r}, what "
+            f"acts ({slots}), or an unknown of the calibration: {', '.join(draws)}"
+        )
+    if limit.over:
+        raise InputError(
+            f"limit {limit.text!r}: {limit.quantity} is one number, the same everywhere; leave the range out, or limit "
+            "what acts"
+        )
+    values, unit = draws[limit.quantity]
+    not_covered = () if np.ptp(values) > 0 else (HELD.format(limit.quantity),)
+    return LimitedUnknown(
+        limit, _limits(limit, unit, local_gravity), unit, not_covered=not_covered, draws=values
+    )
+
+
+def _draws_by_name(calibration: Calibration) -> dict[str, tuple[np.ndarray, str]]:
+    """Every unknown under the name that a calibration prints: draws (d,) and unit."""
+    found: dict[str, tuple[np.ndarray, str]] = {}
+    names = {
+        b.name: b.member_names(calibration.levels)
+        for b in calibration.layout.blocks
+        if b.place != "row"
+    }
+    for name in map(str, calibration.posterior):
+        values, unit = (
+            calibration.samples(name),
+            str(calibration.posterior[name].attrs.get("units", "1")),
+        )
+        if values.ndim == 1:
+            found[name] = values, unit
+        else:
+            members = names.get(name, [])
+            found |= {m: (values[:, i], unit) for i, m in enumerate(members) if values.ndim == 2}
+    return found
+
+
+def _point(chosen: Compensator) -> dict[str, float]:
+    """The operating point where the limit says nothing."""
+    low, high = chosen.stimulus_range or (0.0, 0.0)
+    point = {chosen.stimulus: 0.5 * (low + high)}
+    for i in chosen.inputs:
+        middle = 0.5 * (i.low + i.high) if i.kind in ("column", "elapsed") else 0.0
+        point[i.name] = i.high if i.name == "time" else middle
+    return point
+
+
+def _resolved(
+    chosen: Compensator, span: LimitedRange, limit: StatedLimit, local_gravity: float
+) -> tuple[str, float, float]:
+    """The column of a range, and its ends in that column's unit.
+
+    Raises:
+        InputError: there is no such column, several could be meant, or the unit is of another dimension.
+    """
+    readings = chosen._calibration.readings
+    inputs = {i.name: i.unit for i in chosen.inputs if i.kind != "lag slope"}
+    acting = {chosen.stimulus: chosen.unit, **inputs}
+    known = acting | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in acting}
+    known.pop("output", None)
+    if span.name:
+        if span.name not in known:
+            raise InputError(
+                f"limit {limit.text!r}: {span.name!r} is no column of this calibration; there is: {', '.join(known)}"
+            )
+        name = span.name
+    else:
+        unit = span.unit or "1"
+        meant = [n for n, u in acting.items() if same_dimension(u, unit)]
+        meant = meant or [n for n, u in known.items() if same_dimension(u, unit)]
+        if len(meant) != 1:
+            could = (
+                f"several could be meant: {', '.join(meant)}"
+                if meant
+                else "no column is in that unit"
+            )
+            raise InputError(
+                f"limit {limit.text!r}: of which column is the range in {unit_label(unit) or 'plain numbers'}? "
+                f"{could}. Name it: over temperature -20..60 °C"
+            )
+        name = meant[0]
+    unit = known[name]
+    if not same_dimension(span.unit or "1", unit):
+        raise InputError(
+            f"limit {limit.text!r}: {name} is in {unit_label(unit)}, not in {unit_label(span.unit) or 'plain numbers'}"
+        )
+    low, high = (
+        float(convert(v, span.unit or "1", unit, local_gravity=local_gravity))
+        for v in (span.low, span.high)
+    )
+    return name, low, high
+
+
+def _beyond(chosen: Compensator, name: str, low: float, high: float) -> list[str]:
+    """What of a range was not calibrated, in words."""
+    readings = chosen._calibration.readings
+    known = {i.name: (i.low, i.high, i.unit) for i in chosen.inputs}
+    if name == chosen.stimulus:
+        if chosen.stimulus_range is None:
+            return [f"{name} was not varied in the calibration"] if high > low else []
+        span = (*chosen.stimulus_range, chosen.unit)
+    elif name in known:
+        span = known[name]
+    else:
+        span = (
+            float(readings[name].min()),
+            float(readings[name].max()),
+            readings.unit(name) or "1",
+        )
+    first, last = calibrated_limits(span[:2])
+    if first <= low and high <= last:
+        return []
+    asked = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
+    return [
+        f"{name} was calibrated from {span[0]:.6g} to {span[1]:.6g} {unit_label(span[2])}, not at {asked}"
+    ]
+
+
+def with_population(
+    quantity: LimitedQuantity, given: SpreadOfDevices | Mapping[str, tuple[float, float]]
+) -> tuple[float, float] | None:
+    """Mean and standard deviation of the quantity over devices, in its unit; None where the population says nothing.
+
+    Args:
+        quantity: a limited one.
+        given: devices as a user states them, or coefficient → (mean, standard deviation) of a fleet.
+    """
+    if not isinstance(given, SpreadOfDevices):
+        return quantity.over_devices(given)
+    limit = quantity.limit
+    if limit.quantity in (READING, MEAN) or any(r.high > r.low for r in limit.over):
+        return None
+    unit, own = given.unit or "1", quantity.unit or "1"
+    if given.quantity not in ("", limit.quantity) or not same_dimension(unit, own):
+        return None
+    sd = float(convert(given.sd, unit, own, difference=True))
+    if given.mean is not None:
+        return float(convert(given.mean, unit, own, difference=True)), sd
+    low, high = quantity.limits
+    ends = [end for end in (low, high) if np.isfinite(end)]
+    return (float(np.mean(ends)), sd) if len(ends) == 2 else None

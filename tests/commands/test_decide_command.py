@@ -1,0 +1,86 @@
+"""`bayescal decide`: 0 where every limit is met, 1 where one is not or is undecided, 2 for what is no limit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.made_up import bent_sensor
+
+pytestmark = needs_installation
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory) -> Path:
+    """A saved calibration of a gyroscope on its table, 30 to 80 °C."""
+    return bent_sensor.gyro().save(tmp_path_factory.mktemp("turned") / "calibration.nc")
+
+
+def test_a_limit_that_is_met_leaves_with_0_and_is_written(turned, tmp_path) -> None:
+    out = tmp_path / "decisions.json"
+    done = run("decide", turned, "--limit", "bias: 20..24 °/s", "--out", out, "--json")
+    assert done.status == 0 and done.said == []
+    assert json.loads(out.read_text("utf-8")) == done.data
+    assert done.data["schema"] == "bayescal.decisions/1" and done.data["conforms"] is True
+
+
+def test_one_limit_of_two_that_is_open_leaves_with_1(turned) -> None:
+    two = ("--limit", "bias: 20..24 °/s", "--limit", "scale.constant: ±150 ppm")
+    done = run("decide", turned, *two)
+    assert done.status == 1 and "guarded acceptance" in done.out
+    assert done.said == [
+        "bayescal: note: not shown to conform: scale.constant: ±150 ppm (undecided)"
+    ]
+    done = run("decide", turned, *two, "--rule", "simple", "--population", "bias: sd 1 °/s")
+    assert done.status == 0 and "consumer's risk" in done.out
+    done = run("decide", turned, "--limit", "bias: ±1 °/s")
+    assert done.status == 1 and "(reject)" in done.said[0]
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (("--limit", "bias ±0.5"), "names no quantity"),
+        (("--limit", "beauty: ±0.5"), "nothing is called 'beauty'"),
+        (("--limit", "bias: ±1 °/s", "--rule", "lucky"), "rule 'lucky' is none"),
+        (("--limit", "bias: ±1 °/s", "--false-accept", "2.5"), "above 0 and below 0.5"),
+        (("--limit", "bias: ±1 °/s", "--population", "no/folder"), 'write "sd 0.2 °/s"'),
+        (("--limit", "bias: ±1 °/s", "--member", "device=A17"), "was not in the calibration"),
+        ((), "--limit"),
+    ],
+)
+def test_what_cannot_be_decided_on_leaves_with_2_and_one_sentence(
+    turned, asked, said, tmp_path
+) -> None:
+    out = tmp_path / "decisions.json"
+    done = run("decide", turned, *asked, "--out", out)
+    assert done.status == 2 and done.out == "" and not out.exists()
+    assert len(done.said) == 1 and said in done.said[0]
+
+
+@pytest.mark.parametrize("place", ["fleet", "fleet.parquet"])
+def test_what_a_batch_learned_is_a_population(place, tmp_path) -> None:
+    parts = []
+    for seed in range(4):
+        file = tmp_path / f"{seed}.csv"
+        assert run("simulate", *GYRO, "--seed", seed, "--out", file).status == 0
+        parts.append(pd.read_csv(file).assign(device=f"A{seed}"))
+    lot, one, out = tmp_path / "lot" / "lot.csv", tmp_path / "one", tmp_path / place
+    lot.parent.mkdir()
+    pd.concat(parts).to_csv(lot, index=False)
+    from_ = lot if out.suffix else lot.parent
+    done = run("batch", from_, *GYRO, "--population", "bias.constant", "--out", out)
+    assert done.status == 0, done.err
+    assert run("fit", tmp_path / "0.csv", *GYRO, *QUICK, "--out", one).status == 0
+    done = run("decide", one, "--limit", "bias: ±100 °/s", "--population", out, "--json")
+    assert done.status == 0, done.err
+    (found,) = done.data["decisions"]
+    assert found["global_risks"]["conforming"] > 0.9 and found["population"][0] > 10
+    plain = tmp_path / "plain.parquet"
+    assert run("batch", lot, *GYRO, "--out", plain).status == 0
+    refused = run("decide", one, "--limit", "bias: ±100 °/s", "--population", plain)
+    assert refused.status == 2 and "have no population" in refused.said[0]

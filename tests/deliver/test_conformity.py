@@ -1,0 +1,206 @@
+"""Probabilities of conformity, guard bands and risks are those of JCGM 106:2012 and of other published tables."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from bayescal._use.conformity import (
+    Acceptance,
+    DrawnQuantity,
+    Limits,
+    acceptance,
+    global_risks,
+)
+
+QUANTILES = stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000)  # a normal distribution as draws
+
+
+def normal(mean: float, sd: float, scatter: float = 0.0) -> DrawnQuantity:
+    draws = mean + sd * (QUANTILES if scatter == 0 else QUANTILES[10::20])  # smooth by its scatter
+    return DrawnQuantity(draws, draws, (mean, mean), scatter)
+
+
+@pytest.mark.parametrize(("p", "z"), [(0.80, 0.84), (0.90, 1.28), (0.95, 1.64), (0.99, 2.33)])
+def test_one_limit_by_the_table_of_its_standardised_distance(p, z) -> None:
+    """JCGM 106, 7.3, table 1: p_c at an estimate z standard uncertainties inside a single limit, to two places."""
+    assert normal(-z, 1.0).probability(Limits(-np.inf, 0.0)) == pytest.approx(p, abs=0.005)
+    assert normal(z, 1.0).probability(Limits(0.0, np.inf)) == pytest.approx(p, abs=0.005)
+
+
+def test_a_breakdown_voltage_with_an_upper_limit() -> None:
+    """JCGM 106, 7.3, example: −5.47 V, u = 0.05 V, at most −5.40 V: p_c = Φ(1.40), printed as 0.92."""
+    p = normal(-5.47, 0.05).probability(Limits(-np.inf, -5.40))
+    assert p == pytest.approx(stats.norm.cdf(1.40), abs=1e-4) and round(p, 2) == 0.92
+
+
+def test_a_motor_oil_between_two_limits() -> None:
+    """JCGM 106, 7.4, example: 13.6 mm²/s, u = 1.8 mm²/s, from 12.5 to 16.3 mm²/s: printed as 0.66."""
+    assert round(normal(13.6, 1.8).probability(Limits(12.5, 16.3)), 2) == 0.66
+
+
+def test_resistors_between_acceptance_limits() -> None:
+    """JCGM 106, 9.5, example: 1500 Ω ± 0.2 Ω, made with u₀ = 0.12 Ω, measured with u = 0.04 Ω.
+
+    With estimates accepted within 0.18 Ω the consumer's risk is printed as 1 % and the producer's as 7 %. The same by
+    two-dimensional simulation, which shares nothing with the quadrature.
+    """
+    limits, accepted = Limits(1499.8, 1500.2), Acceptance(1499.82, 1500.18)
+    found = global_risks(1500.0, 0.12, 0.04, limits, accepted)
+    assert (round(100 * found.consumer), round(100 * found.producer)) == (1, 7)
+    random = np.random.default_rng(106)
+    true = random.normal(1500.0, 0.12, 400_000)
+    read = true + random.normal(0.0, 0.04, true.size)
+    good = (true >= limits.low) & (true <= limits.high)
+    taken = (read >= accepted.low) & (read <= accepted.high)
+    for one, counted in (
+        (found.conforming, good),
+        (found.accepted, taken),
+        (found.consumer, taken & ~good),
+        (found.producer, good & ~taken),
+    ):
+        assert one == pytest.approx(counted.mean(), abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("conforming", "per_cent"),
+    [
+        (0.6, 4.838603),
+        (0.7, 3.922341),
+        (0.8, 2.855830),
+        (0.9, 1.599953),
+        (0.95, 0.871009),
+        (0.99, 0.199917),
+    ],
+)
+def test_consumers_risk_of_four_to_one_by_the_table_of_rp_19(conforming, per_cent) -> None:
+    """NCSLI RP-19 (draft): false accepts in % by the share of devices in tolerance, u₀/u = 4, no guard band.
+
+    The digits are those against which Suncal's own tests check (github.com/sandialabs/suncal, test_risk.py).
+    """
+    sd = float(1 / stats.norm.ppf(0.5 * (1 + conforming)))
+    found = global_risks(0.0, sd, sd / 4, Limits(-1.0, 1.0), Acceptance(-1.0, 1.0))
+    assert found.conforming == pytest.approx(conforming, abs=1e-9)
+    assert 100 * found.consumer == pytest.approx(per_cent, abs=2e-6)
+
+
+def test_risks_of_deavers_test_at_two_standard_deviations() -> None:
+    """D. Deaver, NCSL 1995: limits at 2 sd, u₀/u = 4: false accepts 0.8 %, false rejects 1.5 %."""
+    found = global_risks(0.0, 4.0, 1.0, Limits(-8.0, 8.0), Acceptance(-8.0, 8.0))
+    assert (round(100 * found.consumer, 1), round(100 * found.producer, 1)) == (0.8, 1.5)
+
+
+@pytest.mark.parametrize("uncertainty", [0.003, 0.3, 3.0])
+def test_the_quadrature_holds_where_one_width_is_far_smaller_than_the_other(uncertainty) -> None:
+    limits, accepted = Limits(-0.5, np.inf), Acceptance(-0.4, np.inf)
+    found = global_risks(0.1, 0.7, uncertainty, limits, accepted)
+
+    def density(y: float) -> float:
+        return float(stats.norm.pdf(y, 0.1, 0.7) * stats.norm.sf(accepted.low, y, uncertainty))
+
+    points = [accepted.low + k * uncertainty for k in (-6, -2, 0, 2, 6)]
+    inside = [p for p in points if -9 < p < limits.low]
+    by_scipy, _ = integrate.quad(density, -9, limits.low, points=inside or None, epsabs=1e-13)
+    assert found.consumer == pytest.approx(by_scipy, abs=1e-10)
+
+
+def test_guard_bands_of_a_normal_distribution_are_its_quantiles() -> None:
+    """JCGM 106, 8.3.2: one-sided, w = z(1 − α)·u; a tolerance far wider than u has the same at either end."""
+    for alpha in (0.025, 0.05):
+        z = stats.norm.ppf(1 - alpha)
+        found = acceptance(normal(1.0, 0.5), Limits(-4.0, 4.0), alpha)
+        assert found is not None
+        np.testing.assert_allclose(found, (-4 + 0.5 * z, 4 - 0.5 * z), atol=1e-3)
+        found = acceptance(normal(1.0, 0.5), Limits(-np.inf, 4.0), alpha)
+        assert found is not None and found.low == -np.inf
+        assert found.high == pytest.approx(4 - 0.5 * z, abs=1e-3)
+    # Of a tolerance that is not wide, both ends count together: p_c at the edge by the normal distribution.
+    found = acceptance(normal(0.3, 0.5), Limits(-1.3, 1.3), 0.05)
+    assert found is not None
+    at_edge = stats.norm.cdf(1.3, found.high, 0.5) - stats.norm.cdf(-1.3, found.high, 0.5)
+    assert at_edge == pytest.approx(0.95, abs=1e-3) and found.low == pytest.approx(
+        -found.high, abs=1e-3
+    )
+
+
+def test_a_guard_band_of_one_expanded_uncertainty_leaves_two_point_three_per_cent() -> None:
+    """JCGM 106, 8.3.2: w = U, k = 2, at the acceptance limit: p of false acceptance at most 2.3 %."""
+    found = acceptance(normal(0.0, 0.5), Limits(-np.inf, 4.0), float(stats.norm.sf(2.0)))
+    assert found is not None and 4.0 - found.high == pytest.approx(2 * 0.5, abs=1e-3)
+    assert round(100 * (1 - normal(3.0, 0.5).probability(Limits(-np.inf, 4.0))), 1) == 2.3
+
+
+def test_no_estimate_is_accepted_where_the_uncertainty_is_too_large() -> None:
+    """At the middle of ±T the probability is 2Φ(T/u) − 1, which is 0.975 for T = 2.24 u."""
+    assert acceptance(normal(0.0, 1.0), Limits(-2.25, 2.25), 0.025) is not None
+    assert acceptance(normal(0.0, 1.0), Limits(-2.23, 2.23), 0.025) is None
+
+
+def test_readings_conform_as_often_as_their_scatter_lets_them() -> None:
+    """One reading of y ~ N(1, 0.3²) with noise 0.4 is N(1, 0.5²)."""
+    found = normal(1.0, 0.3, scatter=0.4)
+    for limits in (Limits(0.0, 1.5), Limits(-np.inf, 1.2), Limits(0.9, np.inf)):
+        want = stats.norm.cdf(limits.high, 1, 0.5) - stats.norm.cdf(limits.low, 1, 0.5)
+        assert found.probability(limits) == pytest.approx(want, abs=1e-4)
+    edge = acceptance(found, Limits(-3.0, 3.0), 0.025)
+    assert edge is not None and edge.high == pytest.approx(
+        3 - 0.5 * stats.norm.ppf(0.975), abs=1e-3
+    )
+
+
+def test_a_curve_conforms_where_all_of_it_does() -> None:
+    """Of a straight line y = a + b·t, t from −1 to 1, a and b normal: by simulation of every t."""
+    random = np.random.default_rng(2)
+    a, b = random.normal(0.1, 0.2, 20_000), random.normal(0.3, 0.1, 20_000)
+    low, high = a - np.abs(b), a + np.abs(b)
+    found = DrawnQuantity(low, high, (-0.2, 0.4)).probability(Limits(-0.7, 0.7))
+    line = a[:, None] + b[:, None] * np.linspace(-1, 1, 51)
+    assert found == np.mean(np.all(np.abs(line) <= 0.7, axis=1))
+    at_the_end = stats.norm.cdf(0.7, 0.4, np.hypot(0.2, 0.1))
+    assert found < at_the_end  # no single place is as strict as all of them
+
+
+@pytest.mark.slow
+def test_decisions_on_simulated_devices_are_wrong_as_often_as_stated() -> None:
+    """10⁵ devices y ~ N(0.05, 0.25²), measured with u = 0.1; the posterior, population known, is normal in closed form.
+
+    Of the devices, what is stated is counted: false acceptances and false rejections by each rule, on average the
+    specific risks, overall the global risks. All within 0.2 percentage points.
+    """
+    random, count, limits = np.random.default_rng(20261125), 100_000, Limits(-0.3, 0.4)
+    mean, sd, u = 0.05, 0.25, 0.1
+    true = random.normal(mean, sd, count)
+    read = true + random.normal(0.0, u, count)
+    good = (true >= limits.low) & (true <= limits.high)
+    share = sd**2 / (sd**2 + u**2)
+    posterior, width = mean + share * (read - mean), u * share**0.5
+    unit = normal(0.0, width)
+    p = np.array([0.0] * count)
+    shifts = np.linspace(posterior.min(), posterior.max(), 800)
+    p = np.interp(posterior, shifts, [unit.probability(limits, s) for s in shifts])
+    edge = acceptance(unit, limits, 0.025)
+    assert edge is not None
+    guarded = (posterior >= edge.low) & (posterior <= edge.high)
+    np.testing.assert_array_equal(
+        guarded[np.abs(p - 0.975) > 1e-3], (p >= 0.975)[np.abs(p - 0.975) > 1e-3]
+    )
+    simple = (posterior >= limits.low) & (posterior <= limits.high)
+    for accepted in (guarded, simple):
+        stated = np.where(accepted, 1 - p, 0.0).mean()  # specific risks of false acceptance
+        assert stated == pytest.approx((accepted & ~good).mean(), abs=0.002)
+        stated = np.where(~accepted, p, 0.0).mean()
+        assert stated == pytest.approx((~accepted & good).mean(), abs=0.002)
+    # Globally, of acceptance by the reading itself, as a laboratory without the population decides.
+    for accepted in (Acceptance(*limits), Acceptance(limits.low + 0.196, limits.high - 0.196)):
+        stated = global_risks(mean, sd, u, limits, accepted)
+        taken = (read >= accepted.low) & (read <= accepted.high)
+        assert stated.consumer == pytest.approx((taken & ~good).mean(), abs=0.002)
+        assert stated.producer == pytest.approx((good & ~taken).mean(), abs=0.002)
+        assert stated.accepted == pytest.approx(taken.mean(), abs=0.002 + 3 * 0.5 / count**0.5)
+    worst = (guarded & (p < 0.976)).nonzero()[
+        0
+    ]  # just inside the acceptance limit the risk is what is allowed
+    assert (~good[worst]).mean() == pytest.approx(
+        0.025, abs=4 * (0.025 * 0.975 / len(worst)) ** 0.5
+    )
