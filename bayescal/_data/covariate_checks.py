@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-
 GAP = 5.0  # usual steps, from which a pause parts a record
 FEWEST = 20  # changes of a column, below which nothing is usual in it
 LEAP = 0.02  # of the column's range: less is no leap

@@ -96,7 +96,7 @@ def _surprising(step: Step) -> list[str]:
     What is missing from a model is missing in every group, and counts as their noise.
     """
     out = step.left_out
-    if out is None or not np.nanmax(out.surprise, initial=0.0) > SURPRISED:
+    if out is None or not np.any(out.surprise > SURPRISED):
         return []
     worst = int(np.nanargmax(out.surprise))
     return [

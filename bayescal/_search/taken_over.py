@@ -99,9 +99,9 @@ def taken_over(first: Calibration, last: Calibration) -> list[TakenOver]:
     """
     had = {e.name for e in first.model.effects}
     added = [e for e in last.model.effects if e.name not in had]
-    found = []
+    found: list[TakenOver] = []
     for term in last.model.effects:
-        if term.name not in had or term.shapes or len(term.coefficients) > 1:
+        if term.name not in had or term.shapes or len(term.coefficients) != 1:
             continue
         if not term.varies or term.coefficients[0].per:
             continue
