@@ -34,6 +34,9 @@ ALIKE = 0.02  # of its range, to which a thermometer repeats from run to run whe
 TOGETHER = (
     0.7  # correlation of siblings in a run, from which they are some: a lag of a quarter of a wave
 )
+WIDE = (
+    3.0  # times the range of the other: a body in the laboratory beside the chamber is no sibling
+)
 UNLIKE = 5.0  # times what its sibling repeats to
 LEAST = 0.3  # °C: what a thermometer good to 0.5 °C (uniform) differs by from one time to another
 
@@ -80,10 +83,11 @@ def leaps(columns: Columns, name: str) -> np.ndarray:
     )
     rows = []
     for piece, jump, both in zip(own, jumps, back, strict=True):
-        rows.append(piece[1:-1][_highest(both, usual)])
-        inner = np.sort(np.abs(jump))[:-2] if len(jump) > 2 else np.abs(jump)
-        alone = AT_ENDS * float(inner.max(initial=0.0))  # but for the ends' own two leaps
-        rows.append(piece[[0, -1]][np.abs(jump[[0, -1]]) > max(usual, alone)])
+        spike = np.pad(_highest(both, usual), 1)
+        rows.append(piece[spike])
+        inner = np.abs(jump[1:-1])[~(spike[1:-2] | spike[2:-1])]
+        apart = np.abs(jump[[0, -1]]) > max(usual, AT_ENDS * float(inner.max(initial=0.0)))
+        rows.append(piece[[0, -1]][apart & ~spike[[1, -2]]])
     found = np.unique(np.concatenate(rows))
     return found if len(found) <= MANY * len(values) else found[:0]
 
@@ -207,12 +211,14 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
 
 
 def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]) -> bool:
-    """Whether two thermometers go together in half of the runs at least."""
+    """Whether two thermometers go together, over ranges alike, in half of the runs at least."""
     moving = [
         r for r in runs if len(r) > 2 and np.ptp(columns[one][r]) and np.ptp(columns[other][r])
     ]
     found = [float(np.corrcoef(columns[one][r], columns[other][r])[0, 1]) for r in moving]
-    return bool(found) and float(np.median(found)) > TOGETHER
+    wide = [float(np.ptp(columns[one][r]) / np.ptp(columns[other][r])) for r in moving]
+    together = bool(found) and float(np.median(found)) > TOGETHER
+    return together and 1 / WIDE < float(np.median(wide)) < WIDE
 
 
 def _same_moments(time: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
