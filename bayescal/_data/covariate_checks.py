@@ -60,12 +60,12 @@ def oddities(columns: Columns, thermometers: Collection[str]) -> list[Oddity]:
     """
     if "time" not in columns:
         return []
-    names = sorted(n for n in thermometers if np.ptp(columns[n]) > 0)
-    found = []
-    for name in names:
-        for one in (_spikes, _held, _at_an_end):
-            found += one(name, columns)
-    return [*found, *_unlike(columns, names)]
+    found, names = list[Oddity](), sorted(n for n in thermometers if np.ptp(columns[n]) > 0)
+    with np.errstate(all="ignore"):  # of numbers that no temperature is
+        for name in names:
+            for check in (_spikes, _held, _at_an_end):
+                found += check(name, columns)
+        return [*found, *_unlike(columns, names)]
 
 
 def leaps(columns: Columns, name: str) -> np.ndarray:

@@ -46,11 +46,13 @@ def odd_numbers(columns: Columns, units: Mapping[str, str | None], output: str) 
 
 
 def _of_size(values: np.ndarray, unit: str, name: str) -> list[str]:
-    reach = float(np.ptp(values))
+    with np.errstate(over="ignore"):
+        reach = float(np.ptp(values))
     for base, (least, most) in PLAUSIBLE.items():
         if unit == "any" or base_unit(unit) != base_unit(base):
             continue
-        size = float(abs(convert([reach], unit, base)[0]))
+        with np.errstate(over="ignore"):
+            size = float(abs(convert([reach], unit, base)[0]))
         if reach > 0 and not least <= size <= most:
             small = size < least
             return [

@@ -59,7 +59,7 @@ def against(steps: Sequence[Step]) -> list[str]:
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
     reasons, last = against(steps), steps[-1]
-    if notes := confounded(steps):
+    if notes := _confounded(steps):
         last = last.noted(notes)
         steps = (*steps[:-1], last)
     if reasons and last.calibration.verdict.ok:
@@ -119,7 +119,7 @@ def _freed(steps: Sequence[Step]) -> list[str]:
     ]
 
 
-def confounded(steps: Sequence[Step]) -> list[str]:
+def _confounded(steps: Sequence[Step]) -> list[str]:
     """What the last model holds that these readings hardly tell from a term of the first, in words."""
     if len(steps) < 2 or not steps[-1].calibration.verdict.ok:
         return []

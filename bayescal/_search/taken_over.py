@@ -24,7 +24,7 @@ from bayescal._model.unknown_effect import FORMS
 
 LEFT = 0.1  # of a term's squares that what was added leaves to it, below which its variance grows tenfold (VIF of 10)
 HALF = 0.5  # of its former coefficient: less no correction of a term leaves, while it stays one
-FORMS_OF_TIME = ("time", *FORMS)  # of which no temperature is a function from run to run
+IN_TIME = ("time", *FORMS)  # of which what repeats from run to run is no function
 MOVED = 4.0  # former standard uncertainties of a coefficient, beyond which chance does not move it
 
 
@@ -58,14 +58,16 @@ class TakenOver(NamedTuple):
     def measured(self) -> bool:
         """Whether the last model's coefficient is still that of the term.
 
-        A named effect is a cause of its own, and corrects what the first model took for the term: it has to leave next
-        to nothing of it, or have halved it, too. What has no name and follows another column is no cause, but a
-        description; where it moves the coefficient, the term was described with it.
+        A named effect is a cause of its own, and may well correct what the first model took for the term: it stands for
+        the term if it halved the coefficient, or left next to nothing of it, and moved it beyond chance, which grows
+        with 1/√(what is left). What has no name is no cause but a description, and one that can take up the term
+        describes it too.
         """
-        if self.moved <= MOVED:
-            return True
-        unnamed = any(e.is_placeholder and (e.along or "") not in FORMS_OF_TIME for e in self.by)
-        return not (unnamed or self.left < LEFT or self.kept < HALF)
+        unnamed = any(e.is_placeholder and e.along not in IN_TIME for e in self.by)
+        if self.confounded and unnamed:
+            return False
+        by_chance = self.moved**2 * min(self.left, 1.0) <= MOVED**2
+        return by_chance or not (self.confounded or self.kept < HALF)
 
     @property
     def confounded(self) -> bool:
@@ -74,20 +76,20 @@ class TakenOver(NamedTuple):
 
     def __str__(self) -> str:
         """Why the term's coefficient is not measured, or what its uncertainty holds, a sentence or two."""
+        name, by = self.term.name, " and ".join(e.name for e in self.by)
+        column = " and ".join(self.term.varies)
         if self.measured:
             return (
-                f"{self.term.name} and {self.names} are confounded in these readings ({self.names} can take up "
-                f"{1 - self.left:.1%} of it): their standard uncertainties hold both. Vary the {self.column} otherwise "
-                "in another run."
+                f"{name} and {by} are confounded in these readings, which tell {self.left:.1%} of it apart: their "
+                f"standard uncertainties hold both. Vary {column} otherwise in another run."
             )
-        less = "no longer explains" if self.kept < HALF else "explains otherwise than before"
-        what = "the output" if self.kept < HALF else "what it explained"
+        told = f"{by} can stand for it, as the profiles are"
+        if self.kept < HALF:
+            told = f"{column} no longer explains the output, {by} stands for it"
         return (
-            f"The {self.column} {less} {what}: {self.names} stands for it, and {self.term.name} has moved by "
-            f"{self.moved:.0f} of its standard uncertainties, to {self.kept:.2g} times what it was. These readings "
-            f"cannot tell which it is, so the coefficient of {self.term.name} is not measured: look at the column "
-            f"{self.column} (late, held, smoothed, another thermometer's in one run?), and vary it otherwise in "
-            "another run."
+            f"The coefficient {name} is not measured: {told}, and these readings cannot tell which it is ({name} is "
+            f"{self.kept:.2g} times what it was, {self.moved:.0f} of its standard uncertainties away). Look at the "
+            f"column {column}: late, held, smoothed, another's in one run? Vary {column} otherwise in another run."
         )
 
 
