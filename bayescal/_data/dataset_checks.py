@@ -13,6 +13,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import ARRAYS, ConvertedColumns, file_names
+from bayescal._data.covariate_checks import oddities
 from bayescal._tables.problems import Problem, Problems
 from bayescal._tables.raw_table import Table
 
@@ -175,6 +176,10 @@ def flags_of(
         f"{names}: each run has one {name} of its own: differences between runs and a dependence on it are confounded, "
         "parted by their plausible sizes alone. Let it change within a run, or repeat one in another run"
         for name in one_plateau_a_run(columns, thermometers)
+    ]
+    flags += [
+        f"{names}: column {one.column!r} {one.said} (first at {where(int(one.rows[0]))})"
+        for one in oddities(columns, thermometers)
     ]
     for name, values in columns.items():
         number = values.dtype.kind == "f" and name not in unchecked

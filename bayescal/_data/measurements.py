@@ -39,6 +39,7 @@ from bayescal._data.dataset_checks import (
     repeated_rows,
     row_namer,
 )
+from bayescal._data.number_checks import odd_numbers
 from bayescal._data.unit_conversion import check_unit
 from bayescal._data.unit_parsing import ANY, STANDARD_GRAVITY
 from bayescal._tables.cells import cells_of, equally_long
@@ -345,6 +346,7 @@ def assemble(
     warm = {name for name, unit in units.items() if unit == "degC"} - {MAY_BE_EMPTY}
     where = row_namer(tables)
     odd = flags_of(values, output, where, names, repeated, converted.filled, warm)
+    odd += [f"{names}: {said}" for said in odd_numbers(values, units, output)]
     kept, flags = once(values, repeated), [*converted.flags, *odd]
     variables = {n: _variable(v[kept], units[n]) for n, v in values.items()}
     if since is not None:

@@ -1,4 +1,7 @@
-"""Readings that say nothing of the sensor are set aside before a calibration: clipped or stuck ones, and spikes."""
+"""Readings that say nothing of the sensor are set aside before a calibration: clipped or stuck ones, and spikes.
+
+Spikes of the output, and of the thermometers, at which it is not known what the output belongs to.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayescal._data.covariate_checks import leaps
 from bayescal._data.dataset_checks import clip_levels, once, repeated_rows, stuck_rows
 from bayescal._data.measurements import Measurements
 from bayescal._data.rounding import rounding_step
@@ -20,7 +24,7 @@ def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements
         keep_spikes: leave spikes in.
     """
     readings = _without_stuck(_without_clipped(_once(readings)))
-    return readings if keep_spikes else _without_spikes(readings)
+    return readings if keep_spikes else _without_spikes(_without_leaps(readings))
 
 
 def _once(readings: Measurements) -> Measurements:
@@ -64,6 +68,26 @@ def _without_stuck(readings: Measurements) -> Measurements:
     )
     kept = np.r_[: first + 1, last + 1 : len(output)]
     return replace(readings.select(kept), flags=(*readings.flags, flag))
+
+
+def _without_leaps(readings: Measurements) -> Measurements:
+    """Without those at which a thermometer leaps there and back: nothing is known of the temperature there."""
+    if not readings.has("time"):
+        return readings
+    columns = {n: readings[n] for n in readings.columns}
+    gone, told = np.zeros(len(readings), bool), []
+    for name in (n for n in columns if readings.unit(n) == "degC" and np.ptp(columns[n]) > 0):
+        rows = leaps(columns, name)
+        gone[rows] = True
+        shown = ", ".join(f"{row + 1} ({columns[name][row]:.6g} °C)" for row in rows[:5])
+        told += [f"{name}: row {shown}{' …' if len(rows) > 5 else ''}"] if len(rows) else []
+    if not told or gone.all():
+        return readings
+    flag = (
+        f"{readings.file}: {int(gone.sum())} reading(s) set aside, at which a thermometer leaps faster than a body can "
+        f"follow, {'; '.join(told)}; keep_spikes keeps them"
+    )
+    return replace(readings.select(np.flatnonzero(~gone)), flags=(*readings.flags, flag))
 
 
 def _without_spikes(readings: Measurements) -> Measurements:

@@ -101,6 +101,11 @@ class LinearModel:
         root = vectors * root / size[:, None]
         return root, white @ root
 
+    def uncertainty(self, i: int) -> float:
+        """Standard uncertainty of the unknown of a column, its prior counted, in the unit of that."""
+        root, _ = self._eigen
+        return float(np.linalg.norm(root[i]) * self.sd[i])
+
     @property
     def directions(self) -> Float[np.ndarray, "n q"]:
         """G: whitened residuals have the covariance I − G·Gᵀ.

@@ -22,6 +22,7 @@ from bayescal._core import deadline
 from bayescal._core.deadline import Door
 from bayescal._core.errors import TimeIsUp
 from bayescal._core.progress import stage
+from bayescal._data.held_out import said_of
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import set_aside
 from bayescal._data.time_in_runs import going_on
@@ -103,7 +104,7 @@ def calibrate(
     def run() -> SearchPath:
         used = set_aside(with_causes(readings, model.instrument, ignore, covariates), keep_spikes)
         kept = None if holdout is None else set_aside(holdout, keep_spikes)
-        used = _said_to_go_on(used, kept)
+        used = _said_of_holdout(used, kept)
         accepted = frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
         loop, first = loop.begin(model)
@@ -428,9 +429,13 @@ def step_of(
     )
 
 
-def _said_to_go_on(readings: Measurements, holdout: Measurements | None) -> Measurements:
-    """The readings with a flag, where hold-out data continue their record."""
-    going = {} if holdout is None else going_on(readings, holdout)[0]
+def _said_of_holdout(readings: Measurements, holdout: Measurements | None) -> Measurements:
+    """The readings with a flag, where hold-out data continue their record, or are a part of it."""
+    if holdout is None:
+        return readings
+    if said := said_of(readings, holdout):
+        return replace(readings, flags=(*readings.flags, said))
+    going = going_on(readings, holdout)[0]
     if not going:
         return readings
     many = sum(map(len, going.values()))

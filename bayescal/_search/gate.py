@@ -12,10 +12,12 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.evidence_scale import VERY_STRONG
 from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.leave_group_out import scheme
+from bayescal._data.covariate_checks import oddities
 from bayescal._data.rounding import AS_GOOD_AS_NOISE, rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.unknown_effect import FORMS, FREED, covariate_in
 from bayescal._search.search_path import WORSE, Gate, Step
+from bayescal._search.taken_over import taken_over
 
 AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
 NOTICEABLE = 0.1  # if the coefficient itself is above this
@@ -23,6 +25,7 @@ FEWEST = int(AUTOCORRELATED**2) + 1  # readings, below which no correlation reac
 RARE = 1e-5  # p-value of a test that asks once for each covariate
 WITHIN = 0.05  # of the squares of a step, that lie within runs where it is one between them
 UNLIKELY = 0.05  # probability that the model is complete, below which it is not to be used as it is
+SURPRISED = 3.0  # times what the other groups expect of one, beyond which it is not like them
 EXPECTED = 2.0  # times the error that a model expects of hold-out data
 
 
@@ -45,6 +48,8 @@ def against(steps: Sequence[Step]) -> list[str]:
     found = last.against or [
         *_of_noise(last),
         *_undecided(last),
+        *_thermometers(steps),
+        *_taken_over(steps),
         *_against_the_steps_before(steps),
     ]
     found = [*_freed(steps), *found]
@@ -54,6 +59,9 @@ def against(steps: Sequence[Step]) -> list[str]:
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
     reasons, last = against(steps), steps[-1]
+    if notes := _confounded(steps):
+        last = last.noted(notes)
+        steps = (*steps[:-1], last)
     if reasons and last.calibration.verdict.ok:
         steps = (*steps[:-1], last.judged(reasons))
     return tuple(steps), _gate(steps, reasons)
@@ -82,6 +90,22 @@ def wrong_question(
     return tuple(found)
 
 
+def _surprising(step: Step) -> list[str]:
+    """A group that the others do not expect, although their uncertainty counts: something in it was different.
+
+    What is missing from a model is missing in every group, and counts as their noise.
+    """
+    out = step.left_out
+    if out is None or not np.any(out.surprise > SURPRISED):
+        return []
+    worst = int(np.nanargmax(out.surprise))
+    return [
+        f"{out.group.capitalize()} {out.members[worst]} is not like the others: predicted from these, its errors are "
+        f"{out.surprise[worst]:.1f} times what they should be ({scheme(out.group)}). Its thermometer or a setting was "
+        "different, or the sensor changed: look at its columns, or leave it out."
+    ]
+
+
 def _freed(steps: Sequence[Step]) -> list[str]:
     """What stands against a model in which a coefficient is free of its stated value, in words."""
     free = [n for n in steps[-1].calibration.model.names if n.endswith(FREED)]
@@ -93,6 +117,38 @@ def _freed(steps: Sequence[Step]) -> list[str]:
         "stated one, and by no missing effect alone.",
         *told,
     ]
+
+
+def _confounded(steps: Sequence[Step]) -> list[str]:
+    """What the last model holds that these readings hardly tell from a term of the first, in words."""
+    if len(steps) < 2 or not steps[-1].calibration.verdict.ok:
+        return []
+    found = taken_over(steps[0].calibration, steps[-1].calibration)
+    return [str(one) for one in found if one.measured and one.confounded]
+
+
+def _thermometers(steps: Sequence[Step]) -> list[str]:
+    """What is odd in the column of a thermometer that the first model's coefficients hang on."""
+    readings, model = steps[-1].calibration.readings, steps[0].calibration.model
+    needed = {n for e in model.effects for n in (*e.columns, *e.varies)}
+    warm = [n for n in readings.columns if n in needed and readings.unit(n) == "degC"]
+    every = [n for n in readings.columns if readings.unit(n) == "degC"]
+    if not warm:
+        return []
+    found = oddities({n: readings[n] for n in readings.columns}, every)
+    return [
+        f"Column {one.column!r} {one.said}: what depends on it is not measured."
+        for one in found
+        if one.column in warm
+    ]
+
+
+def _taken_over(steps: Sequence[Step]) -> list[str]:
+    """Terms of the first model that something else stands for in the last, the one that moved the most alone."""
+    if len(steps) < 2:
+        return []
+    found = taken_over(steps[0].calibration, steps[-1].calibration)
+    return [str(one) for one in found if not one.measured][:1]
 
 
 def _undecided(step: Step) -> list[str]:
@@ -236,6 +292,7 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
                 f"The last model predicts {what} worse than step {best!r}, {known[best]:.3g} → {late:.3g} {unit}: "
                 "what was changed since holds for these readings alone."
             )
+    reasons += _surprising(last)
     expected = last.holdout_sd
     if expected is not None and (last.holdout_rmse or 0.0) > EXPECTED * expected:
         reasons.append(

@@ -62,6 +62,13 @@ class Step:
         """The same, whose calibration knows why it is not to be used."""
         return replace(self, calibration=self.calibration.judged(against))
 
+    def noted(self, notes: Sequence[str]) -> Step:
+        """The same, whose calibration says these sentences beside how it was fitted."""
+        had = self.calibration.verdict.notes
+        return replace(
+            self, calibration=self.calibration.with_verdict(notes=(*dict.fromkeys((*had, *notes)),))
+        )
+
     @cached_property
     def doubts(self) -> tuple[str, ...]:
         """Why the Gaussian fit about its mode does not describe the posterior, in words; empty for most."""

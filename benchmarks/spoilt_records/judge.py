@@ -75,7 +75,8 @@ def _files(
     """The file and the hold-out given beside it, as they are read, and the model to begin with."""
     record, beside = campaign.record, None
     if kind.of_holdout:
-        spoilt = kind.spoil(campaign.holdout, subject, _generator(kind, seed + LATER))
+        source = campaign.record if kind.of_training else campaign.holdout
+        spoilt = kind.spoil(source, subject, _generator(kind, seed + LATER))
         beside = read(subject, spoilt, campaign.units)
     else:
         record = kind.spoil(record, subject, _generator(kind, seed))

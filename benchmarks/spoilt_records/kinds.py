@@ -29,6 +29,7 @@ class Kind:
         hides: effects hidden in the campaign in place of the subject's own; None for these.
         noise: what the second campaign carries beside its own noise where it is spoilt alike, in parts of that noise.
         of_holdout: the record is as it was, and the file that is spoilt is the hold-out given beside it.
+        of_training: that hold-out is made of the record itself, in place of a second campaign.
         renamed: columns are called by other names, alike in the second campaign: no coefficient keeps its meaning.
         must_say: nothing right can come of it: only a sentence will do.
     """
@@ -44,6 +45,7 @@ class Kind:
     hides: Callable[[Subject], dict[str, float]] | None = None
     noise: Callable[[Subject], float] = field(default=lambda _: 0.0)
     of_holdout: bool = False
+    of_training: bool = False
     renamed: bool = False
     must_say: bool = False
 

@@ -63,6 +63,7 @@ class Subject:
         zero, slope: coefficients that a device may have far from nominal.
         thermometer: column that the model's temperature is read from.
         partner: column of numbers that could be mistaken for the thermometer's; empty if there is none.
+        sibling: a second thermometer of the unit itself; empty if there is none.
         input: column of the known input, in which a wrong unit or sign would show; empty if there is none.
         group: column of labels whose members are records in time of their own.
         polynomials: names of constant, line, quadratic … in the thermometer's temperature, a tuple for each slot.
@@ -83,6 +84,7 @@ class Subject:
     slope: Shift
     thermometer: str = "temperature"
     partner: str = ""
+    sibling: str = ""
     input: str = ""
     group: str = "run"
     polynomials: tuple[tuple[str, ...], ...] = ()

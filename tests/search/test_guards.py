@@ -145,8 +145,8 @@ def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
         ({}, {"rmse_fitted": 1.06}, "Step '+ bias.x' raises the error as fitted, 1 → 1.06 °/s"),
         ({"holdout_rmse": 1.0}, {"holdout_rmse": 1.06}, "predicts the hold-out data worse"),
         (
-            {"left_out": SimpleNamespace(rmse=1.0, group="run")},
-            {"left_out": SimpleNamespace(rmse=1.06, group="run")},
+            {"left_out": SimpleNamespace(rmse=1.0, group="run", surprise=np.ones(3))},
+            {"left_out": SimpleNamespace(rmse=1.06, group="run", surprise=np.ones(3))},
             "predicts each run from the others (leave-one-run-out) worse than step",
         ),
     ],
@@ -156,7 +156,9 @@ def test_a_step_that_does_harm_shuts_the_gate(line, first, last, said) -> None:
     assert not found.ok
     assert said in found.reason
     nearly = {
-        k: 1.04 if not isinstance(v, SimpleNamespace) else SimpleNamespace(rmse=1.04, group="run")
+        k: 1.04
+        if not isinstance(v, SimpleNamespace)
+        else SimpleNamespace(rmse=1.04, group="run", surprise=np.ones(3))
         for k, v in last.items()
     }
     assert gate(steps(line, first, nearly)).ok

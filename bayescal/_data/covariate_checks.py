@@ -1,0 +1,237 @@
+"""Checks of thermometers against time and against each other: a thermometer is a measurement too.
+
+A body's temperature goes smoothly, and does not leap there and back from one reading to the next. A logger that asks
+its thermometer seldom repeats a value between two leaps; a converter at its end stays there while the body goes on; and
+two thermometers on one body do in a run what they do in the others. What departs from that is said by name, row and
+run: nothing in a fit shows it where profiles repeat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import combinations, permutations
+from typing import NamedTuple
+
+import numpy as np
+
+GAP = 5.0  # usual steps, from which a pause parts a record
+FEWEST = 20  # changes of a column, below which nothing is usual in it
+LEAP = 0.02  # of the column's range: less is no leap
+NOISE = 8.0  # robust standard deviations of the leaps there and back that noise makes
+FASTER = 5.0  # times the leaps that nine tenths of the readings stay below
+MANY = 0.05  # of the readings: more of them are a thermometer's noise, or its way
+GRID = 3.0  # steps of a rounded column, above which a change from a repeated value to another is a leap
+HELD = 6  # leaps from one held value to the next: by chance there is hardly one
+OFTEN = 0.05  # of a stretch's changes that are such leaps, at the least
+AT_ENDS = (
+    3.0  # times every other change of a stretch, above which its first or last reading stands apart
+)
+AT_END = 5  # readings in a row at the column's extreme
+REPEATS = 0.01  # of the other readings repeat the one before, at most: more are rounded, or held, or on a plateau
+MOST_RUNS = 30  # compared two by two, 435 times
+OVERLAP = 0.5  # of two runs, that have the same times
+ALIKE = 0.02  # of its range, to which a thermometer repeats from run to run where a profile does
+TOGETHER = (
+    0.7  # correlation of siblings in a run, from which they are some: a lag of a quarter of a wave
+)
+WIDE = (
+    3.0  # times the range of the other: a body in the laboratory beside the chamber is no sibling
+)
+UNLIKE = 5.0  # times what its sibling repeats to
+LEAST = 0.3  # °C: what a thermometer good to 0.5 °C (uniform) differs by from one time to another
+
+Columns = Mapping[str, np.ndarray]
+
+
+class Oddity(NamedTuple):
+    """What is odd in a thermometer's column, in words, and in which rows."""
+
+    column: str
+    said: str
+    rows: np.ndarray
+
+
+def oddities(columns: Columns, thermometers: Collection[str]) -> list[Oddity]:
+    """What is odd in the columns of thermometers.
+
+    Args:
+        columns: readings by name; without `time` nothing can be said.
+        thermometers: columns of measured temperatures, °C.
+    """
+    if "time" not in columns:
+        return []
+    found, names = list[Oddity](), sorted(n for n in thermometers if np.ptp(columns[n]) > 0)
+    with np.errstate(all="ignore"):  # of numbers that no temperature is
+        for name in names:
+            for check in (_spikes, _held, _at_an_end):
+                found += check(name, columns)
+        return [*found, *_unlike(columns, names)]
+
+
+def leaps(columns: Columns, name: str) -> np.ndarray:
+    """Rows at which a column leaps there and back, or begins or ends a run elsewhere: faster than a body can follow."""
+    values, own = columns[name], list(pieces(columns))
+    jumps = [np.diff(values[piece]) for piece in own]
+    if sum(map(len, jumps)) < FEWEST:
+        return np.zeros(0, int)
+    back = [_there_and_back(jump) for jump in jumps]
+    size = np.abs(np.concatenate(jumps))
+    usual = max(
+        LEAP * float(np.ptp(values)),
+        NOISE * 1.4826 * float(np.median(np.concatenate(back))),
+        FASTER * float(np.quantile(size, 1 - 2 * MANY)),
+    )
+    rows = []
+    for piece, jump, both in zip(own, jumps, back, strict=True):
+        spike = np.pad(_highest(both, usual), 1)
+        rows.append(piece[spike])
+        inner = np.abs(jump[1:-1])[~(spike[1:-2] | spike[2:-1])]
+        apart = np.abs(jump[[0, -1]]) > max(usual, AT_ENDS * float(inner.max(initial=0.0)))
+        rows.append(piece[[0, -1]][apart & ~spike[[1, -2]]])
+    found = np.unique(np.concatenate(rows))
+    return found if len(found) <= MANY * len(values) else found[:0]
+
+
+def _there_and_back(jump: np.ndarray) -> np.ndarray:
+    """The smaller of a reading's two changes, where they are of opposite sign."""
+    there, back = jump[:-1], jump[1:]
+    return np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
+
+
+def _highest(both: np.ndarray, usual: float) -> np.ndarray:
+    """Where leaps stand above what is usual, the higher of neighbours: beside a spike its neighbours leap too."""
+    padded = np.pad(both, 1)
+    return (both > usual) & (both >= padded[:-2]) & (both >= padded[2:])
+
+
+def pieces(columns: Columns) -> Iterator[np.ndarray]:
+    """Rows of each stretch of a run without a pause, in time; three readings at least."""
+    time = columns["time"]
+    for run in _runs(columns).values():
+        rows = run[np.argsort(time[run], kind="stable")]
+        steps = np.diff(time[rows])
+        if not len(steps):
+            continue
+        for piece in np.split(rows, 1 + np.flatnonzero(steps > GAP * np.median(steps))):
+            if len(piece) >= 3:
+                yield piece
+
+
+def _runs(columns: Columns) -> dict[str, np.ndarray]:
+    """Rows of each run of each device and axis, in the order of the file."""
+    import pandas as pd  # takes half a second to load
+
+    count = len(columns["time"])
+    codes, names = np.zeros(count, np.int64), [n for n in ("device", "axis", "run") if n in columns]
+    for name in names:
+        own, levels = pd.factorize(columns[name], use_na_sentinel=False)
+        codes = pd.factorize(codes * len(levels) + own)[0]
+    order = np.argsort(codes, kind="stable")
+    parts = np.split(order, 1 + np.flatnonzero(np.diff(codes[order])))
+    return {" ".join(str(columns[n][rows[0]]) for n in names): rows for rows in parts}
+
+
+def _spikes(name: str, columns: Columns) -> list[Oddity]:
+    rows = leaps(columns, name)
+    if not len(rows):
+        return []
+    said = f"leaps faster than a body can follow at {len(rows)} reading(s)"
+    return [Oddity(name, said, rows)]
+
+
+def _held(name: str, columns: Columns) -> list[Oddity]:
+    """Values that are repeated until the next leap, again and again: the logger asked the thermometer seldom.
+
+    Rounded values repeat too, and then change by a step of their rounding, the smallest gap between any two of them.
+    """
+    values, held, pairs = columns[name], [], 0
+    leap = GRID * float(np.diff(np.unique(values)).min())
+    for piece in pieces(columns):
+        own = values[piece]
+        ends = np.append(np.flatnonzero(own[1:] != own[:-1]), len(own) - 1)
+        repeated = np.diff(ends, prepend=-1) > 1
+        pair = repeated[:-1] & repeated[1:] & (np.abs(np.diff(own[ends])) > leap)
+        if pair.any() and pair.mean() > OFTEN:
+            held.append(piece)
+            pairs += int(np.count_nonzero(pair))
+    if pairs < HELD:
+        return []
+    said = "repeats a value until the next leap: it was held, or asked seldom"
+    return [Oddity(name, said, np.concatenate(held))]
+
+
+def _at_an_end(name: str, columns: Columns) -> list[Oddity]:
+    """Readings in a row exactly at an extreme, of a column that never repeats elsewhere: a converter at its end."""
+    values, found = columns[name], []
+    same = np.zeros(len(values), bool)
+    for piece in pieces(columns):
+        same[piece[1:]] = values[piece[1:]] == values[piece[:-1]]
+    for end, level in (("maximum", values.max()), ("minimum", values.min())):
+        at = values == level
+        if np.count_nonzero(same & at) < AT_END or np.mean(same[~at]) > REPEATS:
+            continue
+        rows = np.flatnonzero(at)
+        said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and never still elsewhere: saturated?"
+        found.append(Oddity(name, said, rows))
+    return found
+
+
+def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
+    """Runs in which one thermometer does not repeat what it did in another run, although its sibling does.
+
+    Siblings are thermometers that go together: on one body, or in one chamber, with whatever lag.
+    """
+    runs, found = _runs(columns), []
+    if len(names) < 2 or len(runs) > MOST_RUNS:
+        return []
+    pairs = [
+        (a, b, _same_moments(columns["time"], runs[a], runs[b])) for a, b in combinations(runs, 2)
+    ]
+    for one, other in permutations(names, 2):
+        odd = {}
+        for a, b, (here, there) in pairs:
+            if len(here) < max(FEWEST, OVERLAP * min(len(runs[a]), len(runs[b]))):
+                continue
+            apart, its = (_rms(columns[n][here] - columns[n][there]) for n in (one, other))
+            if its < ALIKE * float(np.ptp(columns[other])):
+                odd[a, b] = apart if apart > max(UNLIKE * its, LEAST) else 0.0
+        if not any(odd.values()) or not _siblings(columns, one, other, runs.values()):
+            continue
+        alone = [
+            r for r in runs if (own := [v for pair, v in odd.items() if r in pair]) and all(own)
+        ]
+        if alone:
+            named = " or ".join(alone)
+            said = (
+                f"does not repeat in run {named} what it did in the others, {max(odd.values()):.2g} °C rms apart, "
+                f"where {other!r} does: one of the two was different there"
+            )
+            found.append(Oddity(one, said, np.concatenate([runs[run] for run in alone])))
+    return found
+
+
+def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]) -> bool:
+    """Whether two thermometers go together, over ranges alike, in half of the runs at least."""
+    moving = [
+        r for r in runs if len(r) > 2 and np.ptp(columns[one][r]) and np.ptp(columns[other][r])
+    ]
+    found = [float(np.corrcoef(columns[one][r], columns[other][r])[0, 1]) for r in moving]
+    wide = [float(np.ptp(columns[one][r]) / np.ptp(columns[other][r])) for r in moving]
+    together = bool(found) and float(np.median(found)) > TOGETHER
+    return together and 1 / WIDE < float(np.median(wide)) < WIDE
+
+
+def _same_moments(time: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of two runs at the same time since their first readings, within half a usual step."""
+    a, b = (rows[np.argsort(time[rows], kind="stable")] for rows in (a, b))
+    of_a, of_b = time[a] - time[a[0]], time[b] - time[b[0]]
+    nearest = np.clip(np.searchsorted(of_b, of_a), 1, max(len(b) - 1, 1)) - 1
+    later = np.minimum(nearest + 1, len(b) - 1)
+    nearest = np.where(np.abs(of_b[later] - of_a) < np.abs(of_b[nearest] - of_a), later, nearest)
+    step = float(np.median(np.diff(of_a))) if len(a) > 1 else 0.0
+    near = np.abs(of_b[nearest] - of_a) <= 0.5 * step
+    return a[near], b[nearest[near]]
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

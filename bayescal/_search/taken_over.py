@@ -1,0 +1,147 @@
+"""What an added effect takes over of the first model: a term that no longer explains what it explained before.
+
+A thermometer that is wrong explains little. Where the temperature goes through the same profile in every run, an
+unknown function of the time within a run, or another thermometer, then explains all of it, predicts hold-out data of
+the same profile as well, and the coefficient of temperature is left with nothing: small, and with the uncertainty of
+a model in which it does not matter. The fit converges, and no residual shows it.
+
+So a term of the first model is followed to the last. Of its columns, whitened, the part that the other columns leave
+(its tolerance; Belsley, Kuh & Welsch, Regression Diagnostics, 1980, ch. 3) is compared with and without what was added
+that depends on other columns; and its coefficient with where it stood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._inference.linear_model import LinearModel
+from bayescal._model.effect import Effect
+from bayescal._model.unknown_effect import FORMS
+
+LEFT = 0.1  # of a term's squares that what was added leaves to it, below which its variance grows tenfold (VIF of 10)
+HALF = 0.5  # of its former coefficient: less no correction of a term leaves, while it stays one
+IN_TIME = ("time", *FORMS)  # of which what repeats from run to run is no function
+MOVED = 4.0  # former standard uncertainties of a coefficient, beyond which chance does not move it
+
+
+class TakenOver(NamedTuple):
+    """A term of the first model, and what stands for it in the last.
+
+    Attributes:
+        term: the first model's effect.
+        by: effects that were added.
+        left: of its squares beside the first model's others, what these leave.
+        moved: of its coefficient, former standard uncertainties.
+        kept: its coefficient, in parts of what it was.
+    """
+
+    term: Effect
+    by: tuple[Effect, ...]
+    left: float
+    moved: float
+    kept: float
+
+    @property
+    def column(self) -> str:
+        """What the term depends on, in words."""
+        return " and ".join(self.term.varies)
+
+    @property
+    def names(self) -> str:
+        return " and ".join(e.name for e in self.by)
+
+    @property
+    def measured(self) -> bool:
+        """Whether the last model's coefficient is still that of the term.
+
+        A named effect is a cause of its own, and may well correct what the first model took for the term: it stands for
+        the term if it halved the coefficient, or left next to nothing of it, and moved it beyond chance, which grows
+        with 1/√(what is left). What has no name is no cause but a description, and one that can take up the term
+        describes it too.
+        """
+        unnamed = any(e.is_placeholder and e.along not in IN_TIME for e in self.by)
+        if self.confounded and unnamed:
+            return False
+        by_chance = self.moved**2 * min(self.left, 1.0) <= MOVED**2
+        return by_chance or not (self.confounded or self.kept < HALF)
+
+    @property
+    def confounded(self) -> bool:
+        """Whether the readings hardly tell the term from what was added."""
+        return self.left < LEFT
+
+    def __str__(self) -> str:
+        """Why the term's coefficient is not measured, or what its uncertainty holds, a sentence or two."""
+        name, by = self.term.name, " and ".join(e.name for e in self.by)
+        column = " and ".join(self.term.varies)
+        if self.measured:
+            return (
+                f"{name} and {by} are confounded in these readings, which tell {self.left:.1%} of it apart: their "
+                f"standard uncertainties hold both. Vary {column} otherwise in another run."
+            )
+        told = f"{by} can stand for it, as the profiles are"
+        if self.kept < HALF:
+            told = f"{column} no longer explains the output, {by} stands for it"
+        return (
+            f"The coefficient {name} is not measured: {told}, and these readings cannot tell which it is ({name} is "
+            f"{self.kept:.2g} times what it was, {self.moved:.0f} of its standard uncertainties away). Look at the "
+            f"column {column}: late, held, smoothed, another's in one run? Vary {column} otherwise in another run."
+        )
+
+
+def taken_over(first: Calibration, last: Calibration) -> list[TakenOver]:
+    """Terms of the first model that what was added may stand for, the one that moved the most first.
+
+    Args:
+        first, last: fits of the same readings, the second with effects added.
+    """
+    had = {e.name for e in first.model.effects}
+    added = [e for e in last.model.effects if e.name not in had]
+    found: list[TakenOver] = []
+    for term in last.model.effects:
+        if term.name not in had or term.shapes or len(term.coefficients) != 1:
+            continue
+        if not term.varies or term.coefficients[0].per:
+            continue
+        by = [e for e in added if not _own_columns(e) & _own_columns(term)]
+        if by:
+            found.append(_followed(term, by, first.linear, last.linear))
+    return sorted(found, key=lambda one: -one.moved)
+
+
+def _own_columns(effect: Effect) -> set[str]:
+    """Columns of numbers that an effect depends on, but for the time that its lags and rates need."""
+    named = set(effect.varies) | (set(effect.columns) - {"time"})
+    along = (effect.along or "").split(",")[0].removesuffix(" rate")
+    return named | ({along} if along not in ("", "elapsed") else set())
+
+
+def _followed(
+    term: Effect, by: Sequence[Effect], first: LinearModel, last: LinearModel
+) -> TakenOver:
+    own = np.array([owner == term.name for owner in last.owners])
+    theirs = np.isin(last.owners, [e.name for e in by])
+    others = np.isin(last.owners, first.owners) & ~own
+    white = last.white_nuisance
+    without, beside = (_left(white, own, last.weight, rest) for rest in (others, others | theirs))
+    (m0, s0), (m1, _) = _coefficient(first, term.name), _coefficient(last, term.name)
+    kept = abs(m1) / abs(m0) if m0 else np.inf
+    return TakenOver(term, tuple(by), beside / max(without, 1e-300), abs(m1 - m0) / s0, kept)
+
+
+def _left(white: np.ndarray, own: np.ndarray, weight: np.ndarray, rest: np.ndarray) -> float:
+    """Squares of a term's columns beyond those of the rest, whose priors count."""
+    column, others = white[:, own].sum(axis=1), white[:, rest]
+    inner = others.T @ others + np.diag(weight[rest])
+    back = others @ np.linalg.lstsq(inner, others.T @ column, rcond=1e-12)[0]
+    return float(column @ (column - back))
+
+
+def _coefficient(line: LinearModel, name: str) -> tuple[float, float]:
+    """Where a term's one coefficient stands, and its standard uncertainty, in the unit of its prior."""
+    i = line.owners.index(name)
+    return float(line.z[i] * line.sd[i]), line.uncertainty(i)

@@ -1,0 +1,242 @@
+"""Kinds of spoilt records from a table, a TOML file, so that others add theirs without code.
+
+    [[kind]]
+    name = "thermometer late by a minute in the last run"
+    steps = [{ do = "late", by = 60.0, where = "last run" }]
+
+Each kind is a table of
+
+- `name`; `true`, what is true of it in words (the unit as it was); `says`, a regular expression for words that name the
+  cause (a thermometer's, unless given);
+- `needs`: "runs" where the records are runs, "sibling" where a second thermometer stands in the unit;
+- `of`: "record" (the default), or "hold-out from the record": a hold-out made of the training data is given beside it;
+- `must_say`: true where only a sentence will do;
+- `steps`, done one after the other, each a table of `do`, a function of `STEPS`; `column`: "thermometer" (the default),
+  "sibling", "output", "input", or a column's name; `where`: a name of `_where`; and the function's own numbers.
+
+Steps work in each record in time by itself, and change the rows of `where` alone.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.spoilt_records.kinds import Kind, changed, records, rows, step
+from benchmarks.spoilt_records.subject import Columns, Subject
+
+TEN = 10
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What a step works on: a column in one record in time.
+
+    Attributes:
+        time: s.
+        usual: time between two readings, s.
+        cells: of the column.
+        before: those of the record before it; of the last, before the first.
+        all: those of the whole file.
+        rng: of what is random.
+    """
+
+    time: np.ndarray
+    usual: float
+    cells: np.ndarray
+    before: np.ndarray
+    all: np.ndarray
+    rng: np.random.Generator
+
+    def at(self, part: float) -> float:
+        """A place in the column's range, from 0 at its minimum to 1 at its maximum."""
+        return float(self.all.min() + part * np.ptp(self.all))
+
+
+def _late(p: Piece, by: float = 0.0, readings: float = 0.0) -> np.ndarray:
+    return np.interp(p.time - by - readings * p.usual, p.time, p.cells)
+
+
+def _held(p: Piece, readings: int) -> np.ndarray:
+    return p.cells[np.arange(len(p.cells)) // readings * readings]
+
+
+def _dropped(p: Piece, share: float) -> np.ndarray:
+    there = p.rng.random(len(p.cells)) >= share
+    there[0] = True
+    return p.cells[np.maximum.accumulate(np.where(there, np.arange(len(there)), 0))]
+
+
+def _smoothed(p: Piece, over: float = 0.0, readings: float = 0.0) -> np.ndarray:
+    """A body of first order that starts at the column's first cell."""
+    tau, made = over + readings * p.usual, p.cells.astype(float)
+    keep = np.exp(-np.diff(p.time) / tau)
+    for i in range(1, len(made)):
+        made[i] = p.cells[i] + keep[i - 1] * (made[i - 1] - p.cells[i])
+    return made
+
+
+def _high_pass(p: Piece, over: float) -> np.ndarray:
+    return p.cells - _smoothed(p, over)
+
+
+def _averaged(p: Piece, readings: int = 0) -> np.ndarray:
+    if not readings:
+        return np.full(len(p.cells), p.cells.mean())
+    ends = readings // 2
+    padded = np.pad(p.cells, ends, mode="edge")
+    return np.convolve(padded, np.ones(readings) / readings, mode="valid")[: len(p.cells)]
+
+
+def _interpolated(p: Piece, readings: int) -> np.ndarray:
+    kept = np.union1d(np.arange(0, len(p.cells), readings), len(p.cells) - 1)
+    return np.interp(p.time, p.time[kept], p.cells[kept])
+
+
+def _clipped(p: Piece, low: float = 0.0, high: float = 1.0) -> np.ndarray:
+    return np.clip(p.cells, p.at(low), p.at(high))
+
+
+def _wrapped(p: Piece, high: float) -> np.ndarray:
+    return np.where(p.cells > p.at(high), p.cells - high * np.ptp(p.all), p.cells)
+
+
+def _noisy(p: Piece, by: float = 0.0, of_range: float = 0.0) -> np.ndarray:
+    return p.cells + (by + of_range * np.ptp(p.all)) * p.rng.standard_normal(len(p.cells))
+
+
+def _drifting(p: Piece, of_range: float) -> np.ndarray:
+    """In proportion to the readings of each record."""
+    return p.cells + of_range * np.ptp(p.all) * np.linspace(0.0, 1.0, len(p.cells))
+
+
+def _rounded(p: Piece, of_range: float) -> np.ndarray:
+    grid = of_range * np.ptp(p.all)
+    return grid * np.rint(p.cells / grid)
+
+
+STEPS: dict[str, Callable[..., Any]] = {
+    "late": _late,
+    "held": _held,
+    "dropped": _dropped,
+    "smoothed": _smoothed,
+    "high_pass": _high_pass,
+    "averaged": _averaged,
+    "interpolated": _interpolated,
+    "clipped": _clipped,
+    "wrapped": _wrapped,
+    "noisy": _noisy,
+    "drifting": _drifting,
+    "rounded": _rounded,
+    "scaled": lambda p, by=1.0, plus=0.0: by * p.cells + plus,
+    "plus": lambda p, of_range: p.cells + of_range * np.ptp(p.all),
+    "set": lambda p, to: np.full(len(p.cells), to),
+    "displaced": lambda p: np.resize(p.before, len(p.cells)),
+    "reversed": lambda p: p.cells[::-1],
+    "unsigned": lambda p: np.abs(p.cells),
+    "single": lambda p: p.cells.astype(np.float32).astype(float),
+    "numbered": lambda p: [f"{a} {i}" for i, a in enumerate(p.cells)],
+    "renamed": lambda p: [f"later {a}" for a in p.cells],
+}
+ON_WHOLE_FILES = ("halved", "exchanged")
+_NAMES = {"name", "true", "says", "needs", "of", "must_say", "steps"}
+_OF = ("record", "hold-out from the record")
+THERMOMETER = "temperature|thermometer"
+
+
+def kinds_of(path: Path) -> dict[str, Kind]:
+    """The kinds of a file, by name.
+
+    Raises:
+        ValueError: it names what there is not; and where.
+    """
+    made: dict[str, Kind] = {}
+    for table in tomllib.loads(path.read_text("utf-8"))["kind"]:
+        name = table.get("name", "?")
+        unknown = set(table) - _NAMES
+        unknown |= {s["do"] for s in table["steps"] if s["do"] not in (*STEPS, *ON_WHOLE_FILES)}
+        if unknown or name in made or table.get("of", _OF[0]) not in _OF:
+            raise ValueError(f"{path.name}, kind {name!r}: unknown or twice: {sorted(unknown)}")
+        made[name] = _kind(table)
+    return made
+
+
+def _kind(table: dict[str, Any]) -> Kind:
+    needs = set(table.get("needs", ()))
+
+    def fits(subject: Subject) -> bool:
+        runs = "runs" not in needs or subject.group == "run"
+        return runs and ("sibling" not in needs or bool(subject.sibling))
+
+    def spoil(columns: Columns, subject: Subject, rng: np.random.Generator) -> Columns:
+        for one in table["steps"]:
+            columns = _done(columns, subject, rng, **one)
+        return columns
+
+    spoil.__doc__ = f"{table['name']}. True: {table.get('true', 'the unit as it was')}."
+    hold_out = table.get("of", _OF[0]) == _OF[1]
+    return Kind(
+        table["name"],
+        spoil,
+        fits,
+        table.get("says", THERMOMETER),
+        of_holdout=hold_out,
+        of_training=hold_out,
+        must_say=table.get("must_say", False),
+    )
+
+
+def _done(
+    columns: Columns,
+    subject: Subject,
+    rng: np.random.Generator,
+    *,
+    do: str,
+    column: str = "thermometer",
+    where: str = "everywhere",
+    **numbers: float,
+) -> Columns:
+    """One step: the columns with it done to the rows that it is for."""
+    if do == "halved":
+        return rows(columns, np.arange(len(columns["output"])) % 2 == 0)
+    roles = {"thermometer": subject.thermometer, "sibling": subject.sibling, "input": subject.input}
+    name = roles.get(column, column)
+    old, chosen = columns[name], _where(where, columns, subject, rng)
+    if do == "exchanged":
+        other = columns[subject.sibling]
+        both = np.where(chosen, other, old), np.where(chosen, old, other)
+        return changed(columns, **{name: both[0], subject.sibling: both[1]})
+    usual, pieces = step(columns, subject), records(columns, subject)
+    new = old.astype(object)
+    for k, rows_ in enumerate(pieces):
+        piece = Piece(columns["time"][rows_], usual, old[rows_], old[pieces[k - 1]], old, rng)
+        new[rows_] = STEPS[do](piece, **numbers)
+    new = np.where(chosen, new, old)
+    return changed(columns, **{name: new.astype(old.dtype if old.dtype.kind == "f" else str)})
+
+
+def _where(name: str, columns: Columns, subject: Subject, rng: np.random.Generator) -> np.ndarray:
+    """Which rows: everywhere, first run, last run, second half, last third, first readings, ten rows."""
+    count = len(columns["output"])
+    chosen, own = np.zeros(count, bool), records(columns, subject)
+    if name == "everywhere":
+        chosen[:] = True
+    elif name in ("first run", "last run"):
+        chosen[own[0 if name == "first run" else -1]] = True
+    elif name == "second half":  # of the middle run, and all that follows
+        middle = own[len(own) // 2]
+        chosen[middle[len(middle) // 2] :] = True
+    elif name == "last third":
+        chosen[-(count // 3) :] = True
+    elif name == "first readings":
+        chosen[[piece[0] for piece in own]] = True
+    elif name == "ten rows":
+        chosen[rng.choice(count, TEN, replace=False)] = True
+    else:
+        raise ValueError(f"there are no rows called {name!r}")
+    return chosen

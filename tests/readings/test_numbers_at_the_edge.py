@@ -1,0 +1,72 @@
+"""Numbers at the edge: absurd sizes, times of too few digits, a run for each reading, hold-out data not new."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._data.held_out import not_new, said_of
+from bayescal._data.number_checks import odd_numbers
+from bayescal_models import still_sensor
+
+UNITS = {"time": "s", "temperature": "degC", "output": "ug"}
+
+
+@pytest.fixture(scope="module")
+def readings() -> bc.Measurements:
+    return still_sensor.simulate(seed=1)
+
+
+def said(readings: bc.Measurements, unit: str = "ug", **changed) -> list[str]:
+    columns = {n: np.array(readings[n]) for n in readings.columns}
+    return odd_numbers({**columns, **changed}, {**UNITS, "output": unit}, "output")
+
+
+def test_ordinary_numbers(readings: bc.Measurements) -> None:
+    for unit in ("ug", "deg/s", "rad", "V", "m/s^2", "1"):
+        assert said(readings, unit) == [], unit
+
+
+@pytest.mark.parametrize(("factor", "word"), [(1e-12, "less"), (1e12, "more")])
+def test_an_output_that_no_sensor_has(readings: bc.Measurements, factor: float, word: str) -> None:
+    (told,) = said(readings, output=factor * readings["output"])
+    assert f"{word} than any sensor" in told and "check its unit and its scale" in told
+
+
+def test_a_time_in_32_bit_floats(readings: bc.Measurements) -> None:
+    epochs = (readings["time"] + 1.7e9).astype(np.float32).astype(float)
+    (told,) = said(readings, time=epochs)
+    assert "'time' has too few digits" in told and "128 s apart" in told
+
+
+def test_a_run_for_each_reading(readings: bc.Measurements) -> None:
+    (told,) = said(readings, run=np.arange(len(readings)).astype(str))
+    assert "each of the 723 readings a run of its own" in told
+
+
+def test_a_filter_that_begins_every_run_at_nothing(readings: bc.Measurements) -> None:
+    first = np.unique(readings["run"], return_index=True)[1]
+    output = readings["output"].copy()
+    output[first] = 0.0
+    (told,) = said(readings, output=output)
+    assert "reads exactly 0 at the first reading of every run" in told
+
+
+def test_hold_out_data_that_are_the_readings(readings: bc.Measurements) -> None:
+    later = readings.with_column("time", readings["time"] + 86400.0)
+    renamed = readings.with_column("run", np.char.add("later ", readings["run"]))
+    for holdout in (readings, later, renamed):
+        assert not_new(readings, holdout) == len(readings)
+    half = readings.select(np.arange(0, len(readings), 2))
+    assert not_new(readings, half) == len(half)
+    assert "nothing of new readings" in said_of(readings, half)
+
+
+def test_hold_out_data_that_are_new(readings: bc.Measurements) -> None:
+    assert said_of(readings, still_sensor.simulate(seed=2)) == ""
+    rows = np.arange(len(readings)) % 2 == 0
+    assert not_new(readings.select(rows), readings.select(~rows)) == 0
+    rounded = readings.with_column("output", 1000 * np.rint(readings["output"] / 1000))
+    rounded = rounded.with_column("temperature", 20 * np.rint(readings["temperature"] / 20))
+    assert not_new(rounded, rounded) == 0  # equal numbers say nothing there

@@ -1,0 +1,131 @@
+"""A thermometer is a measurement: what its column cannot have read of a body is said by name, row and run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._data.covariate_checks import leaps, oddities
+from bayescal._data.set_aside import set_aside
+from bayescal_models import INSTRUMENTS, mems_gyro, still_sensor
+from benchmarks.hidden_effects.bank import instrument_named
+
+Columns = dict[str, np.ndarray]
+TEMPERATURE = "temperature"
+
+
+def columns_of(readings: bc.Measurements) -> Columns:
+    return {name: np.array(readings[name]) for name in readings.columns}
+
+
+@pytest.fixture(scope="module")
+def ramps() -> Columns:
+    return columns_of(still_sensor.simulate(seed=1))
+
+
+@pytest.fixture(scope="module")
+def siblings() -> Columns:
+    return columns_of(mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=60)))
+
+
+def said_of(columns: Columns, **changed: np.ndarray) -> list[str]:
+    warm = [n for n in columns if n.endswith(TEMPERATURE)]
+    return [f"{one.column} {one.said}" for one in oddities({**columns, **changed}, warm)]
+
+
+def in_runs(columns: Columns, change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    new = columns[TEMPERATURE].copy()
+    for run in np.unique(columns["run"]):
+        new[columns["run"] == run] = change(new[columns["run"] == run])
+    return new
+
+
+def test_ordinary_thermometers_have_nothing_odd(ramps: Columns, siblings: Columns) -> None:
+    assert said_of(ramps) == []
+    assert said_of(siblings) == []
+    for step in (0.5, 0.1, 0.01):  # displays
+        assert said_of(ramps, temperature=step * np.rint(ramps[TEMPERATURE] / step)) == [], step
+    noisy = ramps[TEMPERATURE] + np.random.default_rng(2).normal(0, 0.3, len(ramps["time"]))
+    assert said_of(ramps, temperature=noisy) == []
+
+
+def test_temperatures_typed_in_as_they_were_set_are_not_held(ramps: Columns) -> None:
+    """Plateaus at three set-points, half an hour apart, ten readings a minute at each."""
+    time = (1800.0 * np.arange(9)[:, None] + 6.0 * np.arange(10)).ravel()
+    plateaus = np.repeat(np.tile([-20.0, 20.0, 60.0], 3), 10)
+    assert said_of({"time": time, TEMPERATURE: plateaus}) == []
+
+
+@pytest.mark.parametrize("readings", [3, 10, 30])
+def test_a_held_value(ramps: Columns, readings: int) -> None:
+    held = in_runs(ramps, lambda t: t[np.arange(len(t)) // readings * readings])
+    (said,) = said_of(ramps, temperature=held)
+    assert said.startswith("temperature repeats a value until the next leap: it was held")
+
+
+@pytest.mark.parametrize("end", ["maximum", "minimum"])
+def test_a_converter_at_its_end(ramps: Columns, end: str) -> None:
+    cut = (
+        np.minimum(ramps[TEMPERATURE], 47.0)
+        if end == "maximum"
+        else np.maximum(ramps[TEMPERATURE], 3.0)
+    )
+    (said,) = said_of(ramps, temperature=cut)
+    assert f"stands exactly at its {end}" in said and said.endswith("saturated?")
+
+
+def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
+    readings = still_sensor.simulate(seed=3)
+    rows = np.array([40, 200, 241, 300, 500, 700])  # one of them the first of a run
+    warm = np.array(readings[TEMPERATURE])
+    warm[rows] += np.where(np.arange(6) % 2, 40.0, -30.0)
+    spoilt = readings.with_column(TEMPERATURE, warm)
+    assert leaps(columns_of(spoilt), TEMPERATURE).tolist() == rows.tolist()
+    kept = set_aside(spoilt)
+    assert len(kept) == len(readings) - len(rows)
+    assert "6 reading(s) set aside, at which a thermometer leaps" in kept.flags[-1]
+    assert "temperature: row 41 (" in kept.flags[-1]
+    assert len(set_aside(spoilt, keep_spikes=True)) == len(readings)
+    assert set_aside(readings) is readings
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda t: t + 3.0,
+        lambda t: 1.8 * t + 32.0,
+        lambda t: 1.1 * t,
+        lambda t: np.r_[np.full(10, t[0]), t[:-10]],
+        lambda t: t[::-1],
+    ],
+    ids=["re-seated", "Fahrenheit", "gain", "late", "backwards"],
+)
+def test_a_run_in_which_one_of_two_thermometers_was_different(siblings: Columns, change) -> None:
+    """The first and the third run have one profile; the second has another, and is no reason for a word."""
+    last, warm = siblings["run"] == "3", siblings[TEMPERATURE].copy()
+    warm[last] = change(warm[last])
+    (said,) = said_of(siblings, temperature=warm)
+    assert said.startswith("temperature does not repeat in run 1 or 3 what it did in the others")
+    assert "'board_temperature' does" in said
+
+
+def test_the_flag_names_file_and_row(tmp_path) -> None:
+    readings = still_sensor.simulate(seed=1)
+    held = in_runs(columns_of(readings), lambda t: t[np.arange(len(t)) // 10 * 10])
+    path = readings.with_column(TEMPERATURE, held).write(tmp_path / "held.csv")
+    flags = bc.read(path, still_sensor.INSTRUMENT).flags
+    assert any(
+        "held.csv: column 'temperature' repeats" in f and "first at row 2 of" in f for f in flags
+    )
+
+
+@pytest.mark.parametrize("name", sorted(INSTRUMENTS))
+def test_no_simulated_campaign_has_an_odd_thermometer(name: str) -> None:
+    instrument = instrument_named(name)
+    for seed in (11, 12, 13):
+        readings = instrument.simulate({}, seed=seed)
+        warm = [n for n in readings.columns if readings.unit(n) == "degC"]
+        assert oddities(columns_of(readings), warm) == []

@@ -1,0 +1,118 @@
+"""A coefficient that something else stands for is not measured, however well the fit converged and predicts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._calibration.leave_group_out import leave_one_group_out
+from bayescal._search.calibrate import step_of
+from bayescal._search.gate import gate, judged
+from bayescal._search.taken_over import taken_over
+from bayescal_models import mems_gyro, still_sensor
+
+QUICK = bc.LeastSquares(draws=100)
+
+
+def fits(readings: bc.Measurements, *effects: str) -> tuple[bc.Calibration, bc.Calibration]:
+    base = still_sensor.INSTRUMENT.for_readings(readings).baseline()
+    if readings.unit("output") == "deg/s":
+        base = mems_gyro.INSTRUMENT.baseline()
+    return bc.fit(base, readings, QUICK), bc.fit(base + list(effects), readings, QUICK)
+
+
+def spoilt(seed: int, change) -> bc.Measurements:
+    """Ramps, in the last run of which the thermometer was changed."""
+    readings = still_sensor.simulate(seed=seed)
+    warm, last = readings["temperature"].copy(), readings["run"] == "3"
+    warm[last] = change(warm[last])
+    return readings.with_column("temperature", warm)
+
+
+def noisy(values: np.ndarray) -> np.ndarray:
+    return values + np.random.default_rng(5).normal(0, 7.0, len(values))
+
+
+def test_a_function_of_the_time_in_runs_that_repeat_stands_for_a_bad_thermometer() -> None:
+    (found,) = taken_over(*fits(spoilt(1, noisy), "unknown(elapsed)"))
+    assert found.term.name == "bias.temperature"
+    assert not found.measured
+    assert found.kept < 0.1
+    assert "The coefficient bias.temperature is not measured" in str(found)
+    assert "temperature no longer explains the output, unknown(elapsed) stands for it" in str(found)
+
+
+def test_the_gate_says_so_and_the_result_is_not_converged() -> None:
+    first, last = (step_of(c) for c in fits(spoilt(1, noisy), "unknown(elapsed)"))
+    found = gate([first, last])
+    assert not found.ok
+    assert "unknown(elapsed) stands for it" in found.reason
+    assert gate([first]).reason != found.reason
+
+
+def test_what_has_no_name_and_repeats_as_the_profile_does_is_confounded_with_it_by_design() -> None:
+    """A slow lag, described by a function of the time within runs: of another profile it says nothing."""
+    readings = still_sensor.simulate({"bias.thermal_lag_slow": 8.0}, seed=4)
+    (found,) = taken_over(*fits(readings, "unknown(elapsed)"))
+    assert found.confounded and not found.measured
+    assert "unknown(elapsed) can stand for it, as the profiles are" in str(found)
+
+
+def test_a_cause_that_is_confounded_with_a_term_is_a_note() -> None:
+    """Two thermometers 0.3 °C rms apart."""
+    readings = mems_gyro.simulate({}, seed=4)
+    near = readings["temperature"] + np.random.default_rng(1).normal(0, 0.3, len(readings))
+    both = fits(readings.with_column("board_temperature", near), "bias.reference_voltage")
+    (found,) = taken_over(*both)
+    assert (
+        found.confounded and found.measured
+    )  # 46 former uncertainties away, and less than one of the new
+    steps, passed = judged([step_of(c) for c in both])
+    assert passed.ok
+    notes = steps[-1].calibration.verdict.notes
+    assert any("bias.temperature and bias.reference_voltage are confounded" in n for n in notes)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "size"),
+    [("bias.warm_up", 200.0), ("bias.drift", 200.0), ("bias.run", 150.0)],
+)
+def test_a_cause_that_corrects_a_term_takes_nothing_over(hidden: str, size: float) -> None:
+    readings = still_sensor.simulate({hidden: size}, seed=5)
+    assert all(one.measured for one in taken_over(*fits(readings, hidden)))
+
+
+def test_effects_of_the_same_column_take_nothing_over() -> None:
+    readings = still_sensor.simulate({"bias.temperature_quadratic": 0.4}, seed=5)
+    assert taken_over(*fits(readings, "bias.temperature_quadratic", "bias.thermal_lag")) == []
+
+
+def test_a_second_thermometer_that_is_a_cause_takes_nothing_over() -> None:
+    readings = mems_gyro.simulate({"bias.reference_voltage": 0.02}, seed=5)
+    found = taken_over(*fits(readings, "bias.reference_voltage"))
+    assert [one.measured for one in found] == [True]
+
+
+@pytest.mark.parametrize("change", [lambda t: t + 3.0, lambda t: 1.1 * t], ids=["offset", "gain"])
+def test_a_run_with_a_thermometer_of_its_own_is_no_surprise_to_none(change) -> None:
+    first, _ = fits(spoilt(2, change))
+    found = leave_one_group_out(first)
+    assert found is not None
+    assert found.members[int(np.argmax(found.surprise))] == "3"
+    assert found.surprise[2] > 3
+    assert "Run 3 is not like the others" in gate([step_of(first)]).reason
+
+
+def test_runs_that_are_alike_surprise_none_of_the_others() -> None:
+    for seed in (6, 7):
+        found = leave_one_group_out(fits(still_sensor.simulate(seed=seed))[0])
+        assert found is not None
+        assert np.all((found.surprise > 0.7) & (found.surprise < 1.4))
+
+
+def test_a_group_of_one_reading_says_nothing() -> None:
+    readings = still_sensor.simulate(seed=6, interval=300)
+    single = readings.with_column("run", np.arange(len(readings)).astype(str))
+    found = leave_one_group_out(fits(single)[0])
+    assert found is not None and np.isnan(found.surprise).all()
