@@ -1,0 +1,84 @@
+"""The process in which an entry solves one task: `python -m missing_effect.child ENTRY FOLDER ANSWER`.
+
+It refuses, from before the entry is loaded: sockets, other programs, files called truth.json, the module that makes
+tasks. That is an audit hook, which Python code cannot take off; machine code that an entry brings along could pass it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import runpy
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from missing_effect.task import Task
+
+PROGRAMS = (
+    "subprocess.Popen",
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+    "os.spawn",
+    "os.startfile",
+)
+SEALED = ("missing_effect.generate", "missing_effect.instruments", "missing_effect.disturbances")
+
+
+class Refused(BaseException):
+    """An entry did what it must not. No `Exception`, so that an entry does not catch it by the way."""
+
+
+def watch(event: str, arguments: tuple[Any, ...]) -> None:
+    """The audit hook.
+
+    Raises:
+        Refused: the event is one that an entry has no need of.
+    """
+    if event.startswith("socket.") and event not in ("socket.__new__", "socket.gethostname"):
+        refuse(f"the network ({event})")
+    if event in PROGRAMS:
+        refuse(f"another program ({event})")
+    if event == "open" and isinstance(arguments[0], str | bytes):
+        if os.path.basename(os.fsdecode(arguments[0])) == "truth.json":
+            refuse("a sealed truth.json")
+    if event == "import" and arguments[0] in SEALED:
+        refuse(f"the module that makes tasks ({arguments[0]})")
+
+
+def refuse(what: str) -> None:
+    """Say what, where the runner reads it, and end at once: nothing that the entry answers is kept.
+
+    Raises:
+        Refused: always.
+    """
+    sys.stderr.write(f"refused: the entry reached for {what}\n")
+    sys.stderr.flush()
+    os._exit(3)
+
+
+def main(entry: str, folder: str, answer: str) -> int:
+    """Solve, and write the answer as JSON."""
+    task = Task.read(Path(folder))
+    os.chdir(folder)
+    sys.addaudithook(watch)
+    solve = runpy.run_path(entry)["solve"]
+    Path(answer).write_text(json.dumps(as_json(solve(task))), "utf-8")
+    return 0
+
+
+def as_json(said: dict[str, Any]) -> dict[str, Any]:
+    """What `solve` returned, as JSON has it: sets as pairs of names and probability."""
+    sets = said.get("sets")
+    return {
+        "sets": None if sets is None else [[list(s), float(p)] for s, p in sets.items()],
+        "mean": np.asarray(said["mean"], float).tolist(),
+        "sd": np.asarray(said["sd"], float).tolist(),
+    }
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(*sys.argv[1:]))

@@ -1,0 +1,75 @@
+"""Random numbers that are the same on every machine: the raw stream of PCG64, turned into variates here.
+
+NumPy promises that a bit generator's stream stays as it is, but not how a `Generator` makes variates of it (NEP 19).
+Source of PCG64: M. O'Neill, HMC-CS-2014-0905.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.special import ndtri
+
+Array = np.ndarray
+Option = TypeVar("Option")
+
+
+class Draws:
+    """A stream of variates, begun by integers."""
+
+    def __init__(self, *seed: int) -> None:
+        self._bits = np.random.PCG64(np.random.SeedSequence(seed))
+
+    def uniform(self, count: int) -> Array:
+        """Between 0 and 1, neither of which comes: 53 bits each, and half of the last."""
+        raw = self._bits.random_raw(count) >> np.uint64(11)
+        return (raw.astype(float) + 0.5) * 2.0**-53
+
+    def normal(self, count: int) -> Array:
+        return ndtri(self.uniform(count))
+
+    def between(self, low: float, high: float) -> float:
+        return low + (high - low) * float(self.uniform(1)[0])
+
+    def ratio(self, low: float, high: float) -> float:
+        """Between two positive numbers, its logarithm uniform."""
+        return low * (high / low) ** float(self.uniform(1)[0])
+
+    def sign(self) -> float:
+        return 1.0 if self.uniform(1)[0] < 0.5 else -1.0
+
+    def shuffled(self, options: Sequence[Option]) -> list[Option]:
+        return [options[i] for i in np.argsort(self.uniform(len(options)), kind="stable")]
+
+    def one_of(self, options: Sequence[Option]) -> Option:
+        return self.shuffled(options)[0]
+
+    def wave(self, count: int, knots: int) -> Array:
+        """A smooth random course of mean 0 and standard deviation 1: six cosines, none faster than `knots` half turns.
+
+        Args:
+            count: of its values.
+            knots: half turns that the fastest may have over the whole.
+        """
+        at = (np.arange(count) + 0.5) / count
+        orders = 1 + np.floor(self.uniform(6) * knots)
+        phases, sizes = self.uniform(6), self.normal(6)
+        course = sum(
+            s * np.cos(np.pi * (k * at + 2 * p))
+            for k, p, s in zip(orders, phases, sizes, strict=True)
+        )
+        return (course - np.mean(course)) / np.std(course)
+
+
+def body(driven_by: Array, step: float, tau: float) -> Array:
+    """Temperature of a body that follows another with time constant tau, along the last axis; at rest at first.
+
+    Args:
+        step: between values, in the unit of tau.
+    """
+    left = np.exp(-step / tau)
+    first = driven_by[..., :1]
+    return first + lfilter([0.0, 1.0 - left], [1.0, -left], driven_by - first, axis=-1)

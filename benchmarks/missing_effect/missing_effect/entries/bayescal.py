@@ -1,0 +1,148 @@
+"""bayescal's search: the posterior over sets of candidates and noise laws, as `bayescal calibrate` makes it by default.
+
+Terms become effects with the stated sizes as prior standard deviations and the stated ranges as shapes'; columns are
+made by the task's own formulas, at fifteen values of a shape, and interpolated between. What the search calls
+unknown(…) is "outside". Probabilities are those of the structures it lists, all noise laws together; predictions are
+its average over structures.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+import bayescal as bc
+from missing_effect.regression import NODES, Regression, grid
+from missing_effect.task import OUTSIDE, Task, Term
+
+NUMBER = "1"  # everything is a plain number: the task says no more than that units agree
+LABELS = ("run", "device")
+ALONG = {"power": "column", "rate": "", "warm_up": "elapsed"}
+
+
+def solve(task: Task) -> dict[str, Any]:
+    columns: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    base = [_effect(term, task, columns) for term in task.base]
+    candidates = [_effect(term, task, columns) for term in task.candidates]
+    instrument = _instrument(task, tuple(base), float(np.std(Regression(task).left)))
+    train, later = (_readings(task, instrument, columns, at) for at in (0, 1))
+    found = bc.calibrate(
+        instrument.baseline(), train, effects=candidates, ignore=tuple(columns), covariates=()
+    )
+    known = "device" in task.train  # devices held out are those fitted, runs are new ones
+    predicted = bc.predict(found.calibration, later, new_groups=not known)
+    sets: dict[tuple[str, ...], float] = {}
+    for s in found.search.structures if found.search else ():
+        names = {OUTSIDE if n.startswith("unknown(") else n for n in s.effects}
+        key = tuple(sorted(names))
+        sets[key] = sets.get(key, 0.0) + s.probability
+    return {"sets": sets, "mean": predicted.mean, "sd": predicted.sd}
+
+
+def _instrument(task: Task, base: tuple[bc.Effect, ...], scatter: float) -> bc.Instrument:
+    """The task's instrument; its noise is not larger than what the base leaves, by prior guess."""
+    names = [c for c in task.train if c != "output"]
+    own = [bc.Column(n, None if n in LABELS else _unit(n)) for n in names]
+    return bc.Instrument(
+        name="task",
+        title=task.name,
+        columns=(*own, bc.Column("output", NUMBER)),
+        slots=(bc.Slot("output", NUMBER),),
+        response=_response,
+        effects=base,
+        noise=bc.White(bc.HalfCauchy(scatter)),
+    )
+
+
+def _response(slots: Any, readings: Any) -> Any:
+    return slots["output"]
+
+
+def _unit(name: str) -> str:
+    return {"time": "s", "temperature": "degC"}.get(name, NUMBER)
+
+
+def _readings(
+    task: Task,
+    instrument: bc.Instrument,
+    columns: dict[str, tuple[np.ndarray, np.ndarray]],
+    at: int,
+) -> bc.Measurements:
+    """One part of the task, 0 to fit and 1 to predict, with the terms' columns beside the recorded ones."""
+    frame = (task.train, task.holdout.assign(output=0.0))[at]
+    own = {str(n): frame[n].to_numpy() for n in frame}
+    own |= {n: own[n].astype(str) for n in LABELS if n in own}
+    made = {name: pair[at] for name, pair in columns.items()}
+    units = dict.fromkeys(made, NUMBER)
+    return bc.Measurements.from_arrays(instrument, units=units, **own, **made)
+
+
+def _effect(term: Term, task: Task, columns: dict[str, tuple[np.ndarray, np.ndarray]]) -> bc.Effect:
+    """A term as an effect; its columns are added to the others."""
+    prior = bc.Normal(0.0, term.size)
+    if term.group:
+        coefficient = bc.Coefficient(NUMBER, prior, per=term.group, spread=bc.HalfNormal(term.size))
+        made = [term.columns(f).sum(axis=1)[:, None] for f in (task.train, task.holdout)]
+        if not made[1].any():
+            made[1] = np.ones_like(made[1])
+        trials = [(made[0], made[1])]
+        coefficients = (coefficient,)
+    else:
+        trials = [
+            (term.columns(task.train, **s), term.columns(task.holdout, **s))
+            for s in grid(term, NODES)
+        ]
+        width = trials[0][0].shape[1]
+        parts = [""] if width == 1 else [str(i) for i in range(width)]
+        coefficients = tuple(bc.Coefficient(NUMBER, prior, part=p) for p in parts)
+    names = []
+    for train, later in trials:
+        for i in range(train.shape[1]):
+            names.append(f"c{len(columns)}")
+            columns[names[-1]] = (train[:, i], later[:, i])
+    shapes = tuple(bc.Shape(n, NUMBER, low, high) for n, (low, high) in term.shapes.items())
+    basis = partial(_plain, tuple(names))
+    if shapes:
+        (low, high) = next(iter(term.shapes.values()))
+        basis = partial(_between, tuple(names), low, high)
+        basis = _BY_SHAPE[shapes[0].name](basis)
+    along = ALONG.get(term.formula, "")
+    return bc.Effect(
+        term.name,
+        "output",
+        basis=basis,
+        coefficients=coefficients,
+        shapes=shapes,
+        columns=tuple(names),
+        equation=term.words,
+        along=term.arguments["column"] if along == "column" else along,
+    )
+
+
+def _plain(names: tuple[str, ...], r: Any) -> Any:
+    return jnp.stack([r[n] for n in names], axis=1)
+
+
+def _between(names: tuple[str, ...], low: float, high: float, r: Any, value: Any) -> Any:
+    """Columns between those at the values of a shape, linearly in its logarithm."""
+    at = jnp.log(value / low) / jnp.log(high / low) * (len(names) - 1)
+    at = jnp.clip(at, 0.0, len(names) - 1.0)
+    weights = jnp.maximum(0.0, 1.0 - jnp.abs(at - jnp.arange(len(names))))
+    return jnp.stack([r[n] for n in names], axis=1) @ weights
+
+
+def _of_tau(between: Any, r: Any, tau: Any) -> Any:
+    return between(r, tau)
+
+
+def _of_width(between: Any, r: Any, width: Any) -> Any:
+    return between(r, width)
+
+
+_BY_SHAPE = {
+    "tau": lambda between: partial(_of_tau, between),
+    "width": lambda between: partial(_of_width, between),
+}

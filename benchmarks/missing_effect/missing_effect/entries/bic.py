@@ -1,0 +1,48 @@
+"""Stepwise forward selection by BIC, and the weights exp(−BIC/2) of the models met on the way.
+
+Sources: G. Schwarz, Ann. Stat. 6 (1978) 461; weights, A. Raftery, Sociol. Methodol. 25 (1995) 111.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from missing_effect.regression import Regression
+from missing_effect.task import Task
+
+
+def solve(task: Task) -> dict[str, Any]:
+    return stepwise(task, lambda added, candidates: 0.0)
+
+
+def stepwise(task: Task, more: Callable[[int, int], float]) -> dict[str, Any]:
+    """Forward selection while the criterion falls.
+
+    Args:
+        more: penalty beside k·ln n, of the number of terms added and of the candidates.
+    """
+    problem = Regression(task)
+    n, count = problem.y.size, len(problem.candidates)
+
+    def criterion(chosen: frozenset[int]) -> float:
+        k = sum(problem.cost[i] for i in chosen)
+        return n * np.log(problem.squares(chosen) / n) + k * np.log(n) + more(len(chosen), count)
+
+    here: frozenset[int] = frozenset()
+    met = {here: criterion(here)}
+    while True:
+        trials = {here | {i}: criterion(here | {i}) for i in range(count) if i not in here}
+        met |= trials
+        best = min(trials, key=lambda s: trials[s], default=here)
+        if best == here or trials[best] >= met[here]:
+            break
+        here = best
+    lowest = min(met.values())
+    weight = {s: float(np.exp(-(value - lowest) / 2)) for s, value in met.items()}
+    total = sum(weight.values())
+    mean, sd = problem.average([(s, w / total) for s, w in weight.items()])
+    sets = {problem.names(s): w / total for s, w in weight.items()}
+    return {"sets": sets, "mean": mean, "sd": sd}

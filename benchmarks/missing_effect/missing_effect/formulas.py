@@ -1,0 +1,115 @@
+"""What the terms of a model look like: functions of recorded columns and of a few shapes, by the name in task.json.
+
+Each takes the data frame and names of its columns as stated in the task, its shapes as keywords, and returns (n, k):
+as many columns as the term has coefficients. A run is equally spaced in time and stands in one piece.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pandas as pd
+from scipy.signal import lfilter
+
+Array = np.ndarray
+
+
+def constant(data: pd.DataFrame) -> Array:
+    """1."""
+    return np.ones((len(data), 1))
+
+
+def power(data: pd.DataFrame, column: str, about: float, order: int) -> Array:
+    """(x − about)^order."""
+    return (data[column].to_numpy(float)[:, None] - about) ** order
+
+
+def product(data: pd.DataFrame, first: str, second: str, about: float) -> Array:
+    """x·(z − about)."""
+    x, z = data[first].to_numpy(float), data[second].to_numpy(float)
+    return (x * (z - about))[:, None]
+
+
+def difference(data: pd.DataFrame, first: str, second: str, order: int) -> Array:
+    """(x − z)^order."""
+    x, z = data[first].to_numpy(float), data[second].to_numpy(float)
+    return ((x - z) ** order)[:, None]
+
+
+def harmonic(data: pd.DataFrame, column: str, period: float) -> Array:
+    """cos and sin of 2π·x/period: two coefficients."""
+    at = 2 * np.pi * data[column].to_numpy(float) / period
+    return np.column_stack([np.cos(at), np.sin(at)])
+
+
+def rate(data: pd.DataFrame, column: str, group: str) -> Array:
+    """dx/dt, by central differences within a run."""
+    found = np.zeros(len(data))
+    for at in _runs(data, group):
+        found[at] = np.gradient(data[column].to_numpy(float)[at], data["time"].to_numpy(float)[at])
+    return found[:, None]
+
+
+def lag(data: pd.DataFrame, column: str, group: str, *, tau: float) -> Array:
+    """x̃ − x of a first-order body, τ·dx̃/dt = x − x̃, that a run begins with at x; x linear between readings."""
+    found = np.zeros(len(data))
+    for at in _runs(data, group):
+        x, time = data[column].to_numpy(float)[at], data["time"].to_numpy(float)[at]
+        step = (time[1] - time[0]) / tau
+        left = np.exp(-step)
+        k = (1 - left) / step
+        follows = lfilter([1 - k, k - left], [1.0, -left], x - x[0])
+        found[at] = follows - (x - x[0])
+    return found[:, None]
+
+
+def warm_up(data: pd.DataFrame, group: str, *, tau: float) -> Array:
+    """exp(−t/τ), t from the begin of the run."""
+    time, found = data["time"].to_numpy(float), np.zeros(len(data))
+    for at in _runs(data, group):
+        found[at] = np.exp(-(time[at] - time[at][0]) / tau)
+    return found[:, None]
+
+
+def direction(data: pd.DataFrame, column: str, group: str, *, width: float) -> Array:
+    """Dahl's hysteresis D, dD/dx = (sign(dx) − D)/width along the path of x within a run, D = 0 at its begin."""
+    found = np.zeros(len(data))
+    for at in _runs(data, group):
+        x = data[column].to_numpy(float)[at]
+        state = np.zeros(x.size)
+        for i in range(1, x.size):
+            travel = x[i] - x[i - 1]
+            left = np.exp(-abs(travel) / width)
+            state[i] = left * state[i - 1] + np.sign(travel) * (1 - left)
+        found[at] = state
+    return found[:, None]
+
+
+def each(data: pd.DataFrame, group: str, levels: list[int]) -> Array:
+    """One column for each member of a group; a member that is not listed has zeros in all."""
+    return (data[group].to_numpy()[:, None] == np.asarray(levels)[None, :]).astype(float)
+
+
+def each_times(
+    data: pd.DataFrame, group: str, levels: list[int], column: str, about: float, order: int
+) -> Array:
+    """(x − about)^order, one column for each member of a group."""
+    return each(data, group, levels) * power(data, column, about, order)
+
+
+def _runs(data: pd.DataFrame, group: str) -> Iterator[slice]:
+    """Rows of each run."""
+    label = data[group].to_numpy()
+    edges = np.flatnonzero(np.diff(label)) + 1
+    for begin, end in zip([0, *edges], [*edges, len(label)], strict=True):
+        yield slice(int(begin), int(end))
+
+
+FORMULAS: dict[str, Callable[..., Array]] = {
+    f.__name__: f
+    for f in (
+        *(constant, power, product, difference, harmonic, rate),
+        *(lag, warm_up, direction, each, each_times),
+    )
+}

@@ -1,0 +1,266 @@
+"""The tasks: which track, which instrument, what is hidden and how large; and what the readings can say of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import cho_factor, cho_solve
+
+from missing_effect.disturbances import NOT_WHITE, OUTSIDE, Noise, white
+from missing_effect.draws import Array, Draws
+from missing_effect.instruments import HELD, INSTRUMENTS, READINGS, World, fleet
+from missing_effect.task import Task
+
+TRACKS = {"empty": 200, "linear": 120, "noise": 90, "confounded": 70, "outside": 60, "fleet": 60}
+SIZES = (10, 100, 600)  # each begins with the one before
+EDITION = 1  # the published one; another number is a fresh set of tasks
+SPREAD = 3.0  # a hidden effect has between a third of its plausible size and three times that
+ALIKE = (
+    0.9,
+    0.999,
+)  # correlation of confounded rivals, of their difference from one as 1 − ρ uniform in logarithm
+FREE = 0.3  # correlation of the same two quantities in the other tracks
+GROUPED = (
+    3.0  # nats: a rival within it is not told apart (Kass & Raftery 1995: "positive" begins there)
+)
+FILES = ("train.csv", "holdout.csv", "task.json")
+
+
+class Case(NamedTuple):
+    """A task's place in the plan: its track and its number there."""
+
+    track: str
+    number: int
+
+
+@dataclass(frozen=True)
+class Made:
+    """A task with its truth, which is plain data: what truth.json holds."""
+
+    task: Task
+    decimals: dict[str, int]
+    truth: dict[str, Any]
+
+
+def plan(edition: int = EDITION) -> list[Case]:
+    """All tasks in order: tracks mixed so that each size holds its share of all, and shuffled within it."""
+    every = [((n + 0.5) / count, t, n) for t, count in TRACKS.items() for n in range(count)]
+    mixed = [Case(track, number) for _, track, number in sorted(every)]
+    draws, found = Draws(edition, 999), []
+    for begin, end in zip((0, *SIZES), SIZES, strict=False):
+        found += draws.shuffled(mixed[begin:end])
+    return found
+
+
+def generate(folder: Path, size: int, edition: int = EDITION) -> Iterator[tuple[str, str]]:
+    """Write tasks, and say each one's name and hash."""
+    for place, case in enumerate(plan(edition)[:size]):
+        made = make(f"task_{place:03d}", case, edition)
+        yield made.task.name, write(made, folder / made.task.name)
+
+
+def published() -> dict[str, str]:
+    """Hash of each task of the published edition, by name."""
+    return json.loads((files("missing_effect") / "hashes.json").read_text("utf-8"))
+
+
+def make(name: str, case: Case, edition: int = EDITION) -> Made:
+    """One task."""
+    draws = Draws(edition, list(TRACKS).index(case.track), case.number)
+    of_fleet = case.track == "fleet" or (case.track == "empty" and case.number % 10 == 9)
+    alike = FREE
+    if case.track == "confounded":
+        alike = 1 - draws.ratio(1 - ALIKE[1], 1 - ALIKE[0])
+    instruments = list(INSTRUMENTS.values())
+    turn = case.number + case.number // len(instruments)  # each instrument gets every law in turn
+    world = (fleet if of_fleet else instruments[case.number % len(instruments)])(draws, alike)
+    count = len(world.columns["time"])
+    other = not of_fleet and (case.track == "noise" or (case.track == "empty" and turn % 2))
+    noise = (draws.one_of(NOT_WHITE) if other else white)(draws, count)
+    hidden = _hidden(world, case, draws)
+    outside, what = np.zeros(count), ""
+    if case.track == "outside":
+        law = OUTSIDE[turn % len(OUTSIDE)]
+        shape = law(draws, world.columns["time"], world.columns["temperature"])
+        outside = draws.sign() * draws.ratio(0.7, 3.0) * world.noise * shape / _rms(shape)
+        what = law.__name__
+    parts = {name: share * world.hidden[name] for name, share in hidden.items()}
+    if what:
+        parts["outside"] = outside
+    true = world.known + sum(parts.values(), start=np.zeros(count))
+    output = true + world.noise * noise.values
+    held = _held_out(world)
+    frame = pd.DataFrame({**world.columns, "output": output})
+    for column, places in world.decimals.items():
+        frame[column] = frame[column].round(places)
+    train, holdout = (frame[at].reset_index(drop=True) for at in (~held, held))
+    task = Task(
+        name,
+        world.unit,
+        world.units,
+        train,
+        holdout.drop(columns="output"),
+        tuple(world.base),
+        tuple(draws.shuffled(world.candidates)),
+    )
+    likelihood = _Likelihood.of(task, world.noise, noise, ~held)
+    truth = {
+        "track": case.track,
+        "instrument": "fleet" if of_fleet else instruments[case.number % 6].__name__,
+        "noise": noise.law,
+        "outside": what,
+        "set": sorted(hidden),
+        "sizes": {n: round(share, 6) for n, share in sorted(hidden.items())},
+        "correlation": round(alike, 6) if case.track == "confounded" else None,
+        "decided": likelihood.decided(parts, world.noise),
+        "equivalent": _equivalent(world, hidden, likelihood, case),
+        "noise_sd": world.noise,
+        "holdout": [round(float(y), world.decimals["output"]) for y in holdout["output"]],
+        "expected": [round(float(y), world.decimals["output"] + 2) for y in true[held]],
+    }
+    return Made(task, world.decimals, truth)
+
+
+def write(made: Made, folder: Path) -> str:
+    """Write a task's four files, and return their hash: SHA-256 of their bytes one after the other."""
+    folder.mkdir(parents=True, exist_ok=True)
+    found = hashlib.sha256()
+    for name, text in contents(made).items():
+        (folder / name).write_bytes(text)
+        found.update(text)
+    return found.hexdigest()
+
+
+def contents(made: Made) -> dict[str, bytes]:
+    """The files of a task."""
+    task = made.task
+    return {
+        "train.csv": _csv(task.train, made.decimals),
+        "holdout.csv": _csv(task.holdout, made.decimals),
+        "task.json": _json(task.description()),
+        "truth.json": _json(made.truth),
+    }
+
+
+def _csv(frame: pd.DataFrame, decimals: dict[str, int]) -> bytes:
+    """Numbers with fixed decimals; minus zero is zero."""
+    columns = []
+    for name in frame:
+        places = decimals[str(name)]
+        columns.append([f"{v + 0.0:.{places}f}" for v in frame[name].tolist()])
+    rows = [",".join(map(str, frame.columns)), *map(",".join, zip(*columns, strict=True))]
+    return ("\n".join(rows) + "\n").encode()
+
+
+def _json(said: dict[str, Any]) -> bytes:
+    return (json.dumps(_plain(said), indent=1, ensure_ascii=False) + "\n").encode()
+
+
+def _plain(value: Any) -> Any:
+    """Numbers to nine digits: the last ones may differ between machines."""
+    if isinstance(value, float | np.floating):
+        return float(f"{value:.9g}")
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _hidden(world: World, case: Case, draws: Draws) -> dict[str, float]:
+    """What is hidden, in plausible sizes."""
+    if case.track in ("empty", "outside"):
+        return {}
+    names = [c.name for c in world.candidates]
+    if case.track == "confounded":
+        names, count = list(world.environment), 1
+    else:
+        count = 2 if draws.between(0, 1) < 0.3 else 1
+    chosen = draws.shuffled(names)[:count]
+    return {n: draws.sign() * draws.ratio(1 / SPREAD, SPREAD) for n in sorted(chosen)}
+
+
+def _held_out(world: World) -> Array:
+    """The last run, or the last readings of every device."""
+    if "device" in world.columns:
+        return np.arange(len(world.columns["device"])) % READINGS >= READINGS - HELD
+    return world.columns["run"] == world.columns["run"].max()
+
+
+def _rms(values: Array) -> float:
+    return float(np.std(values))
+
+
+@dataclass(frozen=True)
+class _Likelihood:
+    """The simulator's own likelihood of the training readings, the base's terms integrated out.
+
+    Attributes:
+        y: output in standard deviations of white noise, (n,).
+        base: columns of the base's terms times their plausible sizes, as `y`, (n, q).
+        factor: of the noise's covariance; its square root where it is diagonal.
+        rows: training readings of the record.
+    """
+
+    y: Array
+    base: Array
+    factor: Any
+    rows: Array
+    sd: float
+
+    @classmethod
+    def of(cls, task: Task, sd: float, noise: Noise, rows: Array) -> _Likelihood:
+        covariance = noise.covariance
+        if covariance.ndim == 1:
+            factor = np.sqrt(covariance[rows])
+        else:
+            factor = cho_factor(covariance[np.ix_(rows, rows)], lower=True)
+        base = np.hstack([t.size / sd * t.columns(task.train) for t in task.base])
+        return cls(task.train["output"].to_numpy(float) / sd, base, factor, rows, sd)
+
+    def _inverse(self, columns: Array) -> Array:
+        if isinstance(self.factor, np.ndarray):
+            return columns / (self.factor**2)[:, None]
+        return cho_solve(self.factor, columns)
+
+    def gain(self, parts: Sequence[tuple[Array, float]]) -> float:
+        """Log evidence, but for a constant, with these causes in.
+
+        Args:
+            parts: what each adds, and the standard deviation of the number that multiplies it.
+        """
+        added = [sd * part[self.rows, None] / self.sd for part, sd in parts]
+        x = np.hstack([self.base, *added])
+        weighted = self._inverse(x)
+        inner = np.eye(x.shape[1]) + x.T @ weighted
+        root = np.linalg.cholesky(inner)
+        right = np.linalg.solve(root, weighted.T @ self.y)
+        return float(0.5 * right @ right - np.log(np.diag(root)).sum())
+
+    def decided(self, parts: dict[str, Array], sd: float) -> float | None:
+        """Smallest log Bayes factor of the truth against itself without one of its causes; None of an empty task."""
+        if not parts:
+            return None
+        whole = self.gain([(p, 1.0) for p in parts.values()])
+        less = (
+            self.gain([(p, 1.0) for n, p in parts.items() if n != without]) for without in parts
+        )
+        return round(min(whole - other for other in less), 1)
+
+
+def _equivalent(
+    world: World, hidden: dict[str, float], likelihood: _Likelihood, case: Case
+) -> list[list[str]]:
+    """Sets that the readings do not tell from the truth: of a confounded task, that with the rival in its place."""
+    if case.track != "confounded":
+        return []
+    (true,) = hidden
+    (rival,) = set(world.environment) - {true}
+    each = {n: likelihood.gain([(world.hidden[n], SPREAD**0.5)]) for n in (true, rival)}
+    return [[rival]] if each[true] - each[rival] < GROUPED else []

@@ -1,0 +1,175 @@
+"""Runs an entry: each task in a process of its own, in a copied folder without the truth, on its own processor time.
+
+Where the system lets a user make namespaces (Linux, `unshare`), the process has no network and finds an empty folder
+where the tasks are. Everywhere it has the audit hook of `child.py`. Each answer says which of the two it was made under.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from missing_effect.generate import FILES
+from missing_effect.task import OUTSIDE
+
+LIMIT = 60.0  # s of processor a task
+PATIENCE = 5.0  # times that on the clock: for what only waits
+ONE_THREAD = {n: "1" for n in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+SHIPPED = Path(__file__).parent / "entries"
+APART = ("unshare", "--user", "--map-root-user", "--net", "--mount")
+HIDE = 'mount -t tmpfs none "$1" && shift && exec "$@"'
+
+
+class InputError(Exception):
+    """What was asked for cannot be done: for whoever typed it."""
+
+
+def entry_file(name: str) -> Path:
+    """An entry's file: a path, or the name of one that is shipped.
+
+    Raises:
+        InputError: there is none.
+    """
+    for file in (Path(name), SHIPPED / f"{name}.py"):
+        if file.suffix == ".py" and file.is_file():
+            return file.resolve()
+    shipped = ", ".join(sorted(p.stem for p in SHIPPED.glob("[!_]*.py")))
+    raise InputError(f"no entry {name!r}: give a Python file with solve(task), or one of {shipped}")
+
+
+def task_folders(tasks: Path, size: int | None = None) -> list[Path]:
+    """The first tasks of a folder.
+
+    Raises:
+        InputError: it has none, or fewer.
+    """
+    found = sorted(p.parent for p in tasks.glob("*/task.json"))
+    if len(found) < (size or 1):
+        raise InputError(
+            f"{tasks} has {len(found)} tasks, not {size or 'one'}: make them with "
+            f"`python -m missing_effect generate {tasks} --size {size or 10}`"
+        )
+    return found[:size]
+
+
+def run(
+    entry: Path, tasks: Path, results: Path, size: int | None, limit: float = LIMIT
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Solve the tasks that have no answer yet, and say each one's name and answer.
+
+    Args:
+        entry: a Python file with `solve`.
+        tasks: folder of the tasks.
+        results: folder for answers: results/ENTRY/TASK.json.
+        size: how many tasks, the first ones; None for all.
+        limit: s of processor time a task.
+
+    Raises:
+        InputError: there are no such tasks.
+    """
+    for folder in task_folders(tasks, size):
+        place = results / entry.stem / f"{folder.name}.json"
+        if place.is_file():
+            continue
+        answer = solve(entry, folder, tasks, limit)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(json.dumps(answer), "utf-8")
+        yield folder.name, answer
+
+
+def solve(entry: Path, folder: Path, tasks: Path, limit: float = LIMIT) -> dict[str, Any]:
+    """One task's answer as plain data: sets, mean, sd; or `failed`, why. With `seconds` of processor, `isolation`."""
+    with tempfile.TemporaryDirectory() as made:
+        copy, answer = Path(made) / folder.name, Path(made) / "answer.json"
+        copy.mkdir()
+        for name in FILES:
+            shutil.copy(folder / name, copy)
+        hidden = can_hide()
+        own = [sys.executable, "-m", "missing_effect.child", str(entry), str(copy), str(answer)]
+        command = [*APART, "sh", "-c", HIDE, "sh", str(tasks.resolve()), *own] if hidden else own
+        seconds, status, said = _ended(command, limit)
+        failed = _why(status, said, limit) if status else ""
+        found: dict[str, Any] = {}
+        if not failed:
+            found = json.loads(answer.read_text("utf-8"))
+            failed = wrong(found, copy)
+    isolation = "namespaces and audit hook" if hidden else "audit hook alone"
+    told = {"failed": failed} if failed else found
+    return {**told, "seconds": round(seconds, 2), "isolation": isolation}
+
+
+@cache
+def can_hide() -> bool:
+    """Whether a user of this system may have a network and a file tree of his own."""
+    if shutil.which("unshare") is None:
+        return False
+    with tempfile.TemporaryDirectory() as folder:
+        tried = [*APART, "sh", "-c", HIDE, "sh", folder, "true"]
+        return subprocess.run(tried, capture_output=True, check=False).returncode == 0
+
+
+def wrong(answer: dict[str, Any], folder: Path) -> str:
+    """What is wrong with an answer, in words; empty where nothing is."""
+    said = json.loads((folder / "task.json").read_text("utf-8"))
+    names = {c["name"] for c in said["candidates"]} | {OUTSIDE}
+    rows = len((folder / "holdout.csv").read_text("utf-8").splitlines()) - 1
+    for sets, probability in answer["sets"] or []:
+        if strange := sorted(set(sets) - names):
+            return f"a set names {', '.join(strange)}, which is no candidate"
+        if not 0 <= probability <= 1:
+            return f"a set has the probability {probability:g}"
+    total = sum(p for _, p in answer["sets"] or [])
+    if total > 1 + 1e-6:
+        return f"the probabilities of the sets sum to {total:g}"
+    for name in ("mean", "sd"):
+        values = np.asarray(answer[name], float)
+        if values.shape != (rows,) or not np.isfinite(values).all():
+            return f"{name} must be {rows} finite numbers, and has shape {values.shape}"
+    return "" if min(answer["sd"]) > 0 else "sd must be positive"
+
+
+def _ended(command: list[str], limit: float) -> tuple[float, int, str]:
+    """Seconds of processor that a command took, its exit status (negative: the signal), and its last words."""
+
+    def bounded() -> None:
+        resource.setrlimit(resource.RLIMIT_CPU, (round(limit), round(limit) + 1))
+
+    environment = {**os.environ, **ONE_THREAD}
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    with subprocess.Popen(
+        command,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        preexec_fn=bounded,
+        start_new_session=True,
+    ) as process:
+        try:
+            _, said = process.communicate(timeout=PATIENCE * limit)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            _, said = process.communicate()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return seconds, process.returncode, said
+
+
+def _why(status: int, said: str, limit: float) -> str:
+    last = next((line for line in reversed(said.splitlines()) if line.strip()), "")
+    if status < 0:
+        return f"ended by signal {-status}: {limit:g} s of processor, or {PATIENCE:g} times that on the clock, were over"
+    return last.strip() or f"ended with status {status}"

@@ -1,0 +1,231 @@
+"""How well an entry states probabilities and predicts: scores of each task, and their means with bootstrap intervals.
+
+Sources: log score and Brier score, T. Gneiting & A. Raftery, J. Am. Stat. Assoc. 102 (2007) 359 (CRPS of a normal
+distribution there too, equation 21); bootstrap percentiles, B. Efron & R. Tibshirani (1993), chapter 13.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.special import ndtr
+from scipy.stats import binomtest
+
+from missing_effect.draws import Draws
+from missing_effect.generate import FILES, published
+from missing_effect.run import InputError, task_folders
+from missing_effect.task import OUTSIDE
+
+FLOOR = 1e-3  # a probability below it counts as it: one blunder costs ln 1000 = 6.9, not everything
+CLAIM = 0.95  # probability that something is missing from which an entry is taken to say so
+CLEAR = (
+    15.0  # nats by which the readings decide for the truth, as the simulator's likelihood has it
+)
+BANDS = (0.0, 0.5, 0.8, 0.95, 1.0)  # of the probability of the most probable set
+Z95 = 1.959963984540054
+RESAMPLES = 2000
+ORACLE = "oracle"
+
+
+@dataclass(frozen=True)
+class Score:
+    """Of one entry on one task; None where the entry states no sets.
+
+    Attributes:
+        track: of the task.
+        clear: whether the readings decide for the truth by more than `CLEAR`.
+        log: ln of the probability of the true set or one that the readings do not tell from it, at least ln FLOOR.
+        log_exact: of the true set itself.
+        brier: Σ (p − 1[set is true])² over sets, equivalent ones together: 0 to 2.
+        alarm: of an empty task, whether something is said to be missing with `CLAIM`, "outside" included.
+        likely_alarm: the same with one half.
+        top: probability of the most probable set, and whether it is true.
+        crps: of the readings held out, in standard deviations of their noise.
+        covered: share of them inside the stated 95 % interval.
+        seconds: of processor.
+        failed: why there is no answer.
+    """
+
+    track: str
+    clear: bool
+    log: float | None
+    log_exact: float | None
+    brier: float | None
+    alarm: bool | None
+    likely_alarm: bool | None
+    top: tuple[float, bool] | None
+    crps: float
+    covered: float
+    seconds: float
+    failed: str = ""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Means over tasks, each with its 95 % bootstrap interval (mean, low, high), NaN where nothing is stated."""
+
+    log: tuple[float, float, float]
+    log_exact: tuple[float, float, float]
+    brier: tuple[float, float, float]
+    alarm: tuple[float, float, float]
+    likely_alarm: tuple[float, float, float]
+    crps: tuple[float, float, float]
+    covered: tuple[float, float, float]
+    seconds: tuple[float, float, float]
+
+
+def scored(tasks: Path, results: Path, entry: str, size: int | None) -> dict[str, Score]:
+    """Scores of an entry, by task.
+
+    Raises:
+        InputError: a task has no answer yet.
+    """
+    found = {}
+    for folder in task_folders(tasks, size):
+        truth = json.loads((folder / "truth.json").read_text("utf-8"))
+        place = results / entry / f"{folder.name}.json"
+        if entry == ORACLE:
+            answer = knowing(truth)
+        elif place.is_file():
+            answer = json.loads(place.read_text("utf-8"))
+        else:
+            raise InputError(
+                f"{entry} has no answer to {folder.name} in {results}: run it with "
+                f"`python -m missing_effect run {entry}`"
+            )
+        found[folder.name] = score(answer, truth, folder)
+    return found
+
+
+def entries_in(results: Path, tasks: Path, size: int | None) -> list[str]:
+    """Entries with an answer to each of the tasks."""
+    names = {f.name for f in task_folders(tasks, size)}
+    return sorted(p.name for p in results.glob("*/") if names <= {f.stem for f in p.glob("*.json")})
+
+
+def knowing(truth: dict[str, Any]) -> dict[str, Any]:
+    """The answer of who knows the truth: the true set, the true output without noise, the noise's size."""
+    sd = [truth["noise_sd"]] * len(truth["holdout"])
+    return {"sets": [[truth["set"], 1.0]], "mean": truth["expected"], "sd": sd, "seconds": 0.0}
+
+
+def score(answer: dict[str, Any], truth: dict[str, Any], folder: Path) -> Score:
+    """Of one answer. One that failed predicts the mean of the training readings, and states nothing."""
+    failed = answer.get("failed", "")
+    y, noise = np.asarray(truth["holdout"]), truth["noise_sd"]
+    if failed:
+        seen = pd.read_csv(folder / "train.csv")["output"].to_numpy(float)
+        answer = {**answer, "sets": [], "mean": [seen.mean()] * y.size, "sd": [seen.std()] * y.size}
+    mean, sd = np.asarray(answer["mean"]), np.asarray(answer["sd"])
+    z = (y - mean) / sd
+    decided = truth["decided"]
+    of_sets = dict.fromkeys(("log", "log_exact", "brier", "alarm", "likely_alarm", "top"))
+    if answer["sets"] is not None:
+        of_sets = _of_sets(answer["sets"], truth)
+    return Score(
+        truth["track"],
+        decided is not None and decided > CLEAR,
+        **of_sets,
+        crps=float(np.mean(_crps(z) * sd)) / noise,
+        covered=float(np.mean(np.abs(z) <= Z95)),
+        seconds=answer["seconds"],
+        failed=failed,
+    )
+
+
+def _of_sets(stated: list[Any], truth: dict[str, Any]) -> dict[str, Any]:
+    """Scores of the stated sets. What "outside" stands for is no candidate: the rest of its set is what is named."""
+    probability: dict[frozenset[str], float] = {}
+    something = 0.0
+    for names, p in stated:
+        something += p if names else 0.0
+        named = frozenset(names) - {OUTSIDE}
+        probability[named] = probability.get(named, 0.0) + p
+    true = frozenset(truth["set"])
+    same = {true, *(frozenset(e) for e in truth["equivalent"])}
+    exact = probability.get(true, 0.0)
+    held = min(1.0, sum(probability.get(s, 0.0) for s in same))
+    others = [p for s, p in probability.items() if s not in same]
+    top = max([(held, True), *((p, False) for p in others)])
+    empty = truth["track"] == "empty"
+    return {
+        "log": math.log(max(held, FLOOR)),
+        "log_exact": math.log(max(exact, FLOOR)),
+        "brier": (1 - held) ** 2 + sum(p**2 for p in others),
+        "alarm": something > CLAIM if empty else None,
+        "likely_alarm": something > 0.5 if empty else None,
+        "top": top if stated else None,
+    }
+
+
+def _crps(z: np.ndarray) -> np.ndarray:
+    """Of a standard normal distribution at z."""
+    density = np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
+    return z * (2 * ndtr(z) - 1) + 2 * density - 1 / math.sqrt(math.pi)
+
+
+def summary(scores: dict[str, Score]) -> Summary:
+    """Means with intervals; tasks are resampled, the same for every entry of as many tasks."""
+    columns = {
+        f.name: np.array(
+            [math.nan if (v := getattr(s, f.name)) is None else float(v) for s in scores.values()]
+        )
+        for f in fields(Summary)
+    }
+    count = len(scores)
+    pick = (Draws(20261125).uniform(RESAMPLES * count) * count).astype(int).reshape(-1, count)
+    return Summary(**{name: _interval(values, pick) for name, values in columns.items()})
+
+
+def _interval(values: np.ndarray, pick: np.ndarray) -> tuple[float, float, float]:
+    if np.isnan(values).all():
+        return math.nan, math.nan, math.nan
+    there = ~np.isnan(values[pick])
+    sums = np.where(there, values[pick], 0.0).sum(axis=1)
+    means = sums[there.any(axis=1)] / there.sum(axis=1)[there.any(axis=1)]
+    low, high = np.quantile(means, [0.025, 0.975])
+    return float(np.nanmean(values)), float(low), float(high)
+
+
+def calibration(scores: dict[str, Score]) -> list[dict[str, Any]]:
+    """Of the most probable sets in bands of their probability: how many, mean stated, share true, and its interval."""
+    tops = [s.top for s in scores.values() if s.top is not None]
+    rows = []
+    for low, high in zip(BANDS, BANDS[1:], strict=False):
+        inside = [t for t in tops if low <= t[0] < high or (high == 1.0 == t[0])]
+        if inside:
+            right = sum(true for _, true in inside)
+            ends = binomtest(right, len(inside)).proportion_ci(0.95)
+            stated = float(np.mean([p for p, _ in inside]))
+            row = {"band": (low, high), "count": len(inside), "stated": stated}
+            rows.append({**row, "true": right / len(inside), "interval": (ends.low, ends.high)})
+    return rows
+
+
+def alien(tasks: Path, size: int | None) -> list[str]:
+    """Tasks that are not, byte for byte, those of the published edition."""
+    known, found = published(), []
+    for folder in task_folders(tasks, size):
+        digest = hashlib.sha256()
+        for name in (*FILES, "truth.json"):
+            digest.update((folder / name).read_bytes())
+        if known.get(folder.name) != digest.hexdigest():
+            found.append(folder.name)
+    return found
+
+
+def by_track(scores: dict[str, Score], of: Callable[[Score], float | None]) -> dict[str, float]:
+    """Mean of something for each track."""
+    tracks: dict[str, list[float]] = {}
+    for s in scores.values():
+        if (value := of(s)) is not None:
+            tracks.setdefault(s.track, []).append(float(value))
+    return {t: float(np.mean(v)) for t, v in tracks.items()}
