@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import replace
 from functools import cache
@@ -13,11 +14,20 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._data import unit_conversion
-from bayescal._model.noise_law import WHITE, Noise, Parameters, known_variance
+from bayescal._model.correlated_noise import OrnsteinUhlenbeck
+from bayescal._model.frame import Frame
+from bayescal._model.noise_law import WHITE, Noise, Parameters, known_variance, offered
 from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
 from bayescal._model.prior import HalfCauchy, Positive
 from bayescal._model.static import set_once
 
+FEWEST = 200  # readings of the longest run, below which a second correlated term is not told from the first
+OFFERED = (  # what measured records show beside white noise (IEEE 952, and a unit on a temperature ramp)
+    ("walk",),
+    ("flicker",),
+    ("correlated", "correlated"),
+    ("correlated", "smooth"),
+)
 MOST_ALIKE = 3  # Ornstein–Uhlenbeck terms: more than that no record of a day tells apart
 
 
@@ -75,6 +85,7 @@ class SummedNoise(Noise):
     law: ClassVar[str] = "sum"
     looks_like: ClassVar[str] = "noise that is correlated in time, over more than one time"
     independent: ClassVar[bool] = False
+    refines: ClassVar[str] = OrnsteinUhlenbeck.law
 
     def __post_init__(self) -> None:
         if not 0 < self.shortest < self.longest:
@@ -105,7 +116,7 @@ class SummedNoise(Noise):
 
     @property
     def name(self) -> str:
-        return "+".join(("white", *self.terms))
+        return f"{self.law}({', '.join(self.terms)})"
 
     @property
     def in_words(self) -> str:
@@ -316,6 +327,30 @@ def _diagonal(blocks: list[Array]) -> Float[Array, "n p p"]:
         made = made.at[:, at : at + size, at : at + size].set(wide)
         at += size
     return made
+
+
+def over_octaves(scale: Positive, step: float, span: float, terms: tuple[str, ...]) -> SummedNoise:
+    """A sum whose times a record can tell. Bounds are whole octaves of a second: alike records share programs.
+
+    Args:
+        scale: prior of the standard deviation of each part, output unit.
+        step: usual time between neighbours, s.
+        span: of the longest run, s.
+        terms: beside white noise.
+    """
+    shortest, longest = 2.0 ** math.floor(math.log2(step)), 2.0 ** math.ceil(math.log2(span))
+    return SummedNoise(shortest, longest, terms, scale, scale)
+
+
+@offered
+def _of_two_or_more(scale: Positive, frame: Frame) -> list[Noise]:
+    """Where runs are long enough."""
+    steps = np.asarray(frame.step)
+    longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
+    if longest < FEWEST or not (steps > 0).any():
+        return []
+    step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
+    return [over_octaves(scale, step, span, terms) for terms in OFFERED]
 
 
 def _times(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:

@@ -259,7 +259,7 @@ def test_times_are_in_order_whatever_their_coordinates(rng) -> None:
 def test_a_sum_says_its_name_units_and_coefficients() -> None:
     law = law_of(("walk", "correlated", "flicker", "correlated", "quantisation"))
     assert law.terms == ("correlated", "correlated", "walk", "flicker", "quantisation")
-    assert law.name == "white+correlated+correlated+walk+flicker+quantisation"
+    assert law.name == "sum(correlated, correlated, walk, flicker, quantisation)"
     assert law.in_words == "white + 2 Ornstein–Uhlenbeck + random walk + flicker + quantisation"
     units = {name: law.unit(name, "ug") for name in law.parameters()}
     assert units == {
