@@ -149,12 +149,14 @@ def wandering(structures: Structures) -> list[str]:
 def _finer_laws(structures: Structures, at: Weighed) -> Iterator[Move]:
     """Finer forms of the correlated law that a structure is under, by what they gain on the residuals under it.
 
-    None where the noise is as probably not correlated at all.
+    None where the noise is as probably not correlated at all, or another structure is the best so far: what is left
+    under that one is looked at.
     """
     here, plain = structures.noise(at.structure), structures.visited.get(at.structure.under(""))
     family = here.refines or here.name
     finer = [n for n, law in structures.laws.items() if law.refines == family and n != here.name]
-    if here.independent or not finer or (plain is not None and plain.total >= at.total):
+    correlated = not here.independent and (plain is None or at.total > plain.total)
+    if not (correlated and finer and at is structures.best):
         return
     left = linear_model(at.assembly, at.mode).residual
     own = on_residuals_in_time(here, structures.record, left)
