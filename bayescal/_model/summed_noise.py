@@ -36,23 +36,18 @@ class States(NamedTuple):
 
     Attributes:
         carry: what is kept over the step before: of each state (n, p), or of all by all (n, p, p).
-        root: what is new, per independent standard normal number: (n, p), or (n, p, p).
-        shown: 1 for each state that a reading shows (p,).
+        fresh: covariance of what is new: (n, p) of each state, or (n, p, p).
+        shown: how much of each state a reading shows (p,).
     """
 
     carry: Float[Array, "n *p"]
-    root: Float[Array, "n *p"]
+    fresh: Float[Array, "n *p"]
     shown: Float[np.ndarray, "p"]
 
     @property
     def apart(self) -> bool:
         """Whether no state says anything of another's future."""
         return self.carry.ndim == 2
-
-    @property
-    def fresh(self) -> Float[Array, "n *p"]:
-        """Covariance of what is new."""
-        return self.root**2 if self.apart else self.root @ jnp.swapaxes(self.root, 1, 2)
 
 
 class SummedNoise(Noise):
@@ -171,71 +166,42 @@ class SummedNoise(Noise):
 
     def states(self, parameters: Parameters, step: Float[Array, "n"]) -> States:
         """Its states over steps, s; −1 where they begin."""
+        carry, root, shown = self._roots(parameters, step)
+        fresh = root**2 if root.ndim == 2 else root @ jnp.swapaxes(root, 1, 2)
+        return States(carry, fresh, shown)
+
+    def _roots(self, parameters: Parameters, step: Float[Array, "n"]) -> tuple[Any, Any, Any]:
+        """What is kept of the states; what is new in them, per independent standard normal number; which are shown."""
         first = step < 0
         h = jnp.where(first, 0.0, step)
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
         shown = [_shown(p, b.start.shape[0]) for p, b in zip(self.parts, blocks, strict=True)]
-        apart = all(block.carry.ndim == 2 for block in blocks)
         carry, root = [], []
         for block in blocks:
             wide = first.reshape(-1, *[1] * (block.carry.ndim - 1))
             carry.append(jnp.where(wide, 0.0, block.carry))
             root.append(jnp.where(wide, block.start, block.root))
-        if apart:
-            return States(
-                jnp.concatenate(carry, 1), jnp.concatenate(root, 1), np.concatenate(shown)
-            )
-        return States(_diagonal(carry), _diagonal(root), np.concatenate(shown))
+        apart = all(block.carry.ndim == 2 for block in blocks)
+        together = (lambda a: jnp.concatenate(a, 1)) if apart else _diagonal
+        return together(carry), together(root), np.concatenate(shown)
 
     def whiten(self, columns, extra, parameters, frame):
-        """By the Kalman filter. Its variances and gains hang on no column: they are found first, once for all.
-
-        With P that of the states given the readings before: g = P·1 over the states shown, s = 1ᵀg + w of the reading,
-        gain g/s; P goes on as A·(P − g·gᵀ/s)·Aᵀ + what is new.
-        """
-        states = self.states(parameters, frame.step)
-        shown, count = jnp.asarray(states.shown), len(states.shown)
         white = parameters[WHITE] ** 2 + known_variance(frame) + extra
         white = jnp.broadcast_to(white, (frame.size,))
-
-        def ahead(before, reading):
-            kept, fresh, own = reading
-            if states.apart:
-                made = kept[:, None] * before * kept + jnp.diag(fresh)
-            else:
-                made = _times(_times(kept, before), kept.T) + fresh
-            column = jnp.sum(made * shown, axis=1)
-            total = jnp.sum(column * shown) + own
-            gain = column / total
-            return made - gain[:, None] * column, (gain, total)
-
-        nothing = jnp.zeros((count, count))
-        inputs = (states.carry, states.fresh, white)
-        _, (gain, total) = jax.lax.scan(ahead, nothing, inputs, unroll=2)
-
-        def further(last, reading):
-            kept, own, row = reading
-            made = kept[:, None] * last if states.apart else _times(kept, last)
-            new = row - jnp.sum(made * shown[:, None], axis=0)
-            return made + own[:, None] * new, new
-
-        start = jnp.zeros((count, columns.shape[1]))
-        _, new = jax.lax.scan(further, start, (states.carry, gain, columns), unroll=2)
-        log_sd = 0.5 * jnp.log(total)
-        return new * jnp.exp(-log_sd)[:, None], log_sd
+        return filtered(self.states(parameters, frame.step), white, columns)
 
     def sample(self, key: Array, mean, parameters, frame):
         of_white, of_states = jax.random.split(key)
-        states = self.states(parameters, frame.step)
-        drawn = jax.random.normal(of_states, (frame.size, len(states.shown)))
-        push = states.root * drawn if states.apart else jnp.einsum("nij,nj->ni", states.root, drawn)
+        carry, root, shown = self._roots(parameters, frame.step)
+        drawn = jax.random.normal(of_states, (frame.size, len(shown)))
+        push = root * drawn if root.ndim == 2 else jnp.einsum("nij,nj->ni", root, drawn)
 
         def advance(state, step):
             kept, own = step
-            made = (kept * state if states.apart else kept @ state) + own
-            return made, made @ jnp.asarray(states.shown)
+            made = (kept * state if kept.ndim == 1 else kept @ state) + own
+            return made, made @ jnp.asarray(shown)
 
-        _, slow = jax.lax.scan(advance, jnp.zeros(len(states.shown)), (states.carry, push))
+        _, slow = jax.lax.scan(advance, jnp.zeros(len(shown)), (carry, push))
         own = jnp.sqrt(parameters[WHITE] ** 2 + known_variance(frame))
         return mean + own * jax.random.normal(of_white, mean.shape) + slow
 
@@ -297,6 +263,89 @@ class SummedNoise(Noise):
             r, big = carry[t].T @ r, carry[t].T @ big @ carry[t]
         asked = np.searchsorted(grid, at)
         return mean[asked], np.maximum(spread[asked], 0.0)
+
+
+def filtered(
+    states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
+) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
+    """Columns as the Kalman filter whitens them, and the logarithm of each reading's standard deviation by then.
+
+    Its variances and gains hang on no column: they are found first, once for all. With P that of the states given the
+    readings before: g = P·1 over the states shown, s = 1ᵀg + w of the reading, gain g/s; P goes on as
+    A·(P − g·gᵀ/s)·Aᵀ + what is new.
+
+    Args:
+        states: of a sum.
+        white: variance w of each reading by itself.
+        columns: in the order of time within runs.
+    """
+    shown, count = jnp.asarray(states.shown), len(states.shown)
+
+    def ahead(before, reading):
+        kept, fresh, own = reading
+        if states.apart:
+            made = kept[:, None] * before * kept + jnp.diag(fresh)
+        else:
+            made = _times(_times(kept, before), kept.T) + fresh
+        column = jnp.sum(made * shown, axis=1)
+        total = jnp.sum(column * shown) + own
+        gain = column / total
+        return made - gain[:, None] * column, (gain, total)
+
+    nothing = jnp.zeros((count, count))
+    _, (gain, total) = jax.lax.scan(ahead, nothing, (states.carry, states.fresh, white), unroll=2)
+
+    def further(last, reading):
+        kept, own, row = reading
+        made = kept[:, None] * last if states.apart else _times(kept, last)
+        new = row - jnp.sum(made * shown[:, None], axis=0)
+        return made + own[:, None] * new, new
+
+    start = jnp.zeros((count, columns.shape[1]))
+    _, new = jax.lax.scan(further, start, (states.carry, gain, columns), unroll=2)
+    log_sd = 0.5 * jnp.log(total)
+    return new * jnp.exp(-log_sd)[:, None], log_sd
+
+
+def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
+    """States of the means of so many readings each, evenly spaced: exact, whatever the terms.
+
+    One state more is the sum of what readings have shown since their mean began; a mean shows it over their number.
+    Steps are taken together by squaring, which adds variances and subtracts none.
+
+    Args:
+        states: over one step, of two readings: a run's first, and one after another.
+        count: readings in each mean.
+        first: whether a run begins with a mean (n,).
+    """
+    size = len(states.shown)
+    wide = (lambda a: jax.vmap(jnp.diag)(a)) if states.apart else (lambda a: a)
+    one, fresh = wide(states.carry), wide(states.fresh)
+    shown = jnp.asarray(states.shown)
+    lift = jnp.concatenate([jnp.eye(size), shown[None]])  # the sum goes on with what is shown
+
+    def step(kept, new):
+        beside = jnp.zeros((size + 1, 1)).at[-1, 0].set(1.0)
+        return jnp.concatenate([lift @ kept, beside], 1), lift @ new @ lift.T
+
+    def together(steps: int) -> tuple[Array, Array]:
+        whole, new = jnp.eye(size + 1), jnp.zeros((size + 1, size + 1))
+        power, own = step(one[1], fresh[1])
+        while steps:
+            if steps & 1:
+                whole, new = power @ whole, power @ new @ power.T + own
+            power, own = power @ power, power @ own @ power.T + own
+            steps >>= 1
+        return whole, new
+
+    started = lift @ fresh[0] @ lift.T
+    rest, of_rest = together(count - 1)
+    begun = rest @ started @ rest.T + of_rest
+    whole, new = together(count)
+    emptied = whole.at[:, -1].set(0.0)
+    begins = first[:, None, None]
+    carry = jnp.where(begins, 0.0, emptied)
+    return States(carry, jnp.where(begins, begun, new), np.append(np.zeros(size), 1 / count))
 
 
 @cache

@@ -15,6 +15,7 @@ import bayescal as bc
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.noise_law import Noise
 from bayescal._model.noise_terms import ENDLESS, FASTEST, RUNGS
+from bayescal._model.summed_noise import filtered, of_means
 from bayescal_models import still_sensor
 
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
@@ -298,3 +299,21 @@ def test_laws_of_the_same_terms_share_their_programs() -> None:
 def test_a_sum_that_cannot_be_told_is_refused(terms, said) -> None:
     with pytest.raises(ValueError, match=said):
         law_of(terms)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("terms", [("walk", "flicker"), ("smooth", "tone")], ids=name_of)
+def test_means_are_whitened_by_their_dense_covariance(terms, rng) -> None:
+    law, count, runs = law_of(terms), 5, (4, 3)
+    time = STEP * np.arange(count * sum(runs)) + np.repeat([0.0, 500.0], count * np.array(runs))
+    within = np.repeat([0, 1], count * np.array(runs))
+    dense = (within[:, None] == within) * slow_covariance(law.terms, time[:, None] - time)
+    dense += VALUES["noise.white"] ** 2 * np.eye(time.size)
+    average = np.kron(np.eye(sum(runs)), np.full(count, 1 / count))
+    columns = rng.standard_normal((sum(runs), 2))
+    exact = np.linalg.solve(np.linalg.cholesky(average @ dense @ average.T), columns)
+    first = jnp.asarray(np.isin(np.arange(sum(runs)), (0, runs[0])))
+    states = of_means(law.states(in_jax(law), jnp.array([-1.0, STEP])), count, first)
+    white = jnp.full(sum(runs), VALUES["noise.white"] ** 2 / count)
+    found, _ = filtered(states, white, jnp.asarray(columns))
+    np.testing.assert_allclose(found, exact, rtol=1e-9, atol=1e-9)
