@@ -145,19 +145,11 @@ class OrnsteinUhlenbeck(Noise):
         return mean + own * jax.random.normal(of_white, mean.shape) + states
 
     def allan_variance(self, values, variance, factors, step):
-        """White noise of variance σ² has σ²/m. The correlated part, with ρ = exp(−Δ/τ), a fall E = 1 − ρᵐ and the
-        variance s² = q²·τ/2, has (s²/m)·[(1 + ρ)/(1 − ρ) − ρ·E·(2 + E)/(m·(1 − ρ)²)]: from the variance V of a mean of
-        m readings of such a sequence, as 2·V(m) − 2·V(2m). Over times short against τ it is a random walk,
-        q²·Δ·(2m² + 1)/(6m); IEEE 952 has the limits of continuous averages.
-        """
+        """White noise of variance σ² has σ²/m; the correlated part, s² times `allan_of_exponential`."""
         q, time = (np.asarray(values[n], float)[..., None] for n in (DIFFUSION, CORRELATION_TIME))
-        size = np.asarray(self.slow_variance(values), float)[..., None]
-        m, a = factors, step / time
-        rho, fall, gap = np.exp(-a), -np.expm1(-m * a), -np.expm1(-a)
-        stationary = size / m * ((1 + rho) / gap - rho * fall * (2 + fall) / (m * gap**2))
-        walk = q**2 * step * (2 * m**2 + 1) / (6 * m)
+        size = 0.5 * q**2 * time
         white = np.maximum(np.asarray(variance)[..., None] - size, 0.0)
-        return white / m + np.where(m * a < SHORT, walk, stationary)
+        return white / factors + size * allan_of_exponential(factors, step / time)
 
     def slow_part(
         self,
@@ -193,6 +185,22 @@ class OrnsteinUhlenbeck(Noise):
             beyond = below[i - 1] ** 2 * spread[i] if i else 0.0
         asked = np.searchsorted(grid, at)
         return mean[asked], spread[asked]
+
+
+def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:
+    """Allan variance of evenly spaced readings of unit variance whose correlation is exp(−a·k), k readings apart.
+
+    With ρ = exp(−a) and a fall E = 1 − ρᵐ it is [(1 + ρ)/(1 − ρ) − ρ·E·(2 + E)/(m·(1 − ρ)²)]/m: from the variance V of
+    a mean of m readings of such a sequence, as 2·V(m) − 2·V(2m). Over times short against the correlation's it is a
+    random walk's, a·(2m² + 1)/(3m); IEEE 952 has the limits of continuous averages.
+
+    Args:
+        m: readings averaged.
+        a: step over correlation time; complex for a correlation that turns, of which the real part is then taken.
+    """
+    rho, fall, gap = np.exp(-a), -np.expm1(-m * a), -np.expm1(-a)
+    stationary = ((1 + rho) / gap - rho * fall * (2 + fall) / (m * gap**2)) / m
+    return np.where(np.abs(m * a) < SHORT, a * (2 * m**2 + 1) / (3 * m), stationary)
 
 
 def over_record(scale: Positive, step: float, span: float) -> OrnsteinUhlenbeck:

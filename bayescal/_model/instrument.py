@@ -17,6 +17,7 @@ import bayescal._model.correlated_noise  # the laws that there are: a search wei
 import bayescal._model.heteroscedastic_noise
 import bayescal._model.quantised_noise
 import bayescal._model.student_t_noise
+import bayescal._model.summed_noise
 import bayescal._model.white_noise  # noqa: F401
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.jit import importable, written_by_value

@@ -53,6 +53,7 @@ class Noise(abc.ABC):
         words: the law as a person reads it, where that is not its name.
         looks_like: what is left of readings under it, as a report says it.
         first: whether a search begins with it, and weighs the others against it.
+        refines: the name of a law that it is a finer form of: a search weighs it where that one is probable.
 
     Raises:
         TypeError: a class derived from it lacks what it must have, or is named as another law is.
@@ -64,6 +65,7 @@ class Noise(abc.ABC):
     first: ClassVar[bool] = False
     words: ClassVar[str] = ""
     looks_like: ClassVar[str] = ""
+    refines: ClassVar[str] = ""
 
     known: ClassVar[
         dict[str, type[Noise]]
@@ -79,6 +81,12 @@ class Noise(abc.ABC):
     def usual(cls) -> Noise:
         """The law that a search begins with."""
         return next(kind() for kind in Noise.known.values() if kind.first)
+
+    @classmethod
+    def correlates(cls, name: str) -> bool:
+        """Whether the law of a name takes readings as correlated; a name begins with its law, as in law(column)."""
+        law = name.partition("(")[0]
+        return any(k.law == law and not k.independent for k in Noise.known.values())
 
     # what it is called, and what it needs -----------------------------------------------------------------------
 

@@ -105,9 +105,7 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
             {
                 "effects": list(s.effects),
                 "noise": s.noise,
-                "wanders": any(
-                    s.noise == law.law and not law.independent for law in Noise.known.values()
-                ),
+                "wanders": Noise.correlates(s.noise),
                 "log_evidence": s.log_evidence,
                 "probability": s.probability,
             }

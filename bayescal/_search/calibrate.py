@@ -35,10 +35,10 @@ from bayescal._model.model import Model
 from bayescal._model.unknown_effect import freed
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import WORK, structures_over, told, walked, with_causes
-from bayescal._search.gate import judged, wrong_question
+from bayescal._search.gate import judged, left_out_better, wrong_question
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
-from bayescal._search.search_path import WORSE, Gate, SearchPath, Step
+from bayescal._search.search_path import Gate, SearchPath, Step
 from bayescal._search.structure_average import averaged
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import STOPPED, path
@@ -339,8 +339,7 @@ class Loop:
             return (
                 f"not stated, as the search added the {added} effects that it may (--max-effects)"
             )
-        earlier = [s.left_out.rmse for s in steps[:-1] if s.left_out]
-        if last.left_out and earlier and last.left_out.rmse > WORSE * min(earlier):
+        if last.left_out and left_out_better(last, steps[:-1]):
             return f"not stated, as the {scheme(last.left_out.group)} error has risen on the way"
         return ""
 

@@ -91,9 +91,8 @@ class Discovery(Printed):
 
     @property
     def noise_wanders(self) -> float | None:
-        """Probability of correlated (Ornstein–Uhlenbeck) noise; None where the readings cannot tell."""
-        correlated = {law.law for law in Noise.known.values() if not law.independent}
-        found = [n.probability for n in self.noise if n.law in correlated]
+        """Probability of correlated noise, of any such law; None where the readings cannot tell."""
+        found = [n.probability for n in self.noise if Noise.correlates(n.law)]
         return sum(found) if found else None
 
     def __str__(self) -> str:

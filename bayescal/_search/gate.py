@@ -274,24 +274,14 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
                 f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
                 f"{after.rmse_fitted:.3g} {unit}: do not use it."
             )
-    last = steps[-1]
-    group = last.left_out.group if last.left_out else "group"
-    errors = {
-        f"each {group} from the others ({scheme(group)})": [
-            s.left_out and s.left_out.rmse for s in steps
-        ],
-        "the hold-out data": [s.holdout_rmse for s in steps],
-    }
-    for what, (*earlier, late) in errors.items():
-        known = {
-            s.title: error for s, error in zip(steps, earlier, strict=False) if error is not None
-        }
-        if late is not None and known and late > WORSE * min(known.values()):
-            best = min(known, key=known.__getitem__)
-            reasons.append(
-                f"The last model predicts {what} worse than step {best!r}, {known[best]:.3g} → {late:.3g} {unit}: "
-                "what was changed since holds for these readings alone."
-            )
+    *earlier, last = steps
+    if last.left_out and (best := left_out_better(last, earlier)) and best.left_out:
+        what = f"each {last.left_out.group} from the others ({scheme(last.left_out.group)})"
+        reasons.append(_worse(what, best, best.left_out.rmse, last.left_out.rmse, unit))
+    if (best := holdout_better(last, earlier)) and best.holdout_rmse and last.holdout_rmse:
+        reasons.append(
+            _worse("the hold-out data", best, best.holdout_rmse, last.holdout_rmse, unit)
+        )
     reasons += _surprising(last)
     expected = last.holdout_sd
     if expected is not None and (last.holdout_rmse or 0.0) > EXPECTED * expected:
@@ -301,3 +291,39 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
             "condition, or the model is wrong."
         )
     return reasons
+
+
+def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
+    """The one of some steps that predicted groups from the others best, if it did so better than the last.
+
+    By the error, of which a twentieth is no rise. Neighbouring errors under correlated noise are about one error: there
+    a step is not worse whose joint log predictive density of the groups is as high.
+    """
+    known = [(s.left_out.rmse, s) for s in earlier if s.left_out]
+    if last.left_out is None or not known:
+        return None
+    error, best = min(known, key=lambda one: one[0])
+    if last.left_out.rmse <= WORSE * error:
+        return None
+    if last.calibration.model.noise.independent or best.left_out is None:
+        return best
+    return best if not last.left_out.log_score.sum() >= best.left_out.log_score.sum() else None
+
+
+def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
+    """The same of the hold-out data: under correlated noise an error that the model expects there is no rise."""
+    known = [(s.holdout_rmse, s) for s in earlier if s.holdout_rmse is not None]
+    if last.holdout_rmse is None or not known:
+        return None
+    error, best = min(known, key=lambda one: one[0])
+    if last.holdout_rmse <= WORSE * error:
+        return None
+    expected = last.holdout_sd is not None and last.holdout_rmse <= last.holdout_sd
+    return None if expected and not last.calibration.model.noise.independent else best
+
+
+def _worse(what: str, best: Step, then: float, now: float, unit: str) -> str:
+    return (
+        f"The last model predicts {what} worse than step {best.title!r}, {then:.3g} → {now:.3g} {unit}: "
+        "what was changed since holds for these readings alone."
+    )

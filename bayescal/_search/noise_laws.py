@@ -8,14 +8,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import minimize
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.gaussian import LOG_2PI
-from bayescal._inference.noise_on_record import total_log_density
+from bayescal._inference.noise_on_record import Whitening, total_log_density
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.model import Model
@@ -30,13 +31,15 @@ LEVELS = (
 SHIFT = 1e-3  # of a coordinate, for slopes and curvatures
 STEPS = 20  # of Newton's at most, none longer than this many prior standard deviations
 LONGEST = 1.0
+CURVED = 1e-2  # the same where slopes are exact
+TOLERANCE = 1e-6  # relative, of a log density of thousands: a hundredth of a nat
 FLAT = 0.05  # curvature of a coordinate below which its prior has taken over
 
 
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
     """Further noise laws of a model on a record, by name; none where its own is not white, or readings are too few.
 
-    Correlated, where there is time; heavy tails; scatter that follows a column, for each that varies.
+    Correlated, where there is time, and sums of such terms; heavy tails; scatter that follows a column, for each one.
     """
     together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
     fixed = any(name.startswith("noise.") for name, _ in model.fixed)
@@ -63,6 +66,54 @@ class OnResiduals(NamedTuple):
 
     log_evidence: float
     hint: dict[str, float]
+
+
+@on_one_thread
+def on_residuals_in_time(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> OnResiduals:
+    """A correlated Gaussian law of known expected output, by Laplace, its maximum found along exact slopes.
+
+    Args:
+        law: which.
+        record: the readings.
+        left: what the expected output leaves of them.
+    """
+    priors = law.parameters()
+    names, table = list(priors), left[:, None]
+
+    def values(v: Float[np.ndarray, "... d"]) -> dict[str, Any]:
+        return {name: prior.value(v[..., i]) for i, (name, prior) in enumerate(priors.items())}
+
+    def of_priors(v: Float[np.ndarray, "... d"]) -> Float[np.ndarray, "..."]:
+        return sum(np.asarray(p.log_density(v[..., i])) for i, p in enumerate(priors.values()))  # pyright: ignore[reportReturnType]
+
+    def down(v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray]:
+        whiten = Whitening(law, values(v), record)
+        white, logdet = whiten.both(table)
+        value = -0.5 * (float(np.sum(white**2)) + logdet + len(left) * LOG_2PI)
+        by = whiten.slopes(table)
+        up, low = values(v + SHIFT), values(v - SHIFT)
+        slope = np.array([by[n] * float(up[n] - low[n]) for n in names]) / (2 * SHIFT)
+        each = SHIFT * np.eye(len(v))
+        slope += (of_priors(v + each) - of_priors(v - each)) / (2 * SHIFT)
+        return -(value + float(of_priors(v))), -slope
+
+    jumps = np.diff(left[record.in_time[0]])
+    narrow = float(np.median(np.abs(jumps))) or float(np.sqrt(np.mean(left**2)))
+    if not narrow > 0:
+        return OnResiduals(-math.inf, {})
+    first = priors[names[0]].coordinate(narrow)
+    starts = np.array(list(itertools.product([first], *[LEVELS] * (len(names) - 1))))
+    hyper = {name: p.value(starts[:, i]) for i, (name, p) in enumerate(priors.items())}
+    there = total_log_density(law, record, left[None], hyper) + of_priors(starts)
+    found = minimize(
+        down, starts[int(np.argmax(there))], jac=True, method="L-BFGS-B", tol=TOLERANCE
+    )
+    v, curvature = found.x, np.empty((len(names), len(names)))
+    for i, shift in enumerate(CURVED * np.eye(len(names))):
+        curvature[i] = (down(v + shift)[1] - down(v - shift)[1]) / (2 * CURVED)
+    weights = np.maximum(np.linalg.eigvalsh(0.5 * (curvature + curvature.T)), FLAT)
+    volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
+    return OnResiduals(-float(found.fun) + volume, dict(zip(priors, v.tolist(), strict=True)))
 
 
 @on_one_thread

@@ -15,7 +15,7 @@ from bayescal._core.deadline import Deadline
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.linear_model import linear_model
 from bayescal._search.library import Library
-from bayescal._search.noise_laws import log_prior, on_residuals
+from bayescal._search.noise_laws import log_prior, on_residuals, on_residuals_in_time
 from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
 from bayescal._search.structures import Structure, Structures, Weighed
 
@@ -128,7 +128,7 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
             structures.expect(other, rough)
     if not math.isfinite(at.total):
         return
-    changes = list(_changes_of_noise(structures, at))
+    changes = [*_changes_of_noise(structures, at), *_finer_laws(structures, at)]
     moves = [*_moves(View(library, at), max_effects)]
     for move in (*moves, *changes):
         structures.expect(move.to, move.total)
@@ -143,7 +143,28 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
 
 def wandering(structures: Structures) -> list[str]:
     """Names of the further laws under which readings are correlated: nothing but a refit tells of these."""
-    return [name for name, law in structures.laws.items() if not law.independent]
+    return [n for n, law in structures.laws.items() if not law.independent and not law.refines]
+
+
+def _finer_laws(structures: Structures, at: Weighed) -> Iterator[Move]:
+    """Finer forms of the correlated law that a structure is under, by what they gain on the residuals under it.
+
+    None where the noise is as probably not correlated at all, or another structure is the best so far: what is left
+    under that one is looked at.
+    """
+    here, plain = structures.noise(at.structure), structures.visited.get(at.structure.under(""))
+    family = here.refines or here.name
+    finer = [n for n, law in structures.laws.items() if law.refines == family and n != here.name]
+    correlated = not here.independent and (plain is None or at.total > plain.total)
+    if not (correlated and finer and at is structures.best):
+        return
+    left = linear_model(at.assembly, at.mode).residual
+    own = on_residuals_in_time(here, structures.record, left)
+    for name in finer:
+        found = on_residuals_in_time(structures.laws[name], structures.record, left)
+        odds = log_prior(structures.laws, name) - log_prior(structures.laws, here.name)
+        gain = found.log_evidence - own.log_evidence
+        yield Move(at.structure.under(name), at.total + gain + odds, (found.hint,))
 
 
 def _changes_of_noise(structures: Structures, at: Weighed) -> Iterator[Move]:

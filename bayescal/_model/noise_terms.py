@@ -1,0 +1,379 @@
+"""Terms that correlated noise is a sum of: each a small stationary state-space block, with its Allan variance.
+
+A term says how its states go on over a step (transition, what is new), and reads on its output states. All start
+stationary, so that any of them may begin a run. IEEE Std 952-1997, Annex C, has the coefficients' meaning.
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+from jaxtyping import Array, Float
+from scipy import special as on_host
+
+from bayescal._model.correlated_noise import allan_of_exponential
+from bayescal._model.prior import LogUniform, Normal, Positive, multiplied
+from bayescal._model.static import static
+
+Values = Mapping[str, Any]
+ENDLESS = 30.0  # spans, after which a random walk returns: within 2 % of an endless one in a record of one span
+RUNGS = 8.0  # from one time of a ladder to the next: its spectrum within 3.5 % of 1/f
+FASTEST = 0.25  # steps, the shortest of these times: below a period of two steps, the shortest there is, over 2π
+SMOOTH = 1e-3  # times λ·h, below which a smooth process is told by the first terms of its series
+REACH = 0.1  # λ·h, below which a small difference of exponentials is summed as a series
+FLAT = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
+
+
+class Bounds(NamedTuple):
+    """What a record can tell, and how much of it.
+
+    Attributes:
+        shortest, longest: of correlation times, s: the usual step and the longest run.
+        correlated: prior of a correlated part's standard deviation, output unit.
+    """
+
+    shortest: float
+    longest: float
+    correlated: Positive
+
+    @property
+    def middle(self) -> float:
+        return math.sqrt(self.shortest * self.longest)
+
+    @property
+    def diffusion(self) -> Positive:
+        """Prior of a coefficient per √s that gives the correlated part its size at the middle of the times."""
+        return multiplied(self.correlated, math.sqrt(2 / self.middle))
+
+
+class Block(NamedTuple):
+    """States of a term over the steps before n readings; all independent of each other, or a pair.
+
+    Attributes:
+        carry: what is kept of each state (n, k); or of a pair by a pair (n, 2, 2).
+        root: what is new is `root` times independent standard normal numbers (n, k); or (n, 2, 2).
+        start: stationary standard deviations (k,); or a root of the covariance (2, 2).
+    """
+
+    carry: Float[Array, "n *k"]
+    root: Float[Array, "n *k"]
+    start: Float[Array, "*k"]
+
+
+@static
+class NoiseTerm(abc.ABC):
+    """One term of a sum. Its unknowns have names of their own, in the output unit or as `unit` says.
+
+    Attributes:
+        words: as a person reads it.
+        output: which of its states a reading shows.
+        symbol: of IEEE 952, where its first unknown is that coefficient.
+        bounded: whether its states hang on the bounds of the record.
+    """
+
+    words: ClassVar[str]
+    output: ClassVar[tuple[int, ...]] = (0,)
+    symbol: ClassVar[str] = ""
+    bounded: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def parameters(self, bounds: Bounds) -> dict[str, Any]:
+        """Names and priors; the first is its amplitude."""
+
+    def unit(self, name: str, output: str) -> str:
+        return output
+
+    @abc.abstractmethod
+    def block(self, values: Values, bounds: Bounds, h: Float[Array, "n"]) -> Block:
+        """Its states over steps h, s."""
+
+    @abc.abstractmethod
+    def variance(self, values: Values, bounds: Bounds) -> Any:
+        """Of a reading, output unit squared."""
+
+    def fresh(self, values: Values, bounds: Bounds, step: float) -> Any:
+        """About the variance of what is new in it a usual step after the reading before; in no harm if it is rough."""
+        return self.variance(values, bounds)
+
+    @abc.abstractmethod
+    def allan(self, values: Values, bounds: Bounds, m: Float[np.ndarray, "k"], step: float) -> Any:
+        """Allan variance of means of m evenly spaced readings; values with a last axis of one."""
+
+    def derived(self, values: Values, bounds: Bounds) -> dict[str, Any]:
+        """Further numbers that its unknowns come to."""
+        return {}
+
+
+def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
+    """Ornstein–Uhlenbeck processes of these times and variances."""
+    time, size = jnp.atleast_1d(time), jnp.sqrt(jnp.atleast_1d(variance))
+    steps = h[:, None] / time
+    fall = jnp.where(steps > 0, -jnp.expm1(-2 * steps), 0.0)
+    root = jnp.where(fall > 0, jnp.sqrt(jnp.where(fall > 0, fall, 1.0)), 0.0)
+    return Block(jnp.exp(-steps), size * root, size)
+
+
+@static
+class CorrelatedTerm(NoiseTerm):
+    """Ornstein–Uhlenbeck noise; of several, each has a longer time than the one before.
+
+    Of one before it with the time τ' it has τ = τ'·(longest/τ')^u, u uniform from 0 to 1: so they cannot exchange.
+
+    Attributes:
+        place: 1 for the first, and so on.
+    """
+
+    place: int
+    words: ClassVar[str] = "Ornstein–Uhlenbeck"
+
+    def _name(self, what: str, place: int | None = None) -> str:
+        return f"noise.correlated{place or self.place}.{what}"
+
+    def parameters(self, bounds: Bounds) -> dict[str, Any]:
+        found: dict[str, Any] = {self._name("diffusion"): bounds.diffusion}
+        if self.place == 1:
+            return {**found, self._name("time"): LogUniform(bounds.shortest, bounds.longest)}
+        return {**found, self._name("place"): Normal(0.0, 1.0)}
+
+    def unit(self, name: str, output: str) -> str:
+        if name.endswith(".diffusion"):
+            return f"{output}/s^0.5"
+        return "s" if name.endswith(".time") else "1"
+
+    def time(self, values: Values, bounds: Bounds) -> Any:
+        """Its correlation time, s."""
+        time = values[self._name("time", 1)]
+        for place in range(2, self.place + 1):
+            v = values[self._name("place", place)]
+            share = ndtr(v) if isinstance(v, jax.Array) else on_host.ndtr(v)
+            time = time ** (1 - share) * bounds.longest**share
+        return time
+
+    def variance(self, values: Values, bounds: Bounds) -> Any:
+        return 0.5 * values[self._name("diffusion")] ** 2 * self.time(values, bounds)
+
+    def fresh(self, values, bounds, step):
+        return values[self._name("diffusion")] ** 2 * step
+
+    def block(self, values, bounds, h):
+        return exponential(self.time(values, bounds), self.variance(values, bounds), h)
+
+    def allan(self, values, bounds, m, step):
+        time = self.time(values, bounds)
+        return self.variance(values, bounds) * allan_of_exponential(m, step / time)
+
+    @property
+    def bounded(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.place > 1
+
+    def derived(self, values, bounds):
+        size = {self._name("size"): np.sqrt(self.variance(values, bounds))}
+        return size if self.place == 1 else {**size, self._name("time"): self.time(values, bounds)}
+
+
+class WalkTerm(NoiseTerm):
+    """A random walk (IEEE 952: rate random walk, K) that has gone on for long before the record."""
+
+    words: ClassVar[str] = "random walk"
+    symbol: ClassVar[str] = "K"
+    bounded: ClassVar[bool] = True
+
+    def parameters(self, bounds: Bounds) -> dict[str, Any]:
+        return {"noise.walk": bounds.diffusion}
+
+    def unit(self, name: str, output: str) -> str:
+        return f"{output}/s^0.5"
+
+    def variance(self, values, bounds):
+        return 0.5 * values["noise.walk"] ** 2 * ENDLESS * bounds.longest
+
+    def fresh(self, values, bounds, step):
+        return values["noise.walk"] ** 2 * step
+
+    def block(self, values, bounds, h):
+        return exponential(ENDLESS * bounds.longest, self.variance(values, bounds), h)
+
+    def allan(self, values, bounds, m, step):
+        size = self.variance(values, bounds)
+        return size * allan_of_exponential(m, step / (ENDLESS * bounds.longest))
+
+
+class FlickerTerm(NoiseTerm):
+    """Flicker (1/f) noise over the record's octaves (IEEE 952: bias instability, B), a ladder of equal steps in time.
+
+    Equal variances s² at times apart by a factor r have about the spectrum s²/(f·ln r), one-sided; flicker noise has
+    B²/(π·f), so that s² = B²·ln r/π.
+    Source: F. Hooge and P. Bobbert, Physica B 239 (1997) 223 (1/f as a sum of Lorentzian spectra).
+    """
+
+    words: ClassVar[str] = "flicker"
+    symbol: ClassVar[str] = "B"
+    bounded: ClassVar[bool] = True
+
+    def parameters(self, bounds: Bounds) -> dict[str, Any]:
+        return {"noise.flicker": bounds.correlated}
+
+    def times(self, bounds: Bounds) -> Float[np.ndarray, "k"]:
+        """Of the ladder, s: from a quarter of a step to beyond the longest run."""
+        first = FASTEST * bounds.shortest
+        count = math.ceil(math.log(bounds.longest / first, RUNGS)) + 1
+        return first * RUNGS ** np.arange(count)
+
+    def _size(self, values: Values) -> Any:
+        return values["noise.flicker"] ** 2 * math.log(RUNGS) / math.pi
+
+    def variance(self, values, bounds):
+        return self._size(values) * len(self.times(bounds))
+
+    def block(self, values, bounds, h):
+        times = self.times(bounds)
+        return exponential(times, self._size(values) * jnp.ones(len(times)), h)
+
+    @property
+    def output(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return ...
+
+    def allan(self, values, bounds, m, step):
+        return self._size(values) * sum(
+            allan_of_exponential(m, step / time) for time in self.times(bounds)
+        )
+
+
+class SmoothTerm(NoiseTerm):
+    """A smooth process: Matérn's of order 3/2, with the correlation (1 + λ·Δt)·exp(−λ·Δt), λ = √3/time.
+
+    States: itself, and its slope over λ.
+    Source: J. Hartikainen and S. Särkkä, Kalman filtering and smoothing solutions to temporal Gaussian process
+    regression models (MLSP 2010).
+    """
+
+    words: ClassVar[str] = "Matérn-3/2"
+
+    def parameters(self, bounds: Bounds) -> dict[str, Any]:
+        return {
+            "noise.smooth": bounds.correlated,
+            "noise.smooth.time": LogUniform(bounds.shortest, bounds.longest),
+        }
+
+    def unit(self, name: str, output: str) -> str:
+        return "s" if name.endswith(".time") else output
+
+    def variance(self, values, bounds):
+        return values["noise.smooth"] ** 2
+
+    def fresh(self, values, bounds, step):
+        return 0.0
+
+    def block(self, values, bounds, h):
+        size, x = values["noise.smooth"], math.sqrt(3) * h / values["noise.smooth.time"]
+        kept, z = jnp.exp(-x), 2 * x
+        carry = kept[:, None, None] * jnp.stack(
+            [jnp.stack([1 + x, x], -1), jnp.stack([-x, 1 - x], -1)], -2
+        )
+        # 1 − e⁻ᶻ·(1 + z + z²/2), of which only e⁻ᶻ·(z³/6 + z⁴/24 + …) is left where z is small.
+        series = z**3 / 6 * (1 + z / 4 * (1 + z / 5 * (1 + z / 6 * (1 + z / 7 * (1 + z / 8)))))
+        far = -jnp.expm1(-z) - kept**2 * (z + z**2 / 2)
+        own = jnp.where(z < REACH, kept**2 * series, far)
+        cross = kept**2 * z**2 / 2
+        slope = -jnp.expm1(-z) + kept**2 * (z - z**2 / 2)
+        moves = own > 0
+        first = jnp.where(moves, jnp.sqrt(jnp.where(moves, own, 1.0)), 0.0)
+        share = cross / jnp.where(moves, first, 1.0)
+        rest = jnp.where(moves, slope - share**2, 1.0)
+        # The slope's own part is a quarter of what is new in it where z is small: never near zero.
+        last = jnp.where(moves, jnp.sqrt(rest), 0.0)
+        root = jnp.stack([jnp.stack([first, 0 * x], -1), jnp.stack([share, last], -1)], -2)
+        return Block(carry, size * root, size * jnp.eye(2))
+
+    def allan(self, values, bounds, m, step):
+        """With c(a) that of exp(−a·k), (1 + a·k)·exp(−a·k) has c − a·∂c/∂a, the slope by a complex step; over short
+        times a ramp's, of slopes of the variance λ²: (x²/2 − 7x³/15), x = λ·τ."""
+        a = np.asarray(math.sqrt(3) * step / values["noise.smooth.time"], float)
+        tiny = 1e-30
+        turned = _exponential_complex(m, a * (1 + 1j * tiny))
+        whole, x = turned.real - turned.imag / tiny, m * a
+        shape = np.where(x < SMOOTH, x**2 / 2 - 7 * x**3 / 15, whole)
+        return values["noise.smooth"] ** 2 * shape
+
+
+class ToneTerm(NoiseTerm):
+    """A narrow line: a pair of states that turns with a frequency and forgets its phase within a time."""
+
+    words: ClassVar[str] = "tone"
+
+    def parameters(self, bounds: Bounds) -> dict[str, Any]:
+        slowest, fastest = 1 / bounds.longest, 0.5 / bounds.shortest
+        return {
+            "noise.tone": bounds.correlated,
+            "noise.tone.frequency": LogUniform(min(slowest, 0.5 * fastest), fastest),
+            "noise.tone.time": LogUniform(bounds.shortest, bounds.longest),
+        }
+
+    def unit(self, name: str, output: str) -> str:
+        return {"noise.tone.frequency": "Hz", "noise.tone.time": "s"}.get(name, output)
+
+    def variance(self, values, bounds):
+        return values["noise.tone"] ** 2
+
+    def block(self, values, bounds, h):
+        turn = 2 * math.pi * values["noise.tone.frequency"] * h
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
+        turned = jnp.stack([jnp.stack([c, s], -1), jnp.stack([-s, c], -1)], -2)
+        root = plain.root[:, :, None] * jnp.eye(2)
+        return Block(plain.carry[:, :, None] * turned, root, plain.start * jnp.eye(2))
+
+    def allan(self, values, bounds, m, step):
+        a = step / values["noise.tone.time"] - 2j * math.pi * step * values["noise.tone.frequency"]
+        return values["noise.tone"] ** 2 * _exponential_complex(m, a).real
+
+
+class RoundedAngleTerm(NoiseTerm):
+    """Quantisation noise of IEEE 952, Q: readings are differences of an angle that each has an error of its own.
+
+    States: the difference of two errors, and the latter. It takes readings as evenly spaced.
+    """
+
+    words: ClassVar[str] = "quantisation"
+    symbol: ClassVar[str] = "Q"
+    bounded: ClassVar[bool] = True
+
+    def parameters(self, bounds: Bounds) -> dict[str, Any]:
+        return {"noise.quantisation": multiplied(bounds.correlated, bounds.shortest)}
+
+    def unit(self, name: str, output: str) -> str:
+        return f"{output}*s"
+
+    def variance(self, values, bounds):
+        return 2 * (values["noise.quantisation"] / bounds.shortest) ** 2
+
+    def block(self, values, bounds, h):
+        size = values["noise.quantisation"] / bounds.shortest
+        carry = jnp.broadcast_to(jnp.array([[0.0, -1.0], [0.0, 0.0]]), (*h.shape, 2, 2))
+        root = size * jnp.broadcast_to(jnp.array([[1.0, 0.0], [1.0, 0.0]]), (*h.shape, 2, 2))
+        return Block(carry, root, size * jnp.array([[1.0, 1.0], [1.0, 0.0]]))
+
+    def allan(self, values, bounds, m, step):
+        return 3 * (values["noise.quantisation"] / (m * step)) ** 2
+
+
+def _exponential_complex(m: Float[np.ndarray, "k"], a: Any) -> Any:
+    """The same of complex exponents, which keeps the imaginary part."""
+    return allan_of_exponential(np.asarray(m, complex), a)
+
+
+TERMS: dict[str, type[NoiseTerm]] = {
+    "correlated": CorrelatedTerm,
+    "smooth": SmoothTerm,
+    "walk": WalkTerm,
+    "flicker": FlickerTerm,
+    "tone": ToneTerm,
+    "quantisation": RoundedAngleTerm,
+}

@@ -1,0 +1,407 @@
+"""Noise that is a sum of terms, white and correlated, whitened by one Kalman filter."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayescal._data import unit_conversion
+from bayescal._model.correlated_noise import OrnsteinUhlenbeck
+from bayescal._model.frame import Frame
+from bayescal._model.noise_law import WHITE, Noise, Parameters, known_variance, offered
+from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
+from bayescal._model.prior import HalfCauchy, Positive
+from bayescal._model.static import set_once
+
+FEWEST = 200  # readings of the longest run, below which a second correlated term is not told from the first
+OFFERED = (  # what measured records show beside white noise (IEEE 952, and a unit on a temperature ramp)
+    ("walk",),
+    ("flicker",),
+    ("correlated", "correlated"),
+    ("correlated", "smooth"),
+)
+MOST_ALIKE = 3  # Ornstein–Uhlenbeck terms: more than that no record of a day tells apart
+
+
+class States(NamedTuple):
+    """All states of a sum, a row for each reading; those of a run's first reading begin anew.
+
+    Attributes:
+        carry: what is kept over the step before: of each state (n, p), or of all by all (n, p, p).
+        fresh: covariance of what is new: (n, p) of each state, or (n, p, p).
+        shown: how much of each state a reading shows (p,).
+    """
+
+    carry: Float[Array, "n *p"]
+    fresh: Float[Array, "n *p"]
+    shown: Float[np.ndarray, "p"]
+
+    @property
+    def apart(self) -> bool:
+        """Whether no state says anything of another's future."""
+        return self.carry.ndim == 2
+
+
+class SummedNoise(Noise):
+    """White noise and further terms, each stationary and independent of the others within each run.
+
+    Terms are, by name: "correlated" (Ornstein–Uhlenbeck; up to three, ordered by their times), "smooth" (Matérn-3/2),
+    "walk" (K of IEEE 952), "flicker" (B), "tone", "quantisation" (Q). White noise is always among them. Readings are
+    whitened by the Kalman filter, in time linear in their number, whatever their spacing.
+
+        bc.SummedNoise(step, span, ("walk", "correlated"))
+
+    Attributes:
+        shortest, longest: the usual step and the longest run, s: what correlation times a record can tell.
+        terms: which, beside white noise.
+        scale: prior of the white part's standard deviation, output unit.
+        correlated: prior of a correlated part's.
+
+    Raises:
+        ValueError: unknown terms, one twice that is there once, or bounds that are not in order.
+
+    Source: A. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), ch. 3.
+    """
+
+    shortest: float
+    longest: float
+    terms: tuple[str, ...]
+    scale: Positive = HalfCauchy(1.0)
+    correlated: Positive = HalfCauchy(1.0)
+    gaussian: ClassVar[bool] = True
+    law: ClassVar[str] = "sum"
+    looks_like: ClassVar[str] = "noise that is correlated in time, over more than one time"
+    independent: ClassVar[bool] = False
+    refines: ClassVar[str] = OrnsteinUhlenbeck.law
+
+    def __post_init__(self) -> None:
+        if not 0 < self.shortest < self.longest:
+            raise ValueError(
+                f"correlation times must be positive and in order, not {self.shortest} and {self.longest}"
+            )
+        if not self.terms:
+            raise ValueError(f"a sum needs terms besides white noise, of {', '.join(TERMS)}")
+        if unknown := [t for t in self.terms if t not in TERMS]:
+            raise ValueError(
+                f"no noise term is called {unknown[0]!r}: there are {', '.join(TERMS)}"
+            )
+        set_once(self, terms=tuple(sorted(self.terms, key=list(TERMS).index)))
+        for name, count in Counter(self.terms).items():
+            if count > (MOST_ALIKE if name == "correlated" else 1):
+                raise ValueError(f"the noise term {name!r} is there {count} times")
+
+    # what it is made of -----------------------------------------------------------------------------------------
+
+    @property
+    def parts(self) -> tuple[NoiseTerm, ...]:
+        """Its terms."""
+        return _parts(self.terms)
+
+    @property
+    def bounds(self) -> Bounds:
+        return Bounds(self.shortest, self.longest, self.correlated)
+
+    @property
+    def name(self) -> str:
+        return f"{self.law}({', '.join(self.terms)})"
+
+    @property
+    def in_words(self) -> str:
+        counts = Counter(p.words for p in self.parts)
+        return " + ".join(("white", *(f"{c} {w}" if c > 1 else w for w, c in counts.items())))
+
+    @property
+    def plain(self) -> Noise:
+        usual = super().plain
+        if any(part.bounded for part in self.parts):
+            return usual
+        return replace(usual, shortest=1.0, longest=2.0)
+
+    def parameters(self) -> dict[str, Any]:
+        found: dict[str, Any] = {WHITE: self.scale}
+        for part in self.parts:
+            found |= part.parameters(self.bounds)
+        return found
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        return (WHITE, *(next(iter(p.parameters(self.bounds))) for p in self.parts))
+
+    def unit(self, name: str, output: str) -> str:
+        part = next((p for p in self.parts if name in p.parameters(self.bounds)), None)
+        if part is None or (output == unit_conversion.ANY and name in self.amplitudes):
+            return output
+        return part.unit(name, output)
+
+    @property
+    def coefficients_in_time(self) -> dict[str, str]:
+        return {next(iter(p.parameters(self.bounds))): p.symbol for p in self.parts if p.symbol}
+
+    def derived(self, values):
+        host = {n: np.asarray(v, float) for n, v in values.items() if n in self.parameters()}
+        found: dict[str, Any] = {}
+        for part in self.parts:
+            found |= part.derived(host, self.bounds)
+        return found
+
+    # what it computes -------------------------------------------------------------------------------------------
+
+    def slow_variance(self, values: Parameters) -> Any:
+        """Of all terms but the white one, output unit squared."""
+        return sum((p.variance(values, self.bounds) for p in self.parts), 0.0)
+
+    def variance(self, parameters, frame):
+        return parameters[WHITE] ** 2 + known_variance(frame) + self.slow_variance(parameters)
+
+    def fresh_variance(self, values, step):
+        return values[WHITE] ** 2 + sum(p.fresh(values, self.bounds, step) for p in self.parts)
+
+    def states(self, parameters: Parameters, step: Float[Array, "n"]) -> States:
+        """Its states over steps, s; −1 where they begin."""
+        carry, root, shown = self._roots(parameters, step)
+        fresh = root**2 if root.ndim == 2 else root @ jnp.swapaxes(root, 1, 2)
+        return States(carry, fresh, shown)
+
+    def _roots(self, parameters: Parameters, step: Float[Array, "n"]) -> tuple[Any, Any, Any]:
+        """What is kept of the states; what is new in them, per independent standard normal number; which are shown."""
+        first = step < 0
+        h = jnp.where(first, 0.0, step)
+        blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
+        shown = [_shown(p, b.start.shape[0]) for p, b in zip(self.parts, blocks, strict=True)]
+        carry, root = [], []
+        for block in blocks:
+            wide = first.reshape(-1, *[1] * (block.carry.ndim - 1))
+            carry.append(jnp.where(wide, 0.0, block.carry))
+            root.append(jnp.where(wide, block.start, block.root))
+        apart = all(block.carry.ndim == 2 for block in blocks)
+        together = (lambda a: jnp.concatenate(a, 1)) if apart else _diagonal
+        return together(carry), together(root), np.concatenate(shown)
+
+    def whiten(self, columns, extra, parameters, frame):
+        white = parameters[WHITE] ** 2 + known_variance(frame) + extra
+        white = jnp.broadcast_to(white, (frame.size,))
+        return filtered(self.states(parameters, frame.step), white, columns)
+
+    def sample(self, key: Array, mean, parameters, frame):
+        of_white, of_states = jax.random.split(key)
+        carry, root, shown = self._roots(parameters, frame.step)
+        drawn = jax.random.normal(of_states, (frame.size, len(shown)))
+        push = root * drawn if root.ndim == 2 else jnp.einsum("nij,nj->ni", root, drawn)
+
+        def advance(state, step):
+            kept, own = step
+            made = (kept * state if kept.ndim == 1 else kept @ state) + own
+            return made, made @ jnp.asarray(shown)
+
+        _, slow = jax.lax.scan(advance, jnp.zeros(len(shown)), (carry, push))
+        own = jnp.sqrt(parameters[WHITE] ** 2 + known_variance(frame))
+        return mean + own * jax.random.normal(of_white, mean.shape) + slow
+
+    # what it says of a record -----------------------------------------------------------------------------------
+
+    def allan_variance(self, values, variance, factors, step):
+        """σ²/m of white noise, and what each term has."""
+        own = {n: np.asarray(values[n], float)[..., None] for n in self.parameters() if n in values}
+        slow = np.asarray(self.slow_variance(own), float)
+        white = np.maximum(np.asarray(variance)[..., None] - slow, 0.0)
+        return white / factors + sum(p.allan(own, self.bounds, factors, step) for p in self.parts)
+
+    def slow_part(
+        self,
+        values: Parameters,
+        time: Float[np.ndarray, "n"],
+        left: Float[np.ndarray, "n"],
+        white: Float[np.ndarray, "n"],
+        at: Float[np.ndarray, "m"],
+    ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+        """The Kalman filter over all these times, and the smoother back.
+
+        Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
+        """
+        grid = np.union1d(time, at)
+        states = self.states(values, jnp.asarray(np.diff(grid, prepend=grid[0] + 1.0)))
+        h, size = states.shown, len(states.shown)
+        carry, fresh = (
+            np.asarray(a if a.ndim == 3 else jax.vmap(jnp.diag)(a))
+            for a in (states.carry, states.fresh)
+        )
+        place, weight, pull = np.searchsorted(grid, time), np.zeros(grid.size), np.zeros(grid.size)
+        np.add.at(weight, place, 1 / white)
+        np.add.at(pull, place, left / white)
+        x, p = np.zeros(size), np.zeros((size, size))
+        means, spreads, steps = [], [], []
+        for t in range(grid.size):
+            x, p = carry[t] @ x, carry[t] @ p @ carry[t].T + fresh[t]
+            means.append(x)
+            spreads.append(p)
+            if weight[t] > 0:
+                column = p @ h
+                total = h @ column + 1 / weight[t]
+                new = pull[t] / weight[t] - h @ x
+                gain = column / total
+                x, p = x + gain * new, p - np.outer(gain, column)
+                steps.append((gain, new / total, 1 / total))
+            else:
+                steps.append((np.zeros(size), 0.0, 0.0))
+        mean, spread = np.empty(grid.size), np.empty(grid.size)
+        r, big = np.zeros(size), np.zeros((size, size))
+        for t in range(grid.size - 1, -1, -1):
+            gain, new, information = steps[t]
+            kept = np.eye(size) - np.outer(gain, h)
+            r = h * new + kept.T @ r
+            big = information * np.outer(h, h) + kept.T @ big @ kept
+            column = spreads[t] @ h
+            mean[t], spread[t] = h @ means[t] + column @ r, h @ column - column @ big @ column
+            r, big = carry[t].T @ r, carry[t].T @ big @ carry[t]
+        asked = np.searchsorted(grid, at)
+        return mean[asked], np.maximum(spread[asked], 0.0)
+
+
+def filtered(
+    states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
+) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
+    """Columns as the Kalman filter whitens them, and the logarithm of each reading's standard deviation by then.
+
+    Its variances and gains hang on no column: they are found first, once for all. With P that of the states given the
+    readings before: g = P·1 over the states shown, s = 1ᵀg + w of the reading, gain g/s; P goes on as
+    A·(P − g·gᵀ/s)·Aᵀ + what is new.
+
+    Args:
+        states: of a sum.
+        white: variance w of each reading by itself.
+        columns: in the order of time within runs.
+    """
+    shown, count = jnp.asarray(states.shown), len(states.shown)
+
+    def ahead(before, reading):
+        kept, fresh, own = reading
+        if states.apart:
+            made = kept[:, None] * before * kept + jnp.diag(fresh)
+        else:
+            made = _times(_times(kept, before), kept.T) + fresh
+        column = jnp.sum(made * shown, axis=1)
+        total = jnp.sum(column * shown) + own
+        gain = column / total
+        return made - gain[:, None] * column, (gain, total)
+
+    nothing = jnp.zeros((count, count))
+    _, (gain, total) = jax.lax.scan(ahead, nothing, (states.carry, states.fresh, white), unroll=2)
+
+    def further(last, reading):
+        kept, own, row = reading
+        made = kept[:, None] * last if states.apart else _times(kept, last)
+        new = row - jnp.sum(made * shown[:, None], axis=0)
+        return made + own[:, None] * new, new
+
+    start = jnp.zeros((count, columns.shape[1]))
+    _, new = jax.lax.scan(further, start, (states.carry, gain, columns), unroll=2)
+    log_sd = 0.5 * jnp.log(total)
+    return new * jnp.exp(-log_sd)[:, None], log_sd
+
+
+def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
+    """States of the means of so many readings each, evenly spaced: exact, whatever the terms.
+
+    One state more is the sum of what readings have shown since their mean began; a mean shows it over their number.
+    Steps are taken together by squaring, which adds variances and subtracts none.
+
+    Args:
+        states: over one step, of two readings: a run's first, and one after another.
+        count: readings in each mean.
+        first: whether a run begins with a mean (n,).
+    """
+    size = len(states.shown)
+    wide = (lambda a: jax.vmap(jnp.diag)(a)) if states.apart else (lambda a: a)
+    one, fresh = wide(states.carry), wide(states.fresh)
+    shown = jnp.asarray(states.shown)
+    lift = jnp.concatenate([jnp.eye(size), shown[None]])  # the sum goes on with what is shown
+
+    def step(kept, new):
+        beside = jnp.zeros((size + 1, 1)).at[-1, 0].set(1.0)
+        return jnp.concatenate([lift @ kept, beside], 1), lift @ new @ lift.T
+
+    def together(steps: int) -> tuple[Array, Array]:
+        whole, new = jnp.eye(size + 1), jnp.zeros((size + 1, size + 1))
+        power, own = step(one[1], fresh[1])
+        while steps:
+            if steps & 1:
+                whole, new = power @ whole, power @ new @ power.T + own
+            power, own = power @ power, power @ own @ power.T + own
+            steps >>= 1
+        return whole, new
+
+    started = lift @ fresh[0] @ lift.T
+    rest, of_rest = together(count - 1)
+    begun = rest @ started @ rest.T + of_rest
+    whole, new = together(count)
+    emptied = whole.at[:, -1].set(0.0)
+    begins = first[:, None, None]
+    carry = jnp.where(begins, 0.0, emptied)
+    return States(carry, jnp.where(begins, begun, new), np.append(np.zeros(size), 1 / count))
+
+
+@cache
+def _parts(terms: tuple[str, ...]) -> tuple[NoiseTerm, ...]:
+    seen: Counter[str] = Counter()
+    found = []
+    for name in terms:
+        seen[name] += 1
+        kind = TERMS[name]
+        found.append(kind(seen[name]) if kind is CorrelatedTerm else kind())
+    return tuple(found)
+
+
+def _shown(part: NoiseTerm, count: int) -> Float[np.ndarray, "k"]:
+    """1 for each of its states that a reading shows."""
+    found = np.zeros(count)
+    found[part.output if part.output is ... else list(part.output)] = 1.0
+    return found
+
+
+def _diagonal(blocks: list[Array]) -> Float[Array, "n p p"]:
+    """Blocks along the diagonal; those of one row each are diagonals themselves."""
+    count = sum(b.shape[1] for b in blocks)
+    made, at = jnp.zeros((blocks[0].shape[0], count, count)), 0
+    for block in blocks:
+        size = block.shape[1]
+        wide = block if block.ndim == 3 else block[:, :, None] * jnp.eye(size)
+        made = made.at[:, at : at + size, at : at + size].set(wide)
+        at += size
+    return made
+
+
+def over_octaves(scale: Positive, step: float, span: float, terms: tuple[str, ...]) -> SummedNoise:
+    """A sum whose times a record can tell. Bounds are whole octaves of a second: alike records share programs.
+
+    Args:
+        scale: prior of the standard deviation of each part, output unit.
+        step: usual time between neighbours, s.
+        span: of the longest run, s.
+        terms: beside white noise.
+    """
+    shortest, longest = 2.0 ** math.floor(math.log2(step)), 2.0 ** math.ceil(math.log2(span))
+    return SummedNoise(shortest, longest, terms, scale, scale)
+
+
+@offered
+def _of_two_or_more(scale: Positive, frame: Frame) -> list[Noise]:
+    """Where runs are long enough."""
+    steps = np.asarray(frame.step)
+    longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
+    if longest < FEWEST or not (steps > 0).any():
+        return []
+    step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
+    return [over_octaves(scale, step, span, terms) for terms in OFFERED]
+
+
+def _times(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:
+    """A product of small matrices, as one loop that the compiler fuses with its neighbours."""
+    return jnp.sum(a[:, :, None] * b[None], axis=1)

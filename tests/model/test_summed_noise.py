@@ -1,0 +1,319 @@
+"""A sum of noise terms is the Gaussian process that it claims to be, in time linear in the readings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._model.frame import Frame, build_frame, reference_of
+from bayescal._model.noise_law import Noise
+from bayescal._model.noise_terms import ENDLESS, FASTEST, RUNGS
+from bayescal._model.summed_noise import filtered, of_means
+from bayescal_models import still_sensor
+
+SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
+STEP, SPAN = 2.0, 150.0  # s
+VALUES = {
+    "noise.white": 0.3,
+    "noise.correlated1.diffusion": 0.2,
+    "noise.correlated1.time": 7.0,
+    "noise.correlated2.diffusion": 0.1,
+    "noise.correlated2.place": -0.3,
+    "noise.correlated3.diffusion": 0.05,
+    "noise.correlated3.place": 0.6,
+    "noise.smooth": 0.5,
+    "noise.smooth.time": 30.0,
+    "noise.walk": 0.04,
+    "noise.flicker": 0.25,
+    "noise.tone": 0.4,
+    "noise.tone.frequency": 0.07,
+    "noise.tone.time": 60.0,
+    "noise.quantisation": 0.35,
+}
+SUMS = [
+    ("correlated",),
+    ("walk",),
+    ("flicker",),
+    ("smooth",),
+    ("tone",),
+    ("correlated", "correlated"),
+    ("correlated", "walk"),
+    ("smooth", "correlated"),
+    ("tone", "smooth", "flicker", "walk", "correlated", "correlated", "correlated"),
+]
+name_of = "+".join
+
+
+def law_of(terms: tuple[str, ...]) -> bc.SummedNoise:
+    return bc.SummedNoise(STEP, SPAN, terms)
+
+
+def exponential(variance: float, time: float) -> Callable[[Any], Any]:
+    return lambda lag: variance * np.exp(-np.abs(lag) / time)
+
+
+def ladder_times() -> list[float]:
+    times = [FASTEST * STEP]
+    while times[-1] < SPAN:
+        times.append(times[-1] * RUNGS)
+    return times
+
+
+def covariance_of(term: str, place: int = 1) -> Callable[[Any], Any]:
+    """Of two readings some seconds apart, by the term's definition."""
+    at = VALUES
+    if term == "correlated":
+        time = at["noise.correlated1.time"]
+        for k in range(2, place + 1):
+            share = 0.5 * math.erfc(-at[f"noise.correlated{k}.place"] / math.sqrt(2))
+            time = math.exp((1 - share) * math.log(time) + share * math.log(SPAN))
+        return exponential(0.5 * at[f"noise.correlated{place}.diffusion"] ** 2 * time, time)
+    if term == "walk":
+        time = ENDLESS * SPAN
+        return exponential(0.5 * at["noise.walk"] ** 2 * time, time)
+    if term == "flicker":
+        each = at["noise.flicker"] ** 2 * math.log(RUNGS) / math.pi
+        return lambda lag: sum(exponential(each, time)(lag) for time in ladder_times())
+    if term == "smooth":
+        rate = math.sqrt(3) / at["noise.smooth.time"]
+        return lambda lag: (
+            at["noise.smooth"] ** 2 * (1 + rate * np.abs(lag)) * np.exp(-rate * np.abs(lag))
+        )
+    turn = 2 * math.pi * at["noise.tone.frequency"]
+    fading = exponential(at["noise.tone"] ** 2, at["noise.tone.time"])
+    return lambda lag: fading(lag) * np.cos(turn * lag)
+
+
+def slow_covariance(terms: tuple[str, ...], lag: np.ndarray) -> np.ndarray:
+    places = [terms[: i + 1].count(term) for i, term in enumerate(terms)]
+    parts = [covariance_of(t, p)(lag) for t, p in zip(terms, places, strict=True)]
+    return sum(parts, np.zeros(lag.shape))
+
+
+def two_runs(seed: int = 3) -> tuple[Frame, np.ndarray, np.ndarray]:
+    """60 readings at uneven times, three of them at one; 40 in one run, 20 in the other."""
+    random = np.random.default_rng(seed)
+    time = np.concatenate(
+        [np.sort(random.uniform(0, 90, 40)), np.sort(random.uniform(200, 260, 20))]
+    )
+    time[5] = time[6] = time[4]
+    time[21] = time[20] + 1e-4
+    labels = np.repeat(["a", "b"], [40, 20])
+    data = bc.Measurements.from_arrays(
+        SENSOR, run=labels, time=time, temperature=np.linspace(10.0, 50.0, 60), output=np.zeros(60)
+    )
+    return build_frame(data, reference_of(data)).in_time(), time, labels
+
+
+def in_jax(law: Noise) -> dict[str, Any]:
+    return {name: jnp.asarray(VALUES[name]) for name in law.parameters()}
+
+
+@pytest.mark.parametrize("terms", SUMS, ids=name_of)
+def test_whitened_by_the_filter_is_whitened_by_the_dense_covariance(terms, rng) -> None:
+    frame, _, _ = two_runs()
+    time, codes = np.asarray(frame["time"]), np.asarray(frame.codes["run"])
+    within = codes[:, None] == codes
+    extra = rng.uniform(0.0, 0.1, frame.size)
+    law = law_of(terms)
+    dense = within * slow_covariance(law.terms, time[:, None] - time)
+    np.testing.assert_allclose(
+        law.variance(in_jax(law), frame), np.diag(dense) + VALUES["noise.white"] ** 2, 1e-12
+    )
+    dense += np.diag(VALUES["noise.white"] ** 2 + extra)
+    columns = rng.standard_normal((frame.size, 3))
+    white, log_sd = law.whiten(jnp.asarray(columns), jnp.asarray(extra), in_jax(law), frame)
+    np.testing.assert_allclose(
+        white, np.linalg.solve(np.linalg.cholesky(dense), columns), rtol=1e-9, atol=1e-9
+    )
+    assert 2 * float(log_sd.sum()) == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-9)
+
+
+def test_quantisation_is_the_difference_of_errors_of_the_angle(rng) -> None:
+    n, q = 40, VALUES["noise.quantisation"] / STEP
+    data = bc.Measurements.from_arrays(
+        SENSOR, time=STEP * np.arange(n), temperature=np.linspace(10.0, 50.0, n), output=np.zeros(n)
+    )
+    frame, law = build_frame(data, reference_of(data)), law_of(("quantisation",))
+    dense = q**2 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    dense += VALUES["noise.white"] ** 2 * np.eye(n)
+    columns = rng.standard_normal((n, 2))
+    white, _ = law.whiten(jnp.asarray(columns), 0.0, in_jax(law), frame)
+    np.testing.assert_allclose(white, np.linalg.solve(np.linalg.cholesky(dense), columns), 1e-9)
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [("walk",), *(pytest.param(terms, marks=pytest.mark.slow) for terms in SUMS[-2:])],
+    ids=name_of,
+)
+def test_slopes_of_the_log_density_are_those_of_differences(terms, rng) -> None:
+    frame, _, _ = two_runs()
+    law, y = law_of(terms), jnp.asarray(rng.standard_normal(60))
+
+    def value(at: dict[str, Any]) -> Any:
+        return jnp.sum(law.log_density(y, jnp.zeros(60), at, frame))
+
+    at = in_jax(law)
+    slopes, compiled = jax.jit(jax.grad(value))(at), jax.jit(value)
+    for name, here in at.items():
+        step = 1e-5 * max(abs(float(here)), 0.1)
+        up, down = (compiled({**at, name: here + s}) for s in (step, -step))
+        assert float(slopes[name]) == pytest.approx(
+            float(up - down) / (2 * step), rel=1e-5, abs=1e-5
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("terms", [("smooth", "flicker"), ("tone", "correlated")], ids=name_of)
+def test_samples_have_the_covariance(terms, key) -> None:
+    frame, _, _ = two_runs()
+    time, codes = np.asarray(frame["time"]), np.asarray(frame.codes["run"])
+    law = law_of(terms)
+    exact = (codes[:, None] == codes) * slow_covariance(law.terms, time[:, None] - time)
+    exact += VALUES["noise.white"] ** 2 * np.eye(60)
+    draw = jax.jit(jax.vmap(lambda k: law.sample(k, jnp.zeros(60), in_jax(law), frame)))
+    made = np.asarray(draw(jax.random.split(key, 8000)))
+    # Five standard errors of the largest of 1830 covariances.
+    np.testing.assert_allclose(np.cov(made.T), exact, atol=5 * exact.max() * math.sqrt(2 / 8000))
+
+
+@pytest.mark.parametrize("terms", SUMS, ids=name_of)
+def test_the_allan_variance_is_that_of_the_covariance(terms) -> None:
+    law, factors, step = law_of(terms), 2.0 ** np.arange(6), 1.5
+    values = {name: VALUES[name] for name in law.parameters()}
+    found = law.allan_variance(values, 0.09 + law.slow_variance(values), factors, step)
+    for m, one in zip(factors.astype(int), found, strict=True):
+        time = step * np.arange(2 * m)
+        weight = np.repeat([1 / m, -1 / m], m)
+        dense = slow_covariance(law.terms, time[:, None] - time) + 0.09 * np.eye(2 * m)
+        assert one == pytest.approx(0.5 * weight @ dense @ weight, rel=1e-7)
+
+
+def test_allan_variances_of_the_coefficients_of_ieee_952() -> None:
+    """K²·τ/3, (2·ln 2/π)·B² and 3·Q²/τ², within what steps of the ladder and sampling leave."""
+    m, step = np.array([128.0]), 1.0
+    cases = {"walk": 0.04**2 * 128 / 3, "flicker": 2 * math.log(2) / math.pi * 0.25**2}
+    for term, expected in cases.items():
+        law = bc.SummedNoise(step, 4000.0, (term,))
+        found = law.allan_variance(VALUES, law.slow_variance(VALUES), m, step)
+        assert float(found[0]) == pytest.approx(expected, rel=0.015)
+    law = bc.SummedNoise(step, 4000.0, ("quantisation",))
+    found = law.allan_variance(VALUES, law.slow_variance(VALUES), m, step)
+    assert float(found[0]) == pytest.approx(3 * (0.35 / 128) ** 2, rel=1e-12)
+
+
+def test_a_smooth_process_has_its_series_where_exponentials_cancel() -> None:
+    law = law_of(("smooth",))
+    slow = {"noise.white": 0.3, "noise.smooth": 0.5, "noise.smooth.time": math.sqrt(3) * STEP}
+    found = []
+    for time in (0.999e3, 1.001e3):  # on both sides of where the series takes over, m = 1
+        values = {**slow, "noise.smooth.time": math.sqrt(3) * STEP * time}
+        made = law.allan_variance(values, law.slow_variance(values), np.array([1.0]), STEP)
+        found.append(float(made[0]) * time**2)
+    assert found[0] == pytest.approx(found[1], rel=3e-4)
+
+
+@pytest.mark.parametrize("terms", SUMS, ids=name_of)
+def test_the_slow_part_between_and_beyond_readings_is_that_of_the_dense_process(terms, rng) -> None:
+    time = np.sort(rng.uniform(0, 100, 30))
+    time[5] = time[4]
+    at = np.concatenate([rng.uniform(-10, 130, 9), time[7:9], time[4:5]])
+    left, white = rng.normal(size=30), rng.uniform(0.02, 0.2, 30)
+    law = law_of(terms)
+    values = {name: VALUES[name] for name in law.parameters()}
+    across = slow_covariance(law.terms, at[:, None] - time)
+    share = across @ np.linalg.inv(
+        slow_covariance(law.terms, time[:, None] - time) + np.diag(white)
+    )
+    mean, variance = law.slow_part(values, time, left, white, at)
+    np.testing.assert_allclose(mean, share @ left, rtol=1e-8, atol=1e-10)
+    own = slow_covariance(law.terms, at[:, None] - at)
+    np.testing.assert_allclose(variance, np.diag(own - share @ across.T), rtol=1e-7)
+
+
+# What it says of itself.
+
+
+def test_times_are_in_order_whatever_their_coordinates(rng) -> None:
+    law = law_of(("correlated",) * 3)
+    priors = law.parameters()
+    values = {n: p.value(rng.standard_normal(500) * 3) for n, p in priors.items()}
+    made = law.derived(values)
+    first, second, third = (
+        values["noise.correlated1.time"],
+        made["noise.correlated2.time"],
+        made["noise.correlated3.time"],
+    )
+    assert (first >= STEP).all() and (third <= SPAN * (1 + 1e-12)).all()
+    rounding = 1 + 1e-12
+    assert (first <= second * rounding).all() and (second <= third * rounding).all()
+
+
+def test_a_sum_says_its_name_units_and_coefficients() -> None:
+    law = law_of(("walk", "correlated", "flicker", "correlated", "quantisation"))
+    assert law.terms == ("correlated", "correlated", "walk", "flicker", "quantisation")
+    assert law.name == "sum(correlated, correlated, walk, flicker, quantisation)"
+    assert law.in_words == "white + 2 Ornstein–Uhlenbeck + random walk + flicker + quantisation"
+    units = {name: law.unit(name, "ug") for name in law.parameters()}
+    assert units == {
+        "noise.white": "ug",
+        "noise.correlated1.diffusion": "ug/s^0.5",
+        "noise.correlated1.time": "s",
+        "noise.correlated2.diffusion": "ug/s^0.5",
+        "noise.correlated2.place": "1",
+        "noise.walk": "ug/s^0.5",
+        "noise.flicker": "ug",
+        "noise.quantisation": "ug*s",
+    }
+    assert law.coefficients_in_time == {
+        "noise.walk": "K",
+        "noise.flicker": "B",
+        "noise.quantisation": "Q",
+    }
+
+
+def test_laws_of_the_same_terms_share_their_programs() -> None:
+    one, other = (
+        bc.SummedNoise(s, 100 * s, ("smooth", "correlated"), bc.HalfCauchy(s)) for s in (1.0, 3.0)
+    )
+    assert one.plain == other.plain
+
+
+@pytest.mark.parametrize(
+    ("terms", "said"),
+    [
+        ((), "besides white noise"),
+        (("wander",), "'wander': there are correlated, smooth, walk"),
+        (("walk", "walk"), "'walk' is there 2 times"),
+        (("correlated",) * 4, "'correlated' is there 4 times"),
+    ],
+)
+def test_a_sum_that_cannot_be_told_is_refused(terms, said) -> None:
+    with pytest.raises(ValueError, match=said):
+        law_of(terms)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("terms", [("walk", "flicker"), ("smooth", "tone")], ids=name_of)
+def test_means_are_whitened_by_their_dense_covariance(terms, rng) -> None:
+    law, count, runs = law_of(terms), 5, (4, 3)
+    time = STEP * np.arange(count * sum(runs)) + np.repeat([0.0, 500.0], count * np.array(runs))
+    within = np.repeat([0, 1], count * np.array(runs))
+    dense = (within[:, None] == within) * slow_covariance(law.terms, time[:, None] - time)
+    dense += VALUES["noise.white"] ** 2 * np.eye(time.size)
+    average = np.kron(np.eye(sum(runs)), np.full(count, 1 / count))
+    columns = rng.standard_normal((sum(runs), 2))
+    exact = np.linalg.solve(np.linalg.cholesky(average @ dense @ average.T), columns)
+    first = jnp.asarray(np.isin(np.arange(sum(runs)), (0, runs[0])))
+    states = of_means(law.states(in_jax(law), jnp.array([-1.0, STEP])), count, first)
+    white = jnp.full(sum(runs), VALUES["noise.white"] ** 2 / count)
+    found, _ = filtered(states, white, jnp.asarray(columns))
+    np.testing.assert_allclose(found, exact, rtol=1e-9, atol=1e-9)
