@@ -15,7 +15,6 @@ from benchmarks import __main__ as command
 ROOT = Path(__file__).resolve().parents[2]
 OWN = ("bayescal", "benchmarks")  # and bayescal_models
 FILES = sorted((ROOT / "benchmarks").rglob("*.py"))
-MOST = 12  # modules in a folder, its docstring's not counted
 
 
 def functions_of(module: str) -> set[str]:
@@ -53,10 +52,8 @@ def test_code_for_other_processes_names_what_is_there() -> None:
     assert all(name in functions_of(module) for module, name in found), found
 
 
-def test_folders_are_small_and_say_what_they_claim() -> None:
+def test_folders_say_what_they_claim() -> None:
     for folder in {file.parent for file in FILES}:
-        inside = [file for file in folder.glob("*.py") if file.name != "__init__.py"]
-        assert len(inside) <= MOST, folder
         assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))), folder
 
 
