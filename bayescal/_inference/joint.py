@@ -14,7 +14,6 @@ from bayescal._inference.gaussian import LOG_2PI, Drawn
 from bayescal._inference.mode import Mode
 from bayescal._inference.noise_on_record import total_log_density, variance
 from bayescal._inference.terms import ColumnsOf, Term
-from bayescal._model.noise_law import Noise
 
 FREEDOM = 5  # of the Student-t proposals
 Batch = Mapping[str, np.ndarray | float]  # φ by name, one value a draw, or one for all
@@ -27,6 +26,7 @@ def draw_joint(
     normal: Float[np.ndarray, "b p"],
     hyper: Batch,
     exact: bool,
+    heavy: bool,
     random: np.random.Generator,
 ):
     """x and the per-reading coefficients given each φ, and the log ratio of the true joint density to what they are
@@ -39,6 +39,7 @@ def draw_joint(
         normal: by these numbers; see `normal_numbers`.
         hyper: φ by name, one value a draw.
         exact: whether the closed form was that of φ itself.
+        heavy: whether these numbers are Student-t.
         random: for the per-reading coefficients.
 
     Returns:
@@ -54,7 +55,7 @@ def draw_joint(
     if width:
         rows, volume = _draw_rows(assembly, mode, x, hyper, own)
         log_volume, squares = log_volume + volume, squares + np.sum(own**2, axis=(1, 2))
-    log_drawn = _log_density(squares, normal.shape[1] + size * width, assembly.noise) - log_volume
+    log_drawn = _log_density(squares, normal.shape[1] + size * width, heavy) - log_volume
     left = assembly.record.y - expected(assembly, x, rows, hyper)
     prior = -0.5 * (found.squares + LOG_2PI * np.sum(assembly.weight_of_x))
     if width:
@@ -65,17 +66,17 @@ def draw_joint(
     return x, rows, true + prior - log_drawn - found.log_marginal
 
 
-def normal_numbers(assembly: Assembly, count: int, random: np.random.Generator) -> np.ndarray:
+def normal_numbers(size: int, count: int, heavy: bool, random: np.random.Generator) -> np.ndarray:
     """What x is drawn by (b, p): standard normal, or Student-t, where the posterior has heavier tails than its fit."""
-    normal = random.standard_normal((count, assembly.size))
-    if not assembly.noise.gaussian:
+    normal = random.standard_normal((count, size))
+    if heavy:
         normal *= np.sqrt(FREEDOM / random.chisquare(FREEDOM, count))[:, None]
     return normal
 
 
-def _log_density(squares: Float[np.ndarray, "b"], dim: int, noise: Noise) -> np.ndarray:
+def _log_density(squares: Float[np.ndarray, "b"], dim: int, heavy: bool) -> np.ndarray:
     """Of the numbers that x is placed by: standard normal, or Student-t."""
-    if noise.gaussian:
+    if not heavy:
         return -0.5 * (squares + dim * LOG_2PI)
     half = 0.5 * (FREEDOM + dim)
     norm = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dim * math.log(FREEDOM * math.pi)

@@ -54,9 +54,9 @@ class Marginal(Method):
         proposals: importance proposals of the final round; None for 8192, fewer where each costs a pass over many
             readings.
         rounds: of adaptation at most; none follows one whose weights are even.
-        sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7 (0.5, if the model
-            is nonlinear), for five minutes at most where no time limit says otherwise; "nuts" for NUTS on all unknowns,
-            coefficients whitened.
+        sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7 (if the model is nonlinear,
+            above 0.5 coefficients are first proposed anew with heavier tails), for five minutes at most where no time
+            limit says otherwise; "nuts" for NUTS on all unknowns, coefficients whitened.
         promote: names of coefficients to sample with φ because their product with another unknown matters;
             None chooses them by the size of the second-order term.
     """
@@ -86,6 +86,8 @@ class Marginal(Method):
 
         with stage("sampling"):
             judged = self._sampled(assembly, mode, seed, result)
+            if judged.limit < judged.k_hat <= trust.K_HAT and not layout.row_blocks:
+                judged = self._sampled(assembly, mode, seed, result, heavy=True)
         if not judged.why_not:
             return result(judged)
         deadline.offer(partial(result, judged))
@@ -105,18 +107,25 @@ class Marginal(Method):
         return replace(found, verdict=replace(found.verdict, notes=notes))
 
     def _sampled(
-        self, assembly: Assembly, mode: Mode, seed: int, result: Callable[[_Judged, str], Outcome]
+        self,
+        assembly: Assembly,
+        mode: Mode,
+        seed: int,
+        result: Callable[[_Judged, str], Outcome],
+        heavy: bool = False,
     ) -> _Judged:
         """Joint draws with their weights, and why these are not to be trusted.
 
         Where proposals do not suffice, twice as many are tried: up to the usual number, and beyond it as long as k̂ says
-        that the weights are sound.
+        that the weights are sound. `heavy`: coefficients proposed with tails that are not too thin for a nonlinear
+        model, where the usual bound of k̂ holds.
         """
         proposals, most = self.proposals, MOST
         if width := len(assembly.row_sd):
             most = min(MOST, NUMBERS // (assembly.record.size * width))
         while True:
-            judged = _judged(weighted_draws(assembly, mode, seed, proposals, self.rounds))
+            found = weighted_draws(assembly, mode, seed, proposals, self.rounds, heavy)
+            judged = _judged(found, heavy)
             tried = len(judged.weights)
             limit = PROPOSALS if self.proposals is None else 0
             expected = effective_size(judged.weights) / tried * most
@@ -201,10 +210,11 @@ class _Judged(NamedTuple):
     why_not: str
 
 
-def _judged(found: WeightedDraws) -> _Judged:
+def _judged(found: WeightedDraws, heavy: bool = False) -> _Judged:
     weights, k_hat = smoothed(found.log_weight)
     of_phi, _ = smoothed(found.log_weight_phi)
-    limit = trust.largest_k_hat(found.log_weight - found.log_weight_phi, of_phi)
+    correction = found.log_weight - found.log_weight_phi
+    limit = trust.K_HAT if heavy else trust.largest_k_hat(correction, of_phi)
     why_not = trust.unevenness(weights, k_hat, limit=limit)
     return _Judged(found, weights, k_hat, limit, why_not)
 

@@ -245,7 +245,12 @@ def explore(
 
 @on_one_thread
 def weighted_draws(
-    assembly: Assembly, mode: Mode, seed: int, proposals: int | None, rounds: int
+    assembly: Assembly,
+    mode: Mode,
+    seed: int,
+    proposals: int | None,
+    rounds: int,
+    heavy: bool = False,
 ) -> WeightedDraws:
     """Adapt, then sample. The same numbers for the same seed.
 
@@ -255,6 +260,7 @@ def weighted_draws(
         seed: of every random number.
         proposals: of the final round, half as many in each round of adaptation; by their cost if not given.
         rounds: of adaptation at most.
+        heavy: whether coefficients are proposed with the tails of Student-t; always where the noise is not Gaussian.
 
     Raises:
         TimeIsUp: the deadline came first.
@@ -265,7 +271,8 @@ def weighted_draws(
         proposals = proposals_of(density)
     share = _prior_share(assembly)
     v, log_proposal = explore(mode, density.values, share, random, proposals, rounds)
-    return _placed(density, v, log_proposal, random)
+    heavy = heavy or not assembly.noise.gaussian
+    return _placed(density, v, log_proposal, heavy, random)
 
 
 def proposals_of(density: ManyPhi) -> int:
@@ -279,7 +286,9 @@ def proposals_of(density: ManyPhi) -> int:
     return FEWER if long and not (density.exact and assembly.affine) else PROPOSALS
 
 
-def _placed(density: ManyPhi, v, log_proposal, random: np.random.Generator) -> WeightedDraws:
+def _placed(
+    density: ManyPhi, v, log_proposal, heavy: bool, random: np.random.Generator
+) -> WeightedDraws:
     """Coefficients drawn for each φ that counts, and the weights of both."""
     mode = density.mode
     count, (size, width) = len(v), mode.point.rows.shape
@@ -291,7 +300,7 @@ def _placed(density: ManyPhi, v, log_proposal, random: np.random.Generator) -> W
     together = max(32, min(density.together, IN_CACHE // size))
     for stretch in np.array_split(np.arange(count), -(-count // together)):
         deadline.current().ask()
-        normal = normal_numbers(density.assembly, len(stretch), random)
+        normal = normal_numbers(density.assembly.size, len(stretch), heavy, random)
         log_phi, found = density.at(v[stretch], normal)
         log_weight_phi[stretch] = of_phi = log_phi - log_proposal[stretch]
         highest = max(highest, float(np.max(of_phi)))
@@ -300,7 +309,7 @@ def _placed(density: ManyPhi, v, log_proposal, random: np.random.Generator) -> W
             continue
         pick, found, normal = stretch[counting], found.of(counting), normal[counting]
         of_phi = log_weight_phi[pick]
-        args = density, v[pick], found, normal, of_phi, judged, random
+        args = density, v[pick], found, normal, of_phi, judged, heavy, random
         drawn, own, correction = _drawn(*args)
         some = np.isfinite(correction)
         x[pick[some]] = drawn[some]
@@ -314,7 +323,9 @@ def _placed(density: ManyPhi, v, log_proposal, random: np.random.Generator) -> W
     )
 
 
-def _drawn(density: ManyPhi, v, found: Drawn, normal, of_phi, judged: Corrections, random):
+def _drawn(
+    density: ManyPhi, v, found: Drawn, normal, of_phi, judged: Corrections, heavy: bool, random
+):
     """x, per-reading coefficients and corrections of draws, as `draw_joint`; the same correction where it is known.
 
     Where polynomials end it is not: there each draw has its own.
@@ -322,7 +333,7 @@ def _drawn(density: ManyPhi, v, found: Drawn, normal, of_phi, judged: Correction
     assembly, mode, exact = density.assembly, density.mode, density.exact
     hyper, inside = assembly.hyper(v.T), density.inside(v)
     if exact or len(assembly.row_sd) or not judged.alike:
-        made = draw_joint(assembly, mode, found, normal, hyper, exact, random)
+        made = draw_joint(assembly, mode, found, normal, hyper, exact, heavy, random)
         judged.add(of_phi[inside], made[2][inside])
         return made
     x = found.x.copy()
@@ -331,7 +342,7 @@ def _drawn(density: ManyPhi, v, found: Drawn, normal, of_phi, judged: Correction
         out = ~inside
         hyper = assembly.hyper(v[out].T)
         some = found.of(out), normal[out]
-        made = draw_joint(assembly, mode, *some, hyper, exact, random)
+        made = draw_joint(assembly, mode, *some, hyper, exact, heavy, random)
         x[out], rows[out], correction[out] = made
     return x, rows, correction
 
