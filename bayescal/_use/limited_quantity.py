@@ -30,6 +30,7 @@ from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.conformity import DrawnQuantity, Limits
 from bayescal._use.inputs import limits as calibrated_limits
 from bayescal._use.limit import LimitedRange, SpreadOfDevices, StatedLimit
+from bayescal._use.provenance import bias_only
 
 READING, MEAN = "corrected reading", "corrected mean"
 ALL = 10**9  # draws: every one there is
@@ -261,7 +262,14 @@ def limited_quantity(
     places = {n: np.full(size, v) for n, v in point.items()}
     places |= {n: g.ravel() for (n, _, _), g in zip(ranges, grid, strict=True)}
     # Where a range leaves what was calibrated is said by `not_covered`, in its own words.
-    said = [n for n in notes_on(chosen, point) if "outside its calibrated range" not in n]
+    beside = (
+        {bias_only(chosen.stimulus)} if limit.quantity in slots else set()
+    )  # is of a correction
+    said = [
+        n
+        for n in notes_on(chosen, point)
+        if "outside its calibrated range" not in n and n not in beside
+    ]
     return QuantityInUse(
         limit=limit,
         limits=_limits(limit, unit, local_gravity),

@@ -373,3 +373,16 @@ def test_at_the_stated_date_as_many_devices_conform_as_stated() -> None:
         conform.append(stats.norm.cdf((12 - y) / spread) - stats.norm.cdf((-12 - y) / spread))
     assert len(conform) > 100
     assert 0.93 <= np.mean(conform) <= 0.97, f"{np.mean(conform):.3f} of {len(conform)}"
+
+
+# In the report.
+
+
+def test_the_report_begins_with_what_is_decided(gyro, tmp_path) -> None:
+    found = bc.decide(gyro, ["bias: 20..24 °/s", "scale.constant: ±150 ppm"])
+    text = bc.report(gyro, tmp_path / "report.html", decisions=found).read_text("utf-8")
+    section = text.partition('id="decisions"')[2].partition("</section>")[0]
+    assert "Not every limit is shown to be met" in section and found.rule_in_words in section
+    assert "scale.constant: ±150 ppm" in section and "undecided" in section
+    assert text.index('id="decisions"') < text.index('id="c1-summary"')
+    assert 'id="decisions"' not in bc.report(gyro, tmp_path / "plain.html").read_text("utf-8")
