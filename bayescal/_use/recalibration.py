@@ -17,6 +17,8 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.mixture import inclusion
+from bayescal._model.departure import Departure
+from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._use.conformity import Limits
 from bayescal._use.limited_quantity import LimitedQuantity
@@ -135,11 +137,19 @@ def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: floa
     if not quantity.follows_time:
         return f"the model cannot say when: nothing in it that acts on {name} changes with the time of the record"
     # What is less probable than a failure at the stated probability cannot decide about the date.
-    likely = [name for name, share in inclusion(calibration).items() if share > 1 - stated]
-    forms = [name for name in likely if (covariate_in(name) or "").startswith("time")]
+    shares = inclusion(calibration)
+    likely = (e for e in calibration.model.effects if shares[e.name] > 1 - stated)
+    forms = [e.name for e in likely if _describes_the_record(e)]
     if forms:
         return f"the model cannot say when: {forms[0]} describes the record and is no law of what comes after it"
     return ""
+
+
+def _describes_the_record(effect: Effect) -> bool:
+    """Whether an effect is a form in time that the readings drew, which ends with them."""
+    if isinstance(effect, Departure):
+        return effect.along == "time"
+    return (covariate_in(effect.name) or "").startswith("time")
 
 
 def in_words(seconds: float) -> str:

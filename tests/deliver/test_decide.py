@@ -405,6 +405,14 @@ def test_a_drift_sets_the_date(tmp_path) -> None:
     assert found.recalibration.date == date and date in str(found.recalibration)
 
 
+def test_a_curve_in_time_is_no_law_of_the_future() -> None:
+    readings, *_ = level(2)
+    model = LEVEL.baseline() - "zero.drift" + "unknown(time)"
+    (found,) = bc.decide(bc.fit(model, readings, bc.LeastSquares()), "zero: ±12 arcsec").decisions
+    assert found.recalibration.after is None
+    assert "unknown(time) describes the record" in found.recalibration.why_not
+
+
 @pytest.mark.slow
 def test_at_the_stated_date_as_many_devices_conform_as_stated() -> None:
     """200 levels with drift and runs, priors as they are made: at each date a new run is inside ±12 arcsec.
