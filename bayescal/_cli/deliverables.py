@@ -229,12 +229,8 @@ def decide(
             show_default=False,
         ),
     ],
-    rule: Annotated[
-        str, typer.Option("--rule", help="guarded, simple or shared-risk: as agreed on beforehand.")
-    ] = "guarded",
-    false_accept: Annotated[
-        float, typer.Option("--false-accept", help="Probability that 'guarded' allows.")
-    ] = 0.025,
+    rule: options.Rule = "guarded",
+    false_accept: options.FalseAccept = 0.025,
     population: Annotated[
         list[str] | None,
         typer.Option(
@@ -299,16 +295,34 @@ def report(
     ),
     title: Annotated[str, typer.Option("--title", help="Of the report.")] = "",
     certificate: options.Certificate = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--limit", help="Also decide whether it conforms, as `bayescal decide`; of one result."
+        ),
+    ] = None,
+    rule: options.Rule = "guarded",
+    false_accept: options.FalseAccept = 0.025,
     own: OwnParts,
     json_: options.Json = False,
 ) -> None:
     """Write the report for sign-off: a one-page summary with appendices, in one HTML file."""
-    from bayescal._cli.saved import chapters_from
+    from bayescal._cli import saved
     from bayescal._report.certificate import read_certificate
 
     stated = read_certificate(certificate) if certificate else None
-    given = chapters_from(calibrations, own)
-    written = bc.report(given, out, title=title, certificate=stated)
+    given = saved.chapters_from(calibrations, own)
+    decided = None
+    if limit:
+        decided = bc.decide(
+            saved.load_decided(calibrations, own),
+            limit,
+            rule=rule,  # pyright: ignore[reportArgumentType]  refused there if it is none
+            false_accept=false_accept,
+        )
+    written = bc.report(given, out, title=title, certificate=stated, decisions=decided)
     reasons = [reason for c in given for reason in c.data["verdict"]["reasons"]]
     print_result({"file": str(written), "chapters": len(given)} if json_ else f"written: {written}")
     exit_unless(all(c.data["verdict"]["ok"] for c in given), " ".join(reasons))
+    if decided is not None:
+        exit_unless_conforms(decided)

@@ -278,6 +278,16 @@ Certificate = Annotated[
         "standards, dates.",
     ),
 ]
+Rule = Annotated[
+    str,
+    typer.Option(
+        "--rule", help="Of decisions: guarded, simple or shared-risk, as agreed on beforehand."
+    ),
+]
+FalseAccept = Annotated[
+    float,
+    typer.Option("--false-accept", help="Probability of a false acceptance that 'guarded' allows."),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
 Folder = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
 Verbose = Annotated[

@@ -66,6 +66,19 @@ def compensator_from(path: Path, own: UsedParts, members: list[str] | None) -> C
     return compensator(load_saved(path, own), members=named_values(members, "--member"))
 
 
+def load_decided(paths: list[Path], own: OwnParts) -> Calibration:
+    """The one calibration of a report that decisions are about: the average over structures, where there is one.
+
+    Raises:
+        InputError: there are several, or it cannot be loaded.
+    """
+    if len(paths) != 1:
+        raise InputError(
+            f"--limit decides about one result, {len(paths)} were given: report each by itself"
+        )
+    return load_saved(paths[0], UsedParts(own.effects_file, own.instrument))
+
+
 def population_of(given: list[str] | None) -> Population | list[str] | None:
     """Devices of one kind: the population that `bayescal batch` learned, or as they were written.
 

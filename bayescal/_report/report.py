@@ -25,6 +25,7 @@ from bayescal._report.section import Chapter, chapters, taken
 from bayescal._report.under_way import RESULT
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
+from bayescal._use.decision import Decisions, decision_cells
 
 MANY = 60  # rows of a table of candidates or coefficients that are shown
 
@@ -36,6 +37,7 @@ def report(
     title: str = "",
     effects: Iterable[Effect] = (),
     certificate: str | Path | Certificate | None = None,
+    decisions: Decisions | None = None,
 ) -> Path:
     """Write the report for sign-off.
 
@@ -49,6 +51,7 @@ def report(
             calibrations has are so anyway.
         certificate: TOML file of what a certificate states beside the numbers: device, serial number, place,
             operator, ambient conditions, standards, dates.
+        decisions: about limits, as `bc.decide` made them: they stand before everything else, with their rule.
 
     Returns:
         The path.
@@ -71,7 +74,7 @@ def report(
         stated = read_certificate(stated)
     found = chapters(taken(given), effects)
     try:
-        text = page(found, title, stated)
+        text = page(found, title, stated, decisions)
     except (
         TemplateError,
         LookupError,
@@ -90,7 +93,12 @@ def report(
     return write_text(text, path)
 
 
-def page(found: list[Chapter], title: str = "", certificate: Certificate | None = None) -> str:
+def page(
+    found: list[Chapter],
+    title: str = "",
+    certificate: Certificate | None = None,
+    decisions: Decisions | None = None,
+) -> str:
     """The report as HTML."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # only a report needs it
 
@@ -107,6 +115,7 @@ def page(found: list[Chapter], title: str = "", certificate: Certificate | None 
         "probability": probability,
         "minus": lambda text: text.replace("-", "−"),
         "measured": tables.measured,
+        "zip": zip,
     }
     pictures = figures.Pictures()
     return environment.get_template("report.html.j2").render(
@@ -115,6 +124,8 @@ def page(found: list[Chapter], title: str = "", certificate: Certificate | None 
         chapters=[_chapter(c, pictures) for c in found],
         k=tables.K,
         certificate=certificate.rows() if certificate else [],
+        decisions=decisions,
+        decided=[] if decisions is None else [decision_cells(d) for d in decisions.decisions],
     )
 
 

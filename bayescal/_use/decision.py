@@ -139,17 +139,19 @@ def worst(d: Decision) -> float:
     return high if d.tolerance.high - high <= low - d.tolerance.low else low
 
 
-def _text(found: Decisions) -> str:
-    rows = [
-        [
-            d.limit,
-            f"{with_error(worst(d), d.uncertainty)} {unit_label(d.unit)}".strip(),
-            percent(d.probability, d.probability_error),
-            _accepted(d),
-            d.decision,
-        ]
-        for d in found.decisions
+def decision_cells(d: Decision) -> list[str]:
+    """Limit, estimate, probability of conformity, accepted estimates and decision, as people read them."""
+    return [
+        d.limit,
+        f"{with_error(worst(d), d.uncertainty)} {unit_label(d.unit)}".strip(),
+        percent(d.probability, d.probability_error),
+        _accepted(d),
+        d.decision,
     ]
+
+
+def _text(found: Decisions) -> str:
+    rows = [decision_cells(d) for d in found.decisions]
     head = ["limit", "estimate", "p(conforms)", "accepted from … to", "decision"]
     parts = [_fill(f"Decision rule: {found.rule_in_words}."), table(head, rows)]
     parts += ["\n".join(_fill(line) for line in _said(d)) for d in found.decisions]

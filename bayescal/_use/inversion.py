@@ -112,20 +112,29 @@ def first_order(
 
 
 @compiled
-def errors_over_draws(
-    equation: OperatingEquation, reference, affine: bool, theta, mean, stimulus, inputs
-):
+def errors_over_draws(equation: OperatingEquation, reference, theta, mean, stimulus, inputs):
     """Corrected reading minus stimulus where θ is what a draw says and the correction is made with its mean, (d, n).
 
-    With them 1/|slope| of the output by the stimulus, (n,). A reading has no noise here.
+    With them 1/|slope| of the output by the stimulus, (n,). A reading has no noise here. Two of Newton's steps from the
+    stimulus itself: exact where the output is a straight line in it, else to the fourth order in the error.
     """
+    middle = _named(equation, mean)
 
     def error(one):
         named = _named(equation, one)
-        output = jax.vmap(lambda s, i: equation.point(named, s, i, reference))(stimulus, inputs)
-        return _invert(equation, reference, affine, mean, output, inputs)[0] - stimulus
 
-    middle = _named(equation, mean)
+        def at(s, inputs):
+            target = equation.point(named, s, inputs, reference)
+            found = s
+            for _ in range(2):
+                value, slope = jax.value_and_grad(equation.point, argnums=1)(
+                    middle, found, inputs, reference
+                )
+                found = found - (value - target) / slope
+            return found - s
+
+        return jax.vmap(at)(stimulus, inputs)
+
     slope = jax.vmap(jax.grad(lambda s, i: equation.point(middle, s, i, reference)))(
         stimulus, inputs
     )

@@ -26,10 +26,13 @@ from bayescal._data.unit_conversion import convert, same_dimension, unit_label
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._use import inversion
 from bayescal._use.budget_notes import notes_on
-from bayescal._use.compensator import Compensator, compensator
+from bayescal._use.compensator import Compensator
 from bayescal._use.conformity import DrawnQuantity, Limits
+from bayescal._use.inputs import PAST
 from bayescal._use.inputs import limits as calibrated_limits
 from bayescal._use.limit import LimitedRange, SpreadOfDevices, StatedLimit
+from bayescal._use.operating_equation import equation_in_use
+from bayescal._use.provenance import bias_only
 
 READING, MEAN = "corrected reading", "corrected mean"
 ALL = 10**9  # draws: every one there is
@@ -202,9 +205,7 @@ class QuantityInUse(LimitedQuantity):
             found = inversion.slots_over_draws(*start, name, draws, stimulus, inputs)
             return np.asarray(found), 0.0
         mean = jnp.asarray(moments.mean)
-        found, inclination = inversion.errors_over_draws(
-            *start, inverse.affine, draws, mean, stimulus, inputs
-        )
+        found, inclination = inversion.errors_over_draws(*start, draws, mean, stimulus, inputs)
         noise = chosen.noise * float(np.max(inclination)) if self.limit.quantity == READING else 0.0
         return np.asarray(found), noise
 
@@ -232,8 +233,9 @@ def limited_quantity(
     slots = {s.name: s.unit for s in instrument.slots}
     if limit.quantity not in (READING, MEAN, *slots):
         return _unknown(calibration, limit, local_gravity)
-    chosen = compensator(calibration, draws=ALL, members=members)
-    equation = chosen._equation
+    # All structures: what the less probable ones need is no reason to leave them out, as it is for firmware.
+    equation = equation_in_use(calibration, members)
+    chosen = Compensator(calibration, equation, ALL)
     if limit.quantity in slots and limit.quantity not in {b.slot for b in equation.blocks}:
         raise InputError(
             f"limit {limit.text!r}: no effect of the model acts on {limit.quantity!r} in use, so that nothing is known "
@@ -261,7 +263,15 @@ def limited_quantity(
     places = {n: np.full(size, v) for n, v in point.items()}
     places |= {n: g.ravel() for (n, _, _), g in zip(ranges, grid, strict=True)}
     # Where a range leaves what was calibrated is said by `not_covered`, in its own words.
-    said = [n for n in notes_on(chosen, point) if "outside its calibrated range" not in n]
+    beside = (
+        {bias_only(chosen.stimulus)} if limit.quantity in slots else set()
+    )  # is of a correction
+    said = [
+        n
+        for n in notes_on(chosen, point)
+        if "outside its calibrated range" not in n and n not in beside
+    ]
+    said += _of_the_noise(calibration, limit.quantity)
     return QuantityInUse(
         limit=limit,
         limits=_limits(limit, unit, local_gravity),
@@ -271,6 +281,22 @@ def limited_quantity(
         chosen=chosen,
         places=places,
     )
+
+
+def _of_the_noise(calibration: Calibration, quantity: str) -> list[str]:
+    """What a limit on a corrected reading, or on the mean of many, takes the noise for, where that is not all of it."""
+    noise = calibration.model.noise
+    if quantity == MEAN and not noise.independent:
+        return [
+            f"{MEAN!r} is without the correlated noise, which readings close in time share: a mean keeps it."
+        ]
+    if quantity == READING and noise.independent and noise.needs:
+        return [
+            f"The noise follows {', '.join(noise.needs)}; its mean over the calibration is taken."
+        ]
+    if quantity == READING and not noise.gaussian:
+        return ["The noise is taken as normal, with the standard deviation that it has."]
+    return []
 
 
 def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
@@ -369,7 +395,8 @@ def _resolved(
         name = span.name
     else:
         unit = span.unit or "1"
-        meant = [n for n, u in acting.items() if same_dimension(u, unit)]
+        past = {i.name for i in chosen.inputs if i.kind in PAST}
+        meant = [n for n, u in acting.items() if same_dimension(u, unit) and n not in past]
         meant = meant or [n for n, u in known.items() if same_dimension(u, unit)]
         if len(meant) != 1:
             could = (

@@ -16,6 +16,9 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.mixture import inclusion
+from bayescal._model.departure import Departure
+from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._use.conformity import Limits
 from bayescal._use.limited_quantity import LimitedQuantity
@@ -78,7 +81,7 @@ def recalibration(
         calibration: whose last reading the time counts from.
         stated: the probability.
     """
-    if reason := _no_answer(quantity, calibration):
+    if reason := _no_answer(quantity, calibration, stated):
         return Recalibration(stated, None, why_not=reason, notes=(ADVICE,) * bool(quantity.place))
 
     def probability(later: float) -> float:
@@ -126,19 +129,27 @@ def first_below(probability: Callable[[float], float], stated: float) -> float |
     return None
 
 
-def _no_answer(quantity: LimitedQuantity, calibration: Calibration) -> str:
+def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: float) -> str:
     """Why the model says nothing of the future; empty where it does."""
     name = quantity.limit.quantity
     if not quantity.place:
         return f"{name} is one number of the model, which holds no change of it in time"
     if not quantity.follows_time:
         return f"the model cannot say when: nothing in it that acts on {name} changes with the time of the record"
-    forms = [
-        e.name for e in calibration.model.effects if (covariate_in(e.name) or "").startswith("time")
-    ]
+    # What is less probable than a failure at the stated probability cannot decide about the date.
+    shares = inclusion(calibration)
+    likely = (e for e in calibration.model.effects if shares[e.name] > 1 - stated)
+    forms = [e.name for e in likely if _describes_the_record(e)]
     if forms:
         return f"the model cannot say when: {forms[0]} describes the record and is no law of what comes after it"
     return ""
+
+
+def _describes_the_record(effect: Effect) -> bool:
+    """Whether an effect is a form in time that the readings drew, which ends with them."""
+    if isinstance(effect, Departure):
+        return effect.along == "time"
+    return (covariate_in(effect.name) or "").startswith("time")
 
 
 def in_words(seconds: float) -> str:

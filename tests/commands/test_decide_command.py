@@ -62,6 +62,7 @@ def test_what_cannot_be_decided_on_leaves_with_2_and_one_sentence(
     assert len(done.said) == 1 and said in done.said[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["fleet", "fleet.parquet"])
 def test_what_a_batch_learned_is_a_population(place, tmp_path) -> None:
     parts = []

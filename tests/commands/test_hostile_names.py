@@ -48,10 +48,13 @@ def taken_away(folder: Path, file: Path, *said: str) -> None:
         ("export", out, "--out", folder / "a.h"),
         ("export", out, "--out", folder / "a.py"),
         ("export", out, "--out", folder / "a.json"),
+        ("export", out, "--out", folder / "a.html"),
+        ("decide", out, "--limit", "corrected reading: ±1000 °/s"),
     ):
         done = run(*arguments)
         assert done.status == 0, (arguments[0], done.err)
-    assert not MARKUP.search((folder / "report.html").read_text("utf-8"))
+    for page in ("report.html", "a.html"):
+        assert not MARKUP.search((folder / page).read_text("utf-8"))
     compile((folder / "a.py").read_text("utf-8"), "a.py", "exec")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy import stats
 
 import bayescal as bc
 from bayescal import effects
+from bayescal._use.inversion import at_point, errors_over_draws
 from bayescal._use.limit import LimitedRange, StatedLimit, stated_limit
 from bayescal._use.recalibration import DAY, first_below
 from tests.support.made_up import bent_sensor
@@ -135,6 +137,56 @@ def test_a_corrected_reading_is_in_error_by_the_posterior_and_its_noise(gyro) ->
     by_budget = 2 * stats.norm.cdf(0.1 / np.hypot(budget.uncertainty, budget.noise)) - 1
     assert reading.scatter == pytest.approx(budget.noise, rel=1e-6)
     assert reading.probability == pytest.approx(by_budget, abs=0.01)
+
+
+@pytest.mark.slow
+def test_an_output_that_bends_is_inverted_as_the_export_inverts_it() -> None:
+    """Second order in the stimulus, a lag, shapes: corrections of each draw's reading, by the export, one by one."""
+    fit = bent_sensor.calibration()
+    chosen = bc.compensator(fit, draws=10**9)
+    assert chosen.equation is not None
+    inverse, moments = chosen._inverse, chosen._moments
+    point = {i.name: 0.5 * (i.low + i.high) for i in chosen.inputs if i.kind != "lag slope"}
+    acceleration, some = 8e5, moments.draws[::160]
+    zero = dict.fromkeys(inverse.names, np.zeros(1))
+    inputs = {**zero, **{n: np.array([v]) for n, v in point.items()}}
+    found, inclination = errors_over_draws(
+        *(chosen.equation, inverse.reference, some, moments.mean, np.array([acceleration]), inputs)
+    )
+    readings = [
+        at_point(
+            *(chosen.equation, inverse.reference, draw),
+            *({**point, "acceleration": acceleration}, inverse.names),
+        )
+        for draw in some
+    ]
+    output = np.array([r.expected for r in readings])
+    columns: dict[str, Any] = {**point}
+    by_export = chosen(output=output, method="first order", noise=False, **columns)
+    np.testing.assert_allclose(found[:, 0], by_export.value - acceleration, atol=1e-6)
+    assert np.ptp(by_export.value) > 1 and inclination[0] == pytest.approx(0.98, abs=0.03)
+
+
+def averaged(share: float) -> bc.Calibration:
+    """The gyroscope's calibration with a share of draws of a structure that has no scale factor error."""
+    fit = bent_sensor.gyro()
+    (block,) = (b for b in fit.layout.x_blocks if b.name == "scale.constant")
+    x = fit.joint.x.copy()
+    x[:, : int(share * x.shape[1]), block.start] = 0.0
+    return replace(fit, joint=replace(fit.joint, x=x))
+
+
+@pytest.mark.parametrize("share", [0.4, 0.7])
+def test_an_average_over_structures_decides_with_all_of_them(share) -> None:
+    """Without the effect the limit is met for certain: p = share + (1 − share)·p of the structure that has it."""
+    text = "scale: ±150 ppm"
+    mixed = bc.decide(averaged(share), text)
+    x = averaged(share).samples("scale.constant")
+    p = np.mean(np.abs(x) <= 150)
+    assert p > share and np.mean(x == 0) == pytest.approx(share, abs=0.01)
+    assert mixed.decisions[0].probability == p
+    assert "Averaged over structures" in mixed.notes[0]
+    assert f"scale.constant {1 - share:.2f}" in mixed.notes[0]
 
 
 def test_over_a_range_the_worst_place_counts(gyro) -> None:
@@ -353,6 +405,14 @@ def test_a_drift_sets_the_date(tmp_path) -> None:
     assert found.recalibration.date == date and date in str(found.recalibration)
 
 
+def test_a_curve_in_time_is_no_law_of_the_future() -> None:
+    readings, *_ = level(2)
+    model = LEVEL.baseline() - "zero.drift" + "unknown(time)"
+    (found,) = bc.decide(bc.fit(model, readings, bc.LeastSquares()), "zero: ±12 arcsec").decisions
+    assert found.recalibration.after is None
+    assert "unknown(time) describes the record" in found.recalibration.why_not
+
+
 @pytest.mark.slow
 def test_at_the_stated_date_as_many_devices_conform_as_stated() -> None:
     """200 levels with drift and runs, priors as they are made: at each date a new run is inside ±12 arcsec.
@@ -373,3 +433,17 @@ def test_at_the_stated_date_as_many_devices_conform_as_stated() -> None:
         conform.append(stats.norm.cdf((12 - y) / spread) - stats.norm.cdf((-12 - y) / spread))
     assert len(conform) > 100
     assert 0.93 <= np.mean(conform) <= 0.97, f"{np.mean(conform):.3f} of {len(conform)}"
+
+
+# In the report.
+
+
+@pytest.mark.slow
+def test_the_report_begins_with_what_is_decided(gyro, tmp_path) -> None:
+    found = bc.decide(gyro, ["bias: 20..24 °/s", "scale.constant: ±150 ppm"])
+    text = bc.report(gyro, tmp_path / "report.html", decisions=found).read_text("utf-8")
+    section = text.partition('id="decisions"')[2].partition("</section>")[0]
+    assert "Not every limit is shown to be met" in section and found.rule_in_words in section
+    assert "scale.constant: ±150 ppm" in section and "undecided" in section
+    assert text.index('id="decisions"') < text.index('id="c1-summary"')
+    assert 'id="decisions"' not in bc.report(gyro, tmp_path / "plain.html").read_text("utf-8")
