@@ -57,7 +57,7 @@ def test_a_thermometer_that_is_right_has_neither() -> None:
     assert abs(mean) < 4 * sd < 4.0
 
 
-def nothing(r) -> np.ndarray:
+def nothing(r):
     return r.has_label("station", "elsewhere")
 
 
