@@ -17,6 +17,7 @@ from bayescal._inference.checkpoint import fingerprint, keeping
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, Outcome
+from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of
 from bayescal._model.instrument import Instrument
@@ -55,7 +56,7 @@ def fit(
         InputError: `reference` names what is no constant of these readings; the checkpoint is none, or one of another
             model, readings, method, seed or version.
         ModelError: readings lack a column, have too few rows for the flat coefficients, or an output that never
-            changes; or the model is none.
+            changes; the model is none, or has an effect that is zero in every reading.
         NotConverged: the verdict is not good; carries the calibration.
         TimeIsUp: the time limit came before the mode was found.
     """
@@ -94,7 +95,30 @@ def fit(
         mode=outcome.mode,
         log_evidence=outcome.log_evidence,
     )
+    _refuse_nothing(calibration)
     return _converged(calibration) if strict else calibration
+
+
+def _refuse_nothing(calibration: Calibration) -> None:
+    """An effect of the user's own that adds nothing to any reading: its coefficients would stay at their priors.
+
+    Raises:
+        ModelError: its basis is zero in every reading, or the output does not depend on its slot in any.
+    """
+    instrument = calibration.model.instrument
+    known = {e.name for e in (*instrument.effects, *instrument.candidates)}
+    for effect in calibration.model.effects:
+        if effect.name in known or effect.is_placeholder or isinstance(effect, Departure):
+            continue
+        line = calibration.linear
+        own = [i for i in range(line.line.jacobian.shape[1]) if line.owners[i] == effect.name]
+        if own and not np.any(line.nuisance[:, own]):
+            raise ModelError(
+                f"Effect {effect.name!r} is zero in all {len(calibration.readings)} readings of "
+                f"{calibration.readings.file}: its coefficients would stay at their priors, and the fit would seem to "
+                f"hold it. Look at its basis, and at the labels and columns that it asks for "
+                f"({', '.join(effect.columns) or 'none is named'}), or leave it out"
+            )
 
 
 def _converged(calibration: Calibration) -> Calibration:

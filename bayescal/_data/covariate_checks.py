@@ -8,7 +8,7 @@ run: nothing in a fit shows it where profiles repeat.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, permutations
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ AT_ENDS = (
 )
 AT_END = 5  # readings in a row at the column's extreme
 REPEATS = 0.01  # of the other readings repeat the one before, at most: more are rounded, or held, or on a plateau
-MOST_RUNS = 30  # compared two by two, 435 times
+MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
 OVERLAP = 0.5  # of two runs, that have the same times
 ALIKE = 0.02  # of its range, to which a thermometer repeats from run to run where a profile does
 TOGETHER = (
@@ -62,15 +62,20 @@ def oddities(columns: Columns, thermometers: Collection[str]) -> list[Oddity]:
         return []
     found, names = list[Oddity](), sorted(n for n in thermometers if np.ptp(columns[n]) > 0)
     with np.errstate(all="ignore"):  # of numbers that no temperature is
+        own = list(pieces(columns))
         for name in names:
             for check in (_spikes, _held, _at_an_end):
-                found += check(name, columns)
+                found += check(name, columns[name], own)
         return [*found, *_unlike(columns, names)]
 
 
-def leaps(columns: Columns, name: str) -> np.ndarray:
-    """Rows at which a column leaps there and back, or begins or ends a run elsewhere: faster than a body can follow."""
-    values, own = columns[name], list(pieces(columns))
+def leaps(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows at which a column leaps there and back, or begins or ends a run elsewhere: faster than a body can follow.
+
+    Args:
+        values: of the column (n,).
+        own: rows of each stretch without a pause, by `pieces`.
+    """
     jumps = [np.diff(values[piece]) for piece in own]
     if sum(map(len, jumps)) < FEWEST:
         return np.zeros(0, int)
@@ -131,26 +136,26 @@ def _runs(columns: Columns) -> dict[str, np.ndarray]:
     return {" ".join(str(columns[n][rows[0]]) for n in names): rows for rows in parts}
 
 
-def _spikes(name: str, columns: Columns) -> list[Oddity]:
-    rows = leaps(columns, name)
+def _spikes(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
+    rows = leaps(values, own)
     if not len(rows):
         return []
     said = f"leaps faster than a body can follow at {len(rows)} reading(s)"
     return [Oddity(name, said, rows)]
 
 
-def _held(name: str, columns: Columns) -> list[Oddity]:
+def _held(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
     """Values that are repeated until the next leap, again and again: the logger asked the thermometer seldom.
 
     Rounded values repeat too, and then change by a step of their rounding, the smallest gap between any two of them.
     """
-    values, held, pairs = columns[name], [], 0
+    held, pairs = [], 0
     leap = GRID * float(np.diff(np.unique(values)).min())
-    for piece in pieces(columns):
-        own = values[piece]
-        ends = np.append(np.flatnonzero(own[1:] != own[:-1]), len(own) - 1)
+    for piece in own:
+        cells = values[piece]
+        ends = np.append(np.flatnonzero(cells[1:] != cells[:-1]), len(cells) - 1)
         repeated = np.diff(ends, prepend=-1) > 1
-        pair = repeated[:-1] & repeated[1:] & (np.abs(np.diff(own[ends])) > leap)
+        pair = repeated[:-1] & repeated[1:] & (np.abs(np.diff(cells[ends])) > leap)
         if pair.any() and pair.mean() > OFTEN:
             held.append(piece)
             pairs += int(np.count_nonzero(pair))
@@ -160,11 +165,11 @@ def _held(name: str, columns: Columns) -> list[Oddity]:
     return [Oddity(name, said, np.concatenate(held))]
 
 
-def _at_an_end(name: str, columns: Columns) -> list[Oddity]:
+def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
     """Readings in a row exactly at an extreme, of a column that never repeats elsewhere: a converter at its end."""
-    values, found = columns[name], []
+    found = []
     same = np.zeros(len(values), bool)
-    for piece in pieces(columns):
+    for piece in own:
         same[piece[1:]] = values[piece[1:]] == values[piece[:-1]]
     for end, level in (("maximum", values.max()), ("minimum", values.min())):
         at = values == level
@@ -182,7 +187,7 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
     Siblings are thermometers that go together: on one body, or in one chamber, with whatever lag.
     """
     runs, found = _runs(columns), []
-    if len(names) < 2 or len(runs) > MOST_RUNS:
+    if not 2 <= len(names) <= MOST_SIBLINGS or len(runs) > MOST_RUNS:
         return []
     pairs = [
         (a, b, _same_moments(columns["time"], runs[a], runs[b])) for a, b in combinations(runs, 2)

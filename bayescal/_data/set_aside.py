@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayescal._data.covariate_checks import leaps
+from bayescal._data.covariate_checks import leaps, pieces
 from bayescal._data.dataset_checks import clip_levels, once, repeated_rows, stuck_rows
 from bayescal._data.measurements import Measurements
 from bayescal._data.rounding import rounding_step
@@ -75,9 +75,9 @@ def _without_leaps(readings: Measurements) -> Measurements:
     if not readings.has("time"):
         return readings
     columns = {n: readings[n] for n in readings.columns}
-    gone, told = np.zeros(len(readings), bool), []
+    gone, told, own = np.zeros(len(readings), bool), [], list(pieces(columns))
     for name in (n for n in columns if readings.unit(n) == "degC" and np.ptp(columns[n]) > 0):
-        rows = leaps(columns, name)
+        rows = leaps(columns[name], own)
         gone[rows] = True
         shown = ", ".join(f"{row + 1} ({columns[name][row]:.6g} °C)" for row in rows[:5])
         told += [f"{name}: row {shown}{' …' if len(rows) > 5 else ''}"] if len(rows) else []

@@ -8,7 +8,8 @@ standard uncertainty of the output: a model that knows little, and says so, is r
 times the oracle's counts, for a model can also be so wide that it says nothing.
 
 *Said*: the file is refused, or the search refuses it and names the cause; or `trail.ok` is False; or a flag of the
-readings, or an effect that was added, names the cause. *Wrong*: neither. A right answer that is also said counts as
+readings, a note that terms are confounded, or an effect that was added, names the cause. *Wrong*: neither. A right
+answer that is also said counts as
 right. *Crash*: the search ends in an error that is no refusal, or in one whose sentence is of something else.
 """
 
@@ -36,6 +37,7 @@ MOST = 3  # effects to add
 LIMIT = 120.0  # s of search
 AWAY = 3.3  # posterior standard deviations
 WORSE = 1.2  # times the error that there should be
+CONFOUNDED = "are confounded in these readings"  # in a note that the result carries
 WIDE = 30.0  # times the oracle's standard uncertainty, of which a model's own counts at most
 
 
@@ -128,6 +130,7 @@ def _verdict(
     base = {e.name for e in trail.steps[0].calibration.model.effects}
     added = [n for n in final.model.names if n not in base]
     named = [s for s in final.readings.flags if re.search(kind.says, s)]
+    named += [s for s in final.verdict.notes if CONFOUNDED in s and re.search(kind.says, s)]
     named += [f"found: {n}" for n in added if re.search(kind.finds, n)]
     told = [*([] if trail.ok else [trail.gate.reason]), *named]
     away = _away(subject, kind, campaign, seed, final)

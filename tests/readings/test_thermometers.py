@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._data.covariate_checks import leaps, oddities
+from bayescal._data.covariate_checks import leaps, oddities, pieces
 from bayescal._data.set_aside import set_aside
 from bayescal_models import INSTRUMENTS, mems_gyro, still_sensor
 from benchmarks.hidden_effects.bank import instrument_named
@@ -83,7 +83,8 @@ def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
     warm = np.array(readings[TEMPERATURE])
     warm[rows] += np.where(np.arange(6) % 2, 40.0, -30.0)
     spoilt = readings.with_column(TEMPERATURE, warm)
-    assert leaps(columns_of(spoilt), TEMPERATURE).tolist() == rows.tolist()
+    columns = columns_of(spoilt)
+    assert leaps(warm, list(pieces(columns))).tolist() == rows.tolist()
     kept = set_aside(spoilt)
     assert len(kept) == len(readings) - len(rows)
     assert "6 reading(s) set aside, at which a thermometer leaps" in kept.flags[-1]
