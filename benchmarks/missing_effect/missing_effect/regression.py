@@ -1,4 +1,4 @@
-"""What customary selections of terms begin with: columns on both parts of a task, the base's taken out by least squares.
+"""What customary selections begin with: columns on both parts of a task, the base's taken out by least squares.
 
 Of a term that is not linear in a shape, the value that fits best beside the base alone is taken, of `NODES` values.
 A run that is held out has an offset that nobody knows: it widens the prediction by the stated size.

@@ -1,7 +1,7 @@
 """Runs an entry: each task in a process of its own, in a copied folder without the truth, on its own processor time.
 
-Where the system lets a user make namespaces (Linux, `unshare`), the process has no network and finds an empty folder
-where the tasks are. Everywhere it has the audit hook of `child.py`. Each answer says which of the two it was made under.
+Where the system lets a user make namespaces (Linux, `unshare`), the process has no network, and an empty folder stands
+where the tasks are. Everywhere it has the audit hook of `child.py`. An answer says under which of both it was made.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import json
 import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -25,7 +26,7 @@ from missing_effect.task import OUTSIDE
 
 LIMIT = 60.0  # s of processor a task
 PATIENCE = 5.0  # times that on the clock: for what only waits
-ONE_THREAD = {n: "1" for n in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 SHIPPED = Path(__file__).parent / "entries"
 APART = ("unshare", "--user", "--map-root-user", "--net", "--mount")
 HIDE = 'mount -t tmpfs none "$1" && shift && exec "$@"'
@@ -145,7 +146,8 @@ def _ended(command: list[str], limit: float) -> tuple[float, int, str]:
     def bounded() -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (round(limit), round(limit) + 1))
 
-    environment = {**os.environ, **ONE_THREAD}
+    path = os.pathsep.join([str(SHIPPED.parents[1]), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": path.rstrip(os.pathsep)}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with subprocess.Popen(
         command,
@@ -161,7 +163,7 @@ def _ended(command: list[str], limit: float) -> tuple[float, int, str]:
         try:
             _, said = process.communicate(timeout=PATIENCE * limit)
         except subprocess.TimeoutExpired:
-            process.kill()
+            os.killpg(process.pid, signal.SIGKILL)
             _, said = process.communicate()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -171,5 +173,6 @@ def _ended(command: list[str], limit: float) -> tuple[float, int, str]:
 def _why(status: int, said: str, limit: float) -> str:
     last = next((line for line in reversed(said.splitlines()) if line.strip()), "")
     if status < 0:
-        return f"ended by signal {-status}: {limit:g} s of processor, or {PATIENCE:g} times that on the clock, were over"
+        times = f"{limit:g} s of processor, or {PATIENCE:g} times that on the clock"
+        return f"ended by signal {-status}: {times}, were over"
     return last.strip() or f"ended with status {status}"
