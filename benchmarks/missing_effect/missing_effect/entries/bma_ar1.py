@@ -1,7 +1,7 @@
 """The same average over all sets, under first-order autoregressive noise.
 
 Readings and columns are whitened by the correlation of neighbouring residuals beside all candidates: feasible
-generalised least squares (D. Cochrane & G. Orcutt, JASA 44 (1949) 32; first readings kept, S. Prais & C. Winsten, 1954).
+generalised least squares (D. Cochrane & G. Orcutt, JASA 44 (1949) 32; first readings kept: S. Prais & C. Winsten 1954).
 """
 
 from __future__ import annotations
