@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from missing_effect import leaderboard, run
+from missing_effect import leaderboard, real, run
 from missing_effect.__main__ import main
 from missing_effect.entries import bic, bma, mbic
 from missing_effect.generate import Case, generate, make, write
@@ -79,11 +79,23 @@ def test_tasks_are_not_to_be_found(tasks: Path, tmp_path: Path) -> None:
         (("(): 0.5", "(): -0.5"), "probability -0.5"),
         (("np.ones(n)", "np.zeros(n)"), "sd must be positive"),
         (("np.zeros(n)", "np.zeros(n - 1)"), "finite numbers"),
-        (("def solve", "def solved"), "KeyError"),
+        (("n = len", "n = lem"), "NameError"),
     ],
 )
-def test_an_answer_that_is_none_is_named(tasks: Path, tmp_path: Path, change, said: str) -> None:
-    assert said in answer_of(tasks, tmp_path, HONEST.replace(*change))["failed"]
+def test_an_answer_that_is_none_is_named(tasks: Path, change, said: str) -> None:
+    entry: dict[str, Any] = {}
+    exec(HONEST.replace(*change), entry)
+    assert said in run.here(entry["solve"], tasks / "task_000", 20.0)["failed"]
+
+
+def test_what_an_entry_dies_of_is_named(tasks: Path, tmp_path: Path) -> None:
+    assert "NameError" in answer_of(tasks, tmp_path, HONEST.replace("n = len", "n = lem"))["failed"]
+
+
+def test_the_time_counts_also_where_it_ends_nothing(tasks: Path) -> None:
+    entry: dict[str, Any] = {}
+    exec(HONEST, entry)
+    assert "more than 0" in run.here(entry["solve"], tasks / "task_000", 0.0)["failed"]
 
 
 TRUTH: dict[str, Any] = {
@@ -197,15 +209,14 @@ def test_what_cannot_be_done_is_said(asked, said: str, tmp_path, monkeypatch, ca
     assert said in capsys.readouterr().err
 
 
-def test_real_tasks_come_from_the_users_own_folder(tmp_path: Path, capsys) -> None:
+def test_real_tasks_come_from_the_users_own_folder(tmp_path: Path) -> None:
     """A made-up record in NIST's place: its quadratic is the truth; the other set is skipped, and said so."""
     x = np.linspace(1.0, 40.0, 40)
     y = 0.1 + 2.0 * x - 0.01 * x**2 + 1e-3 * np.sin(97.0 * x)
     table = "\n".join(f"{a},{b}" for a, b in zip(y, x, strict=True))
     (tmp_path / "pontius.csv").write_text(f"y,x\n{table}\n", "utf-8")
     tasks = tmp_path / "tasks"
-    assert main(["generate", str(tasks), "--size", "10", "--nist", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
+    printed = "\n".join(real.generate(tmp_path, tasks))
     assert "skipped Norris" in printed and "made task_real_pontius" in printed
     sets = bma.solve(Task.read(tasks / "task_real_pontius"))["sets"]
     assert max(sets, key=sets.get) == ("power_2",)
