@@ -25,7 +25,7 @@ PROGRAMS = (
     "os.spawn",
     "os.startfile",
 )
-SEALED = ("missing_effect.generate", "missing_effect.instruments", "missing_effect.disturbances")
+SEALED = ("missing_effect.generate", "missing_effect.simulate")
 
 
 class Refused(BaseException):
@@ -42,9 +42,9 @@ def watch(event: str, arguments: tuple[Any, ...]) -> None:
         refuse(f"the network ({event})")
     if event in PROGRAMS:
         refuse(f"another program ({event})")
-    if event == "open" and isinstance(arguments[0], str | bytes):
-        if os.path.basename(os.fsdecode(arguments[0])) == "truth.json":
-            refuse("a sealed truth.json")
+    named = event == "open" and isinstance(arguments[0], str | bytes)
+    if named and os.path.basename(os.fsdecode(arguments[0])) == "truth.json":
+        refuse("a sealed truth.json")
     if event == "import" and arguments[0] in SEALED:
         refuse(f"the module that makes tasks ({arguments[0]})")
 

@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import cho_factor, cho_solve
 
-from missing_effect.disturbances import NOT_WHITE, OUTSIDE, Noise, white
-from missing_effect.draws import Array, Draws
-from missing_effect.instruments import HELD, INSTRUMENTS, READINGS, World, fleet
+from missing_effect.simulate.disturbances import NOT_WHITE, OUTSIDE, Noise, white
+from missing_effect.simulate.draws import Array, Draws
+from missing_effect.simulate.instruments import HELD, INSTRUMENTS, READINGS, World, fleet
 from missing_effect.task import Task
 
 TRACKS = {"empty": 200, "linear": 120, "noise": 90, "confounded": 70, "outside": 60, "fleet": 60}
@@ -101,7 +101,7 @@ def make(name: str, case: Case, edition: int = EDITION) -> Made:
     frame = pd.DataFrame({**world.columns, "output": output})
     for column, places in world.decimals.items():
         frame[column] = frame[column].round(places)
-    train, holdout = (frame[at].reset_index(drop=True) for at in (~held, held))
+    train, holdout = (frame.loc[at].reset_index(drop=True) for at in (~held, held))
     task = Task(
         name,
         world.unit,

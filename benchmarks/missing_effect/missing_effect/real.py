@@ -1,9 +1,9 @@
 """Real records with a known answer: NIST's reference data for linear regression, a term of the certified model hidden.
 
-The data are not part of this package: they are read from a folder that the user has (files as NIST gives them, `NAME.dat`,
-or as columns, `NAME.csv`, the response first). Every fifth reading is held out. Source: NIST, Statistical Reference
-Datasets, https://www.itl.nist.gov/div898/strd. Pontius: a load cell, whose certified model is quadratic. Norris: ozone
-monitors, whose certified model is a line.
+The data are not part of this package: they are read from a folder that the user has, `NAME.dat` as NIST gives them or
+`name.csv` with columns, the response first. Every fifth reading is held out.
+Source: NIST, Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd. Pontius: a load cell, whose
+certified model is quadratic. Norris: ozone monitors, whose certified model is a line.
 """
 
 from __future__ import annotations
@@ -45,9 +45,10 @@ def generate(folder: Path, tasks: Path) -> Iterator[str]:
 
 def _read(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray] | None:
     """Response and predictor, (n,) each; None where there is no file."""
-    table, certificate = folder / f"{name}.csv", folder / f"{name}.dat"
-    if table.is_file():
-        values = np.loadtxt(table, delimiter=",", skiprows=1)
+    tables = [folder / f"{n}.csv" for n in (name, name.lower()) if (folder / f"{n}.csv").is_file()]
+    certificate = folder / f"{name}.dat"
+    if tables:
+        values = np.loadtxt(tables[0], delimiter=",", skiprows=1)
     elif certificate.is_file():  # data begin at line 61, as each of these files says in its head
         values = np.loadtxt(certificate, skiprows=60)
     else:
@@ -71,7 +72,7 @@ def _made(name: str, known: Known, y: np.ndarray, x: np.ndarray) -> Made:
     base = (Term("constant", "c", "constant", {}, "1", 10 * vast), term(1, 10 * vast))
     candidates = tuple(term(order, 3 * noise) for order in range(2, HIGHEST + 1))
     hidden = [f"power_{order}" for order in range(2, known.order + 1)]
-    train, later = (frame[at].reset_index(drop=True) for at in (~held, held))
+    train, later = (frame.loc[at].reset_index(drop=True) for at in (~held, held))
     task = Task(
         f"real_{name.lower()}", "1", {"x": "1", "output": "1"}, train,
         later.drop(columns="output"), base, candidates,

@@ -1,4 +1,4 @@
-"""What customary selections of terms begin with: columns on both parts of a task, the base's taken out by least squares.
+"""What customary selections begin with: columns on both parts of a task, the base's taken out by least squares.
 
 Of a term that is not linear in a shape, the value that fits best beside the base alone is taken, of `NODES` values.
 A run that is held out has an offset that nobody knows: it widens the prediction by the stated size.
@@ -36,13 +36,19 @@ class Regression:
         left: training output without what the base explains, (n,).
         candidates: in the task's order, each at its best shape.
         extra: variance of a reading that is held out, of offsets that the training readings do not show.
+        correlation: of neighbouring readings' noise: training readings are whitened by it, first-order autoregressive.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Task, correlation: float = 0.0) -> None:
         self.task = task
-        self.y = task.train["output"].to_numpy(float)
+        self.correlation = correlation
+        labels = [task.train[g].to_numpy() for g in ("run", "device") if g in task.train]
+        self._first = np.arange(len(task.train)) == 0
+        for label in labels:
+            self._first[1:] |= np.diff(label) != 0
+        self.y = self._whitened(task.train["output"].to_numpy(float))
         base = [_about_mean(_both(term, task), term) for term in task.base]
-        self.base = np.hstack([c.train for c in base])
+        self.base = self._whitened(np.hstack([c.train for c in base]))
         self._base_later = np.hstack([c.holdout for c in base])
         self.extra = sum(t.size**2 for t in task.base if _unseen(_both(t, task), t))
         self._orthogonal = _orthogonal(self.base)
@@ -92,7 +98,22 @@ class Regression:
         residual = self.y - x / scale @ size
         variance = float(residual @ residual) / max(1, self.y.size - int(kept.sum()))
         spread = np.sum((later / scale @ inverse) ** 2, axis=1)
-        return later / scale @ size, np.sqrt(variance * (1 + spread) + self.extra)
+        of_reading = 1 / (1 - self.correlation**2)  # against the whitened ones' variance
+        return later / scale @ size, np.sqrt(variance * (of_reading + spread) + self.extra)
+
+    def correlated(self) -> float:
+        """Correlation of neighbouring residuals beside all candidates at once, within runs; not below zero."""
+        basis = _orthogonal(np.hstack(self.projected))
+        left = self.left - basis @ (basis.T @ self.left)
+        inside = ~self._first[1:]
+        shared = float(np.sum((left[1:] * left[:-1])[inside]))
+        return float(np.clip(shared / (left @ left) * left.size / inside.sum(), 0.0, 0.95))
+
+    def _whitened(self, columns: Array) -> Array:
+        """Columns of training readings less what the reading before says of each; the first of a run scaled."""
+        found = columns - self.correlation * np.roll(columns, 1, axis=0)
+        found[self._first] = np.sqrt(1 - self.correlation**2) * columns[self._first]
+        return found
 
     def average(self, models: Sequence[tuple[Collection[int], float]]) -> tuple[Array, Array]:
         """The same, averaged over sets with their probabilities; those below 1 % are left out."""
@@ -108,7 +129,8 @@ class Regression:
         """A candidate's columns at the shape that fits best beside the base."""
         trials = []
         for shapes in grid(term, NODES):
-            found = _both(term, self.task, shapes)
+            plain = _both(term, self.task, shapes)
+            found = Columns(plain.name, self._whitened(plain.train), plain.holdout)
             basis = _orthogonal(self.without_base(found.train))
             trials.append((float(np.sum((basis.T @ self.left) ** 2)), found))
         return max(trials, key=lambda trial: trial[0])[1]

@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,9 @@ import pandas as pd
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
-from missing_effect.draws import Draws
 from missing_effect.generate import FILES, published
 from missing_effect.run import InputError, task_folders
+from missing_effect.simulate.draws import Draws
 from missing_effect.task import OUTSIDE
 
 FLOOR = 1e-3  # a probability below it counts as it: one blunder costs ln 1000 = 6.9, not everything
@@ -199,7 +200,7 @@ def calibration(scores: dict[str, Score]) -> list[dict[str, Any]]:
     """Of the most probable sets in bands of their probability: how many, mean stated, share true, and its interval."""
     tops = [s.top for s in scores.values() if s.top is not None]
     rows = []
-    for low, high in zip(BANDS, BANDS[1:], strict=False):
+    for low, high in pairwise(BANDS):
         inside = [t for t in tops if low <= t[0] < high or (high == 1.0 == t[0])]
         if inside:
             right = sum(true for _, true in inside)

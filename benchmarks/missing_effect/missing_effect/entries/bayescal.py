@@ -8,6 +8,7 @@ its average over structures.
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from typing import Any
 
@@ -20,19 +21,26 @@ from missing_effect.task import OUTSIDE, Task, Term
 
 NUMBER = "1"  # everything is a plain number: the task says no more than that units agree
 LABELS = ("run", "device")
+FLEET_TAKES = 40.0  # s of processor for a search of thousands of readings, of the 60 that there are
 ALONG = {"power": "column", "rate": "", "warm_up": "elapsed"}
 
 
 def solve(task: Task) -> dict[str, Any]:
+    begun = time.perf_counter(), time.process_time()
     columns: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     base = [_effect(term, task, columns) for term in task.base]
     candidates = [_effect(term, task, columns) for term in task.candidates]
     instrument = _instrument(task, tuple(base), float(np.std(Regression(task).left)))
     train, later = (_readings(task, instrument, columns, at) for at in (0, 1))
-    found = bc.calibrate(
-        instrument.baseline(), train, effects=candidates, ignore=tuple(columns), covariates=()
-    )
     known = "device" in task.train  # devices held out are those fitted, runs are new ones
+    found = bc.calibrate(
+        instrument.baseline(),
+        train,
+        effects=candidates,
+        ignore=tuple(columns),
+        covariates=(),
+        time_limit=FLEET_TAKES * _clock_per_processor(begun) if known else None,
+    )
     predicted = bc.predict(found.calibration, later, new_groups=not known)
     sets: dict[tuple[str, ...], float] = {}
     for s in found.search.structures if found.search else ():
@@ -40,6 +48,12 @@ def solve(task: Task) -> dict[str, Any]:
         key = tuple(sorted(names))
         sets[key] = sets.get(key, 0.0) + s.probability
     return {"sets": sets, "mean": predicted.mean, "sd": predicted.sd}
+
+
+def _clock_per_processor(begun: tuple[float, float]) -> float:
+    """Seconds on the clock for each of the processor since it was `begun`: others use it too."""
+    clock, processor = begun
+    return max(1.0, (time.perf_counter() - clock) / (time.process_time() - processor))
 
 
 def _instrument(task: Task, base: tuple[bc.Effect, ...], scatter: float) -> bc.Instrument:
@@ -73,9 +87,9 @@ def _readings(
 ) -> bc.Measurements:
     """One part of the task, 0 to fit and 1 to predict, with the terms' columns beside the recorded ones."""
     frame = (task.train, task.holdout.assign(output=0.0))[at]
-    own = {str(n): frame[n].to_numpy() for n in frame}
+    own: dict[str, Any] = {str(n): frame[n].to_numpy() for n in frame}
     own |= {n: own[n].astype(str) for n in LABELS if n in own}
-    made = {name: pair[at] for name, pair in columns.items()}
+    made: dict[str, Any] = {name: pair[at] for name, pair in columns.items()}
     units = dict.fromkeys(made, NUMBER)
     return bc.Measurements.from_arrays(instrument, units=units, **own, **made)
 

@@ -19,8 +19,15 @@ MOST = 12  # candidates whose sets are counted out
 
 
 def solve(task: Task) -> dict[str, Any]:
-    """Raises ValueError: too many candidates."""
-    problem = Regression(task)
+    return averaged(Regression(task))
+
+
+def averaged(problem: Regression) -> dict[str, Any]:
+    """Over all sets of candidates.
+
+    Raises:
+        ValueError: there are too many candidates.
+    """
     count = len(problem.candidates)
     if count > MOST:
         raise ValueError(f"{count} candidates: their sets are counted out up to {MOST}")

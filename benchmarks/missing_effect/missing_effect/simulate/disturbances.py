@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from missing_effect.draws import Array, Draws
+from missing_effect.simulate.draws import Array, Draws
 
 
 class Noise(NamedTuple):

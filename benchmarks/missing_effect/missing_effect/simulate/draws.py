@@ -57,7 +57,7 @@ class Draws:
         at = (np.arange(count) + 0.5) / count
         orders = 1 + np.floor(self.uniform(6) * knots)
         phases, sizes = self.uniform(6), self.normal(6)
-        course = sum(
+        course = np.zeros(count) + sum(
             s * np.cos(np.pi * (k * at + 2 * p))
             for k, p, s in zip(orders, phases, sizes, strict=True)
         )

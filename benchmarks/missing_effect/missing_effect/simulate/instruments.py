@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from missing_effect.draws import Array, Draws, body
+from missing_effect.simulate.draws import Array, Draws, body
 from missing_effect.task import Term
 
 FINE = 10  # moments of the world in each reading
@@ -211,28 +211,24 @@ def thermal(world: World, draws: Draws, chamber: Chamber, *which: str) -> None:
     slow = {"tau": (3.0 * each, 33.0 * each)}
     in_run: dict[str, Any] = {"column": "temperature", "group": "run"}
     t: dict[str, Any] = {"column": "temperature", "about": 40.0}
+    two, three = {**t, "order": 2}, {**t, "order": 3}
+    bent, skew = softening(air, 400.0), saturating(air, 90.0)
+    lags, joints = {**in_run, "shapes": times}, {**in_run, "shapes": {"width": (0.5, 10.0)}}
+    sticks, last = sticking(chamber.air, (1.0, 2.5, 5.0)), float(chamber.time.max())
+    warming, ageing = {"group": "run", "shapes": slow}, {"column": "time", "about": 0.0, "order": 1}
+    # name: what happens, formula, unit, words, size, arguments and shapes
     known: dict[str, tuple[Array, str, str, str, float, dict[str, Any]]] = {
-        "quadratic": (softening(air, 400.0), "power", f"{unit}/degC^2", "c·(T − 40 °C)²", 4 * noise / half**2, {**t, "order": 2}),
-        "cubic": (saturating(air, 90.0), "power", f"{unit}/degC^3", "c·(T − 40 °C)³", 5 * noise / half**3, {**t, "order": 3}),
-        "lag": (lagging, "lag", f"{unit}/degC", "c·(T̃ − T), τ·dT̃/dt = T − T̃", 4 * noise / half, {**in_run, "shapes": times}),
-        "hysteresis": (
-            sticking(chamber.air, (1.0, 2.5, 5.0)), "direction", unit, "c·D, dD/dT = (sign(dT) − D)/w", noise,
-            {**in_run, "shapes": {"width": (0.5, 10.0)}},
-        ),
-        "warm_up": (
-            chamber.cold(warm), "warm_up", unit, "c·exp(−t/τ) in a run", 3 * noise,
-            {"group": "run", "shapes": slow},
-        ),
-        "drift": (
-            chamber.aged(), "power", f"{unit}/s", "c·t", 24 * noise / float(chamber.time.max()),
-            {"column": "time", "about": 0.0, "order": 1},
-        ),
-    }  # fmt: skip
+        "quadratic": (bent, "power", "/degC^2", "c·(T − 40 °C)²", 4 / half**2, two),
+        "cubic": (skew, "power", "/degC^3", "c·(T − 40 °C)³", 5 / half**3, three),
+        "lag": (lagging, "lag", "/degC", "c·(T̃ − T), τ·dT̃/dt = T − T̃", 4 / half, lags),
+        "hysteresis": (sticks, "direction", "", "c·D, dD/dT = (sign(dT) − D)/w", 1.0, joints),
+        "warm_up": (chamber.cold(warm), "warm_up", "", "c·exp(−t/τ) in a run", 3.0, warming),
+        "drift": (last * chamber.aged(), "power", "/s", "c·t", 24 / last, ageing),
+    }
     for name in which:
-        adds, formula, own, words, size, more = known[name]
-        if name == "drift":
-            adds = adds * float(chamber.time.max())
-        world.may_lack(f"bias.{name}", chamber.read(adds), formula, own, words, size=size, **more)
+        adds, formula, per, words, size, more = known[name]
+        adds, size = chamber.read(adds), size * noise
+        world.may_lack(f"bias.{name}", adds, formula, unit + per, words, size=size, **more)
 
 
 def mems_gyro(draws: Draws, alike: float) -> World:

@@ -1,0 +1,222 @@
+"""The open benchmark's runner and scores: an entry that cheats is refused, and a score is what it is said to be."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from missing_effect import leaderboard, real, run
+from missing_effect.__main__ import main
+from missing_effect.entries import bic, bma, mbic
+from missing_effect.generate import Case, generate, make, write
+from missing_effect.score import FLOOR, ORACLE, Score, calibration, score, scored, summary
+from missing_effect.task import Task
+from scipy.integrate import quad
+from scipy.special import ndtr
+
+PACKAGE = Path(run.__file__).parents[1]
+HONEST = """
+import numpy as np
+def solve(task):
+    n = len(task.holdout)
+    return {"sets": {(): 0.5}, "mean": np.zeros(n), "sd": np.ones(n)}
+"""
+CHEATS = {
+    "network": ("import socket; socket.create_connection(('127.0.0.1', 9))", "the network"),
+    "truth": ("open(TRUTH).read()", "truth.json"),
+    "program": ("import subprocess; subprocess.run(['true'])", "another program"),
+    "maker": ("import missing_effect.generate", "makes tasks"),
+    "runs on": ("\n    while True: pass", "of processor"),
+}
+
+
+@pytest.fixture(scope="module")
+def tasks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("tasks")
+    assert len(list(generate(folder, 3))) == 3
+    return folder
+
+
+def answer_of(tasks: Path, folder: Path, code: str, limit: float = 20.0) -> dict:
+    entry = folder / "entry.py"
+    entry.write_text(code, "utf-8")
+    return run.solve(entry, tasks / "task_000", tasks, limit)
+
+
+def test_an_honest_entry_is_answered(tasks: Path, tmp_path: Path) -> None:
+    answer = answer_of(tasks, tmp_path, HONEST)
+    assert "failed" not in answer and answer["sets"] == [[[], 0.5]] and answer["seconds"] > 0
+
+
+@pytest.mark.parametrize("how", CHEATS)
+def test_an_entry_that_cheats_is_refused(tasks: Path, tmp_path: Path, how: str) -> None:
+    act, said = CHEATS[how]
+    act = act.replace("TRUTH", repr(str(tasks / "task_000" / "truth.json")))
+    code = HONEST.replace(
+        "    n =", f"    try:\n        {act.strip()}\n    except Exception: pass\n    n ="
+    )
+    answer = answer_of(tasks, tmp_path, code, limit=2.0 if how == "runs on" else 20.0)
+    assert said in answer["failed"] and "mean" not in answer
+
+
+@pytest.mark.skipif(not run.can_hide(), reason="this system lets no user make namespaces")
+def test_tasks_are_not_to_be_found(tasks: Path, tmp_path: Path) -> None:
+    """Where namespaces are, an entry sees an empty folder in place of the tasks, whatever the name of the truth."""
+    code = HONEST.replace("(): 0.5", f"(): 0.1 + len(__import__('os').listdir({str(tasks)!r}))")
+    assert answer_of(tasks, tmp_path, code)["sets"] == [[[], 0.1]]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("(): 0.5", "(): 0.5, ('soup',): 0.1"), "soup, which is no candidate"),
+        (("(): 0.5", "(): 0.7, ('outside',): 0.7"), "sum to 1.4"),
+        (("(): 0.5", "(): -0.5"), "probability -0.5"),
+        (("np.ones(n)", "np.zeros(n)"), "sd must be positive"),
+        (("np.zeros(n)", "np.zeros(n - 1)"), "finite numbers"),
+        (("n = len", "n = lem"), "NameError"),
+    ],
+)
+def test_an_answer_that_is_none_is_named(tasks: Path, change, said: str) -> None:
+    entry: dict[str, Any] = {}
+    exec(HONEST.replace(*change), entry)
+    assert said in run.here(entry["solve"], tasks / "task_000", 20.0)["failed"]
+
+
+def test_what_an_entry_dies_of_is_named(tasks: Path, tmp_path: Path) -> None:
+    assert "NameError" in answer_of(tasks, tmp_path, HONEST.replace("n = len", "n = lem"))["failed"]
+
+
+def test_the_time_counts_also_where_it_ends_nothing(tasks: Path) -> None:
+    entry: dict[str, Any] = {}
+    exec(HONEST, entry)
+    assert "more than 0" in run.here(entry["solve"], tasks / "task_000", 0.0)["failed"]
+
+
+TRUTH: dict[str, Any] = {
+    "track": "linear",
+    "set": ["a", "b"],
+    "equivalent": [["a", "c"]],
+    "decided": 20.0,
+    "noise_sd": 0.5,
+    "holdout": [1.0, 2.0, 4.0],
+    "expected": [1.0, 2.0, 3.0],
+}
+
+
+def scored_as(sets: list | None, **truth: object) -> Score:
+    answer = {"sets": sets, "mean": [1.0, 2.0, 3.0], "sd": [0.4] * 3, "seconds": 1.0}
+    return score(answer, {**TRUTH, **truth}, Path())
+
+
+def test_equivalent_sets_are_the_truth_together() -> None:
+    found = scored_as([[["a", "b"], 0.3], [["a", "c"], 0.4], [["a"], 0.2]])
+    assert found.log == pytest.approx(math.log(0.7))
+    assert found.log_exact == pytest.approx(math.log(0.3))
+    assert found.brier == pytest.approx(0.3**2 + 0.2**2) and found.top == (0.7, True)
+
+
+def test_outside_is_no_name_but_an_alarm() -> None:
+    found = scored_as([[["outside"], 0.96], [[], 0.02]], track="empty", set=[], equivalent=[])
+    assert found.log == pytest.approx(math.log(0.98)) and found.alarm and found.likely_alarm
+    assert scored_as([[["outside", "a", "b"], 1.0]]).log == 0.0
+
+
+def test_a_probability_of_zero_costs_the_floor() -> None:
+    assert scored_as([[["c"], 1.0]]).log == math.log(FLOOR)
+    assert scored_as(None).log is None
+
+
+def test_crps_is_its_integral() -> None:
+    def integral(y: float, mean: float, sd: float) -> float:
+        below, _ = quad(lambda x: ndtr((x - mean) / sd) ** 2, mean - 10, y)
+        above, _ = quad(lambda x: ndtr((mean - x) / sd) ** 2, y, mean + 10)
+        return below + above
+
+    each = [integral(y, m, 0.4) for y, m in zip(TRUTH["holdout"], TRUTH["expected"], strict=True)]
+    found = scored_as([[[], 1.0]])
+    assert found.crps == pytest.approx(np.mean(each) / 0.5, rel=1e-6)
+    assert found.covered == pytest.approx(2 / 3)
+
+
+def test_a_task_without_an_answer_has_the_floor(tasks: Path) -> None:
+    truth = json.loads((tasks / "task_000" / "truth.json").read_text("utf-8"))
+    found = score({"failed": "over", "seconds": 60.0}, truth, tasks / "task_000")
+    assert found.log == math.log(FLOOR) and found.crps > 1 and found.failed == "over"
+
+
+def test_an_interval_holds_its_mean_and_bands_count_every_task() -> None:
+    scores = {str(i): scored_as([[["a", "b"], 0.5 + 0.004 * i]]) for i in range(100)}
+    mean, low, high = summary(scores).log
+    assert low < mean < high and mean == pytest.approx(
+        np.mean([math.log(0.5 + 0.004 * i) for i in range(100)])
+    )
+    assert sum(row["count"] for row in calibration(scores)) == 100
+
+
+@pytest.mark.parametrize("entry", [bic, mbic, bma], ids=lambda e: e.__name__)
+def test_an_entry_finds_what_the_readings_decide(entry, tmp_path: Path) -> None:
+    """White noise, one effect, thirty nats and more: the true set has more probability than any other."""
+    found = 0
+    for number in range(12):
+        made = make("task", Case("linear", number), edition=77)
+        if len(made.truth["set"]) == 1 and made.truth["decided"] > 30:
+            write(made, tmp_path)
+            sets = entry.solve(Task.read(tmp_path))["sets"]
+            found += max(sets, key=sets.get) == tuple(made.truth["set"])
+            found -= sum(sets.values()) > 1 + 1e-9
+            break
+    assert found == 1
+
+
+def test_the_commands_of_the_readme(tmp_path: Path, monkeypatch, capsys) -> None:
+    """Its own entry, the oracle beside it, and a page that takes nothing from elsewhere."""
+    readme = (PACKAGE / "README.md").read_text("utf-8")
+    code = re.search(r"(    import numpy.*?\n        }\n)", readme, re.DOTALL)
+    assert code is not None
+    monkeypatch.chdir(tmp_path)
+    Path("my_entry.py").write_text(re.sub("^    ", "", code[1], flags=re.MULTILINE), "utf-8")
+    assert len(list(generate(Path("tasks"), 2))) == 2
+    assert main(["run", "my_entry.py", "--size", "2"]) == 0
+    assert main(["leaderboard", "--size", "2"]) == 0
+    assert main(["describe", "tasks/task_000"]) == 0
+    printed = capsys.readouterr().out
+    assert "| oracle |" in printed and "| my_entry |" in printed and "as published" in printed
+    for page in ("leaderboard.html", "task.html"):
+        text = Path(page).read_text("utf-8")
+        assert "<script" not in text and not re.search(r'(src|href)="?http', text)
+    assert scored(Path("tasks"), Path("results"), ORACLE, 2)["task_000"].log == 0.0
+    assert leaderboard.order({"oracle": scored(Path("tasks"), Path("results"), ORACLE, 2)})
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (["run", "soup"], "no entry 'soup'"),
+        (["run", "bic", "--tasks", "nowhere"], "python -m missing_effect generate"),
+        (["describe", "nowhere"], "is no task"),
+        (["leaderboard", "--results", "nowhere"], "has 0 tasks"),
+    ],
+)
+def test_what_cannot_be_done_is_said(asked, said: str, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(asked) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_real_tasks_come_from_the_users_own_folder(tmp_path: Path) -> None:
+    """A made-up record in NIST's place: its quadratic is the truth; the other set is skipped, and said so."""
+    x = np.linspace(1.0, 40.0, 40)
+    y = 0.1 + 2.0 * x - 0.01 * x**2 + 1e-3 * np.sin(97.0 * x)
+    table = "\n".join(f"{a},{b}" for a, b in zip(y, x, strict=True))
+    (tmp_path / "pontius.csv").write_text(f"y,x\n{table}\n", "utf-8")
+    tasks = tmp_path / "tasks"
+    printed = "\n".join(real.generate(tmp_path, tasks))
+    assert "skipped Norris" in printed and "made task_real_pontius" in printed
+    sets = bma.solve(Task.read(tasks / "task_real_pontius"))["sets"]
+    assert max(sets, key=sets.get) == ("power_2",)
