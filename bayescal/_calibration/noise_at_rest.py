@@ -28,14 +28,17 @@ from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.measurements import Measurements
 from bayescal._inference.programs import padded_length
 from bayescal._model.noise_law import LOG_2PI, WHITE
-from bayescal._model.noise_terms import FLAT
+from bayescal._model.noise_terms import FLAT, TERMS
 from bayescal._model.prior import HalfCauchy
 from bayescal._model.summed_noise import SummedNoise, filtered, of_means
 
+Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 LONG = 16_384  # readings, above which means of blocks are taken: the filter then takes a tenth of a second
 STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
 ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
-DEGREE = 3  # of the polynomial over temperature: a sensor's own law of it is rarely of more in one soak
+DEGREE = (
+    3  # of the polynomial over temperature: a sensor's own law of it is rarely of more in one soak
+)
 STIRRED = 0.2  # °C, of a temperature's range, below which it is taken as constant
 NOTHING = 0.5  # prior probability that the noise is white
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
@@ -118,10 +121,19 @@ class _Channel(NamedTuple):
 
 
 class Weighed(NamedTuple):
-    """Sums with their probabilities, the most probable first; and what was done to the record, in words."""
+    """Sums of noise terms, weighed.
 
-    noises: tuple[RestNoise, ...]
-    probabilities: tuple[float, ...]
+    Attributes:
+        best: the most probable sum.
+        walk: the same with a random walk, so that where none is seen it has a bound.
+        probabilities: of each sum, by its terms, the most probable first.
+        notes: what was done to the record, in words.
+        runs: of it.
+    """
+
+    best: RestNoise
+    walk: RestNoise
+    probabilities: dict[tuple[str, ...], float]
     notes: tuple[str, ...]
     runs: EvenRuns
 
@@ -139,24 +151,33 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> Weighed:
     """
     runs = even_runs(readings)
     channel, notes = _channel(readings, runs)
-    fits = {(): _fit(channel, ())}
+    fits: dict[Terms, _Fit] = {(): _fit(channel, ())}
     for term in ALONE:
         fits[(term,)] = _fit(channel, (term,))
     best = max(fits, key=lambda t: _total(fits, t))
     if best:
         for term in ALONE:
-            pair = tuple(sorted((*best, term), key=("correlated", "walk", "flicker").index))
+            pair = _sorted((*best, term))
             if pair not in fits and (term not in best or term == "correlated"):
                 fits[pair] = _fit(channel, pair)
     order = sorted(fits, key=lambda t: -_total(fits, t))
     totals = np.array([_total(fits, t) for t in order])
     shares = np.exp(totals - totals.max())
-    noises = [_drawn(channel, order[0], fits[order[0]], seed)]
-    noises += [channel.physical(t, {})._replace(log_evidence=fits[t].log_evidence) for t in order[1:]]
-    return Weighed(tuple(noises), tuple((shares / shares.sum()).tolist()), tuple(notes), runs)
+    best = _drawn(channel, order[0], fits[order[0]], seed)
+    walk = best if "walk" in order[0] else None
+    if walk is None:
+        further = _sorted((*order[0], "walk"))
+        walk = _drawn(channel, further, fits.get(further) or _fit(channel, further), seed)
+    probabilities = dict(zip(order, (shares / shares.sum()).tolist(), strict=True))
+    return Weighed(best, walk, probabilities, tuple(notes), runs)
 
 
-def _total(fits: dict[tuple[str, ...], _Fit], terms: tuple[str, ...]) -> float:
+def _sorted(terms: Terms) -> Terms:
+    """As a sum has them."""
+    return tuple(sorted(terms, key=list(TERMS).index))
+
+
+def _total(fits: dict[Terms, _Fit], terms: tuple[str, ...]) -> float:
     """Log evidence and log prior: white noise has one half of it, other sums that are weighed share the rest."""
     others = max(1, len(fits) - 1)
     return fits[terms].log_evidence + math.log(NOTHING if not terms else (1 - NOTHING) / others)
@@ -180,7 +201,9 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_Channel, list[str
         t = 2 * (t - t.min()) / np.ptp(t) - 1
         powers = np.polynomial.legendre.legvander(t, DEGREE)[:, 1:]
         columns = np.column_stack([columns, powers])
-        notes.append(f"a polynomial of degree {DEGREE} over temperature was taken out beside the noise")
+        notes.append(
+            f"a polynomial of degree {DEGREE} over temperature was taken out beside the noise"
+        )
     table = np.column_stack([columns, (output - np.median(output)) / size])
     total = sum(len(r) for r in rows)
     count = 1
@@ -202,9 +225,7 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_Channel, list[str
     counts.append(1)
     longest = 2.0 ** math.ceil(math.log2(max(len(r) for r in runs.rows)))
     variance, _ = overlapping(output / size, runs)
-    made = _Channel(
-        tuple(parts), tuple(counts), size, runs.step, longest, runs.factors, variance
-    )
+    made = _Channel(tuple(parts), tuple(counts), size, runs.step, longest, runs.factors, variance)
     return made, notes
 
 
@@ -235,9 +256,7 @@ def _stretches(rows: Sequence[np.ndarray], length: int) -> list[np.ndarray]:
 def _padded(table: np.ndarray, first: np.ndarray) -> _Part:
     more = padded_length(len(table)) - len(table)
     counted = np.append(np.ones(len(table)), np.zeros(more))
-    return _Part(
-        np.pad(table, ((0, more), (0, 0))), np.append(first, np.ones(more, bool)), counted
-    )
+    return _Part(np.pad(table, ((0, more), (0, 0))), np.append(first, np.ones(more, bool)), counted)
 
 
 # one sum -------------------------------------------------------------------------------------------------------------
@@ -379,6 +398,4 @@ def _drawn(channel: _Channel, terms: tuple[str, ...], fit: _Fit, seed: int) -> R
     chosen = v[np.minimum(np.searchsorted(np.cumsum(weight), at), DRAWS - 1)]
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(_priors(law).items())}
     made = channel.physical(terms, own)
-    return made._replace(
-        log_evidence=fit.log_evidence, effective=float(1 / np.sum(weight**2))
-    )
+    return made._replace(log_evidence=fit.log_evidence, effective=float(1 / np.sum(weight**2)))
