@@ -45,6 +45,8 @@ STARTS = 2  # of the starts tried, those from which a maximum is looked for
 SHIFT = 1e-3  # of a coordinate, for curvatures from slopes
 LEAST = 0.05  # curvature of a coordinate, below which its prior has taken over
 DRAWS = 512  # of a heavy-tailed Gaussian about the mode
+KEPT = 2048  # of these, drawn anew by their weights, over all sums together
+PROBABLE = 0.1  # of the most probable sum's, from which another one has its share of the draws
 TAILS = 5.0  # its degrees of freedom
 TOGETHER = 16  # draws in one call
 
@@ -124,14 +126,14 @@ class Weighed(NamedTuple):
     """Sums of noise terms, weighed.
 
     Attributes:
-        best: the most probable sum.
-        walk: the same with a random walk, so that where none is seen it has a bound.
+        drawn: the sums that are probable, the most probable first, each with draws in proportion to its probability.
+        walk: the most probable one with a random walk added if it has none: a bound, where none is seen.
         probabilities: of each sum, by its terms, the most probable first.
         notes: what was done to the record, in words.
         runs: of it.
     """
 
-    best: RestNoise
+    drawn: tuple[RestNoise, ...]
     walk: RestNoise
     probabilities: dict[tuple[str, ...], float]
     notes: tuple[str, ...]
@@ -163,13 +165,14 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> Weighed:
     order = sorted(fits, key=lambda t: -_total(fits, t))
     totals = np.array([_total(fits, t) for t in order])
     shares = np.exp(totals - totals.max())
-    best = _drawn(channel, order[0], fits[order[0]], seed)
-    walk = best if "walk" in order[0] else None
-    if walk is None:
-        further = _sorted((*order[0], "walk"))
-        walk = _drawn(channel, further, fits.get(further) or _fit(channel, further), seed)
     probabilities = dict(zip(order, (shares / shares.sum()).tolist(), strict=True))
-    return Weighed(best, walk, probabilities, tuple(notes), runs)
+    probable = [t for t in order if probabilities[t] > PROBABLE * probabilities[order[0]]]
+    drawn = [_drawn(channel, t, fits[t], seed, probabilities[t]) for t in probable]
+    walk = drawn[0]
+    if "walk" not in walk.terms:
+        further = _sorted((*walk.terms, "walk"))
+        walk = _drawn(channel, further, fits.get(further) or _fit(channel, further), seed)
+    return Weighed(tuple(drawn), walk, probabilities, tuple(notes), runs)
 
 
 def _sorted(terms: Terms) -> Terms:
@@ -381,8 +384,12 @@ def _erfinv(x: float) -> float:
     return float(erfinv(np.clip(x, -0.999, 0.999)))
 
 
-def _drawn(channel: _Channel, terms: tuple[str, ...], fit: _Fit, seed: int) -> RestNoise:
-    """Parameters by importance sampling from a heavy-tailed Gaussian about the mode, drawn anew by their weights."""
+def _drawn(channel: _Channel, terms: Terms, fit: _Fit, seed: int, share: float = 1.0) -> RestNoise:
+    """Parameters by importance sampling from a heavy-tailed Gaussian about the mode, drawn anew by their weights.
+
+    Args:
+        share: of all draws that are kept.
+    """
     law, random = channel.law(terms), np.random.default_rng(seed)
     d = len(fit.mode)
     root = np.linalg.cholesky(fit.covariance)
@@ -393,8 +400,9 @@ def _drawn(channel: _Channel, terms: tuple[str, ...], fit: _Fit, seed: int) -> R
     log_weight = _several(channel, law, v) + 0.5 * (TAILS + d) * np.log1p(squares / TAILS)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
-    # Systematic resampling, many times as many as are worth something: quantiles are those of the weights.
-    at = (np.arange(4 * DRAWS) + random.uniform()) / (4 * DRAWS)
+    # Systematic resampling: quantiles are those of the weights.
+    count = max(1, round(share * KEPT))
+    at = (np.arange(count) + random.uniform()) / count
     chosen = v[np.minimum(np.searchsorted(np.cumsum(weight), at), DRAWS - 1)]
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(_priors(law).items())}
     made = channel.physical(terms, own)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.noise_at_rest import RestNoise, weigh_noise
+from bayescal._calibration.noise_at_rest import Weighed, weigh_noise
 from bayescal._core.formatting import Printed, number, probability, table
 from bayescal._data.allan_deviation import (
     CONFIDENCE,
@@ -191,9 +191,9 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
         InputError: no column `time`, no run of 30 readings, uneven steps, or an output that is rounded too coarsely.
     """
     found = weigh_noise(readings, seed)
-    runs, best, unit = found.runs, found.best, readings.unit("output") or ""
+    runs, unit = found.runs, readings.unit("output") or ""
     measured = of_runs(readings, np.asarray(readings["output"], float), runs)
-    draws = best.allan_variance(runs.factors, runs.step)
+    draws = np.concatenate([one.allan_variance(runs.factors, runs.step) for one in found.drawn])
     tail = 0.5 * (1 - CONFIDENCE)
     low, middle, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
     edf = degrees_of_freedom(runs, noise_types(np.median(draws, axis=0)))
@@ -204,9 +204,9 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
         file=readings.file,
         unit=unit,
         step=runs.step,
-        law=_words(best.terms),
+        law=_words(found.drawn[0].terms),
         probabilities={_words(t): p for t, p in found.probabilities.items()},
-        figures=_figures(best, found.walk, unit, runs.step, runs.factors),
+        figures=_figures(found, unit, draws),
         measured=measured,
         expected=middle,
         low=low,
@@ -214,7 +214,7 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
         estimate_low=estimate_low,
         estimate_high=estimate_high,
         notes=found.notes,
-        densities=_for_filter(best, found.walk, runs.factors, runs.step),
+        densities=_for_filter(found),
         horizon=float(runs.factors[-1] * runs.step),
     )
 
@@ -223,49 +223,59 @@ def _words(terms: tuple[str, ...]) -> str:
     return SummedNoise(1.0, 2.0, terms).in_words if terms else "white"
 
 
-def _for_filter(
-    best: RestNoise, walk: RestNoise, factors: Float[np.ndarray, "k"], step: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _for_filter(found: Weighed) -> tuple[np.ndarray, np.ndarray]:
     """Draws of N, and of K; where no correlated noise is seen, the K that a random walk may still have."""
-    size = best.draws[WHITE] * step**0.5
-    if not best.terms:
-        return size, walk.draws["noise.walk"]
-    white = (best.draws[WHITE] ** 2)[:, None] / factors
+    factors, step = found.runs.factors, found.runs.step
     of_walk = step * (2 * factors**2 + 1) / (6 * factors)
-    lacking = (SHORT_OF**2 * best.allan_variance(factors, step) - white) / of_walk
-    needed = np.sqrt(np.maximum(np.max(lacking, axis=1), 0.0))
-    return size, np.maximum(needed, best.draws.get("noise.walk", 0.0))
+    densities, walks = [], []
+    for one in found.drawn:
+        own = one.draws[WHITE]
+        densities.append(own * step**0.5)
+        if not one.terms:
+            walks.append(np.resize(found.walk.draws["noise.walk"], len(own)))
+            continue
+        white = (own**2)[:, None] / factors
+        lacking = (SHORT_OF**2 * one.allan_variance(factors, step) - white) / of_walk
+        needed = np.sqrt(np.maximum(np.max(lacking, axis=1), 0.0))
+        walks.append(np.maximum(needed, one.draws.get("noise.walk", 0.0)))
+    return np.concatenate(densities), np.concatenate(walks)
 
 
-def _figures(
-    best: RestNoise, walk: RestNoise, unit: str, step: float, factors: np.ndarray
-) -> tuple[NoiseFigure, ...]:
-    draws, names = best.draws, habit(unit)
-    densities = f"{unit or '1'}/Hz^0.5", unit or "1", f"{unit or '1'}/s^0.5"
-    found = [_figure("N", names.names[0], names.units[0], densities[0], draws[WHITE] * step**0.5)]
-    if "noise.flicker" in draws:
-        b = draws["noise.flicker"]
-        found.append(_figure("B", f"{names.names[1]} (flicker)", names.units[1], densities[1], b))
-    curve = best.allan_variance(factors, step)
+def _figures(found: Weighed, unit: str, curve: Float[np.ndarray, "d k"]) -> tuple[NoiseFigure, ...]:
+    """Each over all probable sums that have it, if it is more probably there than not."""
+    names, best, step = habit(unit), found.drawn[0], found.runs.step
+    own = unit or "1"
+    density, walk = f"{own}/Hz^0.5", f"{own}/s^0.5"
+
+    def over_all(name: str) -> np.ndarray | None:
+        having = [one.draws[name] for one in found.drawn if name in one.draws]
+        there = sum(len(h) for h in having) > 0.5 * sum(
+            len(one.draws[WHITE]) for one in found.drawn
+        )
+        return np.concatenate(having) if there else None
+
+    white = over_all(WHITE)
+    assert white is not None
+    made = [_figure("N", names.names[0], names.units[0], density, white * step**0.5)]
+    if (b := over_all("noise.flicker")) is not None:
+        made.append(_figure("B", f"{names.names[1]} (flicker)", names.units[1], own, b))
     lowest = np.argmin(np.median(curve, axis=0))
-    if 0 < lowest < len(factors) - 1:
+    if 0 < lowest < curve.shape[1] - 1:
         floor = np.sqrt(np.min(curve, axis=1) / FLAT)
         name = f"{names.names[1]} (lowest Allan deviation over 0.664)"
-        found.append(_figure("", name, names.units[1], densities[1], floor))
-    k = walk.draws["noise.walk"]
-    seen = "noise.walk" in draws
-    made = _figure("K", names.names[2], names.units[2], densities[2], k, not seen)
-    found.append(made)
-    for place in (1, 2, 3):
-        q = draws.get(f"noise.correlated{place}.diffusion")
-        if q is None or best.law is None:
-            continue
-        derived = {**draws, **best.law.derived(draws)}
+        made.append(_figure("", name, names.units[1], own, floor))
+    k = over_all("noise.walk")
+    bound = found.walk.draws["noise.walk"]
+    named = ("K", names.names[2], names.units[2], walk)
+    made.append(_figure(*named, bound, bound=True) if k is None else _figure(*named, k))
+    for place in range(1, 1 + best.terms.count("correlated")):
+        assert best.law is not None
+        derived = {**best.draws, **best.law.derived(best.draws)}
         size, time = (derived[f"noise.correlated{place}.{what}"] for what in ("size", "time"))
         name = f"Ornstein–Uhlenbeck {place}"
-        found.append(_figure("", f"{name}, size", names.units[1], densities[1], size))
-        found.append(_figure("", f"{name}, correlation time", "s", "s", time))
-    return tuple(found)
+        made.append(_figure("", f"{name}, size", names.units[1], own, size))
+        made.append(_figure("", f"{name}, correlation time", "s", "s", time))
+    return tuple(made)
 
 
 def _figure(
