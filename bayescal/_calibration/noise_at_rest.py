@@ -91,7 +91,7 @@ class RestNoise(NamedTuple):
         return self.law.allan_variance(self.draws, total, factors, step)
 
 
-class _Channel(NamedTuple):
+class _AtRest(NamedTuple):
     """A channel in units of its own: the scatter of differences, and steps."""
 
     parts: tuple[_Part, ...]
@@ -122,7 +122,7 @@ class _Channel(NamedTuple):
         return RestNoise(terms, math.nan, found, law, math.nan)
 
 
-class Weighed(NamedTuple):
+class WeighedNoise(NamedTuple):
     """Sums of noise terms, weighed.
 
     Attributes:
@@ -141,7 +141,7 @@ class Weighed(NamedTuple):
 
 
 @on_one_thread
-def weigh_noise(readings: Measurements, seed: int = 0) -> Weighed:
+def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     """Sums of noise terms on a channel at rest, the first with draws of its parameters.
 
     Args:
@@ -172,7 +172,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> Weighed:
     if "walk" not in walk.terms:
         further = _sorted((*walk.terms, "walk"))
         walk = _drawn(channel, further, fits.get(further) or _fit(channel, further), seed)
-    return Weighed(tuple(drawn), walk, probabilities, tuple(notes), runs)
+    return WeighedNoise(tuple(drawn), walk, probabilities, tuple(notes), runs)
 
 
 def _sorted(terms: Terms) -> Terms:
@@ -186,7 +186,7 @@ def _total(fits: dict[Terms, _Fit], terms: tuple[str, ...]) -> float:
     return fits[terms].log_evidence + math.log(NOTHING if not terms else (1 - NOTHING) / others)
 
 
-def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_Channel, list[str]]:
+def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]]:
     output, notes = np.asarray(readings["output"], float), []
     rows = [r for r in runs.rows if len(r) > 1]
     jumps = np.concatenate([np.diff(output[r]) for r in rows])
@@ -228,7 +228,7 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_Channel, list[str
     counts.append(1)
     longest = 2.0 ** math.ceil(math.log2(max(len(r) for r in runs.rows)))
     variance, _ = overlapping(output / size, runs)
-    made = _Channel(tuple(parts), tuple(counts), size, runs.step, longest, runs.factors, variance)
+    made = _AtRest(tuple(parts), tuple(counts), size, runs.step, longest, runs.factors, variance)
     return made, notes
 
 
@@ -312,7 +312,7 @@ def _at_several(law, counts, parts, vs):
     return jax.lax.map(lambda v: _log_posterior(law, counts, parts, v), vs)
 
 
-def _several(channel: _Channel, law: SummedNoise | None, vs: np.ndarray) -> np.ndarray:
+def _several(channel: _AtRest, law: SummedNoise | None, vs: np.ndarray) -> np.ndarray:
     """Log posteriors of many, some at once: as many in each call, so that one program serves."""
     found = []
     for start in range(0, len(vs), TOGETHER):
@@ -322,7 +322,7 @@ def _several(channel: _Channel, law: SummedNoise | None, vs: np.ndarray) -> np.n
     return np.nan_to_num(np.concatenate(found), nan=-np.inf)
 
 
-def _fit(channel: _Channel, terms: tuple[str, ...]) -> _Fit:
+def _fit(channel: _AtRest, terms: tuple[str, ...]) -> _Fit:
     """The mode and the curvature there."""
     law = channel.law(terms)
     priors = _priors(law)
@@ -351,7 +351,7 @@ def _fit(channel: _Channel, terms: tuple[str, ...]) -> _Fit:
 
 
 def _starts(
-    channel: _Channel, terms: tuple[str, ...], priors: dict[str, Any]
+    channel: _AtRest, terms: tuple[str, ...], priors: dict[str, Any]
 ) -> Iterator[np.ndarray]:
     """Coordinates, from the Allan curve: each term as large as the curve lets it be, times in several places."""
     m, allan = channel.factors, channel.allan
@@ -384,7 +384,7 @@ def _erfinv(x: float) -> float:
     return float(erfinv(np.clip(x, -0.999, 0.999)))
 
 
-def _drawn(channel: _Channel, terms: Terms, fit: _Fit, seed: int, share: float = 1.0) -> RestNoise:
+def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 1.0) -> RestNoise:
     """Parameters by importance sampling from a heavy-tailed Gaussian about the mode, drawn anew by their weights.
 
     Args:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.noise_at_rest import Weighed, weigh_noise
+from bayescal._calibration.noise_at_rest import WeighedNoise, weigh_noise
 from bayescal._core.formatting import Printed, number, probability, table
 from bayescal._data.allan_deviation import (
     CONFIDENCE,
@@ -223,7 +223,7 @@ def _words(terms: tuple[str, ...]) -> str:
     return SummedNoise(1.0, 2.0, terms).in_words if terms else "white"
 
 
-def _for_filter(found: Weighed) -> tuple[np.ndarray, np.ndarray]:
+def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
     """Draws of N, and of K; where no correlated noise is seen, the K that a random walk may still have."""
     factors, step = found.runs.factors, found.runs.step
     of_walk = step * (2 * factors**2 + 1) / (6 * factors)
@@ -241,7 +241,9 @@ def _for_filter(found: Weighed) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(densities), np.concatenate(walks)
 
 
-def _figures(found: Weighed, unit: str, curve: Float[np.ndarray, "d k"]) -> tuple[NoiseFigure, ...]:
+def _figures(
+    found: WeighedNoise, unit: str, curve: Float[np.ndarray, "d k"]
+) -> tuple[NoiseFigure, ...]:
     """Each over all probable sums that have it, if it is more probably there than not."""
     names, best, step = habit(unit), found.drawn[0], found.runs.step
     own = unit or "1"
