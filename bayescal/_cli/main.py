@@ -18,7 +18,14 @@ from typing import NoReturn
 
 import typer
 
-from bayescal._cli import batch, calibrate_command, catalogue, deliverables, fitting
+from bayescal._cli import (
+    batch,
+    calibrate_command,
+    catalogue,
+    deliverables,
+    fitting,
+    noise_command,
+)
 from bayescal._core import deadline
 from bayescal._core.errors import BayescalError, NotConverged, TimeIsUp
 from bayescal._core.quoting import one_line
@@ -36,7 +43,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-for group in (catalogue, calibrate_command, fitting, deliverables, batch):
+for group in (catalogue, calibrate_command, fitting, noise_command, deliverables, batch):
     app.add_typer(group.commands)
 
 

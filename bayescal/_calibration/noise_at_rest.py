@@ -1,0 +1,409 @@
+"""Noise of a sensor at rest: N, B and K of IEEE 952 with intervals, by the likelihood of sums of noise terms.
+
+Every sum is fitted by the Kalman filter to the readings themselves, levels of runs and a cubic over temperature
+integrated out beside it (restricted likelihood); the sums are weighed by their evidence, and the parameters of the
+most probable one drawn by importance sampling. Of a long log the filter takes the means of blocks of readings, by
+their exact law, and some stretches of single readings.
+
+Sources: D. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood); IEEE Std 952-1997, Annex C.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.optimize import minimize
+
+from bayescal._core.errors import InputError
+from bayescal._core.parallel import on_one_thread
+from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
+from bayescal._data.measurements import Measurements
+from bayescal._inference.programs import padded_length
+from bayescal._model.noise_law import LOG_2PI, WHITE
+from bayescal._model.noise_terms import FLAT, TERMS
+from bayescal._model.prior import HalfCauchy
+from bayescal._model.summed_noise import SummedNoise, filtered, of_means
+
+Terms = tuple[str, ...]  # names of those of a sum, beside white noise
+LONG = 16_384  # readings, above which means of blocks are taken: the filter then takes a tenth of a second
+STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
+ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
+DEGREE = (
+    3  # of the polynomial over temperature: a sensor's own law of it is rarely of more in one soak
+)
+STIRRED = 0.2  # °C, of a temperature's range, below which it is taken as constant
+NOTHING = 0.5  # prior probability that the noise is white
+STARTS = 2  # of the starts tried, those from which a maximum is looked for
+SHIFT = 1e-3  # of a coordinate, for curvatures from slopes
+LEAST = 0.05  # curvature of a coordinate, below which its prior has taken over
+DRAWS = 512  # of a heavy-tailed Gaussian about the mode
+KEPT = 2048  # of these, drawn anew by their weights, over all sums together
+PROBABLE = 0.1  # of the most probable sum's, from which another one has its share of the draws
+TAILS = 5.0  # its degrees of freedom
+TOGETHER = 16  # draws in one call
+
+
+class _Part(NamedTuple):
+    """Readings, or means of as many as said elsewhere, padded by runs of one row of zeros.
+
+    Attributes:
+        table: what is integrated out, and the output (n, q + 1).
+        first: where runs begin (n,).
+        counted: 1 for rows that are there (n,).
+    """
+
+    table: Float[Any, "n q"]
+    first: Float[Any, "n"]
+    counted: Float[Any, "n"]
+
+
+class RestNoise(NamedTuple):
+    """A sum of noise terms fitted to a channel at rest.
+
+    Attributes:
+        terms: beside white noise.
+        log_evidence: by Laplace; up to a constant that all sums share.
+        draws: parameters by name, in output units and seconds (d,); equally probable.
+        law: with these parameters.
+        effective: draws that the weights are worth.
+    """
+
+    terms: tuple[str, ...]
+    log_evidence: float
+    draws: dict[str, np.ndarray]
+    law: SummedNoise | None
+    effective: float
+
+    def allan_variance(self, factors: Float[np.ndarray, "k"], step: float) -> np.ndarray:
+        """Of the law at each draw (d, k), output unit squared."""
+        white = self.draws[WHITE] ** 2
+        if self.law is None:
+            return white[:, None] / factors
+        total = white + self.law.slow_variance(self.draws)
+        return self.law.allan_variance(self.draws, total, factors, step)
+
+
+class _AtRest(NamedTuple):
+    """A channel in units of its own: the scatter of differences, and steps."""
+
+    parts: tuple[_Part, ...]
+    counts: tuple[int, ...]
+    size: float  # output units
+    step: float  # s
+    longest: float  # steps, a power of two
+    factors: np.ndarray
+    allan: np.ndarray  # variances, in units of size²
+
+    def law(self, terms: tuple[str, ...]) -> SummedNoise | None:
+        return SummedNoise(1.0, self.longest, terms) if terms else None
+
+    def physical(self, terms: tuple[str, ...], own: dict[str, np.ndarray]) -> RestNoise:
+        """Parameters in output units and seconds."""
+        root = math.sqrt(self.step)
+        found = {}
+        for name, value in own.items():
+            factor = self.size
+            if name.endswith((".diffusion", ".walk")):
+                factor = self.size / root
+            elif name.endswith(".time"):
+                factor = self.step
+            elif name.endswith(".place"):
+                factor = 1.0
+            found[name] = value * factor
+        law = SummedNoise(self.step, self.longest * self.step, terms) if terms else None
+        return RestNoise(terms, math.nan, found, law, math.nan)
+
+
+class WeighedNoise(NamedTuple):
+    """Sums of noise terms, weighed.
+
+    Attributes:
+        drawn: the sums that are probable, the most probable first, each with draws in proportion to its probability.
+        walk: the most probable one with a random walk added if it has none: a bound, where none is seen.
+        probabilities: of each sum, by its terms, the most probable first.
+        notes: what was done to the record, in words.
+        runs: of it.
+    """
+
+    drawn: tuple[RestNoise, ...]
+    walk: RestNoise
+    probabilities: dict[tuple[str, ...], float]
+    notes: tuple[str, ...]
+    runs: EvenRuns
+
+
+@on_one_thread
+def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
+    """Sums of noise terms on a channel at rest, the first with draws of its parameters.
+
+    Args:
+        readings: evenly spaced in time within runs; a column `temperature` is taken out as a cubic, if it moves.
+        seed: of the draws.
+
+    Raises:
+        InputError: no column `time`, no run of 30 readings, uneven steps, or an output that is rounded too coarsely.
+    """
+    runs = even_runs(readings)
+    channel, notes = _channel(readings, runs)
+    fits: dict[Terms, _Fit] = {(): _fit(channel, ())}
+    for term in ALONE:
+        fits[(term,)] = _fit(channel, (term,))
+    best = max(fits, key=lambda t: _total(fits, t))
+    if best:
+        for term in ALONE:
+            pair = _sorted((*best, term))
+            if pair not in fits and (term not in best or term == "correlated"):
+                fits[pair] = _fit(channel, pair)
+    order = sorted(fits, key=lambda t: -_total(fits, t))
+    totals = np.array([_total(fits, t) for t in order])
+    shares = np.exp(totals - totals.max())
+    probabilities = dict(zip(order, (shares / shares.sum()).tolist(), strict=True))
+    probable = [t for t in order if probabilities[t] > PROBABLE * probabilities[order[0]]]
+    drawn = [_drawn(channel, t, fits[t], seed, probabilities[t]) for t in probable]
+    walk = drawn[0]
+    if "walk" not in walk.terms:
+        further = _sorted((*walk.terms, "walk"))
+        walk = _drawn(channel, further, fits.get(further) or _fit(channel, further), seed)
+    return WeighedNoise(tuple(drawn), walk, probabilities, tuple(notes), runs)
+
+
+def _sorted(terms: Terms) -> Terms:
+    """As a sum has them."""
+    return tuple(sorted(terms, key=list(TERMS).index))
+
+
+def _total(fits: dict[Terms, _Fit], terms: tuple[str, ...]) -> float:
+    """Log evidence and log prior: white noise has one half of it, other sums that are weighed share the rest."""
+    others = max(1, len(fits) - 1)
+    return fits[terms].log_evidence + math.log(NOTHING if not terms else (1 - NOTHING) / others)
+
+
+def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]]:
+    output, notes = np.asarray(readings["output"], float), []
+    rows = [r for r in runs.rows if len(r) > 1]
+    jumps = np.concatenate([np.diff(output[r]) for r in rows])
+    size = float(np.median(np.abs(jumps - np.median(jumps)))) * 1.4826 / math.sqrt(2)
+    if not size > 0:
+        raise InputError(
+            f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
+            "more coarsely than its noise: record it with more digits"
+        )
+    columns = np.zeros((len(output), len(rows)))
+    for k, r in enumerate(rows):
+        columns[r, k] = 1.0
+    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED:
+        t = np.asarray(readings["temperature"], float)
+        t = 2 * (t - t.min()) / np.ptp(t) - 1
+        powers = np.polynomial.legendre.legvander(t, DEGREE)[:, 1:]
+        columns = np.column_stack([columns, powers])
+        notes.append(
+            f"a polynomial of degree {DEGREE} over temperature was taken out beside the noise"
+        )
+    table = np.column_stack([columns, (output - np.median(output)) / size])
+    total = sum(len(r) for r in rows)
+    count = 1
+    while total / count > LONG:
+        count *= 2
+    parts, counts = [], []
+    if count > 1:
+        means, first = _means(table, rows, count)
+        parts.append(_padded(means, first))
+        counts.append(count)
+        rows = _stretches(rows, LONG // STRETCHES)
+        notes.append(
+            f"of {total} readings the filter took {len(means)} means of {count} by their exact law, and "
+            f"{len(rows)} stretches of {len(rows[0])} single readings"
+        )
+    first = np.zeros(sum(len(r) for r in rows), bool)
+    first[np.cumsum([0, *(len(r) for r in rows[:-1])])] = True
+    parts.append(_padded(table[np.concatenate(rows)], first))
+    counts.append(1)
+    longest = 2.0 ** math.ceil(math.log2(max(len(r) for r in runs.rows)))
+    variance, _ = overlapping(output / size, runs)
+    made = _AtRest(tuple(parts), tuple(counts), size, runs.step, longest, runs.factors, variance)
+    return made, notes
+
+
+def _means(
+    table: Float[np.ndarray, "n q"], rows: Sequence[np.ndarray], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means of neighbours in each run, what is left at its end not among them; and where runs begin."""
+    found, first = [], []
+    for r in rows:
+        whole = len(r) // count
+        if whole:
+            found.append(table[r[: whole * count]].reshape(whole, count, -1).mean(axis=1))
+            first.append(np.arange(whole) == 0)
+    return np.concatenate(found), np.concatenate(first)
+
+
+def _stretches(rows: Sequence[np.ndarray], length: int) -> list[np.ndarray]:
+    """Stretches of neighbours, evenly over the runs."""
+    each = max(1, STRETCHES // len(rows))
+    found = []
+    for r in sorted(rows, key=len, reverse=True)[:STRETCHES]:
+        size = min(length, len(r) // each)
+        starts = np.linspace(0, len(r) - size, each).astype(int)
+        found += [r[s : s + size] for s in starts]
+    return found
+
+
+def _padded(table: np.ndarray, first: np.ndarray) -> _Part:
+    more = padded_length(len(table)) - len(table)
+    counted = np.append(np.ones(len(table)), np.zeros(more))
+    return _Part(np.pad(table, ((0, more), (0, 0))), np.append(first, np.ones(more, bool)), counted)
+
+
+# one sum -------------------------------------------------------------------------------------------------------------
+
+
+class _Fit(NamedTuple):
+    log_evidence: float
+    mode: Float[np.ndarray, "d"]
+    covariance: Float[np.ndarray, "d d"]
+
+
+def _priors(law: SummedNoise | None) -> dict[str, Any]:
+    return {WHITE: HalfCauchy(1.0)} if law is None else law.parameters()
+
+
+def _log_posterior(
+    law: SummedNoise | None, counts: tuple[int, ...], parts: tuple[_Part, ...], v: Array
+) -> Array:
+    """Of coordinates v, levels and the polynomial integrated out under a flat prior."""
+    priors = _priors(law)
+    values = {name: prior.value(v[i]) for i, (name, prior) in enumerate(priors.items())}
+    total = sum(prior.log_density(v[i]) for i, prior in enumerate(priors.values()))
+    gram: Any = 0.0
+    for part, count in zip(parts, counts, strict=True):
+        own = jnp.full(part.first.shape, values[WHITE] ** 2 / count)
+        if law is None:
+            white, log_sd = part.table / jnp.sqrt(own)[:, None], 0.5 * jnp.log(own)
+        else:
+            if count == 1:
+                states = law.states(values, jnp.where(part.first, -1.0, 1.0))
+            else:
+                one = law.states(values, jnp.array([-1.0, 1.0]))
+                states = of_means(one, count, part.first)
+            white, log_sd = filtered(states, own, part.table)
+        gram = gram + white.T @ white
+        total = total - jnp.sum(part.counted * log_sd)
+    factor = jnp.linalg.cholesky(gram[:-1, :-1])
+    shared = jax.scipy.linalg.solve_triangular(factor, gram[:-1, -1], lower=True)
+    squares = gram[-1, -1] - shared @ shared
+    return total - jnp.sum(jnp.log(jnp.diag(factor))) - 0.5 * squares
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _with_slopes(law, counts, parts, v):
+    return jax.value_and_grad(lambda at: _log_posterior(law, counts, parts, at))(v)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _at_several(law, counts, parts, vs):
+    return jax.lax.map(lambda v: _log_posterior(law, counts, parts, v), vs)
+
+
+def _several(channel: _AtRest, law: SummedNoise | None, vs: np.ndarray) -> np.ndarray:
+    """Log posteriors of many, some at once: as many in each call, so that one program serves."""
+    found = []
+    for start in range(0, len(vs), TOGETHER):
+        pick = np.minimum(np.arange(start, start + TOGETHER), len(vs) - 1)
+        made = np.asarray(_at_several(law, channel.counts, channel.parts, vs[pick]))
+        found.append(made[: len(vs) - start])
+    return np.nan_to_num(np.concatenate(found), nan=-np.inf)
+
+
+def _fit(channel: _AtRest, terms: tuple[str, ...]) -> _Fit:
+    """The mode and the curvature there."""
+    law = channel.law(terms)
+    priors = _priors(law)
+
+    def down(v: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = _with_slopes(law, channel.counts, channel.parts, v)
+        if not math.isfinite(float(value)):
+            return math.inf, np.zeros(len(v))
+        return -float(value), -np.asarray(slope)
+
+    starts = np.array(list(_starts(channel, terms, priors)))
+    there = _several(channel, law, starts)
+    tries = [
+        minimize(down, starts[i], jac=True, method="L-BFGS-B", options={"ftol": 1e-10})
+        for i in np.argsort(-there)[:STARTS]
+    ]
+    best = min(tries, key=lambda t: t.fun)
+    d = len(best.x)
+    curvature = np.empty((d, d))
+    for i, shift in enumerate(SHIFT * np.eye(d)):
+        curvature[i] = (down(best.x + shift)[1] - down(best.x - shift)[1]) / (2 * SHIFT)
+    weights, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    weights = np.maximum(weights, LEAST)
+    evidence = -float(best.fun) + 0.5 * d * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
+    return _Fit(evidence, best.x, (vectors / weights) @ vectors.T)
+
+
+def _starts(
+    channel: _AtRest, terms: tuple[str, ...], priors: dict[str, Any]
+) -> Iterator[np.ndarray]:
+    """Coordinates, from the Allan curve: each term as large as the curve lets it be, times in several places."""
+    m, allan = channel.factors, channel.allan
+    walk = math.sqrt(3 * allan[-1] / m[-1])
+    sizes = {"noise.walk": walk, "noise.flicker": math.sqrt(float(np.min(allan)) / FLAT)}
+    places = [0.2, 0.5, 0.8]
+    alike = terms.count("correlated")
+    for shares in itertools.combinations(places, alike) if alike else [()]:
+        times = [channel.longest**share for share in shares]
+        values = {WHITE: math.sqrt(allan[0]), **sizes}
+        before = 1.0
+        for k, time in enumerate(times, 1):
+            variance = 1.6 * float(np.interp(math.log(2 * time), np.log(m), allan))
+            values[f"noise.correlated{k}.diffusion"] = math.sqrt(2 * variance / time)
+            values[f"noise.correlated{k}.time"] = time
+            part = math.log(time / before) / math.log(channel.longest / before)
+            values[f"noise.correlated{k}.place"] = float(np.sqrt(2) * _erfinv(2 * part - 1))
+            before = time
+        for factor in (1.0, 0.3):
+            scaled = {
+                n: v * (factor if n not in (WHITE,) and not n.endswith((".time", ".place")) else 1)
+                for n, v in values.items()
+            }
+            yield np.array([float(p.coordinate(scaled[n])) for n, p in priors.items()])
+
+
+def _erfinv(x: float) -> float:
+    from scipy.special import erfinv
+
+    return float(erfinv(np.clip(x, -0.999, 0.999)))
+
+
+def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 1.0) -> RestNoise:
+    """Parameters by importance sampling from a heavy-tailed Gaussian about the mode, drawn anew by their weights.
+
+    Args:
+        share: of all draws that are kept.
+    """
+    law, random = channel.law(terms), np.random.default_rng(seed)
+    d = len(fit.mode)
+    root = np.linalg.cholesky(fit.covariance)
+    normal = random.standard_normal((DRAWS, d))
+    stretch = np.sqrt(TAILS / random.chisquare(TAILS, DRAWS))
+    v = fit.mode + (normal * stretch[:, None]) @ root.T
+    squares = np.sum((normal * stretch[:, None]) ** 2, axis=1)
+    log_weight = _several(channel, law, v) + 0.5 * (TAILS + d) * np.log1p(squares / TAILS)
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    # Systematic resampling: quantiles are those of the weights.
+    count = max(1, round(share * KEPT))
+    at = (np.arange(count) + random.uniform()) / count
+    chosen = v[np.minimum(np.searchsorted(np.cumsum(weight), at), DRAWS - 1)]
+    own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(_priors(law).items())}
+    made = channel.physical(terms, own)
+    return made._replace(log_evidence=fit.log_evidence, effective=float(1 / np.sum(weight**2)))

@@ -1,0 +1,313 @@
+"""The noise of a sensor at rest as data sheets and filters want it: N, B, K with intervals, and the Allan deviation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._calibration.noise_at_rest import WeighedNoise, weigh_noise
+from bayescal._core.formatting import Printed, number, probability, table
+from bayescal._data.allan_deviation import (
+    CONFIDENCE,
+    AllanDeviation,
+    degrees_of_freedom,
+    noise_types,
+    of_runs,
+)
+from bayescal._data.allan_terms import habit
+from bayescal._data.measurements import Measurements
+from bayescal._data.unit_conversion import unit_label
+from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
+from bayescal._model.noise_law import WHITE
+from bayescal._model.noise_terms import FLAT
+from bayescal._model.summed_noise import SummedNoise
+
+QUANTILE = 0.95  # of the posterior, that a filter is given: noise taken as too small makes it overconfident
+SHORT_OF = 0.95  # of the law's Allan deviation, that a filter's two terms must reach at every averaging time
+SHOWN = 4  # sums that are printed with their probabilities
+SEEN = 0.01  # probability below which a sum is not printed
+
+
+@dataclass(frozen=True)
+class NoiseFigure:
+    """A number of a noise law with its 95 % credible interval, in the unit of data sheets and in SI units.
+
+    Attributes:
+        symbol: of IEEE 952, or what else it is.
+        name: as a data sheet says it.
+        unit, si_unit: of data sheets; and in base units.
+        value, low, high: median and interval, in `unit`.
+        si: the same three in `si_unit`.
+        bound: whether only `high` is known: nothing of it is seen in the record.
+    """
+
+    symbol: str
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    si_unit: str
+    si: tuple[float, float, float]
+    bound: bool = False
+
+    def row(self) -> list[str]:
+        """As printed."""
+        unit, si_unit = unit_label(self.unit), unit_label(self.si_unit)
+        if self.bound:
+            said = [
+                f"< {number(self.high)} {unit}",
+                "not seen",
+                f"< {number(self.si[2])} {si_unit}",
+            ]
+        else:
+            low, high = number(self.low), number(self.high)
+            said = [
+                f"{number(self.value)} {unit}",
+                f"{low} to {high}",
+                f"{number(self.si[0])} {si_unit}",
+            ]
+        return [f"{self.name} {self.symbol}".strip(), *(s.strip() for s in said)]
+
+
+@dataclass(frozen=True, repr=False)
+class SensorNoise(Printed):
+    """Noise of a channel at rest.
+
+    Attributes:
+        file: that was read.
+        unit: of the output.
+        step: between readings, s.
+        law: the most probable sum of noise terms, in words.
+        probabilities: of the sums, by their words, the most probable first.
+        figures: N, B, K and what else the law has.
+        measured: Allan deviation of the record.
+        expected: of the law (k,), the median of its posterior; output unit.
+        low, high: 95 % posterior band of that (k,).
+        estimate_low, estimate_high: between which 95 % of Allan deviations of such a record lie under the law (k,).
+        notes: what was done to the record, in words.
+        densities: posterior draws of N and of the K that a filter is given, output unit times and per √s.
+        horizon: the longest averaging time that this K holds for, s.
+    """
+
+    file: str
+    unit: str
+    step: float
+    law: str
+    probabilities: Mapping[str, float]
+    figures: tuple[NoiseFigure, ...]
+    measured: AllanDeviation = field(repr=False)
+    expected: np.ndarray = field(repr=False)
+    low: np.ndarray = field(repr=False)
+    high: np.ndarray = field(repr=False)
+    estimate_low: np.ndarray = field(repr=False)
+    estimate_high: np.ndarray = field(repr=False)
+    notes: tuple[str, ...]
+    densities: tuple[np.ndarray, np.ndarray] = field(repr=False)
+    horizon: float
+
+    def __str__(self) -> str:
+        rows = [figure.row() for figure in self.figures]
+        told = table(["term", "value", "95 % interval", "SI"], rows, fold=40)
+        likely = [(w, p) for w, p in self.probabilities.items() if p >= SEEN][:SHOWN]
+        laws = ", ".join(f"{words} {probability(p)}" for words, p in likely)
+        lines = [told, f"Noise law: {laws}."]
+        unit = unit_label(self.unit)
+        lines += [f"Note: {note}." for note in self.notes]
+        m = self.measured
+        head = ["τ [s]", "Allan deviation", "noise law", "95 % of such records"]
+        curve = [
+            [number(t), f"{number(d)} {unit}".strip(), number(e), f"{number(a)} to {number(b)}"]
+            for t, d, e, a, b in zip(
+                m.tau,
+                m.deviation,
+                self.expected,
+                self.estimate_low,
+                self.estimate_high,
+                strict=True,
+            )
+        ]
+        return "\n\n".join([*lines, table(head, curve, left=0)])
+
+    def _brief(self) -> str:
+        return f"{self.law}; " + ", ".join(
+            f"{f.symbol} = {number(f.value)} {f.unit}" for f in self.figures
+        )
+
+    def _columns(self) -> dict[str, list[Any]]:
+        names = ("name", "symbol", "value", "low", "high", "unit")
+        return {name: [getattr(f, name) for f in self.figures] for name in names}
+
+    def for_filter(self, quantile: float = QUANTILE) -> tuple[float, float]:
+        """N and K that a filter of white noise and a random walk is given, output unit times √s and per √s.
+
+        K is so large that both together reach 95 % of the law's Allan deviation at every averaging time up to
+        `horizon`: of flicker and Ornstein–Uhlenbeck noise a random walk takes the place that long.
+
+        Args:
+            quantile: of the posterior.
+        """
+        n, k = (float(np.quantile(d, quantile)) for d in self.densities)
+        return n, k
+
+    def data(self) -> dict[str, Any]:
+        """Plain numbers, for JSON."""
+        m = self.measured
+        names = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")
+        columns = (m.tau, m.deviation, m.low, m.high, self.expected, self.low, self.high)
+        n, k = self.for_filter()
+        return {
+            "file": self.file,
+            "unit": self.unit,
+            "step": self.step,
+            "law": self.law,
+            "probabilities": dict(self.probabilities),
+            "figures": [{**vars(f), "si": list(f.si)} for f in self.figures],
+            "curve": [
+                dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)
+            ],
+            "for_filter": {"quantile": QUANTILE, "N": n, "K": k, "horizon": self.horizon},
+            "notes": list(self.notes),
+        }
+
+
+def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
+    """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals.
+
+        print(bc.noise(bc.read("still.csv", still_sensor.INSTRUMENT)))
+
+    Sums of white noise, a random walk, flicker noise and one or two Ornstein–Uhlenbeck processes are weighed by their
+    evidence; a level of each run and a cubic over a column `temperature` are taken out beside them.
+
+    Args:
+        readings: of one channel, evenly spaced in time within runs.
+        seed: of the draws.
+
+    Raises:
+        InputError: no column `time`, no run of 30 readings, uneven steps, or an output that is rounded too coarsely.
+    """
+    found = weigh_noise(readings, seed)
+    runs, unit = found.runs, readings.unit("output") or ""
+    measured = of_runs(readings, np.asarray(readings["output"], float), runs)
+    draws = np.concatenate([one.allan_variance(runs.factors, runs.step) for one in found.drawn])
+    tail = 0.5 * (1 - CONFIDENCE)
+    low, middle, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
+    edf = degrees_of_freedom(runs, noise_types(np.median(draws, axis=0)))
+    random = np.random.default_rng(seed)
+    spread = np.sqrt(draws * random.chisquare(edf, draws.shape) / edf)
+    estimate_low, estimate_high = np.quantile(spread, [tail, 1 - tail], axis=0)
+    return SensorNoise(
+        file=readings.file,
+        unit=unit,
+        step=runs.step,
+        law=_words(found.drawn[0].terms),
+        probabilities={_words(t): p for t, p in found.probabilities.items()},
+        figures=_figures(found, unit, draws),
+        measured=measured,
+        expected=middle,
+        low=low,
+        high=high,
+        estimate_low=estimate_low,
+        estimate_high=estimate_high,
+        notes=found.notes,
+        densities=_for_filter(found),
+        horizon=float(runs.factors[-1] * runs.step),
+    )
+
+
+def _words(terms: tuple[str, ...]) -> str:
+    return SummedNoise(1.0, 2.0, terms).in_words if terms else "white"
+
+
+def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
+    """Draws of N, and of K; where no correlated noise is seen, the K that a random walk may still have."""
+    factors, step = found.runs.factors, found.runs.step
+    of_walk = step * (2 * factors**2 + 1) / (6 * factors)
+    densities, walks = [], []
+    for one in found.drawn:
+        own = one.draws[WHITE]
+        densities.append(own * step**0.5)
+        if not one.terms:
+            walks.append(np.resize(found.walk.draws["noise.walk"], len(own)))
+            continue
+        white = (own**2)[:, None] / factors
+        lacking = (SHORT_OF**2 * one.allan_variance(factors, step) - white) / of_walk
+        needed = np.sqrt(np.maximum(np.max(lacking, axis=1), 0.0))
+        walks.append(np.maximum(needed, one.draws.get("noise.walk", 0.0)))
+    return np.concatenate(densities), np.concatenate(walks)
+
+
+def _figures(
+    found: WeighedNoise, unit: str, curve: Float[np.ndarray, "d k"]
+) -> tuple[NoiseFigure, ...]:
+    """Each over all probable sums that have it, if it is more probably there than not."""
+    names, best, step = habit(unit), found.drawn[0], found.runs.step
+    own = unit or "1"
+    density, walk = f"{own}/Hz^0.5", f"{own}/s^0.5"
+
+    def over_all(name: str) -> np.ndarray | None:
+        having = [one.draws[name] for one in found.drawn if name in one.draws]
+        there = sum(len(h) for h in having) > 0.5 * sum(
+            len(one.draws[WHITE]) for one in found.drawn
+        )
+        return np.concatenate(having) if there else None
+
+    white = over_all(WHITE)
+    assert white is not None
+    made = [_figure("N", names.names[0], names.units[0], density, white * step**0.5)]
+    if (b := over_all("noise.flicker")) is not None:
+        made.append(_figure("B", f"{names.names[1]} (flicker)", names.units[1], own, b))
+    lowest = np.argmin(np.median(curve, axis=0))
+    if 0 < lowest < curve.shape[1] - 1:
+        floor = np.sqrt(np.min(curve, axis=1) / FLAT)
+        name = f"{names.names[1]} (lowest Allan deviation over 0.664)"
+        made.append(_figure("", name, names.units[1], own, floor))
+    k = over_all("noise.walk")
+    bound = found.walk.draws["noise.walk"]
+    named = ("K", names.names[2], names.units[2], walk)
+    made.append(_figure(*named, bound, bound=True) if k is None else _figure(*named, k))
+    for place in range(1, 1 + best.terms.count("correlated")):
+        assert best.law is not None
+        derived = {**best.draws, **best.law.derived(best.draws)}
+        size, time = (derived[f"noise.correlated{place}.{what}"] for what in ("size", "time"))
+        name = f"Ornstein–Uhlenbeck {place}"
+        made.append(_figure("", f"{name}, size", names.units[1], own, size))
+        made.append(_figure("", f"{name}, correlation time", "s", "s", time))
+    return tuple(made)
+
+
+def _figure(
+    symbol: str, name: str, unit: str, own: str, draws: np.ndarray, bound: bool = False
+) -> NoiseFigure:
+    """Draws in the unit `own` as a figure in another one and in base units."""
+    tail = 0.5 * (1 - CONFIDENCE)
+    low, middle, high = np.quantile(draws, [tail, 0.5, 1 - tail])
+    if bound:  # all of what is left below
+        low, high = 0.0, np.quantile(draws, CONFIDENCE)
+    factor = parse(own).factor / parse(unit).factor
+    base, to_base = _base(own)
+    values = [float(v) for v in (middle, low, high)]
+    si = tuple(v * to_base for v in values)
+    value, lowest, highest = (v * factor for v in values)
+    return NoiseFigure(
+        symbol, name, unit, value, lowest, highest, base, (si[0], si[1], si[2]), bound
+    )
+
+
+def _base(unit: str) -> tuple[str, float]:
+    """A unit in base units, in words that people use; and the factor to it."""
+    head, slash, rest = unit.partition("/Hz^0.5")
+    if not slash:
+        head, slash, rest = unit.removesuffix("/s^0.5"), unit[-6:], ""
+        if not unit.endswith("/s^0.5"):
+            head, slash = unit, ""
+    powers = dict(parse(head).powers)
+    if powers == {"ug": 1}:
+        return f"m/s^2{slash}{rest}", parse(head).factor * STANDARD_GRAVITY * 1e-6
+    if powers == {"rad": 1, "s": -1}:
+        return f"rad/s{slash}{rest}", parse(head).factor
+    return unit, 1.0

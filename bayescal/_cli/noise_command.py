@@ -1,0 +1,81 @@
+"""The noise of a sensor at rest as a command: N, B, K with intervals, a picture, the numbers that a filter needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import bayescal as bc
+from bayescal._cli import options
+from bayescal._cli.column_options import ColumnOptions
+from bayescal._cli.console import print_notes, print_result, result_folder
+from bayescal._cli.options import ModelOptions, with_groups
+from bayescal._core.errors import InputError
+
+commands = typer.Typer()
+AT_REST = (
+    "still_sensor"  # the instrument whose output does not change but by its noise and temperature
+)
+
+
+@commands.command(
+    epilog="Example: bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --yaml imu.yaml"
+)
+@with_groups
+def noise(
+    files: options.Files,
+    columns: ColumnOptions,
+    channels: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,NAME,…", help="Columns that are outputs, one after another: gyro_x,acc_x."
+        ),
+    ] = None,
+    yaml: Annotated[
+        Path | None,
+        typer.Option(help="File to write for Kalibr: noise densities and random walks."),
+    ] = None,
+    quantile: Annotated[
+        float, typer.Option(help="Of the posterior, that the numbers for Kalibr are.")
+    ] = 0.95,
+    topic: Annotated[str, typer.Option(help="Of the messages, for Kalibr.")] = "/imu0",
+    average: options.Average = None,
+    seed: options.Seed = 0,
+    out: options.Folder = None,
+    json_: options.Json = False,
+) -> None:
+    """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals."""
+    from bayescal._cli.request import Asked, open_channels, open_request
+    from bayescal._use.kalibr_file import kalibr_yaml
+
+    if not 0 < quantile < 1:
+        raise InputError(
+            f"--quantile {quantile:g}: give a probability between 0 and 1, such as 0.95"
+        )
+    asked = Asked(AT_REST, files, columns, ModelOptions(), average)
+    if channels is None:
+        _, _, one = open_request(asked)
+        name = next((s.output for s in one.sources if s.output), "output")
+        readings = {name: one}
+    else:
+        _, _, readings = open_channels(options.channel_names(channels), asked)
+    with result_folder(out) as folder:
+        found = {}
+        for name, one in readings.items():
+            print_notes(one.flags)
+            found[name] = bc.noise(one, seed=seed)
+            if not json_:
+                print(f"{name}\n\n{found[name]}\n")
+        if json_:
+            print_result({name: one.data() for name, one in found.items()})
+        written = []
+        if yaml is not None:
+            yaml.write_text(kalibr_yaml(found, topic, quantile), encoding="utf-8")
+            written.append(yaml)
+        for name, one in found.items() if folder is not None else ():
+            assert folder is not None
+            written.append(bc.plot.save(bc.plot.noise(one), folder / f"noise_{name}.png"))
+        if written and not json_:
+            print(f"written: {', '.join(map(str, written))}")

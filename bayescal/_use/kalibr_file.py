@@ -1,0 +1,87 @@
+"""The noise of an inertial unit as a file that Kalibr reads (imu.yaml), from channels at rest.
+
+Kalibr's noise model has two terms, in continuous time: a noise density (N of IEEE 952) and the random walk of the bias
+(K). Source: https://github.com/ethz-asl/kalibr/wiki/IMU-Noise-Model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bayescal._calibration.sensor_noise import QUANTILE, SensorNoise
+from bayescal._core.errors import InputError
+from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
+
+KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
+EVEN = 0.05  # of the step, by which those of channels of one unit may differ
+
+
+def kalibr_yaml(
+    channels: Mapping[str, SensorNoise], topic: str = "/imu0", quantile: float = QUANTILE
+) -> str:
+    """Text of an imu.yaml; of several axes the noisiest.
+
+    Args:
+        channels: noise of each channel, by its name, of an accelerometer, a gyroscope, or both.
+        topic: of the messages, `rostopic`.
+        quantile: of the posterior, which every number is.
+
+    Raises:
+        InputError: a channel is neither, or their rates differ, or the quantile is no probability.
+    """
+    if not 0 < quantile < 1:
+        raise InputError(f"the quantile {quantile:g} must be between 0 and 1, such as 0.95")
+    steps = {name: noise.step for name, noise in channels.items()}
+    if max(steps.values()) > (1 + EVEN) * min(steps.values()):
+        raise InputError(f"channels of one unit have one rate, not steps of {steps} s")
+    kinds = {name: _kind(name, noise.unit) for name, noise in channels.items()}
+    lines = [
+        "# Noise of an inertial measurement unit at rest, for Kalibr. Continuous time, SI units."
+    ]
+    lines += [
+        f"# Every number is the {quantile:.0%} quantile of its posterior, of the noisiest axis."
+    ]
+    for name, noise in channels.items():
+        lines += [f"# {name}: {noise.law}. {_left_out(noise)}"]
+    for kind, unit in KINDS.items():
+        own = [noise for name, noise in channels.items() if kinds[name] == kind]
+        lines.append(f"# {kind}, {unit}")
+        if not own:
+            lines.append(f"#   no {kind} was given: its two numbers are missing")
+            continue
+        pairs = [[v * _factor(one.unit) for v in one.for_filter(quantile)] for one in own]
+        density, walk = (max(column) for column in zip(*pairs, strict=True))
+        lines.append(f"{kind}_noise_density: {density:.4e}")
+        lines.append(f"{kind}_random_walk: {walk:.4e}")
+    lines += [f"rostopic: {topic}", f"update_rate: {1 / min(steps.values()):.6g}"]
+    return "\n".join(lines) + "\n"
+
+
+def _left_out(noise: SensorNoise) -> str:
+    horizon = f"{noise.horizon:.3g} s"
+    if noise.law == "white":
+        return f"No random walk is seen in averages up to {horizon}: the one given is a bound."
+    if noise.law == "white + random walk":
+        return "Nothing is left out."
+    return (
+        "A random walk takes the place of the correlated terms: with the density it reaches 95 % of the law's Allan "
+        f"deviation up to {horizon}; beyond, it grows where this law does not."
+    )
+
+
+def _kind(name: str, unit: str) -> str:
+    powers = dict(parse(unit or "1").powers)
+    if powers == {"rad": 1, "s": -1}:
+        return "gyroscope"
+    if powers in ({"ug": 1}, {"m": 1, "s": -2}):
+        return "accelerometer"
+    raise InputError(
+        f"the channel {name!r} in {unit or 'no unit'} is neither a gyroscope's nor an accelerometer's: an imu.yaml has "
+        "no place for it. Say its unit, as --unit gyro_x=deg/s"
+    )
+
+
+def _factor(unit: str) -> float:
+    """From a unit to m/s² or rad/s."""
+    parsed = parse(unit)
+    return parsed.factor * (STANDARD_GRAVITY * 1e-6 if dict(parsed.powers) == {"ug": 1} else 1.0)

@@ -1,0 +1,173 @@
+"""Noise of a sensor at rest: N, B and K hold the truth, and a filter's file has them in its units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._calibration import noise_at_rest
+from bayescal._calibration.sensor_noise import NoiseFigure
+from bayescal_models import still_sensor
+from tests.support.command_line import run
+
+GYRO = still_sensor.instrument("deg/s", size=1.0, constant=10.0, span=0.0)
+STEP, N, K = 0.1, 0.003, 0.002  # s; °/s/√Hz; °/s/√s
+
+
+def still(seed: int, n: int = 6000, walk: float = K, **columns) -> bc.Measurements:
+    random = np.random.default_rng(seed)
+    rate = N / math.sqrt(STEP) * random.standard_normal(n)
+    rate += walk * math.sqrt(STEP) * np.cumsum(random.standard_normal(n))
+    return bc.Measurements.from_arrays(GYRO, time=STEP * np.arange(n), output=rate, **columns)
+
+
+def symbol(found: bc.SensorNoise, name: str) -> NoiseFigure:
+    return next(f for f in found.figures if f.symbol == name)
+
+
+@pytest.fixture(scope="module")
+def walking() -> bc.SensorNoise:
+    return bc.noise(still(5))
+
+
+@pytest.mark.slow
+def test_density_and_random_walk_hold_the_truth_in_either_unit(walking) -> None:
+    assert walking.law == "white + random walk"
+    n, k = symbol(walking, "N"), symbol(walking, "K")
+    assert n.unit == "deg/h^0.5" and n.low < 60 * N < n.high
+    assert k.unit == "deg/h/h^0.5" and k.low < 3600 * 60 * K < k.high and not k.bound
+    to_si = math.radians(1)
+    assert n.si_unit == "rad/s/Hz^0.5" and n.si[1] < to_si * N < n.si[2]
+    assert k.si_unit == "rad/s/s^0.5" and k.si[1] < to_si * K < k.si[2]
+    inside = (walking.estimate_low < walking.measured.deviation) & (
+        walking.measured.deviation < walking.estimate_high
+    )
+    assert inside.mean() >= 0.8
+    assert (walking.low <= walking.expected).all() and (walking.expected <= walking.high).all()
+
+
+@pytest.mark.slow
+def test_a_walk_that_is_not_there_has_a_bound() -> None:
+    found = bc.noise(still(6, walk=0.0))
+    assert found.law == "white"
+    k = symbol(found, "K")
+    assert k.bound and 0 < k.high < 3600 * 60 * K
+    assert "< " in str(found) and "not seen" in str(found)
+
+
+@pytest.mark.slow
+def test_means_of_blocks_say_what_single_readings_say(walking, monkeypatch) -> None:
+    monkeypatch.setattr(noise_at_rest, "LONG", 1024)
+    found = bc.noise(still(5))
+    assert any("means of 8" in note for note in found.notes)
+    for name, wider in (("N", 3.0), ("K", 1.5)):
+        one, whole = symbol(found, name), symbol(walking, name)
+        assert one.low < whole.value < one.high
+        assert one.high - one.low < wider * (whole.high - whole.low)
+
+
+@pytest.mark.slow
+def test_a_dependence_on_temperature_is_no_noise() -> None:
+    plain = still(6, walk=0.0)
+    temperature = 25 + 5 * np.sin(np.arange(len(plain)) / 900)
+    output = plain["output"] + 0.02 * (temperature - 25) + 1e-3 * (temperature - 25) ** 2
+    data = bc.Measurements.from_arrays(
+        GYRO, time=plain["time"], output=output, temperature=temperature
+    )
+    assert bc.noise(data).law == "white"
+
+
+def test_what_cannot_be_told_is_refused() -> None:
+    data = still(6)
+    rounded = data.with_column("output", np.round(data["output"], 1))
+    with pytest.raises(bc.InputError, match="rounded more coarsely than its noise"):
+        bc.noise(rounded)
+    uneven = data.select(np.flatnonzero(np.arange(len(data)) % 7 != 3))
+    with pytest.raises(bc.InputError, match="evenly spaced"):
+        bc.noise(uneven)
+
+
+# The file for a filter.
+
+
+def told(unit: str, law: str = "white + random walk", **more) -> bc.SensorNoise:
+    """A noise of N about 1 and K about 2, in a unit."""
+    nothing = np.zeros(0)
+    curve = bc.allan_deviation(still(1, n=100))
+    return bc.SensorNoise(
+        file="a.csv",
+        unit=unit,
+        step=0.01,
+        law=law,
+        probabilities={law: 1.0},
+        figures=(),
+        measured=curve,
+        notes=(),
+        expected=nothing,
+        low=nothing,
+        high=nothing,
+        estimate_low=nothing,
+        estimate_high=nothing,
+        densities=(np.linspace(0.9, 1.1, 201), np.linspace(1.8, 2.2, 201)),
+        horizon=100.0,
+        **more,
+    )
+
+
+def numbers(text: str) -> dict[str, str]:
+    rows = (line.split(": ") for line in text.splitlines() if not line.startswith("#"))
+    return dict(rows)
+
+
+def test_a_file_for_kalibr_has_the_noisiest_axis_in_si_units() -> None:
+    louder = replace(told("deg/s"), densities=(np.full(9, 3.0), np.full(9, 0.1)))
+    channels = {"gyro_x": told("deg/s"), "gyro_y": louder, "acc_x": told("ug")}
+    found = numbers(bc.kalibr_yaml(channels, topic="/imu/raw", quantile=0.5))
+    gravity = 9.80665e-6
+    expected = {
+        "gyroscope_noise_density": math.radians(3.0),
+        "gyroscope_random_walk": math.radians(2.0),
+        "accelerometer_noise_density": gravity,
+        "accelerometer_random_walk": 2 * gravity,
+        "update_rate": 100.0,
+    }
+    for name, value in expected.items():
+        assert float(found[name]) == pytest.approx(value, rel=1e-4)
+    assert found["rostopic"] == "/imu/raw"
+
+
+def test_a_higher_quantile_is_more_conservative() -> None:
+    low, high = (numbers(bc.kalibr_yaml({"x": told("rad/s")}, quantile=q)) for q in (0.5, 0.95))
+    assert float(high["gyroscope_noise_density"]) == pytest.approx(1.09, rel=1e-3)
+    assert float(low["gyroscope_noise_density"]) == pytest.approx(1.0, rel=1e-3)
+
+
+def test_what_is_left_out_is_said() -> None:
+    text = bc.kalibr_yaml({"x": told("rad/s", "white + flicker"), "y": told("rad/s", "white")})
+    assert "x: white + flicker. A random walk takes the place of the correlated terms" in text
+    assert "y: white. No random walk is seen" in text
+    assert "no accelerometer was given" in text
+
+
+@pytest.mark.parametrize(
+    ("channels", "quantile", "said"),
+    [
+        ({"x": told("rad/s")}, 1.0, "between 0 and 1"),
+        ({"x": told("V")}, 0.9, "neither a gyroscope's nor an accelerometer's"),
+        ({"x": told("rad/s"), "y": replace(told("ug"), step=0.02)}, 0.9, "one rate"),
+    ],
+)
+def test_a_file_that_would_mislead_is_refused(channels, quantile, said) -> None:
+    with pytest.raises(bc.InputError, match=said):
+        bc.kalibr_yaml(channels, quantile=quantile)
+
+
+def test_bad_input_on_the_command_line_is_status_two(tmp_path) -> None:
+    file = tmp_path / "still.csv"
+    file.write_text("time [s],gyro_x [deg/s]\n" + "".join(f"{i},{i % 3}\n" for i in range(50)))
+    found = run("noise", file, "--columns", "output=gyro_x", "--quantile", "2")
+    assert found.status == 2 and "between 0 and 1" in found.err
