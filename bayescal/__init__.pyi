@@ -78,6 +78,9 @@ from ._inference.nuts import numpyro_program as numpyro_program
 
 # results
 from ._calibration.calibration import Calibration as Calibration
+from ._calibration.settings import GuardSettings as GuardSettings
+from ._calibration.settings import SearchSettings as SearchSettings
+from ._calibration.settings import use_settings as use_settings
 from ._inference.method import Verdict as Verdict
 from ._calibration.check_result import Check as Check
 from ._calibration.compare import Comparison as Comparison

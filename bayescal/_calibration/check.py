@@ -10,27 +10,19 @@ from scipy.special import bdtr, kolmogorov, ndtr, smirnov, stdtr
 
 from bayescal._calibration import covariate_evidence, efficient_score
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import (
-    SIGNIFICANT,
-    Check,
-    Entry,
-    FixedComparison,
-    Pair,
-)
+from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair
 from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.fit import fit
 from bayescal._calibration.noise_in_time import allan_check
+from bayescal._calibration.settings import guarding
 from bayescal._calibration.worst_region import worst_regions
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.least_squares import LeastSquares
 
-ALIKE = 0.95  # rank correlation from which two covariates are taken for one
 DUOS = 15  # pairs of covariates, at most
 MEMBERS = 64  # of a group that is looked at member by member, at most
-OUTLIER = 4.0  # leave-one-out standard deviations
 BOUND = 0.99  # expected autocorrelation from which neighbours are what the fit leaves, such as two about a free level
 ROUNDING = 1e-9  # share of a sum, below which it is the rounding of its terms
-RARE = 0.12  # one-sided p-value, whose fourth power is about that of both sides at once
 FAR = 0.1  # share of the readings that stand farthest from the model
 
 
@@ -68,7 +60,9 @@ def check(calibration: Calibration) -> Check:
         noise=noise,
         autocorrelation=autocorrelation(judged, white),
         spread_with={} if off else _spread_with(covariates, white),
-        outliers=tuple((int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > OUTLIER)),
+        outliers=tuple(
+            (int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > guarding().outlier)
+        ),
         pit_p=_uniform(ndtr(loo)),
         one_sided=1.0 if off else _one_sided(loo),
         fixed=None
@@ -172,7 +166,7 @@ def _duos(
     return [
         (a, b)
         for a, b in combinations(varied, 2)
-        if abs(np.corrcoef(rank[a.name], rank[b.name])[0, 1]) < ALIKE
+        if abs(np.corrcoef(rank[a.name], rank[b.name])[0, 1]) < guarding().same_covariate
     ][:DUOS]
 
 
@@ -240,7 +234,7 @@ def _spread_with(
     for block in covariates:
         if not block.levels:
             p = _uncorrelated(sizes, _ranks(block.values))
-            if p < SIGNIFICANT:
+            if p < guarding().significant:
                 found[block.name] = p
     return found
 
@@ -290,7 +284,7 @@ def _uniform(values: np.ndarray) -> float:
     steps = np.arange(n + 1) / n
     apart = float(max(np.max(steps[1:] - ordered), np.max(ordered - steps[:-1])))
     one_sided = float(smirnov(n, apart))
-    if one_sided < RARE:
+    if one_sided < guarding().one_sided:
         return 2 * (one_sided - one_sided**4)
     root = np.sqrt(n)
     x = root * apart

@@ -10,11 +10,11 @@ import numpy as np
 
 from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.noise_in_time import AllanCheck
+from bayescal._calibration.settings import guarding
 from bayescal._calibration.worst_region import Region
 from bayescal._core.formatting import WIDTH, Printed, number, table
 from bayescal._data.unit_conversion import unit_label
 
-SIGNIFICANT = 1e-3  # p-value of the tests without a Bayes factor
 IN_TIME = ("time", "elapsed", "order", "run")  # what correlated noise seems to follow
 
 
@@ -157,7 +157,7 @@ def check_text(check: Check) -> str:
         shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
     lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
-    if check.one_sided < SIGNIFICANT:
+    if check.one_sided < guarding().significant:
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
     lines += _allan_lines(check)
     return "\n".join(lines)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayescal._calibration.fitted import Fitted
+from bayescal._calibration.settings import guarding
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
@@ -21,19 +22,8 @@ from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._model.prior import LogUniform
 
-CONFLICT = 4.0  # prior standard deviations from the prior's mean, beyond which readings and prior contradict each other
-OFF_SCALE = (
-    1e-6,
-    1e6,
-)  # of the noise: what contributes less or more at a plausible size is in a wrong unit
-FREE = 1e3  # times a plausible size, which is none any more
 MOST = 2  # coefficients of an effect; more of them stand for a function
-SIZES = 10.0  # times a candidate's plausible size, which is known to an order of magnitude only
-WIDER = -1.0  # contraction below which the posterior is wider than the prior can be
-APART = 3.0  # standard deviations between two modes
-NEARLY = 3.0  # log Bayes factor of two modes, below which one does not stand for both
 TRIED = 3  # starts of the search for another mode
-RECORDS = 10.0  # records, beyond which no time can be told
 
 
 def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
@@ -51,7 +41,7 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
         for rows in (coefficients, spreads)
     )
     for row in coefficients:  # what is positive may well be larger than thought, and then wider
-        if row["contraction"] is not None and row["contraction"] < WIDER:
+        if row["contraction"] is not None and row["contraction"] < guarding().wider:
             found.append(
                 f"{row['name']} is known worse than before the readings (contraction "
                 f"{row['contraction']:.1f}): the fit has lost its way."
@@ -70,7 +60,11 @@ def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> l
     first = effect.coefficients[0]
     if not effect.columns or effect.is_placeholder or first.spread is not None or first.flat:
         return []
-    if contribution == 0 or noise == 0 or OFF_SCALE[0] <= contribution / noise <= OFF_SCALE[1]:
+    if (
+        contribution == 0
+        or noise == 0
+        or guarding().off_scale[0] <= contribution / noise <= guarding().off_scale[1]
+    ):
         return []
     shown = f"{number(contribution)} {unit_label(unit)}"
     return [
@@ -133,7 +127,9 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
         for e in instrument.effects
         if len(e.coefficients) == 1 and instrument.slot(e.slot).unit in (instrument.unit, "1")
     }
-    assembly = Assembly(calibration.layout, calibration.assembly.record, dict.fromkeys(own, FREE))
+    assembly = Assembly(
+        calibration.layout, calibration.assembly.record, dict.fromkeys(own, guarding().free)
+    )
     there = calibration.mode
     starts = [there.v, np.zeros_like(there.v)]
     mode = find_mode(assembly, starts, there.covariance, there.point, still=0.01)
@@ -144,7 +140,7 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
     stands = {}
     for b in (b for b in calibration.layout.x_blocks if b.effect.name in own):
         for i, name in enumerate(b.member_names(calibration.levels)):
-            stands[name] = (float(mean[b.start + i]), CONFLICT * float(sd[b.start + i]))
+            stands[name] = (float(mean[b.start + i]), guarding().conflict * float(sd[b.start + i]))
     return _against_priors(calibration, stands, accepted)
 
 
@@ -167,7 +163,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
     sd = np.sqrt(np.diag(mode.covariance))
 
     def far(v: np.ndarray) -> np.ndarray:
-        return np.abs(v - mode.v)[shapes] > APART * sd[shapes]
+        return np.abs(v - mode.v)[shapes] > guarding().modes_apart * sd[shapes]
 
     density = Density(assembly, mode.point, mode.flat, mode.v)
     tried = np.concatenate([prior_draws(assembly), *across(assembly, mode.v)])
@@ -175,7 +171,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:TRIED]]:
         other = find_mode(assembly, [start], None, mode.point, still=0.01)
         behind = mode.log_evidence - other.log_evidence
-        if far(other.v).any() and behind < NEARLY:
+        if far(other.v).any() and behind < guarding().modes_nearly:
             apart = [
                 h
                 for h, away in zip([assembly.hypers[i] for i in shapes], far(other.v), strict=True)
@@ -206,7 +202,11 @@ def _against_priors(
             continue
         if len(b.effect.coefficients) > MOST or b.effect.name in accepted:
             continue
-        most = CONFLICT if b.effect.name in baseline else CONFLICT * SIZES
+        most = (
+            guarding().conflict
+            if b.effect.name in baseline
+            else guarding().conflict * guarding().sizes
+        )
         for name in b.member_names(calibration.levels):
             where, give = stands.get(name, (c.mean, 0.0))
             away = abs(where - c.mean) / c.size
@@ -243,7 +243,7 @@ def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[st
     found = []
     for effect in unnamed:
         here = float(np.std(calibration.linear.contribution(effect.name)))
-        if known and here > CONFLICT * known:
+        if known and here > guarding().conflict * known:
             found.append(
                 f"{effect.name} changes the output by {number(here)} {unit} rms, where all effects known of the "
                 f"instrument, as large as is plausible, would change it by {number(known)} {unit}: check the sign, the "
@@ -282,12 +282,13 @@ def _too_large(calibration: Fitted, spreads: list[dict[str, Any]]) -> list[str]:
         hypers = calibration.layout.hypers
         bounded = {h.name for h in hypers if isinstance(h.prior, LogUniform)}  # by the longest run
         found += [
-            f"{row['name']} is longer than {RECORDS:.0f} records ({number(row['mean'])} s): it cannot be told."
+            f"{row['name']} is longer than {guarding().records:.0f} records ({number(row['mean'])} s): it cannot be "
+            "told."
             for row in spreads
             if row["name"] not in sizes | bounded
             and row["unit"] == "s"
             and record > 0
-            and row["mean"] > RECORDS * record
+            and row["mean"] > guarding().records * record
         ]
     return found
 

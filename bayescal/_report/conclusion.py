@@ -8,6 +8,7 @@ from typing import Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import curve_extent, place_of
 from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
@@ -15,7 +16,6 @@ from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.section import Chapter
-from bayescal._search.posterior import FOUND
 
 RIVAL = 0.05  # probability from which another set of effects is named beside what was found
 _SUBJECTS = {"bias": "the output", "scale": "the scale factor", "zero": "the zero"}
@@ -59,7 +59,7 @@ def _found(chapter: Chapter) -> str:
     by_subject: dict[str, list[str]] = {}
     for effect in added:
         likely = _probability(chapter, effect)
-        how = "" if likely is None or likely >= FOUND else f"probably ({likely:.2f}) "
+        how = "" if likely is None or likely >= searching().found else f"probably ({likely:.2f}) "
         by_subject.setdefault(_subject(effect), []).append(how + _does(c, effect))
     sentences = (f"{subject} {_and(does)}." for subject, does in by_subject.items())
     return " ".join(s[0].upper() + s[1:] for s in sentences)

@@ -14,6 +14,7 @@ import numpy as np
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity
 from bayescal._calibration.leave_group_out import groups_of
+from bayescal._calibration.settings import unusual
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.atomic_file import write_text
 from bayescal._data.measurements import Measurements
@@ -61,6 +62,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "versions": versions(),
             "reference": final.reference,
             "fixed": dict(final.model.fixed),
+            "settings": unusual(),
             "readings": {**_source(final.readings), "groups": _groups(final.readings)},
             "holdout": None if trail.holdout is None else _source(trail.holdout),
             "flags": list(final.readings.flags),

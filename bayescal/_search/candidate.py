@@ -11,20 +11,15 @@ from scipy.special import chdtrc, logsumexp, ndtri
 
 from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.guards import off_scale
+from bayescal._calibration.settings import searching
 from bayescal._inference.density import Density
 from bayescal._inference.linear_model import learned_size, linear_model
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._search.library import Library
-from bayescal._search.posterior import FOUND
 from bayescal._search.scores import ScoredPoint, gain_of
 from bayescal._search.structures import Weighed
 
-POWER = 0.80
 FINE = np.geomspace(1 / 30, 30, 61)  # amplitudes of a group, about the likeliest of its grid
-ALIKE = 0.95  # cosine of fitted contributions from which two candidates are confounded
-LEAD = 0.2  # probability from which what is not found is a lead
-VISIBLE = 0.01  # share of the information left after the nuisances, below which a plausible size must still be seen
-HOPELESS = 10.0  # plausible sizes that an effect would need, above which it is not detectable in this experiment
 
 
 @dataclass(frozen=True)
@@ -194,7 +189,10 @@ def _visibility(point: ScoredPoint) -> float:
 
 def _minimum_detectable(library: Library, point: ScoredPoint, size: float) -> float | None:
     """Size found with 80 % power: the log Bayes factor reaches what a finding needs under its prior odds."""
-    needed = math.log(FOUND / (1 - FOUND)) - library.structures.log_odds[point.effect]
+    needed = (
+        math.log(searching().found / (1 - searching().found))
+        - library.structures.log_odds[point.effect]
+    )
     group = library.grouped(point.effect)
     _, information = _main(point, group)
     if group:
@@ -205,7 +203,7 @@ def _minimum_detectable(library: Library, point: ScoredPoint, size: float) -> fl
     if i <= 1e-12:
         return None
     threshold = np.sqrt(2 * (needed + 0.5 * np.log1p(i)) * (1 + i) / i)
-    return float((threshold + ndtri(POWER)) / np.sqrt(i) * point.size.sd[0])
+    return float((threshold + ndtri(searching().power)) / np.sqrt(i) * point.size.sd[0])
 
 
 def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: float) -> float | None:
@@ -219,7 +217,7 @@ def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: flo
         square = normal**2 * (values + values**2 * factor**2)
         weight = factor**2
         gain = 0.5 * square * weight / (1 + values * weight) - 0.5 * np.log1p(values * weight)
-        if np.mean(gain.sum(axis=1) >= needed) >= POWER:
+        if np.mean(gain.sum(axis=1) >= needed) >= searching().power:
             return float(factor * amplitude)
     return None
 
@@ -239,7 +237,7 @@ def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
     norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     cosine = np.abs(gram / np.outer(norms, norms))
     return {
-        name: {names[j] for j in np.flatnonzero(cosine[i] > ALIKE) if j != i}
+        name: {names[j] for j in np.flatnonzero(cosine[i] > searching().alike) if j != i}
         for i, name in enumerate(names)
     }
 
@@ -248,12 +246,16 @@ def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
     """The candidate with its kind: whether it is found, a lead, or not to be seen."""
     if found:
         return replace(candidate, kind="finding")
-    if (candidate.probability or 0.0) >= LEAD:
+    if (candidate.probability or 0.0) >= searching().lead:
         return replace(candidate, kind="lead")
     if (candidate.log_bayes_factor or 0.0) > STRONG:
         return candidate  # to be seen well enough, and explained by what was found
     least = candidate.minimum_detectable
-    hidden = (candidate.visibility or 0.0) < VISIBLE
-    if least is None or least > HOPELESS * plausible or (hidden and least > plausible):
+    hidden = (candidate.visibility or 0.0) < searching().visible
+    if (
+        least is None
+        or least > searching().detectable * plausible
+        or (hidden and least > plausible)
+    ):
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")
     return candidate

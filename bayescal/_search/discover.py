@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, TimeIsUp
 from bayescal._core.formatting import WIDTH, Printed, number, probability, table, with_error
@@ -40,7 +41,6 @@ from bayescal._search.walk import ended_early, walk
 WORK = 0.9
 # Of the time left, for the walk: the rest tells what it found, fits that, samples and checks it.
 SEARCH = 2 / 3
-SHOWN = 0.01  # probability from which a noise law is printed
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 
 
@@ -330,7 +330,7 @@ def discovery_text(found: Discovery) -> str:
     """What is missing, and every candidate, the most probable first."""
     lines = [*_findings(found), *map(str, found.departures)]
     if found.noise:
-        shown = [n for n in found.noise if n.probability >= SHOWN]
+        shown = [n for n in found.noise if n.probability >= searching().shown]
         line = f"noise law (probability): {', '.join(map(str, shown))}"
         lines.append(textwrap.fill(line, WIDTH, subsequent_indent="  "))
     lines += [found.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in found.off_scale)]
@@ -358,7 +358,7 @@ def _findings(found: Discovery) -> list[str]:
     for c in found.candidates:
         if c.effect.endswith(FREED) and c.probability is not None:
             rest = [r for r in found.candidates if not r.effect.endswith(FREED)]
-            rival = next((r for r in rest if (r.probability or 0.0) >= SHOWN), None)
+            rival = next((r for r in rest if (r.probability or 0.0) >= searching().shown), None)
             other = (
                 f", or {rival.effect} is missing ({probability(rival.probability)})"
                 if rival

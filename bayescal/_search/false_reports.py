@@ -12,13 +12,13 @@ from scipy.stats import binomtest
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._calibration.on_readings import Vectors, replicate
+from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, TimeIsUp
 from bayescal._core.progress import stage
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model.effect import Effect
 from bayescal._search.discover import discover
-from bayescal._search.posterior import FOUND
 
 LEVEL = 0.95  # of the interval
 
@@ -45,7 +45,7 @@ class FalseReports:
         return (
             f"false reports: {self.reported} of {self.campaigns} campaigns simulated from this model, for which "
             f"the model is complete (95 % interval {100 * low:.1f} to {100 * high:.1f} %; at most "
-            f"{100 * (1 - FOUND):.0f} % were meant)" + (f": {what}" if what else "")
+            f"{100 * (1 - searching().found):.0f} % were meant)" + (f": {what}" if what else "")
         )
 
 

@@ -12,21 +12,13 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.evidence_scale import VERY_STRONG
 from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.leave_group_out import scheme
+from bayescal._calibration.settings import guarding
 from bayescal._data.covariate_checks import oddities
 from bayescal._data.rounding import AS_GOOD_AS_NOISE, rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.unknown_effect import FORMS, FREED, covariate_in
-from bayescal._search.search_path import WORSE, Gate, Step
+from bayescal._search.search_path import Gate, Step
 from bayescal._search.taken_over import taken_over
-
-AUTOCORRELATED = 4.0  # z of the lag-1 autocorrelation above which the noise model is not adequate,
-NOTICEABLE = 0.1  # if the coefficient itself is above this
-FEWEST = int(AUTOCORRELATED**2) + 1  # readings, below which no correlation reaches that z
-RARE = 1e-5  # p-value of a test that asks once for each covariate
-WITHIN = 0.05  # of the squares of a step, that lie within runs where it is one between them
-UNLIKELY = 0.05  # probability that the model is complete, below which it is not to be used as it is
-SURPRISED = 3.0  # times what the other groups expect of one, beyond which it is not like them
-EXPECTED = 2.0  # times the error that a model expects of hold-out data
 
 
 def gate(steps: Sequence[Step]) -> Gate:
@@ -37,7 +29,7 @@ def gate(steps: Sequence[Step]) -> Gate:
 def _gate(steps: Sequence[Step], reasons: Sequence[str]) -> Gate:
     if reasons:
         return Gate(False, " ".join(reasons))
-    if len(steps[-1].calibration.readings) < FEWEST:
+    if len(steps[-1].calibration.readings) < int(guarding().correlated_z ** 2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
     return Gate(True, "converged; neighbouring residuals are not correlated")
 
@@ -96,7 +88,7 @@ def _surprising(step: Step) -> list[str]:
     What is missing from a model is missing in every group, and counts as their noise.
     """
     out = step.left_out
-    if out is None or not np.any(out.surprise > SURPRISED):
+    if out is None or not np.any(out.surprise > guarding().surprised):
         return []
     worst = int(np.nanargmax(out.surprise))
     return [
@@ -156,7 +148,7 @@ def _undecided(step: Step) -> list[str]:
     found = step.discovery
     if found is None or found.nothing_missing is None or found.sets:
         return []
-    if found.nothing_missing >= UNLIKELY:
+    if found.nothing_missing >= guarding().unlikely:
         return []
     leads = [c for c in found.candidates if c.probability is not None][:3]
     named = ", ".join(f"{c.effect} ({c.probability:.2f})" for c in leads)
@@ -186,7 +178,7 @@ def _of_noise(step: Step) -> list[str]:
     found += _left_over(step)
     found += _between_runs(step)
     coefficient, z = step.check.autocorrelation
-    if abs(z) > AUTOCORRELATED and abs(coefficient) > NOTICEABLE:
+    if abs(z) > guarding().correlated_z and abs(coefficient) > guarding().correlated:
         found.append(
             f"Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), "
             "so the probabilities of missing effects are too confident. Either the noise is correlated in "
@@ -231,7 +223,9 @@ def _between_runs(step: Step) -> list[str]:
             continue
         added = calibration.linear.contribution(name)
         means = np.bincount(codes, added) / np.bincount(codes)
-        if np.sum((added - means[codes]) ** 2) < WITHIN * np.sum((added - added.mean()) ** 2):
+        if np.sum((added - means[codes]) ** 2) < guarding().within * np.sum(
+            (added - added.mean()) ** 2
+        ):
             return [
                 f"Runs stand {np.ptp(means):.3g} {unit_label(calibration.unit)} apart ({name} steps where none goes "
                 "on): they are of two devices or conditions, or the sensor was restarted, and which of them a new run "
@@ -243,18 +237,18 @@ def _between_runs(step: Step) -> list[str]:
 def _of_scatter(step: Step) -> list[str]:
     """What the leave-one-out tests say against the noise law."""
     check = step.check
-    along = [name for name, p in check.spread_with.items() if p < RARE]
+    along = [name for name, p in check.spread_with.items() if p < guarding().rare]
     if along:
         return [
             f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "
             "for no part of the record. Give the readings their own uncertainties (column output_uncertainty)."
         ]
-    if check.one_sided < RARE:
+    if check.one_sided < guarding().rare:
         return [
             "Noise model inadequate: the readings far from the model stand on one side "
             f"(p = {check.one_sided:.1g}), outliers that draw it there. Find what makes them, and leave them out."
         ]
-    if check.pit_p < RARE:
+    if check.pit_p < guarding().rare:
         outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
         return [
             "Noise model inadequate: readings do not scatter about the model as normal noise does (leave-one-out "
@@ -269,7 +263,7 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
     reasons, unit = [], unit_label(steps[-1].calibration.unit)
     for before, after in pairwise(steps):
         # Under another noise law readings weigh differently: their plain error may well be larger.
-        if after.added is not None and after.rmse_fitted > WORSE * before.rmse_fitted:
+        if after.added is not None and after.rmse_fitted > guarding().worse * before.rmse_fitted:
             reasons.append(
                 f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
                 f"{after.rmse_fitted:.3g} {unit}: do not use it."
@@ -284,7 +278,7 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
         )
     reasons += _surprising(last)
     expected = last.holdout_sd
-    if expected is not None and (last.holdout_rmse or 0.0) > EXPECTED * expected:
+    if expected is not None and (last.holdout_rmse or 0.0) > guarding().expected * expected:
         reasons.append(
             "The last model predicts the hold-out data worse than it claims: "
             f"{last.holdout_rmse:.3g} against {expected:.3g} {unit} expected. They are of another device or "
@@ -303,7 +297,7 @@ def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     if last.left_out is None or not known:
         return None
     error, best = min(known, key=lambda one: one[0])
-    if last.left_out.rmse <= WORSE * error:
+    if last.left_out.rmse <= guarding().worse * error:
         return None
     if last.calibration.model.noise.independent or best.left_out is None:
         return best
@@ -316,7 +310,7 @@ def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     if last.holdout_rmse is None or not known:
         return None
     error, best = min(known, key=lambda one: one[0])
-    if last.holdout_rmse <= WORSE * error:
+    if last.holdout_rmse <= guarding().worse * error:
         return None
     expected = last.holdout_sd is not None and last.holdout_rmse <= last.holdout_sd
     return None if expected and not last.calibration.model.noise.independent else best

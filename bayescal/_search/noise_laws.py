@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
+from bayescal._calibration.settings import searching
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.gaussian import LOG_2PI
 from bayescal._inference.noise_on_record import Whitening, total_log_density
@@ -22,7 +23,6 @@ from bayescal._model.frame import Frame
 from bayescal._model.model import Model
 from bayescal._model.noise_law import OFFERS, WHITE, Noise
 
-FEWEST = 30  # readings from which the noise law can be told at all
 LEVELS = (
     -2.0,
     0.0,
@@ -43,7 +43,7 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
     """
     together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
     fixed = any(name.startswith("noise.") for name, _ in model.fixed)
-    if together or fixed or frame.size < FEWEST or not model.noise.first:
+    if together or fixed or frame.size < searching().fewest_for_noise or not model.noise.first:
         return {}
     scale = model.noise.parameters()[WHITE]
     laws = [law for offer in OFFERS for law in offer(scale, frame)]

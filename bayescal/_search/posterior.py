@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._calibration.settings import searching
 from bayescal._inference.linear_model import linear_model
 from bayescal._search.structures import Structure, Structures, Weighed
 
-FOUND = 0.95  # probability from which something is reported as found
 SHOWN = 20  # structures kept of a search
 
 
@@ -89,12 +89,12 @@ class Posterior:
         found = []
         for name in self.best.effects - self.given:
             members = [name]
-            while self.inclusion(*members) < FOUND:
+            while self.inclusion(*members) < searching().found:
                 further = self._substitute(members)
                 if further is None:
                     break
                 members.append(further)
-            if self.inclusion(*members) >= FOUND:
+            if self.inclusion(*members) >= searching().found:
                 order = sorted(members, key=lambda n: -self.inclusion(n))
                 found.append(Found(tuple(order), self.inclusion(*members)))
         return tuple(sorted(found, key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects))))

@@ -13,15 +13,15 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.guards import doubts_of_the_mode
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
+from bayescal._calibration.settings import guarding, searching
 from bayescal._core.formatting import Printed, number, probability, table
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import Discovery
-from bayescal._search.posterior import FOUND, OtherPath, Search
+from bayescal._search.posterior import OtherPath, Search
 from bayescal._search.structure_average import StructureShare
 
-WORSE = 1.05  # error against that of an earlier step, above which a step does harm
 RISES = " ↑"  # beside a hold-out error that is so
 
 
@@ -82,7 +82,7 @@ class Step:
     def raises_holdout(self, before: Step) -> bool:
         """Whether its hold-out error is more than a twentieth above that of the step before."""
         now, then = self.holdout_rmse, before.holdout_rmse
-        return now is not None and then is not None and now > WORSE * then
+        return now is not None and then is not None and now > guarding().worse * then
 
     def errors(self) -> dict[str, Any]:
         """Title and errors as plain data, output unit: what result.json says of them, and what pictures show."""
@@ -256,9 +256,9 @@ def ending(found: Discovery | None, added: int, most: int | None, stopped: str) 
 def _nearest(best: Candidate, added: int) -> str:
     """The most probable candidate that was not added."""
     it = f"{best.effect}, probability {probability(best.probability)}"
-    if (best.probability or 0.0) >= FOUND:
+    if (best.probability or 0.0) >= searching().found:
         return f"Still missing: {it}."
     more = "Nothing more" if added else "Nothing"
     if best.kind == "lead":
-        return f"{more} is found: {it}: a lead, below the {FOUND:g} asked for."
-    return f"{more} is found: the most probable candidate is {it}, below the {FOUND:g} asked for."
+        return f"{more} is found: {it}: a lead, below the {searching().found:g} asked for."
+    return f"{more} is found: the most probable candidate is {it}, below the {searching().found:g} asked for."

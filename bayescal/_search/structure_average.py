@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
@@ -30,9 +31,6 @@ from bayescal._model.parameters import Layout
 from bayescal._search.posterior import Posterior
 from bayescal._search.structures import Structure, Structures, Weighed
 
-LEAST = (
-    0.01  # probability from which a structure takes part; together the others then have little more
-)
 COUNT = 4000  # draws in all
 PROPOSALS = 512, 4096  # for each structure's, at least and at most
 ABSENT = (
@@ -97,7 +95,7 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
         if s in posterior.refitted:
             mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
     barred = structures.barred(Structure(noise=noise))
-    kept = {e: p for e, p in mass.items() if p >= LEAST and e.isdisjoint(barred)}
+    kept = {e: p for e, p in mass.items() if p >= searching().averaged and e.isdisjoint(barred)}
     order = sorted(kept, key=lambda e: -kept[e])
     total = sum(kept.values())
     return tuple(StructureShare(tuple(sorted(e)), kept[e] / total) for e in order)

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.settings import searching
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.linear_model import LinearModel, linear_model
@@ -30,9 +31,7 @@ from bayescal._search.noise_laws import log_prior
 from bayescal._search.plausible_sizes import STILL, averaged, has_size
 from bayescal._search.starts import carried, starts
 
-NOTHING = 0.5  # prior probability that no candidate is missing
 WIDE = (-6.0, 6.0)  # coordinates of a noise's size
-UNKNOWN_SHARE = 0.1  # of the prior that something is, for what no named effect describes
 
 
 @dataclass(frozen=True)
@@ -120,11 +119,13 @@ class Structures:
         """Prior log odds of each candidate to be missing."""
         unknown = [n for n, e in self.candidates.items() if e.is_placeholder]
         named = [n for n in self.candidates if n not in unknown]
-        share = UNKNOWN_SHARE if named else 1.0
+        share = searching().unknown_share if named else 1.0
         each = {}
         for names, part in ((unknown, share), (named, 1 - share if unknown else 1.0)):
             for name in names:
-                each[name] = math.log(math.expm1(-math.log(NOTHING) * part / len(names)))
+                each[name] = math.log(
+                    math.expm1(-math.log(searching().nothing) * part / len(names))
+                )
         return {**each, **{n: v for n, v in self.odds.items() if n in each}}
 
     def log_prior(self, structure: Structure) -> float:

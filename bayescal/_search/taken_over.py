@@ -18,14 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.settings import guarding
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import FORMS
 
-LEFT = 0.1  # of a term's squares that what was added leaves to it, below which its variance grows tenfold (VIF of 10)
-HALF = 0.5  # of its former coefficient: less no correction of a term leaves, while it stays one
 IN_TIME = ("time", *FORMS)  # of which what repeats from run to run is no function
-MOVED = 4.0  # former standard uncertainties of a coefficient, beyond which chance does not move it
 
 
 class TakenOver(NamedTuple):
@@ -66,13 +64,13 @@ class TakenOver(NamedTuple):
         unnamed = any(e.is_placeholder and e.along not in IN_TIME for e in self.by)
         if self.confounded and unnamed:
             return False
-        by_chance = self.moved**2 * min(self.left, 1.0) <= MOVED**2
-        return by_chance or not (self.confounded or self.kept < HALF)
+        by_chance = self.moved**2 * min(self.left, 1.0) <= guarding().moved ** 2
+        return by_chance or not (self.confounded or self.kept < guarding().corrected)
 
     @property
     def confounded(self) -> bool:
         """Whether the readings hardly tell the term from what was added."""
-        return self.left < LEFT
+        return self.left < guarding().left
 
     def __str__(self) -> str:
         """Why the term's coefficient is not measured, or what its uncertainty holds, a sentence or two."""
@@ -84,7 +82,7 @@ class TakenOver(NamedTuple):
                 f"standard uncertainties hold both. Vary {column} otherwise in another run."
             )
         told = f"{by} can stand for it, as the profiles are"
-        if self.kept < HALF:
+        if self.kept < guarding().corrected:
             told = f"{column} no longer explains the output, {by} stands for it"
         return (
             f"The coefficient {name} is not measured: {told}, and these readings cannot tell which it is ({name} is "

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
+from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.deadline import Deadline
 from bayescal._core.parallel import on_one_thread
@@ -19,13 +20,6 @@ from bayescal._search.noise_laws import log_prior, on_residuals, on_residuals_in
 from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
 from bayescal._search.structures import Structure, Structures, Weighed
 
-BEAM = 4  # most probable structures whose neighbours are all looked at before the walk ends
-LEAST, MOST = 2, 10  # neighbours that are refitted, of each structure looked at
-TWOS = 4  # pairs among them
-NEAR = 6.0  # log odds behind the best, up to which a structure is refitted, and looked at
-HOPELESS = (
-    100.0  # log odds behind the best from which a structure under another noise law is not refitted
-)
 LIMIT = "The search was ended after {:.0f} s with the best so far: more time may find more."
 STOPPED = "The search was interrupted after {:.0f} s: this is the best so far."
 
@@ -100,8 +94,8 @@ def path(library: Library, to: Structure) -> list[Structure]:
 
 def _next(structures: Structures, looked: set[Structure]) -> Weighed | None:
     """The most probable structure of the beam that was not looked at."""
-    leaders = sorted(structures.visited.values(), key=lambda w: -w.total)[:BEAM]
-    near = (w for w in leaders if w.total > leaders[0].total - NEAR)
+    leaders = sorted(structures.visited.values(), key=lambda w: -w.total)[: searching().beam]
+    near = (w for w in leaders if w.total > leaders[0].total - searching().near)
     return next((w for w in near if w.structure not in looked), None)
 
 
@@ -122,7 +116,7 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
         other = here.under(law)
         other = other.minus(*structures.barred(other))
         rough = structures.roughly(other, at)
-        if rough > structures.best.total - HOPELESS:
+        if rough > structures.best.total - searching().other_law:
             structures.weigh(other, at)
         else:
             structures.expect(other, rough)
@@ -135,9 +129,9 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
     # Of another law a refit tells little more than was expected, unless it is to be used.
     moves += [move for move in changes if move.total > at.total]
     moves.sort(key=lambda m: -m.total)
-    for i, move in enumerate(moves[:MOST]):
-        near = move.total > structures.best.total - NEAR
-        if (i < LEAST or near) and not end.over:
+    for i, move in enumerate(moves[: searching().refitted[1]]):
+        near = move.total > structures.best.total - searching().near
+        if (i < searching().refitted[0] or near) and not end.over:
             structures.weigh(move.to, at, move.hints)
 
 
@@ -195,7 +189,7 @@ def _moves(view: View, max_effects: int) -> Iterator[Move]:
             yield _addition(here.plus(name), at.total + odds[name], points)
         if room > 1:
             named = {n: p for n, p in found.items() if not structures.candidates[n].is_placeholder}
-            for gain, a, b in rest.pairs(named)[:TWOS]:
+            for gain, a, b in rest.pairs(named)[: searching().pairs]:
                 total = at.total + gain + odds[a.effect] + odds[b.effect]
                 yield Move(here.plus(a.effect, b.effect), total, ({**a.hint, **b.hint},))
     for name in sorted(here.effects):

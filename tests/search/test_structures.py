@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.linear_model import linear_model
@@ -19,7 +20,7 @@ from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import on_residuals
 from bayescal._search.plausible_sizes import SIZES
-from bayescal._search.posterior import FOUND, Posterior
+from bayescal._search.posterior import Posterior
 from bayescal._search.scores import View, gain_of
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import path, walk
@@ -145,7 +146,7 @@ def test_what_cannot_be_told_apart_is_one_finding() -> None:
     posterior = Posterior.of(made)
     (found,) = posterior.findings
     assert set(found.effects) == {"bias.thermal_lag", "bias.twin"}
-    assert found.probability >= FOUND
+    assert found.probability >= searching().found
     assert len(posterior.chosen.effects) == 1
 
 
@@ -249,7 +250,7 @@ def test_the_noise_law_is_found_beside_the_effect(law: str, seed: int) -> None:
     kind = made.laws[law].law
     assert made.noise(posterior.best).law == kind
     of_kind = [n for n, other in made.laws.items() if other.law == kind]
-    assert sum(posterior.noise(n) for n in of_kind) > FOUND
+    assert sum(posterior.noise(n) for n in of_kind) > searching().found
     assert any("bias.thermal_lag" in found.effects for found in posterior.findings)
 
 
