@@ -214,10 +214,17 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
         count *= 2
     parts, counts = [], []
     if count > 1:
-        means, first = _means(table, rows, count)
+        runs_before, rows_of_means = len(rows), rows
+        rows = _stretches(rows, LONG // STRETCHES)
+        # Each stretch has a level of its own: as runs that begin anew, their levels would speak of the random walk.
+        levels = np.zeros((len(output), len(rows)))
+        for k, r in enumerate(rows):
+            levels[r, k] = 1.0
+        means, first = _means(np.column_stack([0 * levels, table]), rows_of_means, count)
+        table = np.column_stack([levels, table])
+        table[:, len(rows) : len(rows) + runs_before] = 0.0
         parts.append(_padded(means, first))
         counts.append(count)
-        rows = _stretches(rows, LONG // STRETCHES)
         notes.append(
             f"of {total} readings the filter took {len(means)} means of {count} by their exact law, and "
             f"{len(rows)} stretches of {len(rows[0])} single readings"

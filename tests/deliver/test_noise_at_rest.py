@@ -11,6 +11,7 @@ import pytest
 import bayescal as bc
 from bayescal._calibration import noise_at_rest
 from bayescal._calibration.sensor_noise import NoiseFigure
+from bayescal._data.allan_deviation import even_runs
 from bayescal_models import still_sensor
 from tests.support.command_line import run
 
@@ -68,6 +69,27 @@ def test_means_of_blocks_say_what_single_readings_say(walking, monkeypatch) -> N
         one, whole = symbol(found, name), symbol(walking, name)
         assert one.low < whole.value < one.high
         assert one.high - one.low < wider * (whole.high - whole.low)
+
+
+@pytest.mark.slow
+def test_means_and_stretches_weigh_a_random_walk_as_single_readings_do(monkeypatch) -> None:
+    """From a third to three times its size; a level of each stretch must not speak of it."""
+    data = still(4, n=16_384)
+    profiles = []
+    for longest in (1024, 20_000):
+        monkeypatch.setattr(noise_at_rest, "LONG", longest)
+        channel, _ = noise_at_rest._channel(data, even_runs(data))
+        law = channel.law(("walk",))
+        assert law is not None
+        white = N / math.sqrt(STEP) / channel.size
+        sizes = [K * math.sqrt(STEP) / channel.size * k for k in (1 / 3, 1.0, 3.0)]
+        priors = law.parameters().values()
+        at = [[p.coordinate(x) for p, x in zip(priors, (white, k), strict=True)] for k in sizes]
+        found = noise_at_rest._several(channel, law, np.array(at))
+        profiles.append(found - found[1])
+    loss = profiles[1]
+    assert (loss[[0, 2]] < -5).all()
+    np.testing.assert_allclose(profiles[0], loss, rtol=0.15)
 
 
 @pytest.mark.slow
