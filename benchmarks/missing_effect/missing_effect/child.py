@@ -28,16 +28,8 @@ PROGRAMS = (
 SEALED = ("missing_effect.generate", "missing_effect.simulate")
 
 
-class Refused(BaseException):
-    """An entry did what it must not. No `Exception`, so that an entry does not catch it by the way."""
-
-
 def watch(event: str, arguments: tuple[Any, ...]) -> None:
-    """The audit hook.
-
-    Raises:
-        Refused: the event is one that an entry has no need of.
-    """
+    """The audit hook: ends the process at an event that an entry has no need of."""
     if event.startswith("socket.") and event not in ("socket.__new__", "socket.gethostname"):
         refuse(f"the network ({event})")
     if event in PROGRAMS:
@@ -50,11 +42,7 @@ def watch(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 def refuse(what: str) -> None:
-    """Say what, where the runner reads it, and end at once: nothing that the entry answers is kept.
-
-    Raises:
-        Refused: always.
-    """
+    """Say what, where the runner reads it, and end at once: an exception could be caught."""
     sys.stderr.write(f"refused: the entry reached for {what}\n")
     sys.stderr.flush()
     os._exit(3)
