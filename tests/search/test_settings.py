@@ -28,7 +28,7 @@ def test_settings_hold_inside_and_no_further() -> None:
 
 
 def test_other_things_are_no_settings() -> None:
-    with pytest.raises(TypeError, match="are SearchSettings or GuardSettings, not 0.9"):
+    with pytest.raises(TypeError, match=r"are SearchSettings or GuardSettings, not 0\.9"):
         bc.use_settings(0.9).__enter__()  # pyright: ignore[reportArgumentType]
 
 
