@@ -58,6 +58,7 @@ def taken_away(folder: Path, file: Path, *said: str) -> None:
     compile((folder / "a.py").read_text("utf-8"), "a.py", "exec")
 
 
+@pytest.mark.slow
 def test_names_that_are_not_used(tmp_path) -> None:
     columns = {"time [s]": TIME, "temperature [degC]": TEMPERATURE, "output [deg/s]": OUTPUT}
     columns |= {f"{name} [V]": RNG.normal(size=60) for name in HOSTILE}
