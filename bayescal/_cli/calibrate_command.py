@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import bayescal as bc
+from bayescal._calibration.settings import SearchSettings, use_settings
 from bayescal._cli import options
 from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
@@ -42,6 +43,7 @@ def calibrate(
     average: options.Average = None,
     method: options.MethodName = "marginal",
     max_effects: options.MostEffects = 5,
+    finer_noise: options.FinerNoise = False,
     time_limit: options.TimeLimit = None,
     keep_spikes: options.KeepSpikes = False,
     accept_conflict: options.AcceptConflict = None,
@@ -66,7 +68,8 @@ def calibrate(
         **options.causes(None, covariates),
         "seed": seed,
     }
-    with deadline.until(time_limit, apart=True):
+    of_search = SearchSettings(finer_noise=finer_noise)
+    with use_settings(of_search), deadline.until(time_limit, apart=True):
         if channels is None:
             _one(asked, holdout, method, out, json_, settings, verbose)
         else:

@@ -188,6 +188,13 @@ BatchMethod = Annotated[
 MostEffects = Annotated[
     int, typer.Option("--max-effects", min=1, help="Most effects that may be missing.")
 ]
+FinerNoise = Annotated[
+    bool,
+    typer.Option(
+        "--finer-noise",
+        help="Where noise is correlated, weigh sums of terms (random walk, flicker, two or three times) too: slow.",
+    ),
+]
 Next = Annotated[
     bool,
     typer.Option(

@@ -39,7 +39,7 @@ FLAT = 0.05  # curvature of a coordinate below which its prior has taken over
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
     """Further noise laws of a model on a record, by name; none where its own is not white, or readings are too few.
 
-    Correlated, where there is time, and sums of such terms; heavy tails; scatter that follows a column, for each one.
+    Correlated, where there is time, and sums of such terms if asked for; heavy tails; scatter that follows a column.
     """
     together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
     fixed = any(name.startswith("noise.") for name, _ in model.fixed)
@@ -47,6 +47,7 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
         return {}
     scale = model.noise.parameters()[WHITE]
     laws = [law for offer in OFFERS for law in offer(scale, frame)]
+    laws = [law for law in laws if not law.refines or searching().finer_noise]
     return {law.name: law for law in (*laws, *model.instrument.noise_laws)}
 
 

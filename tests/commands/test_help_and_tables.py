@@ -22,7 +22,7 @@ pytestmark = needs_installation
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     *("instruments", "effects", "simulate", "pairs", "demo", "calibrate"),
-    *("workbench", "fit", "check", "discover", "compare", "predict"),
+    *("workbench", "fit", "check", "discover", "compare", "predict", "noise"),
     *("compensate", "export", "budget", "decide", "report", "batch"),
 )
 

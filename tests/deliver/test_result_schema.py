@@ -160,7 +160,7 @@ def test_every_documented_key_is_found_in_one_result_or_the_other(
 ) -> None:
     found = {path for one in (written, sampled, shut) for path, _ in values(one)}
     rare = {
-        *("flags[]", "steps[].verdict.reasons[]", "steps[].dropped[]"),
+        *("flags[]", "settings.*", "steps[].verdict.reasons[]", "steps[].dropped[]"),
         *("missing[].candidates[].shape.*", "missing[].candidates[].indistinguishable_from[]"),
         *(
             "pairs[].step",

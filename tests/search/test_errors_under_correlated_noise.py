@@ -19,7 +19,9 @@ WALK = bc.SummedNoise(1.0, 100.0, ("walk",))
 def step(noise: bc.Noise, left_out: float, score: float, holdout: float, sd: float) -> Step:
     """A step with these errors, and nothing else of one."""
     calibration: Any = SimpleNamespace(model=SimpleNamespace(noise=noise), unit="ug")
-    groups = LeaveOneGroupOut("run", ("1", "2"), np.full(2, score), np.full(4, left_out))
+    groups = LeaveOneGroupOut(
+        "run", ("1", "2"), np.full(2, score), np.full(4, left_out), np.ones(2)
+    )
     nothing: Any = None
     return Step(calibration, None, 1.0, 1.0, holdout, groups, 1.0, nothing, None, holdout_sd=sd)
 

@@ -41,7 +41,10 @@ def test_no_model_is_called_complete_whose_left_out_error_has_risen(late: float,
     def step(rmse: float, added: str | None) -> SimpleNamespace:
         discovery = SimpleNamespace(candidates=())
         left_out = SimpleNamespace(rmse=rmse, group="run")
-        return SimpleNamespace(left_out=left_out, added=added, discovery=discovery)
+        calibration = SimpleNamespace(model=SimpleNamespace(noise=bc.White()))
+        return SimpleNamespace(
+            left_out=left_out, added=added, discovery=discovery, calibration=calibration
+        )
 
     loop = Loop(None, None, None, 0, None, 5, frozenset())  # pyright: ignore[reportArgumentType]
     found = loop.incomplete([step(1.0, None), step(late, "bias.x")])  # pyright: ignore[reportArgumentType]

@@ -1,4 +1,4 @@
-"""The process in which an entry solves one task: `python -m missing_effect.child ENTRY FOLDER ANSWER`.
+"""The process in which an entry solves one task: `python -m missing_effect.child ENTRY FOLDER ANSWER LIMIT`.
 
 It refuses, from before the entry is loaded: sockets, other programs, files called truth.json, the module that makes
 tasks. That is an audit hook, which Python code cannot take off; machine code that an entry brings along could pass it.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import runpy
 import sys
 from pathlib import Path
@@ -48,8 +49,9 @@ def refuse(what: str) -> None:
     os._exit(3)
 
 
-def main(entry: str, folder: str, answer: str) -> int:
-    """Solve, and write the answer as JSON."""
+def main(entry: str, folder: str, answer: str, limit: str) -> int:
+    """Solve within so many seconds of processor, and write the answer as JSON."""
+    resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit) + 1))
     task = Task.read(Path(folder))
     os.chdir(folder)
     sys.addaudithook(watch)

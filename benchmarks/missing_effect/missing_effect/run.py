@@ -110,7 +110,15 @@ def solve(entry: Path, folder: Path, tasks: Path, limit: float = LIMIT) -> dict[
         for name in FILES:
             shutil.copy(folder / name, copy)
         hidden = can_hide()
-        own = [sys.executable, "-m", "missing_effect.child", str(entry), str(copy), str(answer)]
+        own = [
+            sys.executable,
+            "-m",
+            "missing_effect.child",
+            str(entry),
+            str(copy),
+            str(answer),
+            str(round(limit)),
+        ]
         command = [*APART, "sh", "-c", HIDE, "sh", str(tasks.resolve()), *own] if hidden else own
         seconds, status, said = _ended(command, limit)
         failed = _why(status, said, limit) if status else ""
@@ -170,10 +178,6 @@ def wrong(answer: dict[str, Any], folder: Path) -> str:
 
 def _ended(command: list[str], limit: float) -> tuple[float, int, str]:
     """Seconds of processor that a command took, its exit status (negative: the signal), and its last words."""
-
-    def bounded() -> None:
-        resource.setrlimit(resource.RLIMIT_CPU, (round(limit), round(limit) + 1))
-
     path = os.pathsep.join([str(SHIPPED.parents[1]), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": path.rstrip(os.pathsep)}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -185,7 +189,6 @@ def _ended(command: list[str], limit: float) -> tuple[float, int, str]:
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
-        preexec_fn=bounded,
         start_new_session=True,
     ) as process:
         try:
