@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -136,7 +137,7 @@ def test_not_to_know_the_structure_is_a_source() -> None:
     """The average's variance is what the compensator states; what structures add is most of it, and is named."""
     average = split_search.trail().calibration
     found, compensate = bc.budget(average, {"temperature": 70.0}), bc.compensator(average)
-    given = {n: v for n, v in found.at.items() if n != "rate_input"}
+    given: dict[str, Any] = {n: v for n, v in found.at.items() if n != "rate_input"}
     value = compensate(output=found.reading, **given, method="first order", noise=False)
     np.testing.assert_allclose(found.uncertainty, value.uncertainty[0], rtol=1e-9)
     assert sum(s.share for s in found.sources) == pytest.approx(1)

@@ -89,8 +89,10 @@ def main_commands() -> None:
     ]
     for law in laws:
         fitted = bc.fit(model.with_noise(law), data, strict=False)
-        bc.predict(fitted, readings(2)), bc.predict(fitted, data, same_record=True)
-        bc.check(fitted), fitted.tree
+        bc.predict(fitted, readings(2))
+        bc.predict(fitted, data, same_record=True)
+        bc.check(fitted)
+        _ = fitted.tree
         bc.fit(model.with_noise(law), data, bc.LeastSquares())
     bc.fit(model + "bias.run", data, bc.LeastSquares())
     held = model.fix({"bias.temperature": 0.05}) + "unknown(time, jump)"

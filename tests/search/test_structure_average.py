@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -75,7 +77,7 @@ def test_it_is_saved_beside_the_structure_that_is_shown_and_commands_use_it(
     loaded = bc.load(tmp_path / "averaged.nc")
     assert inclusion(loaded) == inclusion(average)
     one, other = bc.compensator(loaded), bc.compensator(average)
-    given = {i.name: np.array([i.low, i.high]) for i in other.inputs}
+    given: dict[str, Any] = {i.name: np.array([i.low, i.high]) for i in other.inputs}
     reading = np.array([20.0, 22.0])
     for of in ("value", "uncertainty"):
         np.testing.assert_allclose(
@@ -124,6 +126,7 @@ def test_where_the_search_is_split_the_average_covers_and_one_structure_does_not
         for one in (trail.final.calibration, trail.average):
             found = bc.predict(one, new_groups=False)
             shares.append(np.mean(np.abs(quiet["output"] - found.mean) < 1.96 * found.model_sd))
-        best.append(shares[0]), averaged.append(shares[1])
+        best.append(shares[0])
+        averaged.append(shares[1])
     assert len(best) >= 8
     assert np.mean(averaged) > np.mean(best) and np.mean(averaged) > 0.88
