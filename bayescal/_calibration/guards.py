@@ -44,7 +44,7 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
         if row["contraction"] is not None and row["contraction"] < guarding().wider:
             found.append(
                 f"{row['name']} is known worse than before the readings (contraction "
-                f"{row['contraction']:.1f}): the fit has lost its way."
+                f"{row['contraction']:.1f}): the fit did not converge."
             )
     return [*found, *_too_large(calibration, spreads), *_beyond_the_known(calibration, accepted)]
 

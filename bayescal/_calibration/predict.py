@@ -27,17 +27,27 @@ class Prediction:
             has not seen, from their spread.
         sd: standard uncertainty of a reading: with noise.
         residual: output − mean.
-        wander: posterior mean of the correlated (Ornstein–Uhlenbeck) noise, for readings between those of the
+        correlated_noise: posterior mean of the correlated (Ornstein–Uhlenbeck) noise, for readings between those of the
             fit in the same record; NaN beyond them, None where it was not asked for or the noise is not correlated.
-        wander_sd: its standard deviation.
+        correlated_noise_sd: its standard deviation.
     """
 
     mean: np.ndarray
     model_sd: np.ndarray
     sd: np.ndarray
     residual: np.ndarray
-    wander: np.ndarray | None = None
-    wander_sd: np.ndarray | None = None
+    correlated_noise: np.ndarray | None = None
+    correlated_noise_sd: np.ndarray | None = None
+
+    @property
+    def wander(self) -> np.ndarray | None:
+        """`correlated_noise`, by the name that it had up to version 0.2."""
+        return self.correlated_noise
+
+    @property
+    def wander_sd(self) -> np.ndarray | None:
+        """`correlated_noise_sd`, by the name that it had up to version 0.2."""
+        return self.correlated_noise_sd
 
     @property
     def rmse(self) -> float:
@@ -65,7 +75,7 @@ def predict(
             give or take its spread. False uses the deviations of members that the fit knows by name. An axis
             is part of its instrument: one that the fit knows is itself either way.
         same_record: the readings belong to the very record that was fitted, on its clock and with its labels: groups
-            are known, and between fitted readings `wander` is what these say of the correlated noise.
+            are known, and between fitted readings `correlated_noise` is what these say of the correlated noise.
         draws: posterior draws to average over, at most.
 
     Raises:
@@ -121,8 +131,8 @@ def _predicted(
     made = Prediction(found.mean, np.sqrt(model_variance), total, residual)
     if not same_record or calibration.model.noise.independent:
         return made
-    mean, sd = _wander(calibration, readings)
-    return replace(made, wander=mean, wander_sd=sd)
+    mean, sd = _correlated_noise(calibration, readings)
+    return replace(made, correlated_noise=mean, correlated_noise_sd=sd)
 
 
 def _continued(calibration: Calibration, readings: Measurements, draws: int) -> Prediction:
@@ -138,11 +148,11 @@ def _continued(calibration: Calibration, readings: Measurements, draws: int) -> 
     tail = slice(len(past), None)
     mean, model, sd = found.mean[tail], found.model_sd[tail], found.sd[tail]
     if not calibration.model.noise.independent:
-        wander, wander_sd = _wander(calibration, later, beyond=True)
+        correlated_noise, correlated_noise_sd = _correlated_noise(calibration, later, beyond=True)
         values = calibration.assembly.hyper(calibration.mode.v)
         slow = float(calibration.model.noise.slow_variance(values))
         rest = np.maximum(sd**2 - slow, model**2)
-        mean, sd = mean + wander, np.sqrt(rest + wander_sd**2)
+        mean, sd = mean + correlated_noise, np.sqrt(rest + correlated_noise_sd**2)
     made = {"mean": mean, "model_sd": model, "sd": sd}
     others = np.setdiff1d(np.arange(len(readings)), rows)
     if others.size:
@@ -154,7 +164,7 @@ def _continued(calibration: Calibration, readings: Measurements, draws: int) -> 
     return Prediction(**made, residual=readings["output"] - made["mean"])
 
 
-def _wander(
+def _correlated_noise(
     calibration: Calibration, readings: Measurements, beyond: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """The record's correlated noise at these readings' times, at the mode.

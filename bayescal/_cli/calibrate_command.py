@@ -19,7 +19,7 @@ from bayescal._core import deadline
 from bayescal._core.errors import InputError
 
 if TYPE_CHECKING:
-    from bayescal._cli.request import Asked, Early
+    from bayescal._cli.request import Early, ReadRequest
     from bayescal._data.measurements import Measurements
     from bayescal._model.effect import Effect
     from bayescal._workbench.serve import Sessions
@@ -60,7 +60,7 @@ def calibrate(
     """
     from bayescal._cli import request
 
-    asked = request.Asked(instrument, files, columns, choice, average, keep_spikes)
+    asked = request.ReadRequest(instrument, files, columns, choice, average, keep_spikes)
     settings = {
         "max_effects": max_effects,
         "keep_spikes": keep_spikes,
@@ -122,7 +122,7 @@ def workbench(
     start.refuse_without_panel()
     at = start.Address.new(address)
     print_notes([at.exposed] if at.exposed else [])
-    asked = request.Asked(instrument, files, columns, choice, average, keep_spikes)
+    asked = request.ReadRequest(instrument, files, columns, choice, average, keep_spikes)
     # A file that cannot be used is refused before a browser opens.
     early = request.read_early(asked)
     settings = {
@@ -152,7 +152,7 @@ def workbench(
 
 
 def _sessions(
-    asked: Asked,
+    asked: ReadRequest,
     early: Early,
     holdout: Sequence[Path] | None,
     folder: Path,
@@ -212,7 +212,7 @@ def _written(own: Sequence[Effect], folder: Path) -> Path:
 
 
 def _one(
-    asked: Asked,
+    asked: ReadRequest,
     holdout: Sequence[Path] | None,
     method: str,
     out: Path | None,
@@ -275,7 +275,7 @@ def _one(
 
 def _several(
     names: Sequence[str],
-    asked: Asked,
+    asked: ReadRequest,
     holdout: Sequence[Path] | None,
     method: str,
     out: Path | None,

@@ -141,10 +141,10 @@ def pairs(
     json_: options.Json = False,
 ) -> None:
     """Which two devices make the best pair, each pair with its probability."""
-    from bayescal._cli.request import Asked, open_request
+    from bayescal._cli.request import ReadRequest, open_request
 
     choice = ModelOptions(add=add)
-    chosen, model, readings = open_request(Asked(instrument, files, columns, choice, average))
+    chosen, model, readings = open_request(ReadRequest(instrument, files, columns, choice, average))
     select = offered(PAIR_SELECTIONS, chosen.name)
     if select is None:
         raise InputError(f"instrument {chosen.name!r} does not choose its devices in pairs")

@@ -23,7 +23,7 @@ from bayescal._cli import (
     calibrate_command,
     catalogue,
     deliverables,
-    fitting,
+    fit_and_predict,
     noise_command,
 )
 from bayescal._core import deadline
@@ -43,7 +43,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-for group in (catalogue, calibrate_command, fitting, noise_command, deliverables, batch):
+for group in (catalogue, calibrate_command, fit_and_predict, noise_command, deliverables, batch):
     app.add_typer(group.commands)
 
 

@@ -47,14 +47,14 @@ def noise(
     json_: options.Json = False,
 ) -> None:
     """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals."""
-    from bayescal._cli.request import Asked, open_channels, open_request
+    from bayescal._cli.request import ReadRequest, open_channels, open_request
     from bayescal._use.kalibr_file import kalibr_yaml
 
     if not 0 < quantile < 1:
         raise InputError(
             f"--quantile {quantile:g}: give a probability between 0 and 1, such as 0.95"
         )
-    asked = Asked(AT_REST, files, columns, ModelOptions(), average)
+    asked = ReadRequest(AT_REST, files, columns, ModelOptions(), average)
     if channels is None:
         _, _, one = open_request(asked)
         name = next((s.output for s in one.sources if s.output), "output")

@@ -308,7 +308,11 @@ def write_prediction(prediction: Prediction, readings: Measurements, path: Path)
         "predicted_uncertainty": ("reading", np.asarray(prediction.sd), unit),
         "residual": ("reading", np.asarray(prediction.residual), unit),
     }
-    if prediction.wander is not None:
-        added["wander"] = ("reading", np.asarray(prediction.wander), unit)
-        added["wander_uncertainty"] = ("reading", np.asarray(prediction.wander_sd), unit)
+    if prediction.correlated_noise is not None:
+        added["correlated_noise"] = ("reading", np.asarray(prediction.correlated_noise), unit)
+        added["correlated_noise_uncertainty"] = (
+            "reading",
+            np.asarray(prediction.correlated_noise_sd),
+            unit,
+        )
     Measurements(data=readings.data.assign(added), sources=readings.sources).write(path)

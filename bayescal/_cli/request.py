@@ -42,7 +42,7 @@ LONG = 50_000_000  # bytes of files that take longer to read than an instrument 
 
 
 @dataclass(frozen=True)
-class Asked:
+class ReadRequest:
     """What a command is asked to fit.
 
     Attributes:
@@ -63,7 +63,7 @@ class Asked:
 
 
 def open_request(
-    asked: Asked, early: Early | None = None
+    asked: ReadRequest, early: Early | None = None
 ) -> tuple[Instrument, Model, Measurements]:
     """Instrument, model and readings that are asked for; the instrument tailored to the readings.
 
@@ -111,7 +111,7 @@ def typed_effects(
 
 
 def open_channels(
-    names: Sequence[str], asked: Asked
+    names: Sequence[str], asked: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
     """Instrument, models and readings of the channels of one unit; a model has it tailored to its readings.
 
@@ -132,7 +132,7 @@ def open_channels(
     return general, models, readings
 
 
-def _opened(asked: Asked, early: Early | None = None, **more: Any) -> tuple[Instrument, Any]:
+def _opened(asked: ReadRequest, early: Early | None = None, **more: Any) -> tuple[Instrument, Any]:
     """The instrument, and what `read` gives; a file that cannot be used is refused before the instrument loads."""
     found, holds = read_early(asked, **more) if early is None else early
     general = instrument_named(asked.instrument)
@@ -141,7 +141,7 @@ def _opened(asked: Asked, early: Early | None = None, **more: Any) -> tuple[Inst
     return general, read(list(asked.files), general, **asked.columns.for_read(), **more)
 
 
-def read_early(asked: Asked, **more: Any) -> Early:
+def read_early(asked: ReadRequest, **more: Any) -> Early:
     """What `read` gives before the instrument loads, and by which columns; None where that cannot be, or takes long.
 
     Raises:
@@ -156,7 +156,7 @@ def read_early(asked: Asked, **more: Any) -> Early:
 
 
 def open_kept(
-    files: Sequence[Path] | None, instrument: Instrument, asked: Asked
+    files: Sequence[Path] | None, instrument: Instrument, asked: ReadRequest
 ) -> Measurements | None:
     """Hold-out data, averaged as the others are; None where there are none."""
     if not files:
@@ -166,7 +166,7 @@ def open_kept(
 
 
 def open_kept_channels(
-    files: Sequence[Path] | None, names: Sequence[str], general: Instrument, asked: Asked
+    files: Sequence[Path] | None, names: Sequence[str], general: Instrument, asked: ReadRequest
 ) -> dict[str, Measurements] | None:
     """The same of the channels of one unit."""
     if not files:

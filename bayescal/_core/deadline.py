@@ -125,10 +125,10 @@ def _holding(made: Deadline) -> Iterator[Deadline]:
 
 
 @dataclass(eq=False)
-class Door:
+class Handover:
     """Where work hands over what stands as a result: a function of words for what left no time to go on."""
 
-    outer: Door | None = None
+    outer: Handover | None = None
     offered: Callable[[str], Any] | None = None
     shut: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -164,13 +164,13 @@ class Door:
         return self.offered(early.why)
 
 
-_DOOR: ContextVar[Door | None] = ContextVar("door", default=None)
+_DOOR: ContextVar[Handover | None] = ContextVar("door", default=None)
 _threads: list[threading.Thread] = []
 
 
-def door() -> Door:
+def door() -> Handover:
     """That of the work that is running; one that leads nowhere where there is none."""
-    return _DOOR.get() or Door()
+    return _DOOR.get() or Handover()
 
 
 def offer(result: Callable[[str], Any]) -> None:
@@ -187,7 +187,7 @@ def within(work: Callable[[], T]) -> T:
         KeyboardInterrupt: nor had it when Ctrl-C was pressed; or it was pressed a second time.
     """
     end, outer = current(), _DOOR.get()
-    own = Door(outer)
+    own = Handover(outer)
     token = _DOOR.set(own)
     try:
         if end.apart:
@@ -206,7 +206,7 @@ def within(work: Callable[[], T]) -> T:
         _DOOR.reset(token)
 
 
-def _patience(end: Deadline, own: Door) -> float:
+def _patience(end: Deadline, own: Handover) -> float:
     """Seconds beyond the deadline: the door of all waits longest, so that those within are left first."""
     farther_out = OUTERMOST if own.outer is None else 0.0
     return LATE + farther_out + (0.0 if end.interrupted or own.anything else FIRST)

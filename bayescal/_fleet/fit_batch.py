@@ -14,7 +14,7 @@ from bayescal._fleet.find_devices import Find
 from bayescal._fleet.fit_devices import CHUNK, fit_devices, mappable
 from bayescal._fleet.fit_fleet import fit_fleet
 from bayescal._fleet.fleet_result import FleetResult
-from bayescal._fleet.population import Asked, chosen
+from bayescal._fleet.population import AskedPopulation, chosen
 from bayescal._fleet.split_devices import split_devices
 from bayescal._fleet.tailored import tailored_to_first
 from bayescal._inference.least_squares import LeastSquares
@@ -42,7 +42,7 @@ def fit_batch(
     readings: Readings,
     *,
     method: Method | None = None,
-    population: Asked = False,
+    population: AskedPopulation = False,
     seed: int = 0,
     chunk: int = CHUNK,
     reference: Reference | None = None,
@@ -55,7 +55,7 @@ def fit_batch(
     readings: str | Path | Sequence[str | Path],
     *,
     method: Method | None = None,
-    population: Asked = False,
+    population: AskedPopulation = False,
     seed: int = 0,
     chunk: int = CHUNK,
     reference: Reference | None = None,
@@ -70,7 +70,7 @@ def fit_batch(
     readings: Readings,
     *,
     method: Method | None = None,
-    population: Asked = False,
+    population: AskedPopulation = False,
     seed: int = 0,
     chunk: int = CHUNK,
     reference: Reference | None = None,
@@ -131,7 +131,7 @@ def _at_once(
     model: Model,
     devices: Devices,
     method: LeastSquares | Marginal,
-    population: Asked,
+    population: AskedPopulation,
     shared: Mapping[str, Any],
 ) -> BatchResult:
     model, _ = tailored_to_first(model, devices)

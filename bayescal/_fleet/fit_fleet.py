@@ -21,7 +21,7 @@ from bayescal._fleet.fleet_request import Request
 from bayescal._fleet.fleet_result import ALONE, POOLED, SHOWN, WHOLE, FleetResult
 from bayescal._fleet.fleet_table import effects_table
 from bayescal._fleet.partitions import FIND_ROWS, ROWS, Partition, left_out, partitions_of
-from bayescal._fleet.population import Asked, Population, chosen
+from bayescal._fleet.population import AskedPopulation, Population, chosen
 from bayescal._fleet.population_tree import learn_population
 from bayescal._fleet.read_partition import read_partition
 from bayescal._fleet.run import Run
@@ -42,7 +42,7 @@ def fit_fleet(
     paths: Sequence[Path],
     out: Path,
     method: LeastSquares | Marginal,
-    population: Asked,
+    population: AskedPopulation,
     *,
     seed: int,
     chunk: int,

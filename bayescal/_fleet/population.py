@@ -44,7 +44,9 @@ FEWEST = 3  # devices from which a spread can be learned
 ENOUGH = 50  # effective draws of τ, from which its mean and spread are known well enough
 
 Named = Mapping[str, tuple[Coefficient, Spread]]  # a population's coefficients by name
-Asked = bool | Sequence[str] | Mapping[str, Spread]  # which those are: all, or some, or with priors
+AskedPopulation = (
+    bool | Sequence[str] | Mapping[str, Spread]
+)  # which those are: all, or some, or with priors
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Population:
         return f"{head}{'' if self.ok else ': ' + self.reason}\n{self.table.to_string(index=False)}"
 
 
-def chosen(model: Model, asked: Asked) -> dict[str, tuple[Coefficient, Spread]]:
+def chosen(model: Model, asked: AskedPopulation) -> dict[str, tuple[Coefficient, Spread]]:
     """The coefficients of a population, each with the prior of its spread.
 
     Raises:

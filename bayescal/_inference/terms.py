@@ -46,7 +46,7 @@ class ColumnsOf(NamedTuple):
         return cls(basis_of(effect), names, priors, less)
 
 
-class Known(NamedTuple):
+class CoefficientTerms(NamedTuple):
     """What does not change of a coefficient, in plain data."""
 
     effect: Effect  # held, so that no other takes its place in memory
@@ -61,7 +61,7 @@ class Known(NamedTuple):
     key: Any  # what its columns depend on, whoever has them
 
     @classmethod
-    def of_block(cls, block: CoefficientBlock) -> Known:
+    def of_block(cls, block: CoefficientBlock) -> CoefficientTerms:
         coefficient, effect = block.coefficient, block.effect
         return cls(
             effect=effect,
@@ -80,7 +80,7 @@ class Known(NamedTuple):
 class Term(NamedTuple):
     """One coefficient of the structure with all its members."""
 
-    known: Known
+    known: CoefficientTerms
     index: int
     slot: str
     size: int
@@ -98,8 +98,8 @@ class Term(NamedTuple):
     ) -> Term:
         key = (id(block.effect), block.index)
         if key not in plain:
-            plain[key] = Known.of_block(block)
-        known: Known = plain[key]
+            plain[key] = CoefficientTerms.of_block(block)
+        known: CoefficientTerms = plain[key]
         return cls(
             known=known,
             index=block.index,

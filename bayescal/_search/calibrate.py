@@ -19,7 +19,7 @@ from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
 from bayescal._core import deadline
-from bayescal._core.deadline import Door
+from bayescal._core.deadline import Handover
 from bayescal._core.errors import TimeIsUp
 from bayescal._core.progress import stage
 from bayescal._data.held_out import said_of
@@ -295,7 +295,7 @@ class Loop:
         self,
         steps: Sequence[Step],
         structures: Structures,
-        to: Door,
+        to: Handover,
         follow: Callable[[SearchPath], None] = lambda _: None,
     ) -> None:
         """Hand over the trail so far, and say it to who follows."""

@@ -24,7 +24,7 @@ from bayescal._search.discover import WORK, with_causes
 from bayescal._search.library import Library
 from bayescal._search.posterior import Search
 from bayescal._search.search_path import SearchPath, Step
-from bayescal._search.shared_shape import FromOthers, Said, SharedShape, said
+from bayescal._search.shared_shape import FromOthers, ShapeEvidence, SharedShape, said
 from bayescal._search.structures import Structure, Structures
 
 ROUNDS = 3  # of hearing the others, at most
@@ -134,7 +134,7 @@ class _Channel:
     shut: Sequence[Candidate] = ()
     shared: Mapping[str, Shape] = field(default_factory=dict)
     heard: dict[str, FromOthers] = field(default_factory=dict)
-    says: dict[str, Said] = field(default_factory=dict)
+    says: dict[str, ShapeEvidence] = field(default_factory=dict)
     stopped: str = ""
     search: Search | None = None
 

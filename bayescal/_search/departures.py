@@ -58,10 +58,10 @@ class ScoredDeparture(NamedTuple):
     hint: dict[str, float]
 
 
-def may_depart(effect: Effect, record: Record, wanders: bool) -> bool:
+def may_depart(effect: Effect, record: Record, correlated: bool) -> bool:
     """Whether an effect has a covariate that these readings vary; beside correlated noise, time is none."""
     along, reference = effect.departs_along, record.frame.reference
-    if not along or (wanders and along == "time") or f"{along}_low" not in reference:
+    if not along or (correlated and along == "time") or f"{along}_low" not in reference:
         return False
     return float(reference[f"{along}_high"]) > float(reference[f"{along}_low"])
 

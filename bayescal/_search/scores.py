@@ -80,7 +80,7 @@ class View:
         self.volume = 0.0
         self.volume = self.without().volume
 
-    def without(self, *names: str) -> Rest:
+    def without(self, *names: str) -> WithoutNuisances:
         """What is left where some of its effects are dropped, φ held."""
         line = self.line
         kept = np.array([owner not in names for owner in self.owners], dtype=bool)
@@ -92,7 +92,7 @@ class View:
         chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
         half = solve_triangular(chol, of_start[kept], lower=True)
         inside = solve_triangular(chol, self.cross[kept], lower=True)
-        return Rest(
+        return WithoutNuisances(
             view=self,
             inside=inside,
             u=self.u + self.cross.T @ z - inside.T @ half,
@@ -101,7 +101,7 @@ class View:
         )
 
 
-class Rest(NamedTuple):
+class WithoutNuisances(NamedTuple):
     """What of the readings and of all candidates' columns some nuisances leave.
 
     inside (q, P): what they take of the columns; u (P,): score; rest: sum of squares; volume: Σ log of the factor.

@@ -39,7 +39,7 @@ class FromOthers(NamedTuple):
     high: float
 
 
-class Said(NamedTuple):
+class ShapeEvidence(NamedTuple):
     """What one channel says of a shape: log ratio of its evidence with the effect, at each v, to that without it."""
 
     v: Float[np.ndarray, "k"]
@@ -95,7 +95,9 @@ class SharedShape:
     says: Mapping[str, Float[np.ndarray, "k"]]
 
     @classmethod
-    def of(cls, effect: str, shape: Shape, prior: float, said: Mapping[str, Said]) -> SharedShape:
+    def of(
+        cls, effect: str, shape: Shape, prior: float, said: Mapping[str, ShapeEvidence]
+    ) -> SharedShape:
         """Of what each channel said, on the points of all."""
         v = _apart(np.concatenate([one.v for one in said.values()]))
         says = {name: np.interp(v, one.v, one.log_ratio) for name, one in said.items()}
@@ -155,7 +157,7 @@ def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> n
     return log_density - np.logaddexp.reduce(log_density)
 
 
-def said(structures: Structures, name: str, shape: Shape) -> Said:
+def said(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
     """What a channel says of a shape by the structures weighed of it.
 
     Args:
@@ -178,7 +180,7 @@ def said(structures: Structures, name: str, shape: Shape) -> Said:
         if weighed.structure.plus(name) not in structures.visited:
             with_it.append(weighed.total + _gains(fine, weighed, name))
     totals = [w.total for w in without]
-    return Said(v, np.logaddexp.reduce(with_it, axis=0) - np.logaddexp.reduce(totals))
+    return ShapeEvidence(v, np.logaddexp.reduce(with_it, axis=0) - np.logaddexp.reduce(totals))
 
 
 def _grid(shape: Shape, own: Shape, best: Sequence[Weighed], name: str) -> Float[np.ndarray, "k"]:

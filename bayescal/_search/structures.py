@@ -174,8 +174,10 @@ class Structures:
     def _weighed(self, structure, near, hints) -> Weighed:
         """Refitted to the forms of its effects, then with departures from these where the evidence is strong."""
         found = self._refitted(structure, (), near, hints)
-        wanders = not found.assembly.noise.independent
-        left = {n: form for n in structure.effects if (form := self._form(n, wanders)) is not None}
+        correlated = not found.assembly.noise.independent
+        left = {
+            n: form for n in structure.effects if (form := self._form(n, correlated)) is not None
+        }
         while left and math.isfinite(found.log_evidence):
             line = linear_model(found.assembly, found.mode)
             scores = [s for s in (scored(line, e) for e in left.values()) if s is not None]
@@ -191,9 +193,9 @@ class Structures:
             found = replace(fuller, log_evidence=float(total))
         return found
 
-    def _form(self, name: str, wanders: bool) -> Form | None:
+    def _form(self, name: str, correlated: bool) -> Form | None:
         """How a candidate departs from its form; None where it cannot."""
-        if not may_depart(self.candidates[name], self.record, wanders):
+        if not may_depart(self.candidates[name], self.record, correlated):
             return None
         if name not in self.forms:
             self.forms[name] = form_of(self._base_line, self.candidates[name])

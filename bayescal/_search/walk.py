@@ -46,7 +46,7 @@ def walk(
     structures = library.structures
     try:
         root = structures.weigh(Structure())
-        for first in (*(Structure(noise=law) for law in wandering(structures)), *seeds):
+        for first in (*(Structure(noise=law) for law in correlated_laws(structures)), *seeds):
             if end.over:
                 return ended_early(end, begun)
             structures.weigh(first, root)
@@ -110,7 +110,7 @@ class Move(NamedTuple):
 def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline) -> None:
     """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
     structures, here = library.structures, at.structure
-    for law in {"", *wandering(structures)}:
+    for law in {"", *correlated_laws(structures)}:
         if end.over:
             return
         other = here.under(law)
@@ -135,7 +135,7 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
             structures.weigh(move.to, at, move.hints)
 
 
-def wandering(structures: Structures) -> list[str]:
+def correlated_laws(structures: Structures) -> list[str]:
     """Names of the further laws under which readings are correlated: nothing but a refit tells of these."""
     return [n for n, law in structures.laws.items() if not law.independent and not law.refines]
 

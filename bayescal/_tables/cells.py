@@ -29,7 +29,7 @@ class Cells:
         bad: index → text of the cells that should be numbers and are not, the first 1000.
         dates: the values are dates, in seconds since 1970.
         orders: of dates that leave open which number is the day: the values by the order of month, day and year, NaN
-            where a cell is no date in it.
+            where a cell is not a date in it.
     """
 
     values: np.ndarray

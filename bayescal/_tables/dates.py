@@ -62,7 +62,7 @@ def _date_length(text: str) -> int:
     for form in (_NUMBERS, _WORDS, _MONTH_FIRST):
         if found := form.match(text):
             return found.end()
-    raise ValueError(f"{text!r} is no date")
+    raise ValueError(f"{text!r} is not a date")
 
 
 @lru_cache(maxsize=4096)  # days repeat
@@ -94,7 +94,7 @@ def _days(text: str) -> dict[str, int]:
             with suppress(ValueError):
                 days[order] = _day(*part)
     if not days:
-        raise ValueError(f"{text!r} is no date")
+        raise ValueError(f"{text!r} is not a date")
     return days
 
 

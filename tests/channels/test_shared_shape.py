@@ -15,7 +15,7 @@ from bayescal._search.shared_shape import (
     SHARES,
     Conclusion,
     FromOthers,
-    Said,
+    ShapeEvidence,
     SharedShape,
     log_mass,
     said,
@@ -71,7 +71,7 @@ def test_only_a_channel_in_doubt_concludes_something_else(channel: str, learns: 
     log_ratio, shape = shared.says[channel], shared.shape
     log_ratio = log_ratio - 3.0 * (channel == "nothing")  # clearly nothing
     alone = FromOthers(np.log(0.2 / 0.8), shape.low, shape.high)
-    one = Said(shared.v, log_ratio)
+    one = ShapeEvidence(shared.v, log_ratio)
     now = one.concluded(shared.from_others(channel), shape)
     then = one.concluded(alone, shape)
     assert (now.likelier(then) or now.tells(then)) == learns
@@ -91,7 +91,9 @@ def test_a_shape_that_others_move_or_narrow_is_news(moved, narrower, tells) -> N
 def test_what_a_channel_concludes_alone_is_the_posterior_of_its_own_prior() -> None:
     shared = three_channels()
     log_ratio, shape = shared.says["in doubt"], shared.shape
-    found = Said(shared.v, log_ratio).concluded(FromOthers(0.0, shape.low, shape.high), shape)
+    found = ShapeEvidence(shared.v, log_ratio).concluded(
+        FromOthers(0.0, shape.low, shape.high), shape
+    )
     weight = np.exp(log_ratio - 0.5 * shared.v**2)
     ratio = weight.sum() * 0.1 / np.sqrt(2 * np.pi)
     mean = weight @ shared.v / weight.sum()

@@ -13,7 +13,7 @@ import pytest
 import bayescal as bc
 from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.options import ModelOptions
-from bayescal._cli.request import Asked, open_channels
+from bayescal._cli.request import ReadRequest, open_channels
 from bayescal._use.compensate_file import compensate_file
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
@@ -174,7 +174,7 @@ def test_means_are_proposed_for_long_channels_too(tmp_path) -> None:
         table[name] = rng.normal(0, 1, time.size)
     table.to_csv(tmp_path / "log.csv", index=False)
     names = ["gx", "gy"]
-    asked = Asked("mems_gyro", [tmp_path / "log.csv"], ColumnOptions(), ModelOptions())
+    asked = ReadRequest("mems_gyro", [tmp_path / "log.csv"], ColumnOptions(), ModelOptions())
     said = io.StringIO()
     with contextlib.redirect_stderr(said):
         open_channels(names, asked)

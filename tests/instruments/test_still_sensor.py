@@ -12,7 +12,7 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.options import ModelOptions
-from bayescal._cli.request import Asked, open_request
+from bayescal._cli.request import ReadRequest, open_request
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable as can_test
 from bayescal_models import still_sensor
@@ -68,7 +68,7 @@ def test_a_loggers_file_is_opened_by_renaming_and_units(tmp_path: Path) -> None:
     path, channel = log(tmp_path)
     columns = ColumnOptions(LOGGER_COLUMNS, ["acc_x=m/s^2", "t_s=s", "temp=degC"])
     choice = ModelOptions(add=["bias.hysteresis"], structure="quadratic")
-    instrument, model, readings = open_request(Asked("still_sensor", [path], columns, choice))
+    instrument, model, readings = open_request(ReadRequest("still_sensor", [path], columns, choice))
     np.testing.assert_allclose(readings["output"], channel * 1e6 / 9.80665, rtol=1e-8)
     assert instrument.tailor is None and instrument.unit == "ug"
     assert model.names[-2:] == ("bias.temperature_quadratic", "bias.hysteresis")
@@ -89,7 +89,7 @@ def test_a_channel_without_a_unit_is_refused(tmp_path: Path, units, said) -> Non
     path, _ = log(tmp_path)
     columns = ColumnOptions(LOGGER_COLUMNS, units)
     with pytest.raises(bc.InputError, match=said):
-        open_request(Asked("still_sensor", [path], columns, ModelOptions()))
+        open_request(ReadRequest("still_sensor", [path], columns, ModelOptions()))
 
 
 def test_a_nominal_scale_is_refused_where_the_unit_is_open(tmp_path: Path) -> None:

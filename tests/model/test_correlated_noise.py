@@ -218,17 +218,20 @@ def test_between_fitted_readings_a_prediction_tells_the_wander_and_beyond_them_n
     made = bc.fit(model.with_noise(wandering), fitted, FAST)
     asked = whole.select(np.flatnonzero(inside | last))
     found = bc.predict(made, asked, same_record=True)
-    assert found.wander is not None and found.wander_sd is not None
+    assert found.correlated_noise is not None and found.correlated_noise_sd is not None
     own = {run: fitted["time"][fitted["run"] == run] for run in ("1", "2")}
     low, high = np.array([(own[run].min(), own[run].max()) for run in asked["run"]]).T
     beyond = (asked["time"] < low) | (asked["time"] > high)
     assert beyond.sum() > 40
-    assert np.isnan(found.wander[beyond]).all() and np.isfinite(found.wander[~beyond]).all()
-    left = (found.residual - found.wander)[~beyond]
+    assert (
+        np.isnan(found.correlated_noise[beyond]).all()
+        and np.isfinite(found.correlated_noise[~beyond]).all()
+    )
+    left = (found.residual - found.correlated_noise)[~beyond]
     assert np.std(left) < 0.9 * np.std(found.residual[~beyond])
-    expected = np.hypot(found.wander_sd[~beyond], float(made.samples("noise.white")[0]))
+    expected = np.hypot(found.correlated_noise_sd[~beyond], float(made.samples("noise.white")[0]))
     assert np.mean((left / expected) ** 2) == pytest.approx(1.0, abs=0.2)
-    assert bc.predict(made, asked).wander is None
+    assert bc.predict(made, asked).correlated_noise is None
     other = asked.with_column("run", np.full(len(asked), "another"))
-    lost = bc.predict(made, other, same_record=True).wander
+    lost = bc.predict(made, other, same_record=True).correlated_noise
     assert lost is not None and np.isnan(lost).all()

@@ -89,7 +89,7 @@ def test_effects_without_a_covariate_of_their_own_do_not_depart() -> None:
     readings = mems_gyro.simulate(seed=5)
     made = structures(readings)
     assert reference_of(readings)  # what positions along a covariate are taken from
-    can = {n for n, e in made.candidates.items() if may_depart(e, made.record, wanders=False)}
+    can = {n for n, e in made.candidates.items() if may_depart(e, made.record, correlated=False)}
     named = {n for n in can if not n.startswith("unknown")}
     assert can == named and "bias.run" not in can and "bias.thermal_lag" not in can
     assert {"bias.temperature_quadratic", "bias.rate", "bias.drift"} <= can

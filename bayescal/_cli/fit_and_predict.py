@@ -38,10 +38,16 @@ def fit(
     json_: options.Json = False,
 ) -> None:
     """Fit one model: coefficients with uncertainty."""
-    from bayescal._cli.request import Asked, law_named, method_named, open_request, reference_of
+    from bayescal._cli.request import (
+        ReadRequest,
+        law_named,
+        method_named,
+        open_request,
+        reference_of,
+    )
 
     with deadline.until(time_limit, apart=True), result_folder(out) as folder:
-        _, model, readings = open_request(Asked(instrument, files, columns, choice, average))
+        _, model, readings = open_request(ReadRequest(instrument, files, columns, choice, average))
         model = model if noise is None else model.with_noise(law_named(noise, model, readings))
         print_notes(readings.flags)
         calibration = bc.fit(
@@ -161,7 +167,7 @@ def compare(
 ) -> None:
     """Set model structures side by side: leave-one-group-out, leave-one-out, evidence, weights."""
     from bayescal._cli.request import (
-        Asked,
+        ReadRequest,
         method_named,
         open_request,
         reference_of,
@@ -171,7 +177,7 @@ def compare(
     )
 
     baseline = ModelOptions(effects_file=effects_file)
-    chosen, _, readings = open_request(Asked(instrument, files, columns, baseline, average))
+    chosen, _, readings = open_request(ReadRequest(instrument, files, columns, baseline, average))
     names = structure or [name for name, _ in chosen.structures]
     if len(set(names)) < 2:
         raise InputError("compare needs two structures or more: give --structure twice, or never")
