@@ -20,7 +20,7 @@ from scipy.signal import lfilter
 import bayescal as bc
 from bayescal._search.discover import structures_over
 from bayescal._search.structures import Structure
-from bayescal._search.walk import wandering
+from bayescal._search.walk import correlated_laws
 from bayescal_models import still_sensor
 from benchmarks.hidden_effects.resume import go_on
 from benchmarks.intervals import proportion
@@ -153,7 +153,8 @@ def clear(model: bc.Model, readings: bc.Measurements, true: Iterable[str], tau: 
     def evidence(effects: Iterable[str]) -> float:
         held = frozenset(effects)
         return max(
-            structures.weigh(Structure(held, n)).log_evidence for n in ("", *wandering(structures))
+            structures.weigh(Structure(held, n)).log_evidence
+            for n in ("", *correlated_laws(structures))
         )
 
     whole = evidence(true)

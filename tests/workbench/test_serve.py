@@ -105,12 +105,13 @@ def test_only_the_whole_address_is_served(server: Server) -> None:
 
 def asked_as(server: Server, host: str, path: str = "", body: bytes = b"", **headers: str) -> int:
     """Status of a request under a Host, which a name that is made to lead here would send."""
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=30)
     method = "POST" if body else "GET"
-    connection.request(method, server.path + path, body or None, {"Host": host, **headers})
-    answer = connection.getresponse()
-    assert server.path not in answer.read().decode("utf-8", "replace") or answer.status == 200
-    connection.close()
+    asked = http.client.HTTPConnection("127.0.0.1", server.port, timeout=30)
+    with contextlib.closing(asked) as connection:  # also where it is cut off
+        connection.request(method, server.path + path, body or None, {"Host": host, **headers})
+        with connection.getresponse() as answer:
+            text = answer.read().decode("utf-8", "replace")
+    assert server.path not in text or answer.status == 200
     return answer.status
 
 
