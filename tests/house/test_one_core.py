@@ -39,6 +39,8 @@ NEEDED_BY = {
     "a basis that cannot be computed": "programs.columns_or_refusal",
     "a density that is nowhere": "mode._lost gaussian._factors",
     "the module's own making": "programs.program",
+    "log likelihoods of single readings, for ArviZ": "noise_on_record._densities noise_on_record.log_densities",
+    "a term that something added stands for": "linear_model.LinearModel.uncertainty",
     "NUTS where weights fail": "student_t_noise.StudentT.amplitudes",
     "JSON of a result": "correlated_noise.OrnsteinUhlenbeck.derived",
 }
@@ -105,7 +107,7 @@ def main_commands() -> None:
 
 def core() -> Iterator[tuple[str, CodeType]]:
     """Every function of the core's modules and of the noise laws, by its name there."""
-    names = [("_engine", m) for m in CORE.split()] + [("_model", m) for m in LAWS.split()]
+    names = [("_inference", m) for m in CORE.split()] + [("_model", m) for m in LAWS.split()]
     for room, name in names:
         module = import_module(f"bayescal.{room}.{name}")
         for owner in (module, *classes(module)):
