@@ -17,9 +17,9 @@ Rendered from `benchmarks/results/*.json`; `make bench-samplers`, `bench-scaling
 `bench-batches` measure each table anew, peers and ours in one run on one machine, and check every answer before they
 state a speed. Machines differ and are busy: read the ratios. No graphics processor was used.
 
-These tables were measured before the core became one (2026-11-25, [decisions](decisions.md)). Since then a search of 330
-readings takes 1.4 to 1.5 times as long, one of 10⁵ rows 2.4 times, and *marginal* is no program of ours any more. The log
-evidence of 1,600 or 16,000 readings under white noise takes 0.23 ms with its gradient.
+These tables were measured before the core became one (2026-11-25, [decisions](decisions.md)). Since then a search of
+330 readings takes 1.4 to 1.5 times as long, one of 10⁵ rows 2.4 times, and *marginal* is no program of ours any more.
+The log evidence of 1,600 or 16,000 readings under white noise takes 0.23 ms with its gradient.
 """
 SAMPLERS = """## Effective draws per second
 
