@@ -29,6 +29,7 @@ def gate(steps: Sequence[Step]) -> Gate:
 def _gate(steps: Sequence[Step], reasons: Sequence[str]) -> Gate:
     if reasons:
         return Gate(False, " ".join(reasons))
+    # Of fewer readings no correlation reaches that many standard deviations.
     if len(steps[-1].calibration.readings) < int(guarding().correlated_z ** 2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
     return Gate(True, "converged; neighbouring residuals are not correlated")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -91,20 +92,18 @@ def thermal_lag(
         start: prior standard deviation of the initial state's effect, in `start_unit`.
         name: of the effect, after the slot; another for a second body.
     """
-    return Effect(
-        f"{slot}.{name}",
+    return _of_a_body(
         slot,
-        basis=partial(_lagging, column),
-        coefficients=(
+        name,
+        _lagging,
+        (
             Coefficient(unit, Normal(0.0, size)),
             Coefficient(start_unit, Normal(0.0, start), part="start", per="run"),
         ),
-        shapes=(Shape("tau", "s", low, high, shared=True),),
-        columns=("time", column),
-        varies=(column,),
-        untestable=partial(_too_short, low),
-        equation="c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃",
-        source=source,
+        "c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃",
+        (low, high),
+        column,
+        source,
     )
 
 
@@ -124,17 +123,15 @@ def temperature_x_lag(
         size: prior standard deviation of c, in `unit`, such as "deg/s/degC^2".
         low, high: plausible range of τ, s.
     """
-    return Effect(
-        f"{slot}.temperature_x_lag",
+    return _of_a_body(
         slot,
-        basis=partial(_lag_by_temperature, column),
-        coefficients=(Coefficient(unit, Normal(0.0, size)),),
-        shapes=(Shape("tau", "s", low, high, shared=True),),
-        columns=("time", column),
-        varies=(column,),
-        untestable=partial(_too_short, low),
-        equation="c·(T − T0)·(T̃ − T),  τ·dT̃/dt = T − T̃",
-        source=source,
+        "temperature_x_lag",
+        _lag_by_temperature,
+        (Coefficient(unit, Normal(0.0, size)),),
+        "c·(T − T0)·(T̃ − T),  τ·dT̃/dt = T − T̃",
+        (low, high),
+        column,
+        source,
     )
 
 
@@ -163,20 +160,43 @@ def die_temperature(
         low, high: plausible range of τ, s.
         start: prior standard deviation of what a die that was not at T when a run began adds, in `start_unit`.
     """
-    return Effect(
-        f"{slot}.die_temperature",
+    return _of_a_body(
         slot,
-        basis=partial(_of_the_die, column),
-        coefficients=(
+        "die_temperature",
+        _of_the_die,
+        (
             Coefficient(unit, Normal(0.0, size)),
             Coefficient(quadratic_unit, Normal(0.0, quadratic), part="quadratic"),
             Coefficient(start_unit, Normal(0.0, start), part="start", per="run"),
         ),
-        shapes=(Shape("tau", "s", low, high, shared=True),),
+        "c·(T̃ − T) + q·((T̃ − T0)² − (T − T0)²) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃",
+        (low, high),
+        column,
+        source,
+    )
+
+
+def _of_a_body(
+    slot: str,
+    name: str,
+    basis: Callable[[str, Frame, Any], Any],
+    coefficients: tuple[Coefficient, ...],
+    equation: str,
+    times: tuple[float, float],
+    column: str,
+    source: str,
+) -> Effect:
+    """An effect of a body that lags behind a column by τ, between `times`, s; one τ for all channels of a unit."""
+    return Effect(
+        f"{slot}.{name}",
+        slot,
+        basis=partial(basis, column),
+        coefficients=coefficients,
+        shapes=(Shape("tau", "s", *times, shared=True),),
         columns=("time", column),
         varies=(column,),
-        untestable=partial(_too_short, low),
-        equation="c·(T̃ − T) + q·((T̃ − T0)² − (T − T0)²) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃",
+        untestable=partial(_too_short, times[0]),
+        equation=equation,
         source=source,
     )
 
