@@ -118,5 +118,5 @@ def _fold(
 
 def _density(whole: Assembly, mode: Mode, rows: np.ndarray) -> Density:
     """Of some readings, linearised where all of them were."""
-    part = Assembly(whole.layout, Part(whole.record, rows), whole.spread)
+    part = Assembly(whole.layout, Part(whole.record, rows), whole.size_factors)
     return Density(part, Point(mode.point.x, mode.point.rows[rows]), mode.flat, mode.v)

@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayescal._calibration.description import SCHEMA, description, identity, model_from
+from bayescal._calibration.description import (
+    SCHEMA,
+    description,
+    identity,
+    model_from,
+    name_of_today,
+    of_today,
+)
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.named_draws import named
 from bayescal._core.atomic_file import (
@@ -109,7 +116,10 @@ def load_calibration(
             for node in tree.subtree:  # `load` passes over a variable that is called as a group is
                 for variable in node.variables.values():
                     variable.load()
-        described = _parsed(tree.attrs.pop("bayescal", None))
+        if "posterior" in tree.children:
+            posterior = renamed(tree["posterior"].to_dataset(), name_of_today)
+            tree["posterior"] = xr.DataTree(posterior)
+        described = of_today(written := _parsed(tree.attrs.pop("bayescal", None)))
         if described.get("schema") != SCHEMA:
             raise InputError(
                 f"{path.name} is no calibration of this version: its schema is {described.get('schema')!r}, "
@@ -120,7 +130,7 @@ def load_calibration(
         readings = _readings_from(tree, described)
         model = model_from(path, described, readings, effects, instruments)
         found = _fields(tree, described, model, readings)
-        if tree.attrs.pop(IDENTITY, None) != identity(Fitted(**found)):
+        if tree.attrs.pop(IDENTITY, None) != identity(Fitted(**found)) and described == written:
             raise ValueError("its identity is not that of what it holds")
     del tree["mode"]
     return found, tree
@@ -237,14 +247,14 @@ def _refuse_other_posterior(tree: xr.DataTree, expected: xr.Dataset) -> None:
     Raises:
         ValueError: it is not.
     """
-    told = renamed(tree["posterior"].to_dataset(), named_back)
-    if set(told.data_vars) != set(expected.data_vars):
+    posterior = renamed(tree["posterior"].to_dataset(), named_back)
+    if set(posterior.data_vars) != set(expected.data_vars):
         raise ValueError(
-            f"its posterior is of {', '.join(map(str, told.data_vars))}, its model has "
+            f"its posterior is of {', '.join(map(str, posterior.data_vars))}, its model has "
             f"{', '.join(map(str, expected.data_vars))}"
         )
     for name, variable in expected.data_vars.items():
-        if not np.array_equal(told[name].values, variable.values, equal_nan=True):
+        if not np.array_equal(posterior[name].values, variable.values, equal_nan=True):
             raise ValueError(f"its posterior of {name} is not that of its draws")
 
 
