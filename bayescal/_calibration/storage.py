@@ -193,9 +193,9 @@ def _fields(
     }
 
 
-def _same(what: str, told: object, expected: object) -> None:
-    if told != expected:
-        raise ValueError(f"its {what} are {told}, its readings have {expected}")
+def _same(what: str, written: object, expected: object) -> None:
+    if written != expected:
+        raise ValueError(f"its {what} are {written}, its readings have {expected}")
 
 
 def _arrays(
@@ -211,16 +211,16 @@ def _arrays(
         if name not in data.data_vars:
             raise ValueError(f"its group {group} has no variable {name}")
         values = found[name] = data[name].values
-        told = f"its {group}/{name}"
+        what = f"its {group}/{name}"
         if values.dtype != np.float64:
-            raise ValueError(f"{told} is of type {values.dtype}, expected float64")
+            raise ValueError(f"{what} is of type {values.dtype}, expected float64")
         if len(values.shape) != len(shape) or any(
             asked not in (None, came) for asked, came in zip(shape, values.shape, strict=True)
         ):
             expected = tuple("any" if length is None else length for length in shape)
-            raise ValueError(f"{told} has the shape {values.shape}, its model asks for {expected}")
+            raise ValueError(f"{what} has the shape {values.shape}, its model asks for {expected}")
         if finite and not np.isfinite(values).all():
-            raise ValueError(f"{told} holds numbers that are not finite")
+            raise ValueError(f"{what} holds numbers that are not finite")
     return found
 
 

@@ -28,22 +28,22 @@ def calibration_text(calibration: Fitted) -> str:
     A curve (an unknown dependence, a departure) is one line, and so are the members of a large group: single
     coefficients of these mean nothing by themselves.
     """
-    rows, told = [], set[str]()
+    rows, listed = [], set[str]()
     coefficients, hyperparameters = summary(calibration)
     large = _large_groups(calibration)
     for s in (*coefficients, *hyperparameters):
         if s["effect"] in curves(calibration):
-            if s["effect"] not in told:
+            if s["effect"] not in listed:
                 rows.append(_curve_row(calibration, s["effect"]))
-                told.add(s["effect"])
+                listed.add(s["effect"])
             continue
         block = next((b for b, names in large.items() if s["name"] in names), None)
         if block is not None:
-            if block not in told:
+            if block not in listed:
                 rows.append(
                     _group_row(block, [c for c in coefficients if c["name"] in large[block]])
                 )
-                told.add(block)
+                listed.add(block)
             continue
         contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
         low, high = s["interval95"]
