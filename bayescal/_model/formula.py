@@ -735,7 +735,7 @@ def _canonical(
     """The whole in one line, from which it can be made again without readings."""
     pieces = [
         f"{n} = {f'{c.mean!r} ± ' if c.mean else ''}{c.size!r} {c.unit}"
-        for n, c in zip(pieces, coefficients, strict=True)
+        for n, c in zip(parts, coefficients, strict=True)
     ]
     pieces += [f"{n} = {s.low!r} to {s.high!r} {s.unit}" for n, s in shapes.items()]
     for n, (c, u) in columns.items():
