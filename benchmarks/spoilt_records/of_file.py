@@ -115,8 +115,12 @@ def _drifting(p: Piece, of_range: float) -> np.ndarray:
     return p.cells + of_range * np.ptp(p.all) * np.linspace(0.0, 1.0, len(p.cells))
 
 
-def _rounded(p: Piece, of_range: float) -> np.ndarray:
-    grid = of_range * np.ptp(p.all)
+def _stretched(p: Piece, by: float) -> np.ndarray:
+    return np.interp(p.time[0] + by * (p.time - p.time[0]), p.time, p.cells)
+
+
+def _rounded(p: Piece, of_range: float = 0.0, to: float = 0.0) -> np.ndarray:
+    grid = to + of_range * np.ptp(p.all)
     return grid * np.rint(p.cells / grid)
 
 
@@ -132,6 +136,7 @@ STEPS: dict[str, Callable[..., Any]] = {
     "wrapped": _wrapped,
     "noisy": _noisy,
     "drifting": _drifting,
+    "stretched": _stretched,
     "rounded": _rounded,
     "scaled": lambda p, by=1.0, plus=0.0: by * p.cells + plus,
     "plus": lambda p, of_range: p.cells + of_range * np.ptp(p.all),
@@ -143,7 +148,7 @@ STEPS: dict[str, Callable[..., Any]] = {
     "numbered": lambda p: [f"{a} {i}" for i, a in enumerate(p.cells)],
     "renamed": lambda p: [f"later {a}" for a in p.cells],
 }
-ON_WHOLE_FILES = ("halved", "exchanged")
+ON_WHOLE_FILES = ("halved", "kept", "exchanged")
 _NAMES = {"name", "true", "says", "needs", "of", "must_say", "steps"}
 _OF = ("record", "hold-out from the record")
 THERMOMETER = "temperature|thermometer"
@@ -207,6 +212,8 @@ def _done(
     roles = {"thermometer": subject.thermometer, "sibling": subject.sibling, "input": subject.input}
     name = roles.get(column, column)
     old, chosen = columns[name], _where(where, columns, subject, rng)
+    if do == "kept":
+        return rows(columns, chosen)
     if do == "exchanged":
         other = columns[subject.sibling]
         both = np.where(chosen, other, old), np.where(chosen, old, other)
