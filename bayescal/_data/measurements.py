@@ -34,12 +34,12 @@ from bayescal._data.column_matching import (
 )
 from bayescal._data.dataset_checks import (
     flags_of,
+    odd_numbers,
     once,
     problems_of_whole,
     repeated_rows,
     row_namer,
 )
-from bayescal._data.number_checks import odd_numbers
 from bayescal._data.unit_conversion import check_unit
 from bayescal._data.unit_parsing import ANY, STANDARD_GRAVITY
 from bayescal._tables.cells import cells_of, equally_long

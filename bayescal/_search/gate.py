@@ -14,7 +14,8 @@ from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.settings import guarding
 from bayescal._data.covariate_checks import oddities
-from bayescal._data.rounding import AS_GOOD_AS_NOISE, rounding_step
+from bayescal._data.record_settings import recording
+from bayescal._data.rounding import rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.unknown_effect import FORMS, FREED, covariate_in
 from bayescal._search.search_path import Gate, Step
@@ -75,7 +76,7 @@ def wrong_question(
     found = conflicts(calibration, accepted)
     found = found or [one.said for one in without_priors(calibration, accepted)]
     grid, unit = rounding_step(calibration.readings["output"]), unit_label(calibration.unit)
-    if floor < AS_GOOD_AS_NOISE * grid:
+    if floor < recording().as_good_as_noise * grid:
         found.append(
             f"The output is rounded in steps of {grid:.3g} {unit}, which is more than its noise: nothing finer than "
             "a step can be known, and standard uncertainties are too small. Record it with more digits."
