@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayescal._core.settings_in_force import Settings, in_force
+from bayescal._core.settings_in_force import OutcomeSettings, in_force
 
 
 @dataclass(frozen=True)
-class SearchSettings(Settings):
+class SearchSettings(OutcomeSettings):
     """What a search holds for missing, and how far it looks.
 
     Attributes:
@@ -65,7 +65,7 @@ class SearchSettings(Settings):
 
 
 @dataclass(frozen=True)
-class GuardSettings(Settings):
+class GuardSettings(OutcomeSettings):
     """What keeps a result from being used as it is.
 
     Attributes:

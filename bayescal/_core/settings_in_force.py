@@ -10,17 +10,17 @@ from functools import cache
 from types import MappingProxyType
 from typing import TypeVar
 
-S = TypeVar("S", bound="Settings")
+S = TypeVar("S", bound="OutcomeSettings")
 
 
-class Settings:
+class OutcomeSettings:
     """Numbers that decide outcomes: a frozen dataclass of these says of each its unit, its reason, and where from.
 
     What only bounds work (points of a grid, draws, starts) is no setting and stands where it is used.
     """
 
 
-_IN_FORCE: ContextVar[Mapping[type[Settings], Settings]] = ContextVar(
+_IN_FORCE: ContextVar[Mapping[type[OutcomeSettings], OutcomeSettings]] = ContextVar(
     "settings", default=MappingProxyType({})
 )
 
@@ -36,7 +36,7 @@ def in_force(kind: type[S]) -> S:
 
 
 @contextmanager
-def use_settings(*settings: Settings) -> Iterator[None]:
+def use_settings(*settings: OutcomeSettings) -> Iterator[None]:
     """Let other settings hold for what runs inside, in this thread.
 
     Args:
@@ -46,7 +46,7 @@ def use_settings(*settings: Settings) -> Iterator[None]:
         TypeError: something else was given.
     """
     for one in settings:
-        if not isinstance(one, Settings):
+        if not isinstance(one, OutcomeSettings):
             raise TypeError(f"settings are SearchSettings, GuardSettings and the like, not {one!r}")
     token = _IN_FORCE.set({**_IN_FORCE.get(), **{type(one): one for one in settings}})
     try:
@@ -56,7 +56,7 @@ def use_settings(*settings: Settings) -> Iterator[None]:
 
 
 def unusual() -> dict[str, float | list[float]]:
-    """Settings that differ from the usual ones, by name."""
+    """OutcomeSettings that differ from the usual ones, by name."""
     found = {}
     for kind, one in _IN_FORCE.get().items():
         for field in fields(one):  # pyright: ignore[reportArgumentType]  every kind is a dataclass

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayescal._core.settings_in_force import Settings, in_force
+from bayescal._core.settings_in_force import OutcomeSettings, in_force
 
 
 @dataclass(frozen=True)
-class RecordSettings(Settings):
+class RecordSettings(OutcomeSettings):
     """What a record may not be, and what of it is no reading of the sensor.
 
     "Good records" are the campaigns that the six instruments simulate, as they are, rounded as displays do, and noisy

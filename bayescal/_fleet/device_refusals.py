@@ -11,8 +11,8 @@ import pandas as pd
 from bayescal._core.errors import InputError
 from bayescal._data.column import ConvertedColumns
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.column_matching import InstrumentLike, ReadOptions
 from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
+from bayescal._data.read_options import InstrumentLike, ReadOptions
 from bayescal._data.record_settings import recording
 from bayescal._fleet.devices import DeviceBlock, Devices, without
 from bayescal._tables.cells import Cells

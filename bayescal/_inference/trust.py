@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.importance_weights import effective_size
-from bayescal._core.settings_in_force import Settings, in_force
+from bayescal._core.settings_in_force import OutcomeSettings, in_force
 from bayescal._inference.method import Verdict
 from bayescal._inference.mode import Mode
 from bayescal._inference.nuts_chains import Chains
@@ -24,7 +24,7 @@ SINGULAR = "The curvature is singular: some direction is not determined by readi
 
 
 @dataclass(frozen=True)
-class SamplingSettings(Settings):
+class SamplingSettings(OutcomeSettings):
     """When draws are trusted.
 
     Attributes:
