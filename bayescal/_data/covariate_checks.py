@@ -110,44 +110,57 @@ def _spikes(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Od
     return [Oddity(name, said, rows)]
 
 
-def _held(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
-    """Values that are repeated until the next leap, again and again: the logger asked the thermometer seldom.
+def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of stretches in which values are repeated until the next leap, again and again: they were asked seldom.
 
     Rounded values repeat too, and then change by a step of their rounding, the smallest gap between any two of them.
+
+    Args:
+        values: of a column that is not constant (n,).
+        own: rows of each stretch without a pause, by `pieces`.
     """
-    held, pairs = [], 0
-    leap = recording().held_step * float(np.diff(np.unique(values)).min())
+    given, held, pairs = recording(), [np.zeros(0, int)], 0
+    leap = given.held_step * float(np.diff(np.unique(values)).min())
     for piece in own:
         cells = values[piece]
         ends = np.append(np.flatnonzero(cells[1:] != cells[:-1]), len(cells) - 1)
         repeated = np.diff(ends, prepend=-1) > 1
         pair = repeated[:-1] & repeated[1:] & (np.abs(np.diff(cells[ends])) > leap)
-        if pair.any() and pair.mean() > recording().held_share:
+        if pair.any() and pair.mean() > given.held_share:
             held.append(piece)
             pairs += int(np.count_nonzero(pair))
-    if pairs < recording().held_times:
-        return []
+    return np.concatenate(held) if pairs >= given.held_times else held[0]
+
+
+def _held(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
+    rows = held_rows(values, own)
     said = "repeats a value until the next leap: it was held, or asked seldom"
-    return [Oddity(name, said, np.concatenate(held))]
+    return [Oddity(name, said, rows)] if len(rows) else []
 
 
 def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
-    """Readings in a row exactly at an extreme, of a column that never repeats elsewhere: a converter at its end."""
-    found = []
+    """Readings in a row exactly at an extreme, of a column that hardly repeats elsewhere: a converter at its end."""
+    given, found = recording(), []
     same = np.zeros(len(values), bool)
     for piece in own:
         same[piece[1:]] = values[piece[1:]] == values[piece[:-1]]
     for end, level in (("maximum", values.max()), ("minimum", values.min())):
         at = values == level
-        if (
-            np.count_nonzero(same & at) < recording().saturated
-            or np.mean(same[~at]) > recording().still_elsewhere
-        ):
+        there, elsewhere = (_longest(same & chosen, own) for chosen in (at, ~at))
+        if there < max(given.saturated, given.stuck_excess * elsewhere):
+            continue
+        if np.mean(same[~at]) > given.repeated:
             continue
         rows = np.flatnonzero(at)
-        said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and never still elsewhere: saturated?"
+        said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and hardly still elsewhere: saturated?"
         found.append(Oddity(name, said, rows))
     return found
+
+
+def _longest(same: np.ndarray, own: Sequence[np.ndarray]) -> int:
+    """The most readings in a row that repeat the one before."""
+    lengths = [np.diff(np.flatnonzero(np.r_[True, ~same[piece], True])) - 1 for piece in own]
+    return int(max((one.max() for one in lengths), default=0))
 
 
 def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:

@@ -45,7 +45,6 @@ class RecordSettings(OutcomeSettings):
         held_times: such leaps, below which that may be chance; good records have none.
         held_share: likewise, of a stretch's changes.
         saturated: readings in a row at a thermometer's extreme, below which that may be chance.
-        still_elsewhere: of its other readings repeat the one before, above which it is rounded or on plateaus.
         same_times: of two runs' readings that have the same times, from which the runs can be compared.
         repeats: of a thermometer's range, to which it repeats from run to run where a profile does.
         together: correlation of two thermometers in a run, from which they are on one body: that of a lag of an eighth
@@ -104,7 +103,6 @@ class RecordSettings(OutcomeSettings):
     held_times: int = 6
     held_share: float = 0.05
     saturated: int = 5
-    still_elsewhere: float = 0.01
     same_times: float = 0.5
     repeats: float = 0.02
     together: float = 0.7

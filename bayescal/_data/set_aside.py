@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayescal._data.covariate_checks import leaps, pieces
+from bayescal._data.covariate_checks import held_rows, leaps, pieces
 from bayescal._data.dataset_checks import clip_levels, once, repeated_rows, stuck_rows
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
@@ -61,16 +61,29 @@ def _without_clipped(readings: Measurements) -> Measurements:
 def _without_stuck(readings: Measurements) -> Measurements:
     """Without repeats of one reading by an output that stood still: only the first was measured."""
     output = readings["output"]
-    stuck = None if len(output) < 2 or rounding_step(output) else stuck_rows(output)
-    if stuck is None:
+    if np.ptp(output) == 0 or rounding_step(output):
         return readings
-    first, last = stuck
-    flag = (
-        f"{readings.file}: {last - first} reading(s) set aside: the output stands still at {output[first]:.6g} "
-        f"(rows {first + 2} to {last + 1})"
-    )
-    kept = np.r_[: first + 1, last + 1 : len(output)]
+    if (stuck := stuck_rows(output)) is not None:
+        first, last = stuck
+        repeats = np.arange(first + 1, last + 1)
+        said = f"stands still at {output[first]:.6g} (rows {first + 2} to {last + 1})"
+    elif not len(repeats := _held(readings)):
+        return readings
+    else:
+        said = f"repeats a value until the next leap, first in row {repeats[0] + 1}: a logger asked it seldom"
+    flag = f"{readings.file}: {len(repeats)} reading(s) set aside: the output {said}"
+    kept = np.setdiff1d(np.arange(len(output)), repeats)
     return replace(readings.select(kept), flags=(*readings.flags, flag))
+
+
+def _held(readings: Measurements) -> np.ndarray:
+    """Rows that repeat the output before them where it is held from leap to leap."""
+    if not readings.has("time"):
+        return np.zeros(0, int)
+    output, own = readings["output"], pieces({n: readings[n] for n in readings.columns})
+    held = held_rows(output, own)
+    again = [piece[1:][output[piece[1:]] == output[piece[:-1]]] for piece in own]
+    return np.intersect1d(held, np.concatenate([np.zeros(0, int), *again]))
 
 
 def _without_leaps(readings: Measurements) -> Measurements:
