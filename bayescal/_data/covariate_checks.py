@@ -15,8 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._data.record_settings import recording
+from bayescal._data.rounding import rounding_step
 from bayescal._data.stretches import RECORD, members, record_codes, stretches
 
+AROUND = 7  # changes, of which the median is the rate around one: three of them may be odd
+LEVELS = 3  # of fewer, each change is as large as the range
 MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
 
 Columns = Mapping[str, np.ndarray]
@@ -45,6 +48,7 @@ def oddities(columns: Columns, thermometers: Collection[str]) -> list[Oddity]:
         for name in names:
             for check in (_spikes, _held, _at_an_end):
                 found += check(name, columns[name], own)
+            found += _jumps(name, columns[name], columns["time"], own)
         return [*found, *_unlike(columns, names)]
 
 
@@ -56,7 +60,7 @@ def leaps(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
         own: rows of each stretch without a pause, by `pieces`.
     """
     given, jumps = recording(), [np.diff(values[piece]) for piece in own]
-    if sum(map(len, jumps)) < given.few_changes:
+    if sum(map(len, jumps)) < given.few_changes or len(np.unique(values)) < LEVELS:
         return np.zeros(0, int)
     back = [_there_and_back(jump) for jump in jumps]
     size = np.abs(np.concatenate(jumps))
@@ -64,6 +68,7 @@ def leaps(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
         given.leap * float(np.ptp(values)),
         given.leap_noise * 1.4826 * float(np.median(np.concatenate(back))),
         given.leap_excess * float(np.quantile(size, 0.9)),
+        given.held_step * rounding_step(values),
     )
     rows = []
     for piece, jump, both in zip(own, jumps, back, strict=True):
@@ -136,6 +141,46 @@ def _held(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddi
     rows = held_rows(values, own)
     said = "repeats a value until the next leap: it was held, or asked seldom"
     return [Oddity(name, said, rows)] if len(rows) else []
+
+
+def _jumps(
+    name: str, values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]
+) -> list[Oddity]:
+    """Where a column goes on from another level at once: no body does, but one that is set there by hand.
+
+    Of each change what the rate around it (the median of seven) does not explain is compared with what all changes are:
+    a corner of a profile, from heating to cooling, is twice its rate at the most. Values that stand still before and
+    after are set-points, written down as they were set.
+    """
+    given, jumps, usual, at, still = recording(), [], [], [], []
+    for piece in (piece for piece in own if len(piece) > AROUND):
+        change, step = np.diff(values[piece]), np.diff(time[piece])
+        rate = np.where(step > 0, change / step, 0.0)
+        wide = np.pad(rate, AROUND // 2, mode="edge")
+        around = np.median(np.lib.stride_tricks.sliding_window_view(wide, AROUND), axis=1)
+        jumps.append(np.abs(change - around * step))
+        usual.append(np.abs(change))
+        at.append(piece[1:])
+        flat = np.pad(change == 0, 1, constant_values=True)
+        still.append(flat[:-2] & flat[2:])
+    if sum(map(len, jumps)) < given.few_changes or len(np.unique(values)) < LEVELS:
+        return []
+    jump, change = np.concatenate(jumps), np.concatenate(usual)
+    least = max(
+        given.unlike_least,
+        given.leap_noise * 1.4826 * float(np.median(jump)),
+        given.end_excess * float(np.quantile(change, 0.9)),
+        given.held_step * rounding_step(values),
+    )
+    chosen = (jump > least) & ~np.concatenate(still)
+    rows = np.setdiff1d(np.concatenate(at)[chosen], leaps(values, own))
+    if not len(rows) or len(rows) > given.leap_share * len(values):
+        return []
+    said = (
+        f"goes on from another level, {jump[chosen].max():.2g} °C away, from one reading to the next: re-seated, "
+        "exchanged, or a counter that wrapped?"
+    )
+    return [Oddity(name, said, np.sort(rows))]
 
 
 def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:

@@ -41,7 +41,7 @@ class RecordSettings(OutcomeSettings):
             times as fast for one reading.
         leap_share: of all readings; more leaps are a thermometer's noise, or its way.
         end_excess: times every other change of a stretch, above which its first or last reading stands apart.
-        held_step: steps of a rounded column, above which a change from one repeated value to another is a leap.
+        held_step: steps of a rounded column, above which a change is a leap: noise toggles by one or two.
         held_times: such leaps, below which that may be chance; good records have none.
         held_share: likewise, of a stretch's changes.
         saturated: readings in a row at a thermometer's extreme, below which that may be chance.

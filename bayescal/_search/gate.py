@@ -53,7 +53,7 @@ def against(steps: Sequence[Step]) -> list[str]:
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
     reasons, last = against(steps), steps[-1]
-    if notes := _confounded(steps):
+    if notes := [*_confounded(steps), *_not_decidable(last)]:
         last = last.noted(notes)
         steps = (*steps[:-1], last)
     if reasons and last.calibration.verdict.ok:
@@ -119,6 +119,29 @@ def _confounded(steps: Sequence[Step]) -> list[str]:
         return []
     found = taken_over(steps[0].calibration, steps[-1].calibration)
     return [str(one) for one in found if one.measured and one.confounded]
+
+
+def _not_decidable(step: Step) -> list[str]:
+    """What the last model holds that a thermometer or a logger would make as well, alike in every run, in words.
+
+    A thermometer that is late by τ turns c·T into c·T − c·τ·dT/dt, and so does an output that is early: of which of
+    them the rate is no reading of the file tells.
+    """
+    readings, model = step.calibration.readings, step.calibration.model
+    warm = {n for n in readings.columns if readings.unit(n) == "degC"}
+    in_time = [
+        e
+        for e in model.effects
+        if "time" in e.columns and not warm.isdisjoint((*e.columns, *e.varies))
+    ]
+    if not in_time:
+        return []
+    columns = sorted(warm.intersection(n for e in in_time for n in (*e.columns, *e.varies)))
+    return [
+        f"Not decidable from these readings: whether {' and '.join(e.name for e in in_time)} is of the sensor, or the "
+        f"thermometer ({', '.join(columns)}) or the output is late or slow alike in every run. Predictions hold with "
+        "this thermometer and this logger; compare the thermometer once with one at the sensor."
+    ]
 
 
 def _thermometers(steps: Sequence[Step]) -> list[str]:

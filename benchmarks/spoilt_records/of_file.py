@@ -8,6 +8,7 @@ Each kind is a table of
 
 - `name`; `true`, what is true of it in words (the unit as it was); `says`, a regular expression for words that name the
   cause (a thermometer's, unless given);
+- `finds`, the same for the name of an effect that was added: one that names the cause says it;
 - `needs`: "runs" where the records are runs, "sibling" where a second thermometer stands in the unit;
 - `of`: "record" (the default), or "hold-out from the record": a hold-out made of the training data is given beside it;
 - `must_say`: true where only a sentence will do;
@@ -149,7 +150,7 @@ STEPS: dict[str, Callable[..., Any]] = {
     "renamed": lambda p: [f"later {a}" for a in p.cells],
 }
 ON_WHOLE_FILES = ("halved", "kept", "exchanged")
-_NAMES = {"name", "true", "says", "needs", "of", "must_say", "steps"}
+_NAMES = {"name", "true", "says", "finds", "needs", "of", "must_say", "steps"}
 _OF = ("record", "hold-out from the record")
 THERMOMETER = "temperature|thermometer"
 
@@ -190,6 +191,7 @@ def _kind(table: dict[str, Any]) -> Kind:
         spoil,
         fits,
         table.get("says", THERMOMETER),
+        table.get("finds", "^$"),
         of_holdout=hold_out,
         of_training=hold_out,
         must_say=table.get("must_say", False),
