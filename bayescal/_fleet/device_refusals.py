@@ -11,12 +11,9 @@ import pandas as pd
 from bayescal._core.errors import InputError
 from bayescal._data.column import ConvertedColumns
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.column_matching import InstrumentLike, ReadOptions
-from bayescal._data.dataset_checks import (
-    LEAST_TEMPERATURE_SPAN,
-    refuse_backward_time,
-    refuse_one_temperature,
-)
+from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
+from bayescal._data.read_options import InstrumentLike, ReadOptions
+from bayescal._data.record_settings import recording
 from bayescal._fleet.devices import DeviceBlock, Devices, without
 from bayescal._tables.cells import Cells
 from bayescal._tables.problems import Problem, Problems
@@ -94,7 +91,7 @@ def without_useless(
     if needs_temperature and "temperature" in block.values:
         values = block.values["temperature"]
         span = np.maximum.reduceat(values, block.starts) - np.minimum.reduceat(values, block.starts)
-        for i in np.flatnonzero(span < LEAST_TEMPERATURE_SPAN):
+        for i in np.flatnonzero(span < recording().temperature_span):
             bad[int(i)] = _message(refuse_one_temperature, block, int(i))
     for i in _backward(block):
         bad.setdefault(i, _message(_refuse_time, block, i))

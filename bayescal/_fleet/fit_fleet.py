@@ -13,7 +13,7 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._core.progress import note, tell
 from bayescal._core.version import __version__
-from bayescal._data.column_matching import ReadOptions
+from bayescal._data.read_options import ReadOptions
 from bayescal._fleet.engine import Engine, LocalEngine, OnDask
 from bayescal._fleet.find_devices import Find
 from bayescal._fleet.fit_devices import sized_for

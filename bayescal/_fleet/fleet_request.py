@@ -11,7 +11,7 @@ from typing import Any
 
 from bayescal._calibration.description import stated
 from bayescal._core.version import __version__
-from bayescal._data.column_matching import ReadOptions
+from bayescal._data.read_options import ReadOptions
 from bayescal._fleet.find_devices import Find
 from bayescal._fleet.fit_devices import CHUNK
 from bayescal._inference.least_squares import LeastSquares

@@ -12,16 +12,14 @@ import pandas as pd
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import Column, NominalScale, Source
-from bayescal._data.column_matching import (
+from bayescal._data.header_matching import matched, unused_options
+from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
     expected_columns,
-    match,
     output_name,
     unit_of,
-    unused_options,
 )
-from bayescal._data.header_matching import understood
 from bayescal._data.unit_conversion import base_unit
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._fleet.device_refusals import TableRows, TakenRows, convert_most, without_useless
@@ -122,8 +120,7 @@ def split_table(
     unused_options([table], options, problems)
     problems.refuse()
     expects = _Wider(instrument, _further(table, instrument, options, needs))
-    table = understood(table, expects, options)
-    places = match(table, expected_columns(expects), options, problems := Problems())
+    table, places = matched(table, expects, options, problems := Problems())
     problems.refuse()
     named = DEVICE in places
     if named:

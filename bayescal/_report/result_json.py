@@ -14,9 +14,9 @@ import numpy as np
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity
 from bayescal._calibration.leave_group_out import groups_of
-from bayescal._calibration.settings import unusual
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.atomic_file import write_text
+from bayescal._core.settings_in_force import unusual
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import GROUPS
 from bayescal._model.noise_law import Noise
