@@ -116,9 +116,7 @@ def replicates(
         x, rows, v = calibration.draws(draws)
         rows = np.zeros((len(x), len(some), rows.shape[2]))
         members = {per: some.groups(per)[1] for per in frame.codes}
-        return replicate(
-            calibration.assembly_on(some, frame), Vectors(x, rows, v), random, members
-        )
+        return replicate(calibration.assembly_on(some, frame), Vectors(x, rows, v), random, members)
 
     runs, at = going_on(calibration.readings, readings)
     if not runs:

@@ -61,7 +61,8 @@ class Discovery(Printed):
     """The answer to "which effect is missing?".
 
     Attributes:
-        nothing_missing: probability that none of the candidates is; None where the search cannot say.
+        nothing_missing: probability that none of the candidates that these readings can show is missing; None where the
+            search cannot say.
         sets: findings, the most probable first.
         candidates: every candidate, the most probable first.
         best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
@@ -88,6 +89,19 @@ class Discovery(Printed):
     def not_stated(self, why: str) -> Discovery:
         """The same without a probability that the model is complete."""
         return replace(self, nothing_missing=None, unstated=why)
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Named candidates that may be missing for all that these readings tell."""
+        return tuple(c.effect for c in self.candidates if c.unseen and not c.unknown)
+
+    @property
+    def complete_in_words(self) -> str:
+        """Probability that the model is complete, and how many effects it says nothing of."""
+        said = self.unstated or probability(self.nothing_missing)
+        if self.unstated or not self.unseen:
+            return said
+        return f"{said}, as far as this experiment can see; effects that it cannot see: {len(self.unseen)}"
 
     @property
     def correlated_noise(self) -> float | None:
@@ -285,7 +299,7 @@ def told(
     departures = _departures(structures, posterior.chosen, here)
     leads = [c.effect for c in ranked if c.kind == "lead"]
     return Discovery(
-        nothing_missing=posterior.nothing,
+        nothing_missing=posterior.nothing(c.effect for c in judged if c.unseen),
         sets=found,
         candidates=(*ranked, *shut),
         best=tuple(dict.fromkeys((*best, *departures))),
@@ -349,8 +363,7 @@ def discovery_text(found: Discovery) -> str:
 
 
 def _findings(found: Discovery) -> list[str]:
-    complete = found.unstated or probability(found.nothing_missing)
-    lines = [f"probability that the model is complete: {complete}"]
+    lines = [f"probability that the model is complete: {found.complete_in_words}"]
     for s in found.sets:
         names = " or ".join(s.effects)
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"

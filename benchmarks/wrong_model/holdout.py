@@ -48,7 +48,9 @@ def campaign(case: tuple[int, bool]) -> tuple[dict[str, Any], str]:
         "seed": seed,
         "other": other,
         "hidden": hidden,
-        "final": sorted(set(path.final.calibration.model.names) - {"bias.constant", "bias.temperature"}),
+        "final": sorted(
+            set(path.final.calibration.model.names) - {"bias.constant", "bias.temperature"}
+        ),
         "open": path.gate.ok,
         "reason": "" if path.gate.ok else path.gate.reason,
         "p": None if against is None else against.p,
@@ -57,4 +59,7 @@ def campaign(case: tuple[int, bool]) -> tuple[dict[str, Any], str]:
         "holdout_rmse": [s.holdout_rmse for s in path.steps],
         "seconds": time.perf_counter() - begun,
     }
-    return row, f"{seed} {'other' if other else 'same'} {row['final']} {row['open']} {row['reason']}"
+    return (
+        row,
+        f"{seed} {'other' if other else 'same'} {row['final']} {row['open']} {row['reason']}",
+    )

@@ -48,7 +48,9 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None, *, other: bool = 
     hidden = _drawn(rng, _GYRO) if hidden is None else dict(hidden)
     zero, slope = rng.normal(20.0, 5.0), rng.normal(0.05, 0.02)
 
-    def made(runs: int, first: int, zero: float, slope: float) -> tuple[bc.Measurements, np.ndarray]:
+    def made(
+        runs: int, first: int, zero: float, slope: float
+    ) -> tuple[bc.Measurements, np.ndarray]:
         run, time, since, temperature = _sweeps(rng, runs)
         board = temperature + 4.0 - 3.0 / (1 + since / 500.0)
         at = Sweep(temperature - 55.0, since, time, run)
@@ -119,7 +121,9 @@ def _behind(at: Sweep, tau: float) -> np.ndarray:
 _GYRO: Mapping[str, Callable[[Sweep], np.ndarray]] = {
     # 2·(cosh u − 1)/0.02² per °C² is u² to leading order and 4 % more at the ends.
     "bias.temperature_quadratic": lambda at: 3e-4 * 2 * (np.cosh(0.02 * at.warmth) - 1) / 4e-4,
-    "bias.temperature_cubic": lambda at: 1e-5 * 6 * (np.sinh(0.02 * at.warmth) / 0.02 - at.warmth) / 4e-4,
+    "bias.temperature_cubic": lambda at: (
+        1e-5 * 6 * (np.sinh(0.02 * at.warmth) / 0.02 - at.warmth) / 4e-4
+    ),
     "bias.thermal_lag": lambda at: 0.05 * _behind(at, 300.0),
     "bias.warm_up": lambda at: 0.3 / (1 + at.since / 400.0) ** 2,
     "bias.drift": lambda at: 0.3 * np.log1p(2 * at.time / at.time.max()) / np.log(3.0),

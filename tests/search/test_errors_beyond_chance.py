@@ -21,9 +21,7 @@ def step(score: float, error: float, p: float = 1.0) -> Step:
     )
     nothing: Any = None
     test: Any = SimpleNamespace(worse_than=lambda _: p)
-    return Step(
-        calibration, None, 1.0, 1.0, error, groups, 1.0, nothing, None, holdout_test=test
-    )
+    return Step(calibration, None, 1.0, 1.0, error, groups, 1.0, nothing, None, holdout_test=test)
 
 
 BASE = step(-50.0, 1.0)

@@ -168,9 +168,7 @@ def test_a_step_that_does_harm_shuts_the_gate(line, first, last, said) -> None:
     assert not found.ok
     assert said in found.reason
     nearly = {
-        k: 1.04
-        if not isinstance(v, SimpleNamespace)
-        else groups_left_out(1.04, -9.0)
+        k: 1.04 if not isinstance(v, SimpleNamespace) else groups_left_out(1.04, -9.0)
         for k, v in last.items()
     }
     assert gate(steps(line, first, nearly)).ok
