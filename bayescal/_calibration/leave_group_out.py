@@ -130,28 +130,40 @@ class _Fold(NamedTuple):
 
 
 def _fold(whole: Assembly, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fold | None:
-    """The readings left out, given the kept; None where these say nothing.
-
-    A are the whitened columns and C is the covariance of x given the kept readings.
-    """
+    """The readings left out, given the kept; None where these say nothing."""
     fitted, predicted = (_density(whole, mode, rows) for rows in (kept, out))
     v, _ = climb(fitted, [mode.v], mode.covariance, NOTHING_LEFT)
+    given = _given(fitted, predicted, v)
+    # What is expected of a group has the standard deviation between groups of them all: a few that are alike by chance
+    # would say that there is none.
+    between = np.array(whole.kinds) == "group_sd"
+    of_all = _given(fitted, predicted, np.where(between, np.maximum(v, mode.v), v))
+    if given is None or of_all is None:
+        return None
+    size = len(mode.point.x)
+    unit = Prior(np.zeros(size), np.ones(size), np.ones(size))
+    joint = condition(given[1], len(out), unit, np.zeros(size))
+    # I + A·C·Aᵀ, A the whitened columns and C = L·Lᵀ the covariance of x: of its n eigenvalues those of Lᵀ·Aᵀ·A·L are
+    # what it has above one.
+    spectrum = np.ones(len(out))
+    above = np.sort(np.linalg.eigvalsh(of_all[1].jtj))[::-1][: len(out)]
+    spectrum[: len(above)] += np.maximum(above, 0.0)
+    score = np.nan if joint is None else joint.log_marginal
+    return _Fold(score, given[0], of_all[1].rtr, spectrum)
+
+
+def _given(
+    fitted: Density, predicted: Density, v: np.ndarray
+) -> tuple[np.ndarray, Gram] | None:
+    """Errors of the readings left out, output unit, and their products with the posterior of x from the kept readings
+    as a prior of unit normals."""
     found = fitted.at(v)[1]
     if found is None:
         return None
     centred, table, logdet = predicted.whitened(v, found.mean)
-    # The posterior of x from the kept readings as a prior of unit normals.
-    size = len(mode.point.x)
     turned = table[:, :-1] @ found.root
     pull = turned.T @ table[:, -1]
-    gram = Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
-    unit = Prior(np.zeros(size), np.ones(size), np.ones(size))
-    joint = condition(gram, len(out), unit, np.zeros(size))
-    # I + A·C·Aᵀ: of its n eigenvalues those of CᵀAᵀA·C are above one.
-    spectrum = np.ones(len(out))
-    above = np.sort(np.linalg.eigvalsh(gram.jtj))[::-1][: len(out)]
-    spectrum[: len(above)] += np.maximum(above, 0.0)
-    return _Fold(np.nan if joint is None else joint.log_marginal, centred, gram.rtr, spectrum)
+    return centred, Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
 
 
 def _density(whole: Assembly, mode: Mode, rows: np.ndarray) -> Density:

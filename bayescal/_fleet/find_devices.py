@@ -135,7 +135,7 @@ def search_device(
     told = DeviceStructure(
         tuple(sorted(chosen.effects)),
         chosen.noise,
-        posterior.nothing,
+        posterior.nothing(),
         {n: p for n, p in inclusion.items() if p > LEAST},
         tuple(found.effects for found in posterior.findings),
         {n: float(expit(odds)) for n, odds in structures.log_odds.items()},

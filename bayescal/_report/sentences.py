@@ -133,7 +133,7 @@ def unexplained(chapter: Chapter) -> list[str]:
         said.append("What is missing was not asked: the last fit did not converge.")
     else:
         said.append(
-            "Probability that the model is complete, that is, that no candidate is missing: "
+            "Probability that the model is complete, that is, that no candidate that these readings can show is missing: "
             f"{last.get('unstated') or probability(last['nothing_missing_probability'])}."
         )
         for kind in ("finding", "lead"):

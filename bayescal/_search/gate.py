@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from itertools import pairwise
 
 import numpy as np
 
@@ -290,14 +289,15 @@ def _of_scatter(step: Step) -> list[str]:
 def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
     """What an added effect made worse: the error as fitted, leave-one-group-out, of the hold-out data."""
     reasons, unit = [], unit_label(steps[-1].calibration.unit)
-    for before, after in pairwise(steps):
-        # Under another noise law readings weigh differently: their plain error may well be larger.
-        if after.added is not None and after.rmse_fitted > guarding().worse * before.rmse_fitted:
-            reasons.append(
-                f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
-                f"{after.rmse_fitted:.3g} {unit}: do not use it."
-            )
     *earlier, last = steps
+    # Under another noise law readings weigh differently: their plain error may well be larger.
+    alike = [s for s in earlier if s.calibration.model.noise == last.calibration.model.noise]
+    before = min((s.rmse_fitted for s in alike), default=math.inf)
+    if last.added is not None and last.rmse_fitted > guarding().worse * before:
+        reasons.append(
+            f"Step {last.title!r} raises the error as fitted, {before:.3g} → {last.rmse_fitted:.3g} {unit}: do not use "
+            "it."
+        )
     if last.left_out and (best := left_out_better(last, earlier)) and best.left_out:
         what = f"each {last.left_out.group} from the others ({scheme(last.left_out.group)})"
         reasons.append(_worse(what, best, best.left_out.rmse, last.left_out.rmse, unit))

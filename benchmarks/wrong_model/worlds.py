@@ -141,3 +141,31 @@ def _drawn(rng: np.random.Generator, laws: Mapping[str, object]) -> dict[str, fl
     names = rng.choice(sorted(laws), size=rng.choice(COUNTS), replace=False)
     low, high = np.log(SIZES)
     return {str(n): float(np.exp(rng.uniform(low, high)) * rng.choice((-1, 1))) for n in names}
+
+
+def one_profile(seed: int) -> bc.Measurements:
+    """Three runs of one profile: offsets of the runs, a body that lags, a warm-up, a weak quadratic.
+
+    All that is thermal is a function of the time within a run there.
+    """
+    rng = np.random.default_rng([37, seed])
+    step, count, runs = 20.0, 200, 3
+    since, run = np.tile(step * np.arange(count), runs), np.repeat(np.arange(runs), count)
+    temperature = 55.0 - 25.0 * np.cos(2 * np.pi * since / 2400.0)
+    at = Sweep(temperature - 55.0, since, since + 1e4 * run, run)
+    output = (
+        rng.normal(20.0, 5.0)
+        + 0.05 * at.warmth
+        + 0.1 * _uniform(rng, runs)[run]
+        + 0.05 * _behind(at, 240.0)
+        + 0.3 * np.exp(-since / 600.0)
+        + 1.3e-4 * at.warmth**2
+        + rng.normal(0.0, 0.05, since.size)
+    )
+    return bc.Measurements.from_arrays(
+        mems_gyro.INSTRUMENT,
+        run=np.array([f"{r + 1}" for r in run]),
+        time=at.time,
+        temperature=temperature,
+        output=output,
+    )
