@@ -15,7 +15,7 @@ from bayescal._calibration.posterior_tree import named
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._data.measurements import Measurements
-from bayescal._fleet.fit_stack import drawn
+from bayescal._fleet.fit_devices import drawn
 from bayescal._inference import sampled_products
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.mode import Mode
