@@ -6,8 +6,8 @@ are the checks and pictures of every step. Coefficients come from the fit of a b
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit
@@ -16,7 +16,7 @@ from bayescal._core.errors import BayescalError
 from bayescal._data.measurements import Measurements
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices
-from bayescal._fleet.fit_devices import fit_devices
+from bayescal._fleet.fit_devices import fit_together
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
 from bayescal._model.effect import Effect
@@ -125,7 +125,7 @@ def find_and_fit(
 
     A device that cannot be searched is refused with the reason.
     """
-    refused: dict[str, str] = {}
+    refused = dict(devices.refused)
     structures: dict[str, DeviceStructure] = {}
     alike: dict[tuple, tuple[Model, list[str]]] = {}
     for block in devices.blocks:
@@ -139,24 +139,9 @@ def find_and_fit(
             # Departures and open sizes are a device's own: only equal models share a program.
             kind = (*found.effects, found.noise, repr(made.effects), repr(made.noise))
             alike.setdefault(kind, (made, []))[1].append(name)
-    shared = {"seed": seed, "chunk": chunk, "reference": reference, "each": True}
-    pieces = [
-        fit_devices(made, devices.without({*devices.names} - {*names}), method, **shared)
-        for made, names in alike.values()
+    groups = [
+        (made, devices.without({*devices.names} - {*names})) for made, names in alike.values()
     ]
-    left = devices.refusing(refused).without(structures)
-    pieces.append(fit_devices(model, left, method, **shared))
-    return _together(devices.names, pieces), structures
-
-
-def _together(names: tuple[str, ...], pieces: Sequence[BatchResult]) -> BatchResult:
-    """Results of disjoint devices as one, in the order of the devices."""
-    places = {name: i for i, name in enumerate(names)}
-    ok, reasons, parts = np.zeros(len(names), dtype=bool), [""] * len(names), []
-    for piece in pieces:
-        at = np.array([places[name] for name in piece.devices], dtype=int)
-        ok[at] = piece.ok
-        for i, reason in zip(at, piece.reasons, strict=True):
-            reasons[i] = reason
-        parts += [replace(part, devices=at[part.devices]) for part in piece.parts]
-    return replace(pieces[-1], devices=names, ok=ok, reasons=tuple(reasons), parts=tuple(parts))
+    shared = {"seed": seed, "chunk": chunk, "reference": reference, "each": True}
+    groups.insert(0, (model, Devices((), ())))  # after which the result is named
+    return fit_together(devices.names, refused, groups, method, **shared), structures

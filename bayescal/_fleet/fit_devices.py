@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -70,30 +70,56 @@ def fit_devices(
     Raises:
         InputError: no device at all, or, unless `each`, none that can be used.
     """
-    spare_memory_maps()
-    if chunk < 1:
-        raise InputError(f"chunk is {chunk}: give at least 1")
     if not len(devices) and not each:
         raise InputError("there is no device to fit: give at least one")
     reference = dict(reference or {})
     if named:
         reference = {**common_reference(temperature_sums(devices)), **reference}
-    fits = _Fits(model, method, seed=seed, chunk=chunk, reference=reference)
-    fits.fit(devices, each)
-    parts, reasons = fits.parts(devices.names), fits.reasons
-    if not parts and devices.names and not each:
+    shared = {"seed": seed, "chunk": chunk, "reference": reference, "each": each}
+    found = fit_together(devices.names, devices.refused, [(model, devices)], method, **shared)
+    return pooled(found, named, seed) if named else found
+
+
+def fit_together(
+    names: tuple[str, ...],
+    refused: Mapping[str, str],
+    groups: Sequence[tuple[Model, Devices]],
+    method: LeastSquares | Marginal,
+    *,
+    seed: int,
+    chunk: int,
+    reference: Reference,
+    each: bool,
+) -> BatchResult:
+    """Fit groups of devices, each with a model of its own, as `fit_devices` does; one result in the order of the names.
+
+    Args:
+        names: of all devices.
+        refused: those of them that are in no group, and why.
+        groups: models, and the devices that each is fitted to; the result is named after the first.
+        method, seed, chunk, reference, each: as of `fit_devices`.
+
+    Raises:
+        InputError: `chunk` is none, or, unless `each`, no device can be used.
+    """
+    spare_memory_maps()
+    if chunk < 1:
+        raise InputError(f"chunk is {chunk}: give at least 1")
+    fits = _Fits(method, seed=seed, chunk=chunk, reference=reference)
+    fits.refused |= refused
+    fitted = [fits.fit(model, devices, each) for model, devices in groups]
+    parts, reasons = fits.parts(names), fits.reasons | fits.refused
+    if not parts and names and not each:
         name, why = next(iter(fits.refused.items()))
-        raise InputError(f"none of the {len(devices)} devices can be used; {name}: {why}")
-    ok = np.array([not reasons.get(name) for name in devices.names], dtype=bool)
-    found = BatchResult(
-        devices=devices.names,
-        ok=ok,
-        reasons=tuple(reasons.get(name, "") for name in devices.names),
+        raise InputError(f"none of the {len(names)} devices can be used; {name}: {why}")
+    return BatchResult(
+        devices=names,
+        ok=np.array([not reasons.get(name) for name in names], dtype=bool),
+        reasons=tuple(reasons.get(name, "") for name in names),
         parts=tuple(parts),
         population=None,
-        about={**described(fits.model, method, seed, reference), "notes": list(fits.notes)},
+        about={**described(fitted[0], method, seed, reference), "notes": list(fits.notes)},
     )
-    return pooled(found, named, seed) if named else found
 
 
 def described(
@@ -179,70 +205,58 @@ class _Fits:
 
     Attributes:
         refused: devices that cannot be fitted, and why.
-        reasons: what stands against each device, refusals too.
+        reasons: what stands against each device that was fitted.
         notes: how it was done, once each.
     """
 
     def __init__(
-        self,
-        model: Model,
-        method: LeastSquares | Marginal,
-        *,
-        seed: int,
-        chunk: int,
-        reference: Reference,
+        self, method: LeastSquares | Marginal, *, seed: int, chunk: int, reference: Reference
     ) -> None:
-        self.model, self.method, self.seed, self.chunk = model, method, seed, chunk
-        self.reference = reference
+        self.method, self.seed, self.chunk, self.reference = method, seed, chunk, reference
         self.refused: dict[str, str] = {}
         self.reasons: dict[str, str] = {}
         self.notes: dict[str, None] = {}
         self._promoted: dict[Layout, tuple[Layout, tuple[str, ...]]] = {}
         self._found: dict[tuple[tuple[str, str], ...], list[tuple]] = {}
 
-    def fit(self, devices: Devices, each: bool) -> None:
-        """Fit every device that can be fitted.
+    def fit(self, model: Model, devices: Devices, each: bool) -> Model:
+        """Fit every device that can be fitted; the model, with open sizes taken from the first.
 
         Raises:
             BayescalError: no block can be used, and not `each`; what is said of the first.
         """
-        self.refused |= devices.refused
         wrong: list[BayescalError] = []
         blocks = joined(devices.blocks)
         for block in blocks:
             try:
                 first = block.measurements(0)
-                self.model.require(first)
-                self.model = sized_for(self.model, first, self.reference)
-                self._fit(block)
+                model.require(first)
+                model = sized_for(model, first, self.reference)
+                self._fit(model, block)
             except BayescalError as error:  # a column is missing, of all its devices
                 wrong.append(error)
                 self.refused = dict.fromkeys(block.names, str(error)) | self.refused
         if wrong and len(wrong) == len(blocks) and not each:
             raise wrong[0]
-        self.reasons |= self.refused
+        return model
 
-    def _fit(self, block: DeviceBlock) -> None:
+    def _fit(self, model: Model, block: DeviceBlock) -> None:
         def refuse(device: int, error: BayescalError) -> None:
             self.refused[block.names[device]] = str(error)
 
-        given = self.model, block, self.reference
-        if not self._has_closed_form(block):
-            for one in frames(*given, refuse):
-                self._keep([block.names[one.device]], [one.levels], self._solved(one))
+        # Least squares of all has a closed form if that of the first device has that can be fitted.
+        first = next(frames(model, block, self.reference, lambda *_: None), None)
+        if (
+            first is not None
+            and isinstance(self.method, LeastSquares)
+            and closed_form.applies(first.layout, jax.tree.map(jnp.asarray, first.frame))
+        ):
+            for stack in stacks(model, block, self.reference, refuse, self.chunk):
+                names = [block.names[i] for i in stack.devices]
+                self._keep(names, stack.levels, _in_closed_form(stack))
             return
-        for stack in stacks(*given, refuse, self.chunk):
-            names = [block.names[i] for i in stack.devices]
-            self._keep(names, stack.levels, _in_closed_form(stack))
-
-    def _has_closed_form(self, block: DeviceBlock) -> bool:
-        """Whether least squares of devices like these has a closed form: asked of the first that can be fitted."""
-        if not isinstance(self.method, LeastSquares):
-            return False
-        first = next(frames(self.model, block, self.reference, lambda *_: None), None)
-        return first is not None and closed_form.applies(
-            first.layout, jax.tree.map(jnp.asarray, first.frame)
-        )
+        for one in frames(model, block, self.reference, refuse):
+            self._keep([block.names[one.device]], [one.levels], self._solved(one))
 
     def _solved(self, one: DeviceFrame) -> _Solved:
         if isinstance(self.method, LeastSquares):

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import resource
 import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +18,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bayescal._calibration.description import stated
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.version import __version__
@@ -30,10 +28,9 @@ from bayescal._fleet.find_devices import DeviceStructure, Find, find_and_fit
 from bayescal._fleet.fit_devices import CHUNK, fit_devices
 from bayescal._fleet.partitions import Partition, Piece
 from bayescal._fleet.split_devices import open_readings, split_table
+from bayescal._inference.checkpoint import model_texts, shown
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import Marginal
-from bayescal._model.effect import Effect
-from bayescal._model.formula import Formula
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._tables.cells import Cells
@@ -76,51 +73,12 @@ class Request:
     @cached_property
     def digest(self) -> str:
         """SHA-256 over all that results depend on, but the readings."""
-        model, find = self.model, self.find
-        described = {
-            "version": __version__,
-            "instrument": [model.instrument.name, repr(model.instrument.settings)],
-            "columns": repr(model.instrument.columns),
-            "effects": [_described(e) for e in model.effects],
-            "noise": repr(model.noise),
-            "fixed": list(model.fixed),
-            "method": repr(self.method),
-            "seed": self.seed,
-            "chunk": self.chunk,
-            "reference": {k: repr(v) for k, v in sorted(self.reference.items())},
-            "find": find
-            and [[_described(e) for e in find.effects], find.max_effects, find.widen_noise],
-            "options": {k: _plain(v) for k, v in sorted(vars(self.options).items())},
-        }
-        return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return sorted((str(k), str(v)) for k, v in value.items())
-    return sorted(value) if isinstance(value, frozenset) else repr(value)
-
-
-def _described(effect: Effect) -> list[str]:
-    functions = (effect.basis, effect.weights)
-    return [effect.name, effect.slot, stated(effect), *(_code(f) for f in functions if f)]
-
-
-def _code(function: Callable[..., Any] | Any) -> str:
-    """What a function does, as its code: an effect changed in a user's file is another one."""
-    if isinstance(function, partial):
-        return f"{_code(function.func)} {function.args!r} {sorted(function.keywords.items())!r}"
-    if isinstance(function, Formula):
-        return function.text
-    code = getattr(function, "__code__", None)
-    if code is None:
-        return f"{type(function).__module__}.{type(function).__qualname__}"
-    return f"{function.__qualname__} {_code_of(code)}"
-
-
-def _code_of(code: Any) -> str:
-    inner = [_code_of(c) if hasattr(c, "co_code") else repr(c) for c in code.co_consts]
-    return f"{code.co_code.hex()} {code.co_names} {inner}"
+        candidates = self.find.effects if self.find else ()
+        numbers = [self.method, self.seed, self.chunk, sorted(self.reference.items())]
+        search = self.find and (self.find.max_effects, self.find.widen_noise)
+        texts = [__version__, *model_texts(self.model, candidates)]
+        texts += map(shown, (*numbers, search, *vars(self.options).values()))
+        return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
 class Moments(NamedTuple):
@@ -323,10 +281,10 @@ def _open(piece: Piece, options: ReadOptions) -> Table:
     """
     if piece.rows is None:
         return open_readings(piece.path, options)
-    file, (begin, end) = piece.path.name, piece.rows
+    file, begin, groups = piece.path.name, piece.rows[0], piece.groups
     with as_format(file, "Parquet"), pq.ParquetFile(piece.path) as opened:
-        schema, (groups, before) = opened.schema_arrow, _groups(opened, piece)
-    refuse_large(file, end - begin, len(schema), MAX_BYTES)
+        schema = opened.schema_arrow
+    refuse_large(file, piece.readings, len(schema), MAX_BYTES)
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
         found = {}
@@ -334,38 +292,27 @@ def _open(piece: Piece, options: ReadOptions) -> Table:
             for position, number in wanted.items():
                 name = schema.names[position]
                 column = opened.read_row_groups(groups, columns=[name]).column(name)
-                found[position] = arrow_cells(column.slice(begin - before, end - begin), number)
+                own = column.slice(begin - piece.before, piece.readings)
+                found[position] = arrow_cells(own, number)
         pa.default_memory_pool().release_unused()
         return found
 
     return Table(
         file=file,
         headers=tuple(Header.parse(f.name, field_unit(f)) for f in schema),
-        rows=end - begin,
+        rows=piece.readings,
         sha256=_stretch_digest(piece),
         load=load,
         place=lambda index: row_place(begin + index),
     )
 
 
-def _groups(opened: pq.ParquetFile, piece: Piece) -> tuple[list[int], int]:
-    """The row groups that hold a stretch of rows, and how many rows stand before them."""
-    counts = [opened.metadata.row_group(g).num_rows for g in range(opened.num_row_groups)]
-    ends = np.cumsum(counts)
-    begin, end = piece.rows or (0, int(ends[-1]))
-    first = int(np.searchsorted(ends, begin, side="right"))
-    last = int(np.searchsorted(ends, end, side="left"))
-    return list(range(first, last + 1)), int(ends[first]) - counts[first]
-
-
 def _stretch_digest(piece: Piece) -> str:
     """SHA-256 of the bytes of the row groups that hold a stretch of rows, and of which rows they are."""
     digest = hashlib.sha256(repr(piece.rows).encode())
     with pq.ParquetFile(piece.path) as opened, piece.path.open("rb") as file:
-        for group in _groups(opened, piece)[0]:
-            row_group = opened.metadata.row_group(group)
-            for i in range(row_group.num_columns):
-                column = row_group.column(i)
+        for group in map(opened.metadata.row_group, piece.groups):
+            for column in map(group.column, range(group.num_columns)):
                 at = [column.dictionary_page_offset, column.data_page_offset]
                 file.seek(min(offset for offset in at if offset))
                 digest.update(file.read(column.total_compressed_size))

@@ -38,11 +38,15 @@ class Piece:
         path: of the file.
         readings: in it, estimated for what is no Parquet.
         rows: first row and the one past the last; None for a whole file.
+        groups: row groups that hold them.
+        before: rows of the file before the first of these.
     """
 
     path: Path
     readings: int
     rows: tuple[int, int] | None = None
+    groups: tuple[int, ...] = ()
+    before: int = 0
 
     @property
     def name(self) -> str:
@@ -179,37 +183,37 @@ def _pieces(path: Path, rows: int, device: str) -> Iterator[Piece]:
         return
     try:
         with pq.ParquetFile(path) as file:
-            ends = _ends(file, rows, device)
+            yield from _stretches(path, file, rows, device)
     except (OSError, pa.ArrowException):  # damaged: whoever reads it says how
         yield whole
-        return
-    if len(ends) < 2:
-        yield Piece(path, max(1, *ends))
-        return
-    for begin, end in pairwise([0, *ends]):
-        yield Piece(path, end - begin, (begin, end))
 
 
-def _ends(file: pq.ParquetFile, rows: int, device: str) -> list[int]:
-    """Rows at which stretches of whole devices end, each of about so many; one where the file is not cut.
+def _stretches(path: Path, file: pq.ParquetFile, rows: int, device: str) -> list[Piece]:
+    """A Parquet file, or stretches of whole devices of it, each of about so many rows.
 
     A stretch ends where the first device begins behind a row group with which it would be longer. So devices stand
     together in such a file, as they do where it was written by device.
     """
     groups = [file.metadata.row_group(g).num_rows for g in range(file.num_row_groups)]
-    starts = np.cumsum([0, *groups]).tolist()
+    starts = np.cumsum([0, *groups])
     fields = ((f.name, Header.parse(f.name, field_unit(f))) for f in file.schema_arrow)
     column = next((name for name, header in fields if header.name == device), None)
-    if column is None:
-        return [starts[-1]]
     ends = [0]
-    for group in range(1, len(groups)):
+    for group in range(1, len(groups)) if column else ():
         if starts[group] > ends[-1] and starts[group + 1] - ends[-1] > rows:
-            ends.append(_next_device(file, column, group, starts))
-    return [*(end for end in ends[1:] if end < starts[-1]), starts[-1]]
+            ends.append(_next_device(file, str(column), group, starts))
+    ends = [*(end for end in ends if end < starts[-1]), int(starts[-1])]
+    if len(ends) < 3:
+        return [Piece(path, max(1, ends[-1]))]
+    pieces = []
+    for begin, end in pairwise(ends):
+        first, last = np.searchsorted(starts, [begin, end - 1], side="right") - 1
+        own = tuple(range(first, last + 1))
+        pieces.append(Piece(path, end - begin, (begin, end), own, int(starts[first])))
+    return pieces
 
 
-def _next_device(file: pq.ParquetFile, column: str, group: int, starts: Sequence[int]) -> int:
+def _next_device(file: pq.ParquetFile, column: str, group: int, starts: np.ndarray) -> int:
     """The row, from the first of a row group on, at which a device begins."""
 
     def labels(group: int) -> pa.ChunkedArray:
@@ -219,5 +223,5 @@ def _next_device(file: pq.ParquetFile, column: str, group: int, starts: Sequence
     for later in range(group, len(starts) - 1):
         another = pc.index(pc.not_equal(labels(later), last), True).as_py()  # pyright: ignore
         if another >= 0:
-            return starts[later] + another
-    return starts[-1]
+            return int(starts[later]) + another
+    return int(starts[-1])

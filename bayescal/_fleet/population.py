@@ -29,12 +29,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from scipy.optimize import minimize
-from scipy.special import gammaln
 
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.importance_weights import smoothed
@@ -42,6 +39,8 @@ from bayescal._fleet import device_sums
 from bayescal._fleet.device_sums import DeviceEstimates, DeviceMoments, Sums
 from bayescal._fleet.engine import Engine, LocalEngine
 from bayescal._inference import trust
+from bayescal._inference.mode import climb, gaussian_fit
+from bayescal._inference.sampling import PriorShare, explore
 from bayescal._model.effect import Coefficient
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
@@ -52,10 +51,9 @@ ENOUGH = (
 )
 DRAWS = 2000  # of τ, fewer for many devices: their posterior is narrow
 CELLS = 1_000_000  # draws × devices at most
-FREEDOM = 5.0  # degrees of freedom of the Student-t that τ's logarithms are proposed from
-WIDER = 1.1  # that proposal's scale, in parts of the Laplace fit's
-DEFENCE = 0.1  # share of proposals from the prior, so that no weight grows without a bound
-STEPS = 10  # of Newton to the mode, at most
+STARTS = (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)  # of log(τ/scale), where its mode is looked for first
+STEPS = 3  # of Newton at the mode
+NUDGE, SIDES = 1e-5, np.array([-1.0, 1.0])  # of v, for the slopes of priors
 
 Spread = HalfNormal | HalfCauchy | Flat  # prior of a standard deviation between devices
 Named = Mapping[str, tuple[Coefficient, Spread]]  # a population's coefficients by name
@@ -265,10 +263,6 @@ class _Density:
         self.size, self.weight, own = _prior(named)
         self.own = own - centre  # mean of the prior of m, counted from the centre
         self.scale = np.array([prior.scale for prior in self.priors]) / self.size
-        self._prior_slope = jax.jit(jax.value_and_grad(self.log_prior))
-
-    def log_prior(self, v) -> jax.Array:
-        return sum((s.log_density(v[i]) for i, s in enumerate(self.priors)), jnp.zeros(()))
 
     def _summed(self, function: Any, v: np.ndarray) -> Any:
         tasks = [(part, self.centre, self.scale, v) for part in self.parts]
@@ -283,7 +277,16 @@ class _Density:
     def log_density(self, v: np.ndarray) -> tuple[np.ndarray, Sums]:
         """At several v (s, k), and the sums that it was made of."""
         given = self._summed(_sums, v)
-        return np.asarray(jax.vmap(self.log_prior)(jnp.asarray(v))) + self._of_sums(given), given
+        return self.log_prior(v) + self._of_sums(given), given
+
+    def log_prior(self, v: np.ndarray) -> np.ndarray:
+        return np.sum([p.log_density(v[:, i]) for i, p in enumerate(self.priors)], axis=0)
+
+    def prior_draws(self, random: np.random.Generator, count: int) -> np.ndarray:
+        key = jax.random.key(int(random.integers(1 << 31)))
+        keys = jax.random.split(key, (len(self.priors), count))
+        each = zip(self.priors, keys, strict=True)
+        return np.stack([np.asarray(jax.vmap(p.sample)(own)) for p, own in each], axis=1)
 
     def _of_sums(self, given: Sums) -> np.ndarray:
         mean, covariance = self.population_mean(given)
@@ -291,80 +294,44 @@ class _Density:
         volume = np.linalg.slogdet(covariance)[1]
         return 0.5 * (given.level + np.einsum("si,si->s", pull, mean) + volume)
 
-    def negative(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Minus the density's logarithm at several v (s, k), and its slopes."""
-        given, slopes = self._summed(_sums_and_slopes, v)
-        mean, covariance = self.population_mean(given)
-        # ∂ of aᵀA⁻¹a − log|A|, where A⁻¹a is the mean and A⁻¹ the covariance of m
-        slope = slopes.level + 2 * np.einsum("skj,sj->sk", slopes.pull, mean)
-        slope -= np.einsum("si,skij,sj->sk", mean, slopes.precision, mean)
-        slope -= np.einsum("sij,skji->sk", covariance, slopes.precision)
-        prior, prior_slope = jax.vmap(self._prior_slope)(jnp.asarray(v))
-        return -(np.asarray(prior) + self._of_sums(given)), -(np.asarray(prior_slope) + 0.5 * slope)
+    def values(self, v: np.ndarray) -> np.ndarray:
+        """Its logarithm at several v."""
+        return np.nan_to_num(self.log_density(v)[0], nan=-np.inf)
+
+    def slope(self, v: np.ndarray) -> tuple[float, np.ndarray]:
+        """Its logarithm at one v (k,), and the slopes."""
+        given, slopes = self._summed(_sums_and_slopes, v[None])
+        (mean,), (covariance,) = self.population_mean(given)
+        level, pull, precision = (leaf[0] for leaf in slopes)
+        # ∂(aᵀA⁻¹a − log|A|), where A⁻¹a and A⁻¹ are mean and covariance of m
+        slope = level + 2 * pull @ mean - mean @ precision @ mean
+        slope -= np.einsum("ij,kji->k", covariance, precision)
+        ends = [p.log_density(v[i] + NUDGE * SIDES) for i, p in enumerate(self.priors)]
+        value = self.log_prior(v[None]) + self._of_sums(given)
+        return float(value[0]), 0.5 * slope + np.diff(ends)[:, 0] / (2 * NUDGE)
 
 
-def _mode(density: _Density) -> tuple[np.ndarray, np.ndarray]:
-    """Where the density of log τ is greatest, and a root of its covariance there."""
+class _LaplaceFit(NamedTuple):
+    """Where a density is greatest, and the covariance of its Gaussian fit there."""
 
-    def one(v: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = density.negative(v[None])
-        return float(value[0]), slope[0]
-
-    starts = np.array([np.full(len(density.size), v) for v in (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)])
-    start = starts[np.argmin(np.nan_to_num(density.negative(starts)[0], nan=np.inf))]
-    best = minimize(one, start, jac=True, method="BFGS").x
-    for _ in range(2):
-        inverse, root = _curvature(density, best)
-        best = best - inverse @ one(best)[1]
-    # To the last digits, so that neither the optimiser's end nor the order of summing shows in what is drawn.
-    last = np.inf
-    for _ in range(STEPS):
-        step = inverse @ one(best)[1]
-        if not (size := float(np.max(np.abs(step)))) < 0.5 * last:
-            break
-        best, last = best - step, size
-    return best, root
+    v: np.ndarray
+    covariance: np.ndarray
 
 
-def _curvature(density: _Density, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse of the second derivatives of minus the density's logarithm, and a root of it."""
-    shifts = 1e-4 * np.eye(len(at))
-    up, down = np.split(density.negative(np.concatenate([at + shifts, at - shifts]))[1], 2)
-    values, vectors = np.linalg.eigh(0.5 * ((up - down) + (up - down).T) / 2e-4)
-    # A τ that the devices do not show has a flat logarithm: no wider than a few units, its prior's width.
-    root = vectors / np.sqrt(np.maximum(values, 0.1))
-    return root @ root.T, root
-
-
-def _draws(density: _Density, seed: int) -> tuple[np.ndarray, np.ndarray, float, Sums]:
+def _draws(density: Any, seed: int) -> tuple[np.ndarray, np.ndarray, float, Sums]:
     """Draws of the logarithms of τ, with smoothed weights and k̂, and the sums at each."""
-    best, root = _mode(density)
-    dim, count = len(best), int(np.clip(CELLS // max(1, density.count), 200, DRAWS))
-    random = np.random.default_rng(seed)
-    normal = random.standard_normal((count, dim))
-    heavy = np.sqrt(FREEDOM / random.chisquare(FREEDOM, (count, 1)))
-    v = best + WIDER * (normal * heavy) @ root.T
-    proper = not any(isinstance(s, Flat) for s in density.priors)
-    if proper:
-        keys = jax.random.split(jax.random.key(seed), (dim, count))
-        far = [jax.vmap(s.sample)(k) for s, k in zip(density.priors, keys, strict=True)]
-        pick = random.random((count, 1)) < DEFENCE
-        v = np.where(pick, np.stack([np.asarray(f) for f in far], axis=1), v)
-    log_proposal = _log_t(v, best, WIDER * root)
-    if proper:
-        prior = np.asarray(jax.vmap(density.log_prior)(jnp.asarray(v)))
-        log_proposal = np.logaddexp(np.log1p(-DEFENCE) + log_proposal, np.log(DEFENCE) + prior)
+    starts = [np.full(len(density.size), v) for v in STARTS]
+    best, _ = climb(density, starts, None)
+    covariance, *_ = gaussian_fit(density, best)
+    # To the last digits, so that the order of summing does not show in what is drawn.
+    for _ in range(STEPS):
+        best = best + covariance @ density.slope(best)[1]
+    count = int(np.clip(CELLS // max(1, density.count), 200, DRAWS))
+    improper = any(isinstance(s, Flat) for s in density.priors)
+    prior = None if improper else PriorShare(density.prior_draws, density.log_prior)
+    fit, random = _LaplaceFit(best, covariance), np.random.default_rng(seed)
+    v, log_proposal = explore(fit, density.values, prior, random, count, rounds=0)
     log_density, given = density.log_density(v)
     log_weight = np.where(np.isfinite(log_density), log_density, -1e300) - log_proposal
     weights, k_hat = smoothed(log_weight)
     return v, weights, k_hat, given
-
-
-def _log_t(v: np.ndarray, centre: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """Log density of a Student-t with this centre and root of its scale matrix."""
-    dim = v.shape[1]
-    z = np.linalg.solve(root, (v - centre).T)
-    half = 0.5 * (FREEDOM + dim)
-    norm = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dim * np.log(FREEDOM * np.pi)
-    volume = np.linalg.slogdet(root)[1]
-    return norm - volume - half * np.log1p(np.sum(z**2, axis=0) / FREEDOM)

@@ -141,8 +141,16 @@ def _stacks_of_numbers(
     constants = {name: v for name, v in reference.items() if not isinstance(v, dict)}
     levels = {g: () if g == "cell" else ("1",) for g in GROUPS}
     for rung in np.unique(rungs).tolist():
-        members = _fitting(model, block, np.flatnonzero(rungs == rung), refuse)
         counts = (*((group, len(names)) for group, names in levels.items()), ("reading", rung))
+        layout = Layout(model, counts)
+        few = block.counts <= layout.size  # readings, perhaps not enough for the model
+        for one in np.flatnonzero(few & (rungs == rung)).tolist():
+            try:
+                bind(model, block.measurements(one))
+            except BayescalError as error:
+                refuse(one, error)
+                rungs[one] = 0
+        members = np.flatnonzero(rungs == rung)
         at_once = max(1, min(most, NUMBERS // rung))
         for begin in range(0, len(members), at_once):
             some = members[begin : begin + at_once]
@@ -161,7 +169,6 @@ def _stacks_of_numbers(
             own = [levels] * len(some)
             if DEVICE in block.values:
                 own = [{**levels, DEVICE: (block.names[i],)} for i in some]
-            layout = Layout(model, counts)
             yield DeviceStack(some, layout, own, frame, columns["output"], real)
 
 
@@ -171,23 +178,6 @@ def _rung(count: int) -> int:
     while rung < count:
         rung = int(np.ceil(rung * STEP))
     return rung
-
-
-def _fitting(model: Model, block: DeviceBlock, members: np.ndarray, refuse: Refuse) -> np.ndarray:
-    """The devices that have readings enough for the model: looked at one by one, if the one with the fewest has not."""
-    fewest = members[np.argmin(block.counts[members])]
-    try:
-        bind(model, block.measurements(int(fewest)))
-        return members
-    except BayescalError:
-        good = []
-    for i in members.tolist():
-        try:
-            bind(model, block.measurements(i))
-            good.append(i)
-        except BayescalError as error:
-            refuse(i, error)
-    return np.array(good, dtype=int)
 
 
 def _matrices(
