@@ -146,13 +146,6 @@ class BatchResult:
     def _places(self) -> dict[str, int]:
         return {name: i for i, name in enumerate(self.devices)}
 
-    @cached_property
-    def _where(self) -> dict[int, tuple[int, int]]:
-        """Place in the batch → part, and place in it."""
-        return {
-            int(d): (p, i) for p, part in enumerate(self.parts) for i, d in enumerate(part.devices)
-        }
-
     def __getitem__(self, device: str | int) -> DeviceResult:
         """One device's result, by its name or by its place.
 
@@ -165,11 +158,10 @@ class BatchResult:
             raise InputError(f"there is no device {device!r} among the {len(self)}: {shown} …")
         at %= len(self)
         own = self.devices[at], bool(self.ok[at]), self.reasons[at]
-        if at not in self._where:
-            return DeviceResult(*own, (), (), np.zeros(0), np.zeros((0, 0)))
-        p, i = self._where[at]
-        part = self.parts[p]
-        return DeviceResult(*own, part.names, part.units, part.mean[i], part.covariance[i])
+        for part in self.parts:
+            for i in np.flatnonzero(part.devices == at):
+                return DeviceResult(*own, part.names, part.units, part.mean[i], part.covariance[i])
+        return DeviceResult(*own, (), (), np.zeros(0), np.zeros((0, 0)))
 
     def table(self) -> pd.DataFrame:
         """One row for each device and unknown: device, coefficient, mean, sd, unit, ok, reason.

@@ -30,7 +30,6 @@ from bayescal._model.parameters import Layout
 
 GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
 STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits
-STRETCH = 8192  # rows that are factored at once: little memory, and they stay in cache
 LEAST = 1e-24  # share of the readings' variance, below which the noise counts as none
 NOISE = "noise.white"
 
@@ -143,24 +142,9 @@ def _placed(layout: Layout, own: _Reduced, variance: Float[Array, ""]) -> Closed
 
 
 def _triangle(table: Float[Array, "n q"]) -> Float[Array, "q q"]:
-    """R of the QR factors up to the signs of its rows, square however few rows there are.
-
-    A stretch of rows at a time.
-    """
-    whole, columns = len(table) // STRETCH, table.shape[1]
-
-    def further(i: Array, upper: Float[Array, "q q"]) -> Float[Array, "q q"]:
-        rows = jax.lax.dynamic_slice_in_dim(table, i * STRETCH, STRETCH)
-        return jnp.linalg.qr(jnp.concatenate([upper, rows]), mode="r")
-
-    if whole < 2 or columns > STRETCH:
-        upper = jnp.linalg.qr(table, mode="r")
-    else:
-        upper = jax.lax.fori_loop(1, whole, further, jnp.linalg.qr(table[:STRETCH], mode="r"))
-        rest = table[whole * STRETCH :]
-        upper = jnp.linalg.qr(jnp.concatenate([upper, rest]), mode="r") if len(rest) else upper
-    missing = columns - upper.shape[0]
-    return jnp.pad(upper, ((0, missing), (0, 0))) if missing > 0 else upper
+    """R of the QR factors up to the signs of its rows, square however few rows there are."""
+    upper = jnp.linalg.qr(table, mode="r")
+    return jnp.pad(upper, ((0, table.shape[1] - upper.shape[0]), (0, 0)))
 
 
 def _log_variance(

@@ -16,9 +16,7 @@ from bayescal._core.errors import BayescalError
 from bayescal._data.measurements import Measurements
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices
-from bayescal._fleet.fit_devices import fit_together
-from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.marginal import Marginal
+from bayescal._fleet.fit_devices import FitSettings, fit_together
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, reference_of
 from bayescal._model.model import Model
@@ -115,11 +113,7 @@ def find_and_fit(
     model: Model,
     devices: Devices,
     find: Find,
-    method: LeastSquares | Marginal,
-    *,
-    seed: int,
-    chunk: int,
-    reference: Reference,
+    settings: FitSettings,
 ) -> tuple[BatchResult, dict[str, DeviceStructure]]:
     """Search each device, then fit those of one structure together: the results, and what each device's search found.
 
@@ -131,7 +125,7 @@ def find_and_fit(
     for block in devices.blocks:
         for i, name in enumerate(block.names):
             try:
-                found, made = search_device(model, block.measurements(i), find, reference)
+                found, made = search_device(model, block.measurements(i), find, settings.reference)
             except BayescalError as error:
                 refused[name] = str(error)
                 continue
@@ -142,6 +136,5 @@ def find_and_fit(
     groups = [
         (made, devices.without({*devices.names} - {*names})) for made, names in alike.values()
     ]
-    shared = {"seed": seed, "chunk": chunk, "reference": reference, "each": True}
     groups.insert(0, (model, Devices((), ())))  # after which the result is named
-    return fit_together(devices.names, refused, groups, method, **shared), structures
+    return fit_together(devices.names, refused, groups, settings), structures

@@ -11,13 +11,11 @@ from bayescal._data.measurements import Measurements
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices, gathered
 from bayescal._fleet.find_devices import Find
-from bayescal._fleet.fit_devices import CHUNK, fit_devices, mappable
+from bayescal._fleet.fit_devices import CHUNK, FitSettings, fit_devices, tailored_to_first
 from bayescal._fleet.fit_fleet import fit_fleet
 from bayescal._fleet.fleet_result import FleetResult
 from bayescal._fleet.population import AskedPopulation, chosen
 from bayescal._fleet.split_devices import split_devices
-from bayescal._fleet.tailored import tailored_to_first
-from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
@@ -114,18 +112,17 @@ def fit_batch(
         InputError: no device that can be used, files that cannot be read, a client without `out`, a cluster gone.
         ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
     """
-    method = mappable(model, method or LeastSquares())
+    settings = FitSettings.of(model, method, seed, chunk, reference)
     chosen(model, population)  # a wrong name is refused before anything is read
-    shared: dict[str, Any] = {"seed": seed, "chunk": chunk, "reference": reference}
     if out is not None:
         search = Find() if find is True else find or None
         how = {"client": client, "rows": partition_rows, "columns": columns, "find": search}
-        return fit_fleet(model, _paths(readings), Path(out), method, population, **how, **shared)
+        return fit_fleet(model, _paths(readings), Path(out), settings, population, **how)
     if client is not None or find:
         raise InputError("workers and searches write by partition: give out=, a folder")
     devices = _devices(model, readings)
     model, _ = tailored_to_first(model, devices)
-    return fit_devices(model, devices, method, named=chosen(model, population), **shared)
+    return fit_devices(model, devices, settings, chosen(model, population))
 
 
 def _are_paths(readings: Any) -> bool:

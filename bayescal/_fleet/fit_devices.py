@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +29,7 @@ from bayescal._inference.method import Method
 from bayescal._inference.mode import Mode, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
+from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame, reference_name, reference_of
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, Levels
@@ -44,68 +46,96 @@ HELD = (
 )
 
 
+@dataclass(frozen=True)
+class FitSettings:
+    """How every device is fitted.
+
+    Attributes:
+        method: of every fit.
+        seed: of every random number.
+        chunk: devices fitted at once at most.
+        reference: constants of the bases, in place of each device's own.
+    """
+
+    method: LeastSquares | Marginal
+    seed: int = 0
+    chunk: int = CHUNK
+    reference: Reference = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, model: Model, method: Method | None, seed: int, chunk: int, reference: Reference | None
+    ) -> FitSettings:
+        """As a user gives them.
+
+        Raises:
+            InputError: `chunk` is none.
+            ModelError: the method cannot be mapped over devices.
+        """
+        if chunk < 1:
+            raise InputError(f"chunk is {chunk}: give at least 1")
+        return cls(mappable(model, method or LeastSquares()), seed, chunk, dict(reference or {}))
+
+    def with_common(self, reference: Reference) -> FitSettings:
+        """With further constants, where none were given."""
+        return replace(self, reference={**reference, **self.reference})
+
+    def data(self, model: Model) -> dict[str, Any]:
+        """What was fitted, as a result says it."""
+        return {
+            "instrument": model.instrument.name,
+            "effects": list(model.names),
+            "noise": model.noise.law,
+            "method": self.method.name,
+            "seed": self.seed,
+            "reference": {k: v for k, v in self.reference.items() if not isinstance(v, dict)},
+        }
+
+
 def fit_devices(
-    model: Model,
-    devices: Devices,
-    method: LeastSquares | Marginal,
-    *,
-    named: Named | None = None,
-    seed: int = 0,
-    chunk: int = CHUNK,
-    reference: Reference | None = None,
-    each: bool = False,
+    model: Model, devices: Devices, settings: FitSettings, named: Named | None = None
 ) -> BatchResult:
     """Fit every device by itself in a few compiled programs: see `fit_batch`.
 
     Args:
         model: what is fitted.
         devices: whose readings.
-        method: of every fit.
+        settings: of every fit.
         named: coefficients of a population, if any.
-        seed: of every random number.
-        chunk: devices fitted at once at most.
-        reference: constants of the bases, in place of each device's own.
-        each: whether a reason that all devices share refuses each of them, and not the whole.
 
     Raises:
-        InputError: no device at all, or, unless `each`, none that can be used.
+        InputError: no device at all, or none that can be used.
     """
-    if not len(devices) and not each:
+    if not len(devices):
         raise InputError("there is no device to fit: give at least one")
-    reference = dict(reference or {})
     if named:
-        reference = {**common_reference(temperature_sums(devices)), **reference}
-    shared = {"seed": seed, "chunk": chunk, "reference": reference, "each": each}
-    found = fit_together(devices.names, devices.refused, [(model, devices)], method, **shared)
-    return pooled(found, named, seed) if named else found
+        settings = settings.with_common(common_reference(temperature_sums(devices)))
+    groups = [(model, devices)]
+    found = fit_together(devices.names, devices.refused, groups, settings, each=False)
+    return pooled(found, named, settings.seed) if named else found
 
 
 def fit_together(
     names: tuple[str, ...],
     refused: Mapping[str, str],
     groups: Sequence[tuple[Model, Devices]],
-    method: LeastSquares | Marginal,
-    *,
-    seed: int,
-    chunk: int,
-    reference: Reference,
-    each: bool,
+    settings: FitSettings,
+    each: bool = True,
 ) -> BatchResult:
-    """Fit groups of devices, each with a model of its own, as `fit_devices` does; one result in the order of the names.
+    """Fit groups of devices, each with a model of its own; one result in the order of the names.
 
     Args:
         names: of all devices.
         refused: those of them that are in no group, and why.
         groups: models, and the devices that each is fitted to; the result is named after the first.
-        method, seed, chunk, reference, each: as of `fit_devices`.
+        settings: of every fit.
+        each: whether a reason that all devices share refuses each of them, and not the whole.
 
     Raises:
-        InputError: `chunk` is none, or, unless `each`, no device can be used.
+        InputError: none can be used, and not `each`.
     """
     spare_memory_maps()
-    if chunk < 1:
-        raise InputError(f"chunk is {chunk}: give at least 1")
-    fits = _Fits(method, seed=seed, chunk=chunk, reference=reference)
+    fits = _Fits(settings)
     fits.refused |= refused
     fitted = [fits.fit(model, devices, each) for model, devices in groups]
     parts, reasons = fits.parts(names), fits.reasons | fits.refused
@@ -118,22 +148,8 @@ def fit_together(
         reasons=tuple(reasons.get(name, "") for name in names),
         parts=tuple(parts),
         population=None,
-        about={**described(fitted[0], method, seed, reference), "notes": list(fits.notes)},
+        about={**settings.data(fitted[0]), "notes": list(fits.notes)},
     )
-
-
-def described(
-    model: Model, method: LeastSquares | Marginal, seed: int, reference: Reference
-) -> dict[str, object]:
-    """What was fitted, as a result says it."""
-    return {
-        "instrument": model.instrument.name,
-        "effects": list(model.names),
-        "noise": model.noise.law,
-        "method": method.name,
-        "seed": seed,
-        "reference": {k: v for k, v in reference.items() if not isinstance(v, dict)},
-    }
 
 
 def mappable(model: Model, method: Method) -> LeastSquares | Marginal:
@@ -166,12 +182,62 @@ def temperature_sums(devices: Devices) -> list[tuple[str, float, int]]:
     ]
 
 
-def common_reference(sums: Sequence[tuple[str, float, int]]) -> dict[str, float]:
+def common_reference(sums: Sequence[tuple[str, float, int]]) -> Reference:
     """T0 and its like over all devices, so that offsets mean the same for each."""
     total: dict[str, np.ndarray] = {}
     for name, *own in sums:
         total[name] = total.get(name, 0.0) + np.array(own)
     return {reference_name(name): float(np.round(s / n)) for name, (s, n) in total.items()}
+
+
+def tailored(model: Model, readings: Measurements) -> Model:
+    """The model with its instrument tailored to one device's readings; the same where nothing has to be.
+
+    What it has of the instrument's own (effects, the noise law) is that of the tailored one; what was changed stays. A
+    size that was changed is one in parts of what a record shows, as all of the general instrument's are.
+    """
+    general = model.instrument
+    own = general.for_readings(readings)
+    if own is general:
+        return model
+    stated = {e.name: e for e in (*general.effects, *general.candidates)}
+    sized = {e.name: e for e in (*own.effects, *own.candidates)}
+    parts = {
+        e.name: e.coefficients[0].size / stated[e.name].coefficients[0].size
+        for e in model.effects
+        if e.name in stated and e == _sized_as(e, stated[e.name])
+    }
+    effects = tuple(sized.get(e.name, e) if e.name in parts else e for e in model.effects)
+    noise = own.noise if model.noise == general.noise else model.noise
+    made = Model(own, effects, noise, model.fixed)
+    for name, part in parts.items():
+        if part != 1:
+            made = made.resize(name, part * made.effect(name).coefficients[0].size)
+    return made
+
+
+def _sized_as(effect: Effect, stated: Effect) -> Effect:
+    """An effect as it is stated, of the sizes that this one has."""
+    return replace(stated, coefficients=effect.coefficients)
+
+
+def tailored_to_first(
+    model: Model, devices: Iterable[Measurements]
+) -> tuple[Model, Measurements | None]:
+    """The model tailored to the first device that it can be tailored to, and that device; None where there is none.
+
+    Raises:
+        InputError: no device has what the instrument takes from readings: why, of the first.
+    """
+    refusals: list[InputError] = []
+    for readings in devices:
+        try:
+            return tailored(model, readings), readings
+        except InputError as error:
+            refusals.append(error)
+    if refusals:
+        raise refusals[0]
+    return model, None
 
 
 def sized_for(model: Model, readings: Measurements, reference: Reference) -> Model:
@@ -209,10 +275,8 @@ class _Fits:
         notes: how it was done, once each.
     """
 
-    def __init__(
-        self, method: LeastSquares | Marginal, *, seed: int, chunk: int, reference: Reference
-    ) -> None:
-        self.method, self.seed, self.chunk, self.reference = method, seed, chunk, reference
+    def __init__(self, settings: FitSettings) -> None:
+        self.settings, self.method = settings, settings.method
         self.refused: dict[str, str] = {}
         self.reasons: dict[str, str] = {}
         self.notes: dict[str, None] = {}
@@ -231,7 +295,7 @@ class _Fits:
             try:
                 first = block.measurements(0)
                 model.require(first)
-                model = sized_for(model, first, self.reference)
+                model = sized_for(model, first, self.settings.reference)
                 self._fit(model, block)
             except BayescalError as error:  # a column is missing, of all its devices
                 wrong.append(error)
@@ -245,17 +309,18 @@ class _Fits:
             self.refused[block.names[device]] = str(error)
 
         # Least squares of all has a closed form if that of the first device has that can be fitted.
-        first = next(frames(model, block, self.reference, lambda *_: None), None)
+        given = model, block, self.settings.reference
+        first = next(frames(*given, lambda *_: None), None)
         if (
             first is not None
             and isinstance(self.method, LeastSquares)
             and closed_form.applies(first.layout, jax.tree.map(jnp.asarray, first.frame))
         ):
-            for stack in stacks(model, block, self.reference, refuse, self.chunk):
+            for stack in stacks(*given, refuse, self.settings.chunk):
                 names = [block.names[i] for i in stack.devices]
                 self._keep(names, stack.levels, _in_closed_form(stack))
             return
-        for one in frames(model, block, self.reference, refuse):
+        for one in frames(*given, refuse):
             self._keep([block.names[one.device]], [one.levels], self._solved(one))
 
     def _solved(self, one: DeviceFrame) -> _Solved:
@@ -266,7 +331,7 @@ class _Fits:
                 one.layout, one.frame, one.y, self.method.promote
             )
         layout, notes = self._promoted[one.layout]
-        return _by_sampling(one._replace(layout=layout), self.method, self.seed, notes)
+        return _by_sampling(one._replace(layout=layout), self.method, self.settings.seed, notes)
 
     def _keep(self, names: Sequence[str], levels: Sequence[Levels], made: _Solved) -> None:
         self.notes |= dict.fromkeys(made.notes)

@@ -22,7 +22,13 @@ from bayescal._data.column_matching import ReadOptions
 from bayescal._fleet.batch_result import first_few
 from bayescal._fleet.engine import DaskEngine, Engine, LocalEngine, every
 from bayescal._fleet.find_devices import Find
-from bayescal._fleet.fit_devices import common_reference, described, sized_for, temperature_sums
+from bayescal._fleet.fit_devices import (
+    FitSettings,
+    common_reference,
+    sized_for,
+    tailored_to_first,
+    temperature_sums,
+)
 from bayescal._fleet.fit_partition import (
     PARTITION,
     Moments,
@@ -36,10 +42,6 @@ from bayescal._fleet.partial_pooling import learn_population
 from bayescal._fleet.partitions import FIND_ROWS, ROWS, Partition, left_out, partitions_of
 from bayescal._fleet.population import AskedPopulation, chosen
 from bayescal._fleet.shares import effects_table
-from bayescal._fleet.tailored import tailored_to_first
-from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.marginal import Marginal
-from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 
 if TYPE_CHECKING:
@@ -53,12 +55,9 @@ def fit_fleet(
     model: Model,
     paths: Sequence[Path],
     out: Path,
-    method: LeastSquares | Marginal,
+    settings: FitSettings,
     population: AskedPopulation,
     *,
-    seed: int,
-    chunk: int,
-    reference: Reference | None,
     client: Client | None,
     rows: int | None,
     columns: Mapping[str, Any] | None,
@@ -77,7 +76,7 @@ def fit_fleet(
     for line in first_few(unread, len(unread), "not read: ", f", all in {WHOLE}"):
         note(line.strip())
     options = ReadOptions.of(model.instrument, **(columns or {}))
-    request = Request(model, method, seed, chunk, dict(reference or {}), options, find)
+    request = Request(model, settings, options, find)
     rows = rows or (FIND_ROWS if find else ROWS)
     partitions = partitions_of(paths, rows, request.device_column)
     request = _with_common(request, partitions, engine, bool(population))
@@ -91,7 +90,7 @@ def fit_fleet(
     learned, apart = None, dict[str, float]()
     if named:
         files = [folder / ALONE / partitions[one.number].file for one in done]
-        learned, apart = learn_population(files, folder / POOLED, named, seed, engine)
+        learned, apart = learn_population(files, folder / POOLED, named, settings.seed, engine)
     doubted = {name: why for one in done for name, why in one.doubted.items()}
     found = FleetResult(
         out,
@@ -103,9 +102,9 @@ def fit_fleet(
         table=_table([moments for one in done for moments in one.moments]),
         population=learned,
         apart=apart,
-        effects=effects_table([each for one in done for each in one.structures], seed),
+        effects=effects_table([each for one in done for each in one.structures], settings.seed),
         about={
-            **described(request.model, method, seed, request.reference),
+            **request.settings.data(request.model),
             "version": __version__,
             "partitions": len(partitions),
             "found_done": sum(one.again for one in done),
@@ -144,18 +143,18 @@ def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str,
 def _sized_model(request: Request, partition: Partition) -> Model | None:
     """The model, with what it takes from readings taken from the partition's first device that has it."""
     model, first = tailored_to_first(request.model, read_partition(partition, request)[0])
-    return None if first is None else sized_for(model, first, request.reference)
+    return None if first is None else sized_for(model, first, request.settings.reference)
 
 
 def _with_common(
     request: Request, partitions: Sequence[Partition], engine: Engine, pooled: bool
 ) -> Request:
     """The request with what has to be the same in all partitions: T0 of a population, unit, open sizes."""
-    if pooled and "T0" not in request.reference:
+    if pooled and "T0" not in request.settings.reference:
         tell("reading all temperatures, for a common T0 (a reference given spares that)")
         sums = every(engine, _temperature_sums, [(request, p) for p in partitions])
         common = common_reference([one for some in sums for one in some])
-        request = replace(request, reference={**common, **request.reference})
+        request = replace(request, settings=request.settings.with_common(common))
     model = request.model
     if model.instrument.tailor is None and not any(e.open for e in model.effects):
         return request

@@ -9,10 +9,10 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -25,13 +25,10 @@ from bayescal._data.column_matching import ReadOptions
 from bayescal._fleet.batch_result import BatchResult, load_batch
 from bayescal._fleet.devices import DEVICE, Devices
 from bayescal._fleet.find_devices import DeviceStructure, Find, find_and_fit
-from bayescal._fleet.fit_devices import CHUNK, fit_devices
+from bayescal._fleet.fit_devices import FitSettings, fit_together
 from bayescal._fleet.partitions import Partition, Piece
 from bayescal._fleet.split_devices import open_readings, split_table
 from bayescal._inference.checkpoint import model_texts, shown
-from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.marginal import Marginal
-from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES
@@ -49,21 +46,15 @@ class Request:
 
     Attributes:
         model: what is fitted.
-        method: of every fit.
-        seed: of every random number.
-        chunk: devices fitted at once at most.
-        reference: constants of the bases.
+        settings: of every fit.
         options: how columns are understood.
         find: what is looked for in each device, if anything is.
     """
 
     model: Model
-    method: LeastSquares | Marginal
-    seed: int = 0
-    chunk: int = CHUNK
-    reference: Reference = field(default_factory=dict)
-    options: ReadOptions = field(default_factory=ReadOptions)
-    find: Find | None = None
+    settings: FitSettings
+    options: ReadOptions
+    find: Find | None
 
     @property
     def device_column(self) -> str:
@@ -74,10 +65,9 @@ class Request:
     def digest(self) -> str:
         """SHA-256 over all that results depend on, but the readings."""
         candidates = self.find.effects if self.find else ()
-        numbers = [self.method, self.seed, self.chunk, sorted(self.reference.items())]
         search = self.find and (self.find.max_effects, self.find.widen_noise)
-        texts = [__version__, *model_texts(self.model, candidates)]
-        texts += map(shown, (*numbers, search, *vars(self.options).values()))
+        own = (*vars(self.settings).values(), search, *vars(self.options).values())
+        texts = [__version__, *model_texts(self.model, candidates), *map(shown, own)]
         return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
@@ -170,18 +160,12 @@ def _fitted(
     request: Request, partition: Partition, digest: str, elsewhere: dict[str, str]
 ) -> BatchResult:
     devices, unreadable = read_partition(partition, request, elsewhere)
-    shared: dict[str, Any] = {
-        "seed": request.seed,
-        "chunk": request.chunk,
-        "reference": request.reference,
-    }
+    model, settings = request.model, request.settings
     structures: dict[str, DeviceStructure] = {}
     if request.find is None:
-        found = fit_devices(request.model, devices, request.method, each=True, **shared)
+        found = fit_together(devices.names, devices.refused, [(model, devices)], settings)
     else:
-        found, structures = find_and_fit(
-            request.model, devices, request.find, request.method, **shared
-        )
+        found, structures = find_and_fit(model, devices, request.find, settings)
     own = {
         "digest": digest,
         "files": [piece.name for piece in partition.pieces],
