@@ -26,8 +26,6 @@ class ExperimentPane:
             kind="table",
             head=HEAD,
             label="Experiments",
-            margin=0,
-            sizing_mode="stretch_both",
             visible=False,
         )
         self.view = column(row(self.rank, self.told), self.rows)
