@@ -99,8 +99,8 @@ def device_moments(
     """
     count, likely = len(devices.estimate), int(np.argmax(weights))
     made = _moments(_padded(devices, centre), scale, v, weights, mean, covariance, likely)
-    found = DeviceMoments(*(np.asarray(a)[:count] for a in made))
-    return found._replace(mean=found.mean + centre)
+    moments = DeviceMoments(*(np.asarray(a)[:count] for a in made))
+    return moments._replace(mean=moments.mean + centre)
 
 
 def _padded(devices: DeviceEstimates, centre: np.ndarray) -> DeviceEstimates:
@@ -141,8 +141,8 @@ def _sums(devices: DeviceEstimates, scale: Array, v: Array):
 def _sums_and_slopes(devices: DeviceEstimates, scale: Array, v: Array):
     def one(v: Array):
         def both(v: Array):
-            found = _at(devices, scale, v)
-            return found, found
+            sums = _at(devices, scale, v)
+            return sums, sums
 
         slopes, values = jax.jacfwd(both, has_aux=True)(v)
         return values, jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), slopes)

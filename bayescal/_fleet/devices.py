@@ -127,6 +127,13 @@ class Devices:
     def __repr__(self) -> str:
         return f"<{self.readings} readings of {len(self)} devices, {len(self.refused)} of them refused>"
 
+    @classmethod
+    def together(cls, some: Sequence[Devices]) -> Devices:
+        """Devices of several files."""
+        names = dict.fromkeys(name for devices in some for name in devices.names)
+        blocks = tuple(block for devices in some for block in devices.blocks)
+        return cls(tuple(names), blocks, {n: why for d in some for n, why in d.refused.items()})
+
     @property
     def readings(self) -> int:
         """Readings of the devices that were let in."""

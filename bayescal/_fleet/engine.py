@@ -57,12 +57,12 @@ def every(engine: Engine, function: Callable[..., T], tasks: Sequence[tuple]) ->
     Raises:
         InputError: one of them fails.
     """
-    found: dict[int, T] = {}
+    values: dict[int, T] = {}
     for outcome in engine.each(function, tasks):
         if outcome.error:
             raise InputError(outcome.error)
-        found[outcome.index] = outcome.value
-    return [found[index] for index in range(len(tasks))]
+        values[outcome.index] = outcome.value
+    return [values[index] for index in range(len(tasks))]
 
 
 class LocalEngine:

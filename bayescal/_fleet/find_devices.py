@@ -85,7 +85,7 @@ def search_device(
     posterior = Posterior.of(structures)
     chosen = posterior.chosen
     inclusion = {n: posterior.inclusion(n) for n in structures.candidates}
-    found = DeviceStructure(
+    structure = DeviceStructure(
         sorted(chosen.effects),
         chosen.noise,
         posterior.nothing,
@@ -94,7 +94,7 @@ def search_device(
         {n: float(expit(odds)) for n, odds in structures.log_odds.items()},
         _weighed(posterior, structures.log_odds),
     )
-    return found, structures.weigh(chosen).model
+    return structure, structures.weigh(chosen).model
 
 
 def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[list[str], float]]:
@@ -115,7 +115,7 @@ def find_and_fit(
     find: Find,
     settings: FitSettings,
 ) -> tuple[BatchResult, dict[str, DeviceStructure]]:
-    """Search each device, then fit those of one structure together: the results, and what each device's search found.
+    """Search each device, then fit those of one structure together: the results, and each device's structure.
 
     A device that cannot be searched is refused with the reason.
     """
@@ -125,13 +125,15 @@ def find_and_fit(
     for block in devices.blocks:
         for i, name in enumerate(block.names):
             try:
-                found, made = search_device(model, block.measurements(i), find, settings.reference)
+                structure, made = search_device(
+                    model, block.measurements(i), find, settings.reference
+                )
             except BayescalError as error:
                 refused[name] = str(error)
                 continue
-            structures[name] = found
+            structures[name] = structure
             # Departures and open sizes are a device's own: only equal models share a program.
-            kind = (*found.effects, found.noise, repr(made.effects), repr(made.noise))
+            kind = (*structure.effects, structure.noise, repr(made.effects), repr(made.noise))
             alike.setdefault(kind, (made, []))[1].append(name)
     groups = [
         (made, devices.without({*devices.names} - {*names})) for made, names in alike.values()

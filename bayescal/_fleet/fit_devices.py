@@ -37,7 +37,7 @@ from bayescal._model.parameters import Layout, Levels
 CHUNK = 4096  # devices in one compiled program at most
 NUDGE = 1e-5  # of a coordinate, for the slope of its value
 NO_SCATTER = (
-    "The readings leave no scatter about the model, so that the noise cannot be told: too few readings for the "
+    "The readings leave no scatter about the model, so that the noise is not determined: too few readings for the "
     "coefficients, or made without noise."
 )
 HELD = (
@@ -111,8 +111,8 @@ def fit_devices(
     if named:
         settings = settings.with_common(common_reference(temperature_sums(devices)))
     groups = [(model, devices)]
-    found = fit_together(devices.names, devices.refused, groups, settings, each=False)
-    return pooled(found, named, settings.seed) if named else found
+    result = fit_together(devices.names, devices.refused, groups, settings, each=False)
+    return pooled(result, named, settings.seed) if named else result
 
 
 def fit_together(
@@ -347,7 +347,7 @@ class _Fits:
             self._found.setdefault(own, []).append(some)
 
     def parts(self, devices: Sequence[str]) -> list[BatchPart]:
-        """Everything that was found, in the order of the devices."""
+        """All unknowns with their moments, in the order of the devices."""
         places = {name: i for i, name in enumerate(devices)}
         parts = []
         for own, pieces in self._found.items():
@@ -362,11 +362,11 @@ class _Fits:
 
 def _unknowns(layout: Layout, levels: Levels) -> list[tuple[str, str]]:
     """(name, unit) of every unknown but those of single readings, in the order of `_Solved.mean`."""
-    found = []
+    unknowns = []
     for b in layout.blocks:
         if b.place not in ("fixed", "row"):
-            found += [(name, b.coefficient.unit) for name in b.member_names(levels)]
-    return found + [(h.name, h.unit) for h in layout.hypers if h.kind != "promoted"]
+            unknowns += [(name, b.coefficient.unit) for name in b.member_names(levels)]
+    return unknowns + [(h.name, h.unit) for h in layout.hypers if h.kind != "promoted"]
 
 
 def _in_closed_form(stack: DeviceStack) -> _Solved:
@@ -396,15 +396,15 @@ def _by_least_squares(one: DeviceFrame, method: LeastSquares) -> _Solved:
     """`LeastSquares` itself."""
     layout, (_, places) = one.layout, least_squares.split_hypers(one.layout)
     assembly = Assembly(layout, Record(layout.model.instrument, one.frame, one.y))
-    found = least_squares.solution_on(assembly, method.curvature == "hessian")
-    v, priors = found.mode.v, [h.prior for h in layout.hypers]
+    solution = least_squares.solution_on(assembly, method.curvature == "hessian")
+    v, priors = solution.mode.v, [h.prior for h in layout.hypers]
     ends = [[float(priors[i].value(v[i] + d)) for d in (-NUDGE, NUDGE)] for i in places]
     slopes = np.append(np.ones(layout.size), [(b - a) / (2 * NUDGE) for a, b in ends])
     values = [float(prior.value(own)) for prior, own in zip(priors, v, strict=True)]
-    mean = np.append(found.mode.point.x, values)
-    covariance = slopes[:, None] * np.asarray(found.covariance) * slopes
+    mean = np.append(solution.mode.point.x, values)
+    covariance = slopes[:, None] * np.asarray(solution.covariance) * slopes
     free = [*range(layout.size), *(layout.size + i for i in places)]
-    reason = "" if found.converged else trust.NOT_CONVERGED
+    reason = "" if solution.converged else trust.NOT_CONVERGED
     if not (np.all(np.isfinite(covariance)) and np.all(np.isfinite(mean))):
         reason = trust.SINGULAR
     whole = _held(covariance[None], free, len(mean))
@@ -423,9 +423,9 @@ def drawn(
 
 def _by_sampling(one: DeviceFrame, method: Marginal, seed: int, notes: tuple[str, ...]) -> _Solved:
     """`Marginal` by importance sampling; where its weights fail, the verdict says so."""
-    found, _ = drawn(one.layout, one.frame, one.y, method, seed, one.device)
-    weights, k_hat = _weights(found.log_weight)
-    values = _values(one.layout, found.x, found.v)
+    draws, _ = drawn(one.layout, one.frame, one.y, method, seed, one.device)
+    weights, k_hat = _weights(draws.log_weight)
+    values = _values(one.layout, draws.x, draws.v)
     mean = weights @ values
     apart = values - mean
     covariance = (weights[:, None] * apart).T @ apart

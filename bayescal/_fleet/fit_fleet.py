@@ -92,7 +92,7 @@ def fit_fleet(
         files = [folder / ALONE / partitions[one.number].file for one in done]
         learned, apart = learn_population(files, folder / POOLED, named, settings.seed, engine)
     doubted = {name: why for one in done for name, why in one.doubted.items()}
-    found = FleetResult(
+    fleet = FleetResult(
         out,
         devices=sum(one.devices for one in done),
         trusted=sum(one.trusted for one in done),
@@ -114,8 +114,8 @@ def fit_fleet(
         },
         left_out=unread,
     )
-    found.save()
-    return found
+    fleet.save()
+    return fleet
 
 
 def _table(all_moments: Sequence[Moments]) -> pd.DataFrame:
@@ -260,15 +260,15 @@ class _Run:
         places: dict[str, list[int]] = {}
         for device, number in zip(rows["device"], rows["at"], strict=True):
             places.setdefault(device, []).append(number)
-        found: dict[int, dict[str, str]] = {}
+        elsewhere: dict[int, dict[str, str]] = {}
         for device, (first, *others) in sorted(places.items()):
             shown = " and ".join(repr(self.partitions[n].name) for n in (first, others[0]))
-            found.setdefault(first, {})[device] = (
+            elsewhere.setdefault(first, {})[device] = (
                 f"device {device!r} stands in {1 + len(others)} partitions, {shown}: put its readings into one file"
             )
             for number in others:
-                found.setdefault(number, {})[device] = ""
-        return found
+                elsewhere.setdefault(number, {})[device] = ""
+        return elsewhere
 
 
 def _names_in(path: Path) -> pa.Array:

@@ -133,13 +133,13 @@ def fit_partition(
     with ONE:
         path = folder / partition.file
         digest = content_digest(partition, request)
-        found = _written(path, digest, elsewhere)
-        again = found is not None
-        if found is None:
+        result = _written(path, digest, elsewhere)
+        again = result is not None
+        if result is None:
             path.unlink(missing_ok=True)  # of other readings, or of another request
-            found = _fitted(request, partition, digest, dict(elsewhere or {}))
-            found.save(path)
-        summary = _summary(partition, found)
+            result = _fitted(request, partition, digest, dict(elsewhere or {}))
+            result.save(path)
+        summary = _summary(partition, result)
     return replace(summary, again=again, seconds=time.process_time() - begun, memory=peak_memory())
 
 
@@ -148,12 +148,12 @@ def _written(path: Path, digest: str, elsewhere: Mapping[str, str] | None) -> Ba
     if not digest or not path.is_file():
         return None
     try:
-        found = load_batch(path)
+        result = load_batch(path)
     except InputError:
         return None
-    own = found.about.get(PARTITION, {})
+    own = result.about.get(PARTITION, {})
     same = own.get("digest") == digest and not own["unreadable"]
-    return found if same and elsewhere in (None, own["elsewhere"]) else None
+    return result if same and elsewhere in (None, own["elsewhere"]) else None
 
 
 def _fitted(
@@ -163,9 +163,9 @@ def _fitted(
     model, settings = request.model, request.settings
     structures: dict[str, DeviceStructure] = {}
     if request.find is None:
-        found = fit_together(devices.names, devices.refused, [(model, devices)], settings)
+        result = fit_together(devices.names, devices.refused, [(model, devices)], settings)
     else:
-        found, structures = find_and_fit(model, devices, request.find, settings)
+        result, structures = find_and_fit(model, devices, request.find, settings)
     own = {
         "digest": digest,
         "files": [piece.name for piece in partition.pieces],
@@ -174,14 +174,14 @@ def _fitted(
         "elsewhere": elsewhere,
         "structures": {name: asdict(one) for name, one in structures.items()},
     }
-    return replace(found, about={**found.about, PARTITION: own})
+    return replace(result, about={**result.about, PARTITION: own})
 
 
-def _summary(partition: Partition, found: BatchResult) -> PartitionSummary:
-    own, bad = found.about[PARTITION], np.flatnonzero(~found.ok)
+def _summary(partition: Partition, result: BatchResult) -> PartitionSummary:
+    own, bad = result.about[PARTITION], np.flatnonzero(~result.ok)
     moments = []
-    for part in found.parts:
-        good = found.ok[part.devices]
+    for part in result.parts:
+        good = result.ok[part.devices]
         if not (count := int(good.sum())):
             continue
         mean, centre = part.mean[good], part.mean[good].mean(axis=0)
@@ -192,10 +192,10 @@ def _summary(partition: Partition, found: BatchResult) -> PartitionSummary:
         moments += [Moments(name, unit, count, *three) for name, unit, three in each]
     return PartitionSummary(
         partition.number,
-        devices=len(found),
-        trusted=len(found) - len(bad),
+        devices=len(result),
+        trusted=len(result) - len(bad),
         readings=own["readings"],
-        doubted={found.devices[i]: found.reasons[i] for i in bad[:SHOWN]},
+        doubted={result.devices[i]: result.reasons[i] for i in bad[:SHOWN]},
         unreadable=own["unreadable"],
         moments=tuple(moments),
         structures=tuple(DeviceStructure(**held) for held in own["structures"].values()),
@@ -219,29 +219,25 @@ def read_partition(
         request: how they are read.
         elsewhere: devices that stand in other partitions too, as of `fit_partition`.
     """
-    found: list[Devices] = []
+    files: list[Devices] = []
     unreadable: dict[str, str] = {}
     needs = tuple(dict.fromkeys(c for e in request.model.effects for c in e.columns))
     for piece in partition.pieces:
         try:
             table = _open(piece, request.options)
             stem, instrument = piece.path.stem, request.model.instrument
-            found.append(split_table(table, stem, instrument, request.options, needs))
+            files.append(split_table(table, stem, instrument, request.options, needs))
         except (InputError, OSError) as error:
             unreadable[piece.name] = str(error)
-    names = Counter(name for devices in found for name in devices.names)
+    names = Counter(name for devices in files for name in devices.names)
     twice = {
         name: f"device {name!r} stands in several files of {partition.name!r}: put its readings into one"
         for name, count in names.items()
         if count > 1
     }
-    whole = Devices(
-        tuple(names),
-        tuple(block for devices in found for block in devices.blocks),
-        {name: why for devices in found for name, why in devices.refused.items()},
-    )
     elsewhere = elsewhere or {}
-    whole = whole.refusing(twice | {name: why for name, why in elsewhere.items() if why})
+    refused = twice | {name: why for name, why in elsewhere.items() if why}
+    whole = Devices.together(files).refusing(refused)
     return whole.without({name for name, why in elsewhere.items() if not why}), unreadable
 
 
@@ -271,15 +267,15 @@ def _open(piece: Piece, options: ReadOptions) -> Table:
     refuse_large(file, piece.readings, len(schema), MAX_BYTES)
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        found = {}
+        cells = {}
         with as_format(file, "Parquet"), pq.ParquetFile(piece.path) as opened:
             for position, number in wanted.items():
                 name = schema.names[position]
                 column = opened.read_row_groups(groups, columns=[name]).column(name)
                 own = column.slice(begin - piece.before, piece.readings)
-                found[position] = arrow_cells(own, number)
+                cells[position] = arrow_cells(own, number)
         pa.default_memory_pool().release_unused()
-        return found
+        return cells
 
     return Table(
         file=file,

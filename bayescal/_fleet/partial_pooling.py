@@ -32,14 +32,14 @@ KEPT = 100  # devices that stand out most, of which the whole keeps the p
 BY_CHANCE = 0.01  # devices of so small a p, expected by chance in the whole fleet
 
 
-def pooled(found: BatchResult, named: Named, seed: int) -> BatchResult:
+def pooled(result: BatchResult, named: Named, seed: int) -> BatchResult:
     """The result under the population that is learned from all its devices that are reliable.
 
     Raises:
         ModelError: fewer than three of them.
     """
-    own = _estimates_of(found, named)
-    return _under_population(found, own, named, learn([own], named, seed))
+    own = _estimates_of(result, named)
+    return _under_population(result, own, named, learn([own], named, seed))
 
 
 def learn_population(
@@ -69,11 +69,11 @@ def learn_population(
     every(engine, write_estimates, [(*pair, named) for pair in pairs])
     learned = learn(places, named, seed, engine)
     tasks = [(file, place, folder / file.name, named, learned) for file, place in pairs]
-    found = sorted(one for some in every(engine, write_pooled, tasks) for one in some)[:KEPT]
+    outliers = sorted(one for some in every(engine, write_pooled, tasks) for one in some)[:KEPT]
     for place in places:
         place.unlink(missing_ok=True)
     devices = learned.population.devices
-    return learned.population, {name: p for p, name in found if p * devices < BY_CHANCE}
+    return learned.population, {name: p for p, name in outliers if p * devices < BY_CHANCE}
 
 
 def write_estimates(file: Path, place: Path, named: Named) -> None:
@@ -86,36 +86,36 @@ def write_pooled(
     file: Path, place: Path, to: Path, named: Named, learned: Learned
 ) -> list[tuple[float, str]]:
     """Write a partition's devices under the population; those that stand out from it most, (p, device)."""
-    found, own = load_batch(file), load_estimates(place)
-    _under_population(found, own, named, learned).save(to)
-    return _standing_out(found, own, learned)
+    result, own = load_batch(file), load_estimates(place)
+    _under_population(result, own, named, learned).save(to)
+    return _standing_out(result, own, learned)
 
 
-def _estimates_of(found: BatchResult, named: Named) -> DeviceEstimates:
+def _estimates_of(result: BatchResult, named: Named) -> DeviceEstimates:
     """What the readings alone say of the named coefficients of the reliable devices, part by part."""
     k = len(named)
     mean, covariance = [np.zeros((0, k))], [np.zeros((0, k, k))]
-    for part in found.parts:
-        good, of = found.ok[part.devices], _named_in(part, named)
+    for part in result.parts:
+        good, of = result.ok[part.devices], _named_in(part, named)
         mean.append(part.mean[good][:, of])
         covariance.append(part.covariance[good][:, of[:, None], of])
     return estimates(np.concatenate(mean), np.concatenate(covariance), named)
 
 
 def _under_population(
-    found: BatchResult, own: DeviceEstimates, named: Named, learned: Learned
+    result: BatchResult, own: DeviceEstimates, named: Named, learned: Learned
 ) -> BatchResult:
     """The result, where the named coefficients of its reliable devices have their moments under the population."""
     moments, changed, begin = learned.moments(own), [], 0
-    for part in found.parts:
-        good = found.ok[part.devices]
+    for part in result.parts:
+        good = result.ok[part.devices]
         some = slice(begin, begin + int(good.sum()))
         begin = some.stop
         mean, covariance = part.mean.copy(), part.covariance.copy()
         new = moments.mean[some], moments.covariance[some]
         mean[good], covariance[good] = _follow(part, good, _named_in(part, named), *new)
         changed.append(replace(part, mean=mean, covariance=covariance))
-    return replace(found, parts=tuple(changed), population=learned.population)
+    return replace(result, parts=tuple(changed), population=learned.population)
 
 
 def _named_in(part: BatchPart, named: Named) -> np.ndarray:
@@ -139,7 +139,7 @@ def _follow(
 
 
 def _standing_out(
-    found: BatchResult, own: DeviceEstimates, learned: Learned
+    result: BatchResult, own: DeviceEstimates, learned: Learned
 ) -> list[tuple[float, str]]:
     """Posterior predictive p of what each device's readings alone say, as of a device drawn from the population anew.
 
@@ -153,5 +153,5 @@ def _standing_out(
     covariance = own.precision + (own.precision * variance) @ own.precision
     square = np.einsum("bi,bij,bj->b", apart, np.linalg.pinv(covariance, hermitian=True), apart)
     p = stats.chi2.sf(square, np.linalg.matrix_rank(covariance, hermitian=True))
-    at = [int(d) for part in found.parts for d in part.devices[found.ok[part.devices]]]
-    return [(float(p[i]), found.devices[at[i]]) for i in np.argsort(p)[:KEPT]]
+    at = [int(d) for part in result.parts for d in part.devices[result.ok[part.devices]]]
+    return [(float(p[i]), result.devices[at[i]]) for i in np.argsort(p)[:KEPT]]

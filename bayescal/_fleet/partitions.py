@@ -116,28 +116,28 @@ def files_of(paths: Sequence[Path]) -> list[Path]:
     Raises:
         InputError: a path is not there, is given twice, or holds no file of readings.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for path in paths:
         if not path.exists():
             raise InputError(f"{str(path)!r} is not there: check the name and the folder")
-        found += sorted(p for p, why in _inside(path) if not why) if path.is_dir() else [path]
-    if not found:
+        files += sorted(p for p, why in _inside(path) if not why) if path.is_dir() else [path]
+    if not files:
         left = "".join(f"; {name}: {why}" for name, why in list(left_out(paths).items())[:3])
         raise InputError(
             f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(READ)} was expected{left}"
         )
-    if len({p.resolve() for p in found}) < len(found):
+    if len({p.resolve() for p in files}) < len(files):
         raise InputError("a file of readings was given twice: give each file once")
-    return found
+    return files
 
 
 def left_out(paths: Sequence[Path]) -> dict[str, str]:
     """What stands in folders and is not read, by its place in them, and why: every file, link and pipe that is not."""
     return {
-        one_line(found.relative_to(path)): why
+        one_line(place.relative_to(path)): why
         for path in paths
         if path.is_dir()
-        for found, why in sorted(_inside(path))
+        for place, why in sorted(_inside(path))
         if why
     }
 

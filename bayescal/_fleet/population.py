@@ -142,10 +142,8 @@ class Learned(NamedTuple):
 
     def moments(self, devices: DeviceEstimates) -> DeviceMoments:
         """The devices' coefficients under the population, in their units."""
-        found = device_sums.device_moments(devices, *self[2:])
-        return DeviceMoments(
-            found.mean * self.size, found.covariance * np.outer(self.size, self.size)
-        )
+        own = device_sums.device_moments(devices, *self[2:])
+        return DeviceMoments(own.mean * self.size, own.covariance * np.outer(self.size, self.size))
 
 
 def estimates(

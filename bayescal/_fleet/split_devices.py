@@ -66,7 +66,7 @@ def split_devices(
 
     Raises:
         InputError: a file cannot be read, lacks a column, has a wrong unit, rows without a device, or a device of
-            another file: nothing in it can be told apart from what is right.
+            another file: nothing shows then what of it is right.
     """
     given = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     if not given:
@@ -81,21 +81,17 @@ def split_devices(
         **more,
     )
     names: dict[str, None] = {}
-    found: list[Devices] = []
+    files: list[Devices] = []
     for path in given:
         table = open_readings(path, options, max_bytes)
-        found.append(split_table(table, path.stem, instrument, options, needs))
-        if twice := names.keys() & found[-1].names:
+        files.append(split_table(table, path.stem, instrument, options, needs))
+        if twice := names.keys() & files[-1].names:
             raise InputError(
                 f"{path.name!r} holds device {min(twice)!r}, which a file before it holds too: put the "
                 "readings of a device into one file"
             )
-        names |= dict.fromkeys(found[-1].names)
-    return Devices(
-        tuple(names),
-        tuple(block for devices in found for block in devices.blocks),
-        {name: why for devices in found for name, why in devices.refused.items()},
-    )
+        names |= dict.fromkeys(files[-1].names)
+    return Devices.together(files)
 
 
 def open_readings(path: Path, options: ReadOptions, max_bytes: int = MAX_BYTES) -> Table:
@@ -191,8 +187,8 @@ def _less(table: Table, position: int) -> Table:
     rest = [i for i in range(len(table.headers)) if i != position]
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        found = table.load({rest[p]: number for p, number in wanted.items()})
-        return {p: found[rest[p]] for p in wanted}
+        cells = table.load({rest[p]: number for p, number in wanted.items()})
+        return {p: cells[rest[p]] for p in wanted}
 
     return replace(table, headers=tuple(table.headers[i] for i in rest), load=load)
 
@@ -203,13 +199,13 @@ def _further(
     """Columns that effects need and the instrument does not know, in their base units."""
     known = expected_columns(instrument)
     headers = {h.name: h for h in table.headers}
-    found = []
+    further = []
     for name in needs:
         header = headers.get(options.columns.get(name, name))
         if name in known or header is None or (unit := unit_of(header, name, options)) is None:
             continue
-        found.append(Column(name, base_unit(unit), required=False))
-    return tuple(found)
+        further.append(Column(name, base_unit(unit), required=False))
+    return tuple(further)
 
 
 def _convert_usable(
@@ -227,9 +223,9 @@ def _convert_usable(
     rows, refused = np.argsort(codes, kind="stable"), dict[str, str]()
     while rows.size:
         problems, some = Problems(), table.take(rows)
-        found = convert_columns(some, instrument, options, problems)
+        converted = convert_columns(some, instrument, options, problems)
         if not problems:
-            return found, rows if found.kept is None else rows[found.kept], refused
+            return converted, rows if converted.kept is None else rows[converted.kept], refused
         Problems(p for p in problems if not p.rows).refuse()
         bad: dict[int, str] = {}
         for problem in problems:
@@ -249,15 +245,15 @@ def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
         values = block.values["temperature"]
         span = np.maximum.reduceat(values, block.starts) - np.minimum.reduceat(values, block.starts)
         bad |= set(np.flatnonzero(span < LEAST_TEMPERATURE_SPAN).tolist())
-    said = {}
+    refused = {}
     for i in sorted(bad):
         columns, file, problems = block.columns(i), f"device {block.names[i]}", Problems()
         with problems.collecting(file):
             if need:
                 refuse_one_temperature(columns, file)
             refuse_backward_time(columns, lambda row, file=file: f"reading {row + 1} of {file}")
-        said[block.names[i]] = str(problems[0])
-    return said
+        refused[block.names[i]] = str(problems[0])
+    return refused
 
 
 def _backward(block: DeviceBlock) -> set[int]:

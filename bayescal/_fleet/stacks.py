@@ -93,7 +93,7 @@ def frames(
         model: what is to be fitted.
         block: the devices.
         reference: constants of the bases in place of the devices' own.
-        refuse: told which device cannot be fitted, and why.
+        refuse: called with a device that cannot be fitted, and why.
     """
     for i in range(len(block.names)):
         readings = block.measurements(i)

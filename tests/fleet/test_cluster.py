@@ -9,6 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._core.errors import InputError
+from tests.commands.conftest import OWN_EFFECTS
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL
 
@@ -42,25 +43,10 @@ def test_the_command_takes_a_scheduler(client, lot_folder, tmp_path) -> None:
     assert "24 devices, 24 reliable" in ran.out
 
 
-OWN = """
-import bayescal as bc
-
-EFFECTS = (
-    bc.Effect(
-        "bias.elbow", "bias",
-        basis=lambda r: (r["temperature"] - 60.0).clip(0.0),
-        coefficients=(bc.Coefficient("deg/s/degC", bc.Normal(0.0, 0.05)),),
-        columns=("temperature",),
-        equation="c·max(T − 60 °C, 0)",
-    ),
-)
-"""
-
-
 @needs_installation
 def test_the_workers_get_effects_of_the_users_own(client, lot_folder, tmp_path) -> None:
     file = tmp_path / "effects_of_mine.py"
-    file.write_text(OWN, encoding="utf-8")
+    file.write_text(OWN_EFFECTS, encoding="utf-8")
     ran = run(
         *("batch", lot_folder, *GYRO, "-o", tmp_path / "out", "--effects", file),
         *("--add", "bias.elbow", "--scheduler", client.scheduler.address),

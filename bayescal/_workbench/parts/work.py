@@ -98,11 +98,10 @@ class Work:
         with self._lock:
             self._wanted += 1
 
-    def close(self) -> None:
-        """Take no further work."""
-        self._jobs.shutdown(wait=False, cancel_futures=True)
-        self._looks.shutdown(wait=False, cancel_futures=True)
-        self._previews.shutdown(wait=False, cancel_futures=True)
+    def close(self, wait: bool = False) -> None:
+        """Take no further work; what has not begun is dropped, unless it is waited for."""
+        for pool in (self._jobs, self._looks, self._previews):
+            pool.shutdown(wait=wait, cancel_futures=not wait)
 
     def _count(self, more: int) -> None:
         before, self._under_way = self._under_way, self._under_way + more
