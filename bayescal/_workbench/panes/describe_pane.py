@@ -35,7 +35,7 @@ class DescribePane:
         self.high = field(pn.widgets.FloatInput, "to", width=110)
         self.region = button("Select", lambda _: self._select_region(), align="end")
         self.describe = button(
-            "Describe it", lambda _: self._describe(), button_type="primary", disabled=True
+            "Describe it", lambda _: self._describe(), color="primary", disabled=True
         )
         self.chosen = words("", "small")
         self.told = words("")
@@ -78,7 +78,7 @@ class DescribePane:
 
     def _ends(self) -> None:
         values, unit, _ = self._found.get(self.by.value, (np.array([0.0, 1.0]), "", ()))
-        self.low.name, self.high.name = f"from [{unit or '1'}]", f"to [{unit or '1'}]"
+        self.low.label, self.high.label = f"from [{unit or '1'}]", f"to [{unit or '1'}]"
         self.low.value, self.high.value = float(np.min(values)), float(np.max(values))
 
     def _select_region(self) -> None:

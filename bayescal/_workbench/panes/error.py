@@ -47,7 +47,7 @@ class ErrorPane:
             kind="table",
             label="Steps",
         )
-        self.find = button("Find all", lambda _: find_all(), button_type="primary")
+        self.find = button("Find all", lambda _: find_all(), color="primary")
         self.halt = button("Stop", lambda _: stop(), disabled=True)
         self.progress = words("", "small")
         empty: dict[str, Any] = {name: [] for name in (*(s[0] for s in SERIES), "step", "floor")}

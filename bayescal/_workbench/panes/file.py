@@ -75,7 +75,7 @@ class FilePane:
         self.use = button(
             "Begin with these readings",
             lambda _: self._go_on(),
-            button_type="primary",
+            color="primary",
             visible=False,
         )
         self.again = button("Read again", lambda _: self._read(), visible=False)
@@ -141,11 +141,10 @@ class FilePane:
         cells: list[Any] = []
         room, text = {"margin": (0, 8, 2, 0)}, pn.widgets.TextInput
         for name, known in expected_columns(self._instrument).items():
-            called: dict[str, Any] = {"name": f"{name} is", "width": 150, **room}
+            kind, how = pn.widgets.Select, {"options": [AS_FOUND, *headers]}
             if len(headers) > OFFERED:
-                which = field(text, placeholder=AS_FOUND, **called)
-            else:
-                which = field(pn.widgets.Select, options=[AS_FOUND, *headers], **called)
+                kind, how = text, {"placeholder": AS_FOUND}
+            which = field(kind, f"{name} is", width=150, **room, **how)
             place = "as in the header"
             unit = field(
                 text, "in", placeholder=place, width=110, disabled=known.unit is None, **room

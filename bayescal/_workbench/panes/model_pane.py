@@ -97,7 +97,7 @@ class ModelPane:
             self._calibration.model.fixed
         )
         for one in self.buttons[:-1]:
-            one.disabled = self._shut or (one.name == "Free" and not held)
+            one.disabled = self._shut or (one.label == "Free" and not held)
 
     def _choose(self, effect: str, _: str) -> None:
         self._open(effect)
@@ -115,7 +115,7 @@ class ModelPane:
         self.coefficient.options = names
         self.coefficient.value = names[0]
         first = own.coefficients[0]
-        self.size.name = f"plausible size [{unit_label(first.unit) or '1'}]"
+        self.size.label = f"plausible size [{unit_label(first.unit) or '1'}]"
         self.size.value = None if first.flat else float(first.size)
         self._other_coefficient()
         self._ask(self._say_consequences, "take_out", effect)
@@ -130,7 +130,7 @@ class ModelPane:
         mean = dict(self._calibration.model.fixed).get(self.coefficient.value, mean)
         self._open_buttons()
         self.value.value = None if mean is None else float(f"{mean:.6g}")
-        self.value.name = f"held at [{unit_label(unit) or '1'}]"
+        self.value.label = f"held at [{unit_label(unit) or '1'}]"
 
     def _do(self, action: str, *arguments: Any) -> None:
         if None not in arguments:

@@ -24,9 +24,7 @@ class Written:
     def __init__(self, label: str, begin: Callable[["Written"], None]) -> None:
         self.label = label
         self.make = button(label, lambda _: begin(self))
-        self.link = download(
-            "", filename="none", file=BytesIO(), visible=False, button_type="primary"
-        )
+        self.link = download("", filename="none", file=BytesIO(), visible=False, color="primary")
 
     def done(self, path: Path) -> None:
         """Offer the file."""
@@ -98,7 +96,7 @@ class PythonPane:
             "Download workbench.py",
             callback=lambda: BytesIO(self.code.value.encode()),
             filename="workbench.py",
-            button_type="primary",
+            color="primary",
             align="start",
         )
         self.view = column(self.code, row(self.link))

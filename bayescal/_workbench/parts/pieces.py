@@ -80,21 +80,21 @@ def plot(made: Any) -> pn.pane.Bokeh:
     return pn.pane.Bokeh(made, sizing_mode="stretch_both", margin=0, min_height=0)
 
 
-def field(kind: type[Any], name: str, **settings: Any) -> Any:
-    """A field of a form, of a kind of Panel's, under its name."""
-    return kind(name=name, **{"stylesheets": [INSIDE], "margin": 0, **settings})
+def field(kind: type[Any], label: str, **settings: Any) -> Any:
+    """A widget of a kind of Panel's in the page's style."""
+    return kind(label=label, **{"stylesheets": [INSIDE], "margin": 0, **settings})
 
 
-def code_field(name: str, **settings: Any) -> pn.widgets.TextAreaInput:
+def code_field(label: str, **settings: Any) -> pn.widgets.TextAreaInput:
     """A field of several lines of code."""
     settings = {"sizing_mode": "stretch_both", "css_classes": ["code"], **settings}
-    return field(pn.widgets.TextAreaInput, name, **settings)
+    return field(pn.widgets.TextAreaInput, label, **settings)
 
 
 def download(label: str, **settings: Any) -> pn.widgets.FileDownload:
     """A button that downloads what it is given when it is pressed, not before."""
     settings = {"embed": False, "auto": True, "align": "center", **settings}
-    return field(pn.widgets.FileDownload, "", label=label, **settings)
+    return field(pn.widgets.FileDownload, label, **settings)
 
 
 def choice(options: list[str], value: str, label: str) -> pn.widgets.RadioBoxGroup:
