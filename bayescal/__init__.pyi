@@ -80,7 +80,9 @@ from ._inference.nuts import numpyro_program as numpyro_program
 from ._calibration.calibration import Calibration as Calibration
 from ._calibration.settings import GuardSettings as GuardSettings
 from ._calibration.settings import SearchSettings as SearchSettings
-from ._calibration.settings import use_settings as use_settings
+from ._core.settings_in_force import use_settings as use_settings
+from ._data.record_settings import RecordSettings as RecordSettings
+from ._inference.trust import SamplingSettings as SamplingSettings
 from ._inference.method import Verdict as Verdict
 from ._calibration.check_result import Check as Check
 from ._calibration.compare import Comparison as Comparison

@@ -22,7 +22,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, Printed, number, table
 from bayescal._core.importance_weights import stacking
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference.trust import K_HAT
+from bayescal._inference.trust import sampling
 
 FEWEST_GROUPS = (
     10  # that a standard error over groups needs: over three it is itself uncertain by half
@@ -237,7 +237,7 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
                 f"{names} differ by {gap:.1f} ± {error:.1f} in leave-one-group-out score: it does not tell them apart."
             )
     for row in rows:
-        if row.pareto_k > K_HAT:
+        if row.pareto_k > sampling().k_hat:
             said.append(
                 f"{row.name!r}: Pareto k up to {row.pareto_k:.2f}, so its pointwise leave-one-out is not "
                 "reliable."

@@ -1,19 +1,19 @@
 """The numbers that decide what is found, doubted or refused: each with its unit, its reason, and where that is from.
 
 They hold for everything that runs inside `with use_settings(SearchSettings(found=0.99)):`; what differs from the usual
-ones is written into `result.json`. What only bounds work (points of a grid, draws, starts) stands where it is used.
+ones is written into `result.json`. Those of what is asked of a record before a fit are `RecordSettings`, those of when
+draws are trusted `SamplingSettings`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+
+from bayescal._core.settings_in_force import OutcomeSettings, in_force
 
 
 @dataclass(frozen=True)
-class SearchSettings:
+class SearchSettings(OutcomeSettings):
     """What a search holds for missing, and how far it looks.
 
     Attributes:
@@ -65,7 +65,7 @@ class SearchSettings:
 
 
 @dataclass(frozen=True)
-class GuardSettings:
+class GuardSettings(OutcomeSettings):
     """What keeps a result from being used as it is.
 
     Attributes:
@@ -123,51 +123,11 @@ class GuardSettings:
     moved: float = 4.0
 
 
-USUAL_SEARCH, USUAL_GUARDS = SearchSettings(), GuardSettings()
-_SEARCH: ContextVar[SearchSettings] = ContextVar("search", default=USUAL_SEARCH)
-_GUARDS: ContextVar[GuardSettings] = ContextVar("guards", default=USUAL_GUARDS)
-
-
 def searching() -> SearchSettings:
     """The settings of searches that hold here."""
-    return _SEARCH.get()
+    return in_force(SearchSettings)
 
 
 def guarding() -> GuardSettings:
     """The settings of guards that hold here."""
-    return _GUARDS.get()
-
-
-@contextmanager
-def use_settings(*settings: SearchSettings | GuardSettings) -> Iterator[None]:
-    """Let other settings hold for what runs inside, in this thread.
-
-    Args:
-        settings: of searches, of guards, or both.
-
-    Raises:
-        TypeError: something else was given.
-    """
-    kept = []
-    for one in settings:
-        if not isinstance(one, SearchSettings | GuardSettings):
-            raise TypeError(f"settings are SearchSettings or GuardSettings, not {one!r}")
-    try:
-        for one in settings:
-            place = _SEARCH if isinstance(one, SearchSettings) else _GUARDS
-            kept.append((place, place.set(one)))  # pyright: ignore[reportArgumentType]
-        yield
-    finally:
-        for place, token in reversed(kept):
-            place.reset(token)
-
-
-def unusual() -> dict[str, float | list[float]]:
-    """Settings that differ from the usual ones, by name."""
-    found = {}
-    for one, usual in ((searching(), USUAL_SEARCH), (guarding(), USUAL_GUARDS)):
-        for field in fields(one):
-            value = getattr(one, field.name)
-            if value != getattr(usual, field.name):
-                found[field.name] = list(value) if isinstance(value, tuple) else value
-    return found
+    return in_force(GuardSettings)

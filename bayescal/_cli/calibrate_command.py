@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import bayescal as bc
-from bayescal._calibration.settings import SearchSettings, use_settings
+from bayescal._calibration.settings import SearchSettings
 from bayescal._cli import options
 from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
 from bayescal._cli.options import ModelOptions, with_groups
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
+from bayescal._core.settings_in_force import use_settings
 
 if TYPE_CHECKING:
     from bayescal._cli.request import Early, ReadRequest

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextvars import ContextVar
 from math import floor, log10
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bayescal._core.quoting import html_text
 
@@ -17,6 +17,18 @@ if TYPE_CHECKING:
 
 WIDTH = 110  # columns that a table or a sentence should fit in
 BRIEF = 200  # characters of a `repr`
+
+
+class _Table(NamedTuple):
+    """A table as text, its cells, and which columns are flush left."""
+
+    text: str
+    head: list[str]
+    rows: list[list[str]]
+    left: list[bool]
+
+
+_MADE: ContextVar[list[_Table] | None] = ContextVar("tables", default=None)
 
 
 def _width(text: str) -> int:
@@ -51,7 +63,11 @@ def table(head: list[str], rows: list[list[str]], left: int = 1, fold: int = 0) 
         indent = " " * (sum(widths[:-1]) + 2 * (len(widths) - 1))
         return "\n".join(["  ".join(parts).rstrip(), *(indent + rest for rest in folded[1:])])
 
-    return "\n".join([line(head), "  ".join("─" * w for w in widths), *(line(r) for r in rows)])
+    text = "\n".join([line(head), "  ".join("─" * w for w in widths), *(line(r) for r in rows)])
+    if (made := _MADE.get()) is not None:
+        flush = [i < left or (fold > 0 and i == len(head) - 1) for i in range(len(head))]
+        made.append(_Table(text, head, rows, flush))
+    return text
 
 
 def _folded(text: str, width: int) -> list[str]:
@@ -131,7 +147,7 @@ class Printed:
         return f"<{type(self).__name__}: {said}>"
 
     def _repr_html_(self) -> str:
-        return as_html(str(self))
+        return as_html(self.__str__)
 
     def to_pandas(self) -> pd.DataFrame:
         """The table that is printed, its numbers in full: a `pandas.DataFrame`, its rows by name."""
@@ -145,68 +161,20 @@ class Printed:
         return self.to_pandas().to_xarray()
 
 
-def as_html(text: str) -> str:
-    """A printed text as HTML, everything in it escaped: its tables as tables, other lines as they are."""
-    lines, parts, said = text.split("\n"), [], []
-    i = 0
-    while i < len(lines):
-        spans = _ruled(lines[i + 1]) if i + 1 < len(lines) else []
-        if not spans:
-            said.append(lines[i])
-            i += 1
-            continue
-        rows, end = [_cells(lines[i], spans)], i + 2
-        while end < len(lines) and (cells := _cells(lines[end], spans)):
-            if any(cells[:-1]) or len(rows) == 1:
-                rows.append(cells)
-            else:  # the rest of a folded cell
-                rows[-1][-1] += "\n" + cells[-1]
-            end += 1
-        parts += [
-            _said(said),
-            _table_in_html(rows, _flush_left(lines[i : i + 1] + lines[i + 2 : end], spans)),
-        ]
-        said, i = [], end
-    return "".join([*parts, _said(said)])
-
-
-def _ruled(line: str) -> list[tuple[int, int]]:
-    """Where the columns stand whose rule this is; none where the line is no rule."""
-    return [m.span() for m in re.finditer("─+", line)] if re.fullmatch("[─ ]*─", line) else []
-
-
-def _letters(line: str) -> list[str]:
-    """A line as it stands in columns: marks over a letter stand with it."""
-    letters: list[str] = []
-    for character in line:
-        if letters and unicodedata.combining(character):
-            letters[-1] += character
-        else:
-            letters.append(character)
-    return letters
-
-
-def _cells(line: str, spans: list[tuple[int, int]]) -> list[str]:
-    """The cells of a table's row; empty for a line that is none: nothing stands between columns or beyond them."""
-    letters = _letters(line)
-    between = [*zip((end for _, end in spans), (low for low, _ in spans[1:]), strict=False)]
-    between.append((spans[-1][1], len(letters)))
-    cells = ["".join(letters[low:high]).strip() for low, high in spans]
-    apart = all(not "".join(letters[low:high]).strip() for low, high in between)
-    return cells if apart and (any(cells[1:]) or (len(spans) == 1 and cells[0])) else []
-
-
-def _flush_left(lines: list[str], spans: list[tuple[int, int]]) -> list[bool]:
-    """Of each column, whether its cells begin where it begins."""
-    each = [_letters(line) for line in lines]
-    return [
-        all(
-            letters[low].strip() or not "".join(letters[low:high]).strip()
-            for letters in each
-            if low < len(letters)
-        )
-        for low, high in spans
-    ]
+def as_html(say: Callable[[], str]) -> str:
+    """What is said as HTML, everything in it escaped: tables made by `table` as tables, other lines as they are."""
+    token = _MADE.set([])
+    try:
+        text, made = say(), _MADE.get() or []
+    finally:
+        _MADE.reset(token)
+    parts = []
+    for one in made:
+        before, found, after = text.partition(one.text)
+        if found:  # a table may be made and not said
+            parts += [_said(before), _table_in_html([one.head, *one.rows], one.left)]
+            text = after.removeprefix("\n")
+    return "".join([*parts, _said(text)])
 
 
 def _table_in_html(rows: list[list[str]], left: list[bool]) -> str:
@@ -222,6 +190,6 @@ def _table_in_html(rows: list[list[str]], left: list[bool]) -> str:
     return f"<table><thead>{row(rows[0], 'th')}</thead><tbody>{body}</tbody></table>"
 
 
-def _said(lines: list[str]) -> str:
-    said = "<br>".join(html_text(line) for line in lines)
-    return f"<p>{said}</p>" if said.strip("<br>") else ""
+def _said(text: str) -> str:
+    text = text.removesuffix("\n")
+    return f"<p>{html_text(text).replace(chr(10), '<br>')}</p>" if text.strip() else ""

@@ -10,11 +10,10 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
-from bayescal._data.dataset_checks import label_codes
+from bayescal._data.record_settings import recording
+from bayescal._data.stretches import label_codes, record_codes
 from bayescal._data.unit_conversion import convert, unit_label
 
-JUMP = 10.0  # usual changes of a column, beyond which a change is a step between two settings
-RARE = 0.1  # of the readings, at most, may step: so steps leave ten readings to a mean at the least
 _DURATION = re.compile(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([^\W\d_]+)\s*")
 
 
@@ -97,9 +96,7 @@ def average(
         noise = _noise(columns, output, order, ~starts)
         known = _uncertainty(columns, order, begins, noise)
         means |= {UNCERTAINTY: known} if known is not None else {}
-    runs = label_codes(columns, [n for n in ("run", "device", "axis") if n in columns])[order][
-        begins
-    ]
+    runs = record_codes(columns)[order][begins]
     row = np.lexsort((means["time"], runs))
     found = {name: values[row] for name, values in means.items()}
     own = units.get(output)
@@ -159,8 +156,8 @@ def _steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
     with many of them holds no settings, but toggles in its last digit: its means are as good as any.
     """
     change = np.where(same, np.abs(np.diff(values, prepend=values[:1])), 0.0)
-    stepped = change > JUMP * (np.median(change[same]) if same.any() else 0.0)
-    return stepped & (np.count_nonzero(stepped) <= RARE * values.size)
+    stepped = change > recording().set_jump * (np.median(change[same]) if same.any() else 0.0)
+    return stepped & (np.count_nonzero(stepped) <= recording().set_jumps * values.size)
 
 
 def _means(values: np.ndarray, begins: np.ndarray) -> np.ndarray:

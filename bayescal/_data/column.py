@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, table
+from bayescal._data.record_settings import recording
 from bayescal._data.unit_parsing import ANY
 from bayescal._tables.problems import Problem
 from bayescal._tables.raw_table import ROW
@@ -200,7 +201,7 @@ def placeholders(values: np.ndarray) -> np.ndarray:
         if len(others) < max(3, len(values) / 2):  # of two numbers, each is far from all others
             continue
         low, high = float(others.min()), float(others.max())
-        if max(low - value, value - high) > 3 * (high - low):
+        if max(low - value, value - high) > recording().placeholder * (high - low):
             found |= there
     return np.flatnonzero(found)
 

@@ -8,37 +8,19 @@ run: nothing in a fit shows it where profiles repeat.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations, permutations
 from typing import NamedTuple
 
 import numpy as np
 
-GAP = 5.0  # usual steps, from which a pause parts a record
-FEWEST = 20  # changes of a column, below which nothing is usual in it
-LEAP = 0.02  # of the column's range: less is no leap
-NOISE = 8.0  # robust standard deviations of the leaps there and back that noise makes
-FASTER = 5.0  # times the leaps that nine tenths of the readings stay below
-MANY = 0.05  # of the readings: more of them are a thermometer's noise, or its way
-GRID = 3.0  # steps of a rounded column, above which a change from a repeated value to another is a leap
-HELD = 6  # leaps from one held value to the next: by chance there is hardly one
-OFTEN = 0.05  # of a stretch's changes that are such leaps, at the least
-AT_ENDS = (
-    3.0  # times every other change of a stretch, above which its first or last reading stands apart
-)
-AT_END = 5  # readings in a row at the column's extreme
-REPEATS = 0.01  # of the other readings repeat the one before, at most: more are rounded, or held, or on a plateau
+from bayescal._data.record_settings import recording
+from bayescal._data.rounding import rounding_step
+from bayescal._data.stretches import RECORD, members, record_codes, stretches
+
+AROUND = 7  # changes, of which the median is the rate around one: three of them may be odd
+LEVELS = 3  # of fewer, each change is as large as the range
 MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
-OVERLAP = 0.5  # of two runs, that have the same times
-ALIKE = 0.02  # of its range, to which a thermometer repeats from run to run where a profile does
-TOGETHER = (
-    0.7  # correlation of siblings in a run, from which they are some: a lag of a quarter of a wave
-)
-WIDE = (
-    3.0  # times the range of the other: a body in the laboratory beside the chamber is no sibling
-)
-UNLIKE = 5.0  # times what its sibling repeats to
-LEAST = 0.3  # °C: what a thermometer good to 0.5 °C (uniform) differs by from one time to another
 
 Columns = Mapping[str, np.ndarray]
 
@@ -62,10 +44,11 @@ def oddities(columns: Columns, thermometers: Collection[str]) -> list[Oddity]:
         return []
     found, names = list[Oddity](), sorted(n for n in thermometers if np.ptp(columns[n]) > 0)
     with np.errstate(all="ignore"):  # of numbers that no temperature is
-        own = list(pieces(columns))
+        own = pieces(columns)
         for name in names:
             for check in (_spikes, _held, _at_an_end):
                 found += check(name, columns[name], own)
+            found += _jumps(name, columns[name], columns["time"], own)
         return [*found, *_unlike(columns, names)]
 
 
@@ -76,25 +59,26 @@ def leaps(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
         values: of the column (n,).
         own: rows of each stretch without a pause, by `pieces`.
     """
-    jumps = [np.diff(values[piece]) for piece in own]
-    if sum(map(len, jumps)) < FEWEST:
+    given, jumps = recording(), [np.diff(values[piece]) for piece in own]
+    if sum(map(len, jumps)) < given.few_changes or len(np.unique(values)) < LEVELS:
         return np.zeros(0, int)
     back = [_there_and_back(jump) for jump in jumps]
     size = np.abs(np.concatenate(jumps))
     usual = max(
-        LEAP * float(np.ptp(values)),
-        NOISE * 1.4826 * float(np.median(np.concatenate(back))),
-        FASTER * float(np.quantile(size, 1 - 2 * MANY)),
+        given.leap * float(np.ptp(values)),
+        given.leap_noise * 1.4826 * float(np.median(np.concatenate(back))),
+        given.leap_excess * float(np.quantile(size, 0.9)),
+        given.held_step * rounding_step(values),
     )
     rows = []
     for piece, jump, both in zip(own, jumps, back, strict=True):
         spike = np.pad(_highest(both, usual), 1)
         rows.append(piece[spike])
         inner = np.abs(jump[1:-1])[~(spike[1:-2] | spike[2:-1])]
-        apart = np.abs(jump[[0, -1]]) > max(usual, AT_ENDS * float(inner.max(initial=0.0)))
+        apart = np.abs(jump[[0, -1]]) > max(usual, given.end_excess * float(inner.max(initial=0.0)))
         rows.append(piece[[0, -1]][apart & ~spike[[1, -2]]])
     found = np.unique(np.concatenate(rows))
-    return found if len(found) <= MANY * len(values) else found[:0]
+    return found if len(found) <= given.leap_share * len(values) else found[:0]
 
 
 def _there_and_back(jump: np.ndarray) -> np.ndarray:
@@ -109,31 +93,18 @@ def _highest(both: np.ndarray, usual: float) -> np.ndarray:
     return (both > usual) & (both >= padded[:-2]) & (both >= padded[2:])
 
 
-def pieces(columns: Columns) -> Iterator[np.ndarray]:
+def pieces(columns: Columns) -> list[np.ndarray]:
     """Rows of each stretch of a run without a pause, in time; three readings at least."""
-    time = columns["time"]
-    for run in _runs(columns).values():
-        rows = run[np.argsort(time[run], kind="stable")]
-        steps = np.diff(time[rows])
-        if not len(steps):
-            continue
-        for piece in np.split(rows, 1 + np.flatnonzero(steps > GAP * np.median(steps))):
-            if len(piece) >= 3:
-                yield piece
+    return stretches(columns["time"], record_codes(columns), 3)
 
 
 def _runs(columns: Columns) -> dict[str, np.ndarray]:
-    """Rows of each run of each device and axis, in the order of the file."""
-    import pandas as pd  # takes half a second to load
-
-    count = len(columns["time"])
-    codes, names = np.zeros(count, np.int64), [n for n in ("device", "axis", "run") if n in columns]
-    for name in names:
-        own, levels = pd.factorize(columns[name], use_na_sentinel=False)
-        codes = pd.factorize(codes * len(levels) + own)[0]
-    order = np.argsort(codes, kind="stable")
-    parts = np.split(order, 1 + np.flatnonzero(np.diff(codes[order])))
-    return {" ".join(str(columns[n][rows[0]]) for n in names): rows for rows in parts}
+    """Rows of each run of each device and axis, by its labels, in the order of the file."""
+    names = [n for n in RECORD if n in columns]
+    return {
+        " ".join(str(columns[n][rows[0]]) for n in names): rows
+        for rows in members(record_codes(columns))
+    }
 
 
 def _spikes(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
@@ -144,41 +115,97 @@ def _spikes(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Od
     return [Oddity(name, said, rows)]
 
 
-def _held(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
-    """Values that are repeated until the next leap, again and again: the logger asked the thermometer seldom.
+def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of stretches in which values are repeated until the next leap, again and again: they were asked seldom.
 
     Rounded values repeat too, and then change by a step of their rounding, the smallest gap between any two of them.
+
+    Args:
+        values: of a column that is not constant (n,).
+        own: rows of each stretch without a pause, by `pieces`.
     """
-    held, pairs = [], 0
-    leap = GRID * float(np.diff(np.unique(values)).min())
+    given, held, pairs = recording(), [np.zeros(0, int)], 0
+    leap = given.held_step * float(np.diff(np.unique(values)).min())
     for piece in own:
         cells = values[piece]
         ends = np.append(np.flatnonzero(cells[1:] != cells[:-1]), len(cells) - 1)
         repeated = np.diff(ends, prepend=-1) > 1
         pair = repeated[:-1] & repeated[1:] & (np.abs(np.diff(cells[ends])) > leap)
-        if pair.any() and pair.mean() > OFTEN:
+        if pair.any() and pair.mean() > given.held_share:
             held.append(piece)
             pairs += int(np.count_nonzero(pair))
-    if pairs < HELD:
-        return []
+    return np.concatenate(held) if pairs >= given.held_times else held[0]
+
+
+def _held(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
+    rows = held_rows(values, own)
     said = "repeats a value until the next leap: it was held, or asked seldom"
-    return [Oddity(name, said, np.concatenate(held))]
+    return [Oddity(name, said, rows)] if len(rows) else []
+
+
+def _jumps(
+    name: str, values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]
+) -> list[Oddity]:
+    """Where a column goes on from another level at once: no body does, but one that is set there by hand.
+
+    Of each change what the rate around it (the median of seven) does not explain is compared with what all changes are:
+    a corner of a profile, from heating to cooling, is twice its rate at the most. Values that stand still before and
+    after are set-points, written down as they were set.
+    """
+    given, jumps, usual, at, still = recording(), [], [], [], []
+    for piece in (piece for piece in own if len(piece) > AROUND):
+        change, step = np.diff(values[piece]), np.diff(time[piece])
+        rate = np.where(step > 0, change / step, 0.0)
+        wide = np.pad(rate, AROUND // 2, mode="edge")
+        around = np.median(np.lib.stride_tricks.sliding_window_view(wide, AROUND), axis=1)
+        jumps.append(np.abs(change - around * step))
+        usual.append(np.abs(change))
+        at.append(piece[1:])
+        flat = np.pad(change == 0, 1, constant_values=True)
+        still.append(flat[:-2] & flat[2:])
+    if sum(map(len, jumps)) < given.few_changes or len(np.unique(values)) < LEVELS:
+        return []
+    jump, change = np.concatenate(jumps), np.concatenate(usual)
+    least = max(
+        given.unlike_least,
+        given.leap_noise * 1.4826 * float(np.median(jump)),
+        given.end_excess * float(np.quantile(change, 0.9)),
+        given.held_step * rounding_step(values),
+    )
+    chosen = (jump > least) & ~np.concatenate(still)
+    rows = np.setdiff1d(np.concatenate(at)[chosen], leaps(values, own))
+    if not len(rows) or len(rows) > given.leap_share * len(values):
+        return []
+    said = (
+        f"goes on from another level, {jump[chosen].max():.2g} °C away, from one reading to the next: re-seated, "
+        "exchanged, or a counter that wrapped?"
+    )
+    return [Oddity(name, said, np.sort(rows))]
 
 
 def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
-    """Readings in a row exactly at an extreme, of a column that never repeats elsewhere: a converter at its end."""
-    found = []
+    """Readings in a row exactly at an extreme, of a column that hardly repeats elsewhere: a converter at its end."""
+    given, found = recording(), []
     same = np.zeros(len(values), bool)
     for piece in own:
         same[piece[1:]] = values[piece[1:]] == values[piece[:-1]]
     for end, level in (("maximum", values.max()), ("minimum", values.min())):
         at = values == level
-        if np.count_nonzero(same & at) < AT_END or np.mean(same[~at]) > REPEATS:
+        there, elsewhere = (_longest(same & chosen, own) for chosen in (at, ~at))
+        if there < max(given.saturated, given.stuck_excess * elsewhere):
+            continue
+        if np.mean(same[~at]) > given.repeated:
             continue
         rows = np.flatnonzero(at)
-        said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and never still elsewhere: saturated?"
+        said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and hardly still elsewhere: saturated?"
         found.append(Oddity(name, said, rows))
     return found
+
+
+def _longest(same: np.ndarray, own: Sequence[np.ndarray]) -> int:
+    """The most readings in a row that repeat the one before."""
+    lengths = [np.diff(np.flatnonzero(np.r_[True, ~same[piece], True])) - 1 for piece in own]
+    return int(max((one.max() for one in lengths), default=0))
 
 
 def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
@@ -186,7 +213,7 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
 
     Siblings are thermometers that go together: on one body, or in one chamber, with whatever lag.
     """
-    runs, found = _runs(columns), []
+    runs, found, given = _runs(columns), [], recording()
     if not 2 <= len(names) <= MOST_SIBLINGS or len(runs) > MOST_RUNS:
         return []
     pairs = [
@@ -195,11 +222,13 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
     for one, other in permutations(names, 2):
         odd = {}
         for a, b, (here, there) in pairs:
-            if len(here) < max(FEWEST, OVERLAP * min(len(runs[a]), len(runs[b]))):
+            if len(here) < max(
+                given.few_changes, given.same_times * min(len(runs[a]), len(runs[b]))
+            ):
                 continue
             apart, its = (_rms(columns[n][here] - columns[n][there]) for n in (one, other))
-            if its < ALIKE * float(np.ptp(columns[other])):
-                odd[a, b] = apart if apart > max(UNLIKE * its, LEAST) else 0.0
+            if its < given.repeats * float(np.ptp(columns[other])):
+                odd[a, b] = apart if apart > max(given.unlike * its, given.unlike_least) else 0.0
         if not any(odd.values()) or not _siblings(columns, one, other, runs.values()):
             continue
         alone = [
@@ -222,8 +251,9 @@ def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]
     ]
     found = [float(np.corrcoef(columns[one][r], columns[other][r])[0, 1]) for r in moving]
     wide = [float(np.ptp(columns[one][r]) / np.ptp(columns[other][r])) for r in moving]
-    together = bool(found) and float(np.median(found)) > TOGETHER
-    return together and 1 / WIDE < float(np.median(wide)) < WIDE
+    most = recording().as_wide
+    together = bool(found) and float(np.median(found)) > recording().together
+    return together and 1 / most < float(np.median(wide)) < most
 
 
 def _same_moments(time: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

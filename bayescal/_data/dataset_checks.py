@@ -1,7 +1,7 @@
 """Checks of a whole data set: what makes it unusable, and what its owner should know of.
 
 Refused: one temperature only, time running backwards. Flagged: repeated rows (with a time they are dropped), a
-saturated output, a constant column.
+saturated output, a constant column, an output of an absurd size, a time of too few digits, runs of one reading each.
 """
 
 from __future__ import annotations
@@ -14,23 +14,11 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._data.column import ARRAYS, ConvertedColumns, file_names
 from bayescal._data.covariate_checks import oddities
+from bayescal._data.record_settings import recording
+from bayescal._data.stretches import label_codes, record_codes
+from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.problems import Problem, Problems
 from bayescal._tables.raw_table import Table
-
-LEAST_TEMPERATURE_SPAN = (
-    0.1  # °C: what a good chamber holds, so no temperature model can be seen in less
-)
-_LEAST_SATURATED = 5  # readings at the very extreme before one speaks of saturation
-_SHARE_SATURATED = 0.01
-_GAP = 0.1  # of the range: further off, the end is a set-up of its own, such as one position
-_STUCK = 8  # readings in a row
-_LONGER = 4  # times the next longest stretch
-_MOST = 0.5  # of a record, that a thermometer, rounded as it may be, does not read the same
-_PLATEAU = (
-    10.0  # standard deviations within runs, that the runs' temperatures are apart at the least
-)
-_AGAIN = 0.1  # of the other readings repeat the one before, at most: more are rounded, or set
-_AGAINST_NEXT = 3  # times as many as at the next level, which a rounded output does not show
 
 Columns = Mapping[str, np.ndarray]
 Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
@@ -80,11 +68,11 @@ def refuse_one_temperature(columns: Columns, names: str) -> None:
         names: the files, for the message.
 
     Raises:
-        InputError: the temperatures span less than 0.1 °C.
+        InputError: the temperatures span less than `RecordSettings.temperature_span`.
     """
     temperature = columns["temperature"]
     low, high = float(temperature.min()), float(temperature.max())
-    if high - low < LEAST_TEMPERATURE_SPAN:
+    if high - low < recording().temperature_span:
         seen = f"{low:g}" if low == high else f"{low:g} … {high:g}"
         cure = (
             "At least two are needed, or nothing that depends on temperature can be calibrated: add readings at "
@@ -109,10 +97,7 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
     if "time" not in columns:
         return
     time = columns["time"]
-    named = [columns[n].tolist() for n in ("run", "device", "axis") if n in columns]
-    codes: dict[tuple[str, ...], int] = {}  # pandas would do it, and takes half a second to load
-    every = (codes.setdefault(label, len(codes)) for label in zip(*named, strict=True))
-    record = np.fromiter(every, np.int64, len(time)) if named else np.zeros(len(time), np.int64)
+    record = record_codes(columns)
     order = np.argsort(record, kind="stable")
     back = (np.diff(time[order]) < 0) & (np.diff(record[order]) == 0)
     if back.any():
@@ -127,17 +112,6 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
         file = where(index).partition(" of ")[2].strip("'")
         problem = Problem(file, came, cure=cure, column="time", places=places)
         raise InputError(str(problem), (problem,))
-
-
-def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
-    """A number for each combination of labels, in the order in which they first appear."""
-    import pandas as pd
-
-    codes = np.zeros(len(columns["time"]), dtype=np.int64)
-    for name in names:
-        own, levels = pd.factorize(columns[name], use_na_sentinel=False)
-        codes = pd.factorize(codes * len(levels) + own)[0]
-    return codes
 
 
 def flags_of(
@@ -188,7 +162,9 @@ def flags_of(
         elif number and (stuck := stuck_rows(values, name in thermometers)) is not None:
             first, last = (where(row) for row in stuck)
             share = (stuck[1] - stuck[0] + 1) / len(values)
-            much = f", {100 * share:.0f} % of all readings" if share > _MOST else ""
+            much = (
+                f", {100 * share:.0f} % of all readings" if share > recording().stuck_share else ""
+            )
             flags.append(
                 f"{names}: column {name!r} stands still at {values[stuck[0]]:g} from {first} to {last}{much}: was it "
                 "stuck?"
@@ -200,7 +176,7 @@ def one_plateau_a_run(columns: Columns, thermometers: Collection[str]) -> list[s
     """Thermometers that stand at one temperature in each run, another in each: run and slope are confounded."""
     if "run" not in columns:
         return []
-    codes = label_codes({**columns, "time": columns["run"]}, ["run"])
+    codes = label_codes(columns, ["run"])
     count = np.bincount(codes)
     found = []
     for name in thermometers if len(count) > 1 else ():
@@ -208,7 +184,7 @@ def one_plateau_a_run(columns: Columns, thermometers: Collection[str]) -> list[s
         means = np.bincount(codes, values) / count
         within = float(np.sqrt(np.mean((values - means[codes]) ** 2)))
         apart = float(np.diff(np.sort(means)).min())
-        if apart > max(_PLATEAU * within, LEAST_TEMPERATURE_SPAN):
+        if apart > max(recording().plateau * within, recording().temperature_span):
             found.append(name)
     return found
 
@@ -227,11 +203,11 @@ def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int]
     if not others.size:
         return None
     again = int(np.sum(others - 1))  # readings outside that repeat the one before
-    longest = int(np.max(others, initial=1))
-    rounded = again > _AGAIN * int(np.sum(others))
-    if rounded and thermometer and length >= _MOST * len(values):
+    longest, given = int(np.max(others, initial=1)), recording()
+    rounded = again > given.repeated * int(np.sum(others))
+    if rounded and thermometer and length >= given.stuck_share * len(values):
         rounded = False
-    if rounded or length < max(_STUCK, _LONGER * longest):
+    if rounded or length < max(given.stuck, given.stuck_excess * longest):
         return None
     return int(ends[worst]) - length + 1, int(ends[worst])
 
@@ -263,11 +239,80 @@ def clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < 3:
         return []
-    found = []
+    found, given = [], recording()
     for end, beside, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
-        enough = max(_LEAST_SATURATED, _SHARE_SATURATED * len(values))
+        enough = max(given.clipped, given.clipped_share * len(values))
         with np.errstate(over="ignore"):
-            near = abs(levels[end] - levels[beside]) < _GAP * (levels[-1] - levels[0])
-        if near and counts[end] >= enough and counts[end] > _AGAINST_NEXT * counts[beside]:
+            near = abs(levels[end] - levels[beside]) < given.clipped_gap * (levels[-1] - levels[0])
+        if near and counts[end] >= enough and counts[end] > given.clipped_excess * counts[beside]:
             found.append((name, float(levels[end])))
     return found
+
+
+def odd_numbers(columns: Columns, units: Mapping[str, str | None], output: str) -> list[str]:
+    """What is odd in a record's numbers though each is a number, in words that begin with the column.
+
+    Args:
+        columns: readings by name.
+        units: of the columns of numbers.
+        output: name of the output column.
+    """
+    found = _of_size(columns[output], units[output] or "1", output) if output in columns else []
+    if "time" in columns:
+        found += _of_time(columns)
+    if "run" in columns and len(columns["run"]) >= recording().counted_runs:
+        runs = columns["run"]
+        if len(set(runs.tolist())) == len(runs):
+            found.append(
+                f"column 'run' gives each of the {len(runs)} readings a run of its own: nothing goes on from one to "
+                "the next, and no rate, lag or correlation is seen. Is it a counter? Leave it out, or label the runs"
+            )
+        elif output in columns:
+            found += _of_first_readings(columns, output)
+    return found
+
+
+def _of_size(values: np.ndarray, unit: str, name: str) -> list[str]:
+    with np.errstate(over="ignore"):
+        reach = float(np.ptp(values))
+    for base, least, most in recording().resolved:
+        if unit == "any" or base_unit(unit) != base_unit(base):
+            continue
+        with np.errstate(over="ignore"):
+            size = float(abs(convert([reach], unit, base)[0]))
+        if reach > 0 and not least <= size <= most:
+            small = size < least
+            return [
+                f"column {name!r} covers {reach:.2g} {unit_label(unit)} in all, {'less' if small else 'more'} than any "
+                f"sensor {'resolves' if small else 'measures'} ({least if small else most:g} {base}): check its unit "
+                "and its scale (--unit, --nominal-scale)"
+            ]
+    return []
+
+
+def _of_time(columns: Columns) -> list[str]:
+    time, codes = columns["time"], record_codes(columns)
+    same = (time[1:] == time[:-1]) & (codes[1:] == codes[:-1])
+    share = float(np.mean(same)) if len(same) else 0.0
+    if share < recording().same_tick:
+        return []
+    steps = np.diff(np.unique(time))
+    step = f" Its values are {np.min(steps):.3g} s apart at the least." if len(steps) else ""
+    return [
+        f"column 'time' has too few digits, or a coarse clock: {share:.0%} of the readings have the time of the one "
+        f"before.{step} Rates and lags within that are lost: record it with more digits"
+    ]
+
+
+def _of_first_readings(columns: Columns, output: str) -> list[str]:
+    """Where every run begins with one and the same output, exactly, that hardly occurs elsewhere."""
+    runs, values = columns["run"], columns[output]
+    _, first = np.unique(runs, return_index=True)
+    level = values[first[0]]
+    count = int(np.count_nonzero(values == level))
+    if len(first) < 2 or not np.all(values[first] == level) or count > len(first):
+        return []
+    return [
+        f"column {output!r} reads exactly {level:g} at the first reading of every run: was it set there, or does a "
+        "filter in the logger (a high-pass) begin so? What the output was before that filter is not known"
+    ]

@@ -1,21 +1,28 @@
-"""Which header means which column: what has one reading is taken and said, what looks like a column is offered."""
+"""Which header means which column: what has one reading is taken and said, what looks like a column is offered.
+
+A file may call its columns otherwise (`columns=`), and leave their units out or get them wrong (`units=`). Columns that
+no instrument asked for are kept if they have a unit: an effect of the user may need them; no file is refused for them.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
-from bayescal._data.column_matching import (
+from bayescal._data.header_reading import Reading, plain, readings_of, unit_behind, unit_in
+from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
     expected_columns,
     output_name,
+    unit_of,
 )
-from bayescal._data.header_reading import Reading, plain, readings_of, unit_behind, unit_in
-from bayescal._data.unit_conversion import pretty, same_dimension
+from bayescal._data.unit_conversion import fixed_unit, pretty, same_dimension
 from bayescal._data.unit_parsing import ANY
 from bayescal._tables.problems import Problem, Problems, option
 from bayescal._tables.raw_table import Header, Table, in_one_line
@@ -41,14 +48,24 @@ _LIKELY = {
 }
 
 
-def understood(table: Table, instrument: InstrumentLike, options: ReadOptions) -> Table:
-    """The table with the headers that have one reading as columns of the instrument, and notes that say so.
+def matched(
+    table: Table, instrument: InstrumentLike, options: ReadOptions, problems: Problems
+) -> tuple[Table, dict[str, int]]:
+    """The table with its headers understood, and our name of every column → its position in the file.
 
-    A column that the file holds under its own name, or that `columns=` names, is not looked for.
+    A header means a column of the instrument if it has one reading as such, which a note says. A column that the file
+    holds under its own name, or that `columns=` names, is not looked for.
+
+    Args:
+        table: the file.
+        instrument: whose columns are expected.
+        options: renamings and units.
+        problems: to add to, where `columns=` names what the file lacks, two columns would be one, or a label carries
+            a unit.
     """
-    expected = expected_columns(instrument)
+    expected, raw_unit = expected_columns(instrument), _raw_unit(instrument, options)
     headers, notes = list(table.headers), list(table.notes)
-    raw_unit = _raw_unit(instrument, options)
+    positions: dict[str, int] = {}
 
     def take(position: int, reading: Reading, name: str, say: str) -> None:
         old = headers[position]
@@ -57,41 +74,68 @@ def understood(table: Table, instrument: InstrumentLike, options: ReadOptions) -
             unit = f" in {pretty(reading.unit)}" if reading.unit else ""
             notes.append(f"{table.file}: read {old.raw!r} as {say}{unit}")
 
-    free = set(range(len(headers)))
+    def problem(came: str, column: str, cure: str) -> None:
+        problems.append(Problem(table.file, came, cure=cure, column=column))
+
     for ours, theirs in options.columns.items():
-        position = _named(headers, in_one_line(theirs))
-        if position is not None:
-            free.discard(position)
-            kinds = _kinds(ours, expected, raw_unit)
-            found = _fitting(headers[position], kinds, options.units)
-            own = {headers[position].name, headers[position].raw}
-            name = headers[position].name if in_one_line(theirs) in own else in_one_line(theirs)
-            take(position, found or Reading(name, headers[position].unit), name, ours)
-    exact = {headers[i].name for i in free}
+        asked = in_one_line(theirs)
+        position = _named(headers, asked)
+        if position is None:
+            came = f"no such column, but columns={{{ours!r}: {theirs!r}}}"
+            problem(came, theirs, f"It has: {names_in(table)}{near(theirs, table)}")
+        elif position in positions.values():
+            other = next(name for name, taken in positions.items() if taken == position)
+            problem(f"both {other} and {ours} by columns= (--columns)", theirs, "Name one for each")
+        else:
+            positions[ours] = position
+            header = headers[position]
+            found = _fitting(header, _kinds(ours, expected, raw_unit), options.units)
+            name = header.name if asked in (header.name, header.raw) else asked
+            take(position, found or Reading(name, header.unit), name, ours)
+    said = set(positions)
+    free = set(range(len(headers))) - set(positions.values())
+    exact = {headers[i].name: i for i in free}
     named = _by_name(headers)
     for name, column in expected.items():
-        kinds = _kinds(name, expected, raw_unit)
         if name in options.columns:
             continue
-        if not exact.isdisjoint((name, *column.also)):
-            candidates = [
-                (i, Reading(h.name, h.unit)) for i in free if (h := headers[i]).name == name
-            ]
-            for i, reading in candidates:
-                unit = reading.unit and unit_in(reading.unit, kinds)
-                take(i, reading._replace(unit=unit or reading.unit), name, name)
-            free -= {i for i, _ in candidates}
-            continue
-        found = _candidates(column, headers, named, free, kinds, options.units)
+        kinds, found = _kinds(name, expected, raw_unit), dict[int, Reading]()
+        if name in exact:
+            header = headers[exact[name]]
+            unit = header.unit and unit_in(header.unit, kinds)
+            found = {exact[name]: Reading(name, unit or header.unit)}
+        elif exact.keys().isdisjoint(column.also):
+            found = _candidates(column, headers, named, free, kinds, options.units)
         if len(found) == 1:
-            position, reading = found.popitem()
-            free.discard(position)
-            take(position, reading, name, name)
-    for i in free:
+            positions[name], reading = found.popitem()
+            free.discard(positions[name])
+            take(positions[name], reading, name, name)
+    for i in sorted(free):
         reading = unit_behind(headers[i])
         if reading and reading.name not in expected:
             take(i, reading, reading.name, reading.name)
-    return replace(table, headers=tuple(headers), notes=tuple(notes))
+        name = headers[i].name
+        if name in positions:
+            other = f"{name!r} beside {headers[positions[name]].raw!r}"
+            other += ", which columns= names" if name in said else ""
+            cure = f"Rename it, or leave {name!r} out of columns= (--columns)"
+            problem(f"a second {other}", headers[i].raw, cure)
+        elif name:
+            positions[name] = i
+    for name, column in expected.items():
+        for other in (n for n in column.also if n in positions and n not in expected):
+            if name in positions:
+                first, second = (headers[positions[n]].raw for n in (name, other))
+                problem(f"a second {name!r} beside {first!r}", second, "Remove one")
+            else:
+                positions[name] = positions.pop(other)
+        if column.unit is None and name in positions:
+            header = headers[positions[name]]
+            if header.unit not in (None, "", "1", "-"):
+                came, meant = f"carries the unit {header.unit}", f"a label (text) as {name!r}"
+                cure = "Remove the unit, or rename the column"
+                problems.append(Problem(table.file, came, meant, cure, column=header.raw))
+    return replace(table, headers=tuple(headers), notes=tuple(notes)), positions
 
 
 def _raw_unit(instrument: InstrumentLike, options: ReadOptions) -> dict[str, str]:
@@ -346,3 +390,100 @@ def could_be(
             if words in own or set(plain(name).split("_")) <= set(words.split("_")):
                 return name
     return None
+
+
+def with_fixed_units(
+    expected: Mapping[str, Column],
+    table: Table,
+    positions: Mapping[str, int],
+    options: ReadOptions,
+    problems: Problems,
+) -> dict[str, Column]:
+    """The columns with a unit in place of "any": the fixed unit of what the file has.
+
+    A known uncertainty follows its output. What has no unit, or one that is none, is refused where
+    the column is converted; a nominal scale for an output that may be anything is a problem here.
+    """
+    fixed = dict(expected)
+    for name, column in expected.items():
+        if column.unit != ANY or name not in positions:
+            continue
+        if options.nominal_scale is not None:
+            came = "a nominal scale was given, but it is taken in the unit that it is in"
+            cure = "Leave the scale out, or choose an instrument whose output has a unit"
+            problems.append(Problem(table.file, came, cure=cure, column=name))
+        if name == "output_uncertainty":
+            fixed[name] = replace(column, unit=fixed["output"].unit)
+            continue
+        unit = unit_of(table.headers[positions[name]], name, options)
+        with contextlib.suppress(InputError):
+            fixed[name] = column if unit is None else replace(column, unit=fixed_unit(unit))
+    return fixed
+
+
+_AXIS = re.compile(
+    r"(?:^|[\W_\d])[xyzXYZ](?=$|[\W_])|(?<=[a-z])[XYZ](?=$|[\W_])|^[xyz](?=acc|gyr|mag)"
+)
+# What a channel of the output's own axis is in; one in another unit, such as a drive voltage, is of the same sensor.
+_MOTION = ("m/s^2", "rad/s", "rad", "uT", "count")
+
+
+def channels_beside(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:
+    """Columns that are channels of the unit whose output this is: of another axis, of its own and another motion, or
+    of another number and alike.
+
+    Channels of one unit see the same temperature and time, so that each follows the others, and causes none of them.
+
+    Args:
+        output: the file's name of the output, such as "acc_z" or "dut 3".
+        columns: name → unit, of those that no instrument declares.
+        unit: of the output.
+    """
+    numbered, axis = re.sub(r"\d+", "#", output), _axis(output)
+    found = []
+    for name, own in columns.items():
+        alike = own and unit and same_dimension(own, unit) and re.sub(r"\d+", "#", name) == numbered
+        another = axis and (its := _axis(name)) and (its != axis or _moves(own))
+        if another or (alike and "#" in numbered):
+            found.append(name)
+    return found
+
+
+def _axis(name: str) -> str:
+    """The letter of the axis that a name ends in or begins with; "" if there is none."""
+    found = _AXIS.findall(name)
+    return found[-1][-1].lower() if found else ""
+
+
+def _moves(unit: str | None) -> bool:
+    """Whether a unit is of a motion or a field, or of none."""
+    return unit is None or any(same_dimension(unit, motion) for motion in _MOTION)
+
+
+def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Problems) -> None:
+    """Note each unit for a column that no file has, and each column to ignore: it was meant for one."""
+    known = {
+        name
+        for t in tables
+        for h in t.headers
+        for name in (h.raw, *(r.name for r in readings_of(h)))
+    }
+    known |= set(options.columns)
+    said = {name: f"units={{{name!r}: {unit!r}}}" for name, unit in options.units.items()}
+    said |= {name: f"ignore=[{name!r}]" for name in options.ignore}
+    for name, asked in said.items():
+        if name not in known:
+            came = f"no such column, but {asked}"
+            others = "".join(f", nor has {t.file!r}" for t in tables[1:])
+            cure = f"It has: {names_in(tables[0])}{near(name, tables[0])}{others}"
+            problems.append(Problem(tables[0].file, came, cure=cure, column=name))
+
+
+def names_in(table: Table) -> str:
+    return ", ".join(header.raw or "(no name)" for header in table.headers)
+
+
+def near(name: str, table: Table) -> str:
+    names = {header.name.lower(): header.raw for header in table.headers if header.name}
+    near = difflib.get_close_matches(name.lower(), names, 1)
+    return f" (is {names[near[0]]!r} meant?)" if near else ""

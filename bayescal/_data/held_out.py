@@ -5,8 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from bayescal._data.measurements import Measurements
-
-MOST = 0.1  # of the hold-out data, that occur among the readings: more is no chance where each is one of its kind
+from bayescal._data.record_settings import recording
 
 
 def not_new(readings: Measurements, holdout: Measurements) -> int:
@@ -28,10 +27,10 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
         pd.DataFrame({n: r[n] for n in shared}).round(12).drop_duplicates()
         for r in (readings, holdout)
     )
-    if len(mine) < 0.5 * len(readings):
+    if len(mine) < recording().one_of_its_kind * len(readings):
         return 0
     both = len(theirs.merge(mine, how="inner", on=shared))
-    return both if both > MOST * len(theirs) else 0
+    return both if both > recording().not_new * len(theirs) else 0
 
 
 def said_of(readings: Measurements, holdout: Measurements) -> str:

@@ -26,20 +26,16 @@ from bayescal._data.column import (
     readings_text,
 )
 from bayescal._data.column_conversion import convert_columns, kept_table
-from bayescal._data.column_matching import (
-    InstrumentLike,
-    ReadOptions,
-    output_name,
-    unused_options,
-)
 from bayescal._data.dataset_checks import (
     flags_of,
+    odd_numbers,
     once,
     problems_of_whole,
     repeated_rows,
     row_namer,
 )
-from bayescal._data.number_checks import odd_numbers
+from bayescal._data.header_matching import unused_options
+from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name
 from bayescal._data.unit_conversion import check_unit
 from bayescal._data.unit_parsing import ANY, STANDARD_GRAVITY
 from bayescal._tables.cells import cells_of, equally_long

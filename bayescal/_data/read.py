@@ -14,14 +14,14 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._data.column import MAY_BE_EMPTY, ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns, kept_table
-from bayescal._data.column_matching import (
+from bayescal._data.dataset_checks import problems_of_whole
+from bayescal._data.header_matching import unused_options
+from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
     expected_columns,
     output_name,
-    unused_options,
 )
-from bayescal._data.dataset_checks import problems_of_whole
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._tables.open_table import MAX_BYTES, check_files, open_table
 from bayescal._tables.problems import Problems

@@ -1,6 +1,8 @@
 """Readings that say nothing of the sensor are set aside before a calibration: clipped or stuck ones, and spikes.
 
-Spikes of the output, and of the thermometers, at which it is not known what the output belongs to.
+Spikes of the output, single readings far from both of their neighbours, are faults of the record and not of the sensor,
+and one of them can outweigh thousands of readings. At spikes of a thermometer it is not known what the output belongs
+to.
 """
 
 from __future__ import annotations
@@ -9,11 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayescal._data.covariate_checks import leaps, pieces
+from bayescal._data.covariate_checks import held_rows, leaps, pieces
 from bayescal._data.dataset_checks import clip_levels, once, repeated_rows, stuck_rows
 from bayescal._data.measurements import Measurements
+from bayescal._data.record_settings import recording
 from bayescal._data.rounding import rounding_step
-from bayescal._data.spikes import find_spikes
+from bayescal._data.stretches import record_codes, stretches
 
 
 def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements:
@@ -58,16 +61,29 @@ def _without_clipped(readings: Measurements) -> Measurements:
 def _without_stuck(readings: Measurements) -> Measurements:
     """Without repeats of one reading by an output that stood still: only the first was measured."""
     output = readings["output"]
-    stuck = None if len(output) < 2 or rounding_step(output) else stuck_rows(output)
-    if stuck is None:
+    if np.ptp(output) == 0 or rounding_step(output):
         return readings
-    first, last = stuck
-    flag = (
-        f"{readings.file}: {last - first} reading(s) set aside: the output stands still at {output[first]:.6g} "
-        f"(rows {first + 2} to {last + 1})"
-    )
-    kept = np.r_[: first + 1, last + 1 : len(output)]
+    if (stuck := stuck_rows(output)) is not None:
+        first, last = stuck
+        repeats = np.arange(first + 1, last + 1)
+        said = f"stands still at {output[first]:.6g} (rows {first + 2} to {last + 1})"
+    elif not len(repeats := _held(readings)):
+        return readings
+    else:
+        said = f"repeats a value until the next leap, first in row {repeats[0] + 1}: a logger asked it seldom"
+    flag = f"{readings.file}: {len(repeats)} reading(s) set aside: the output {said}"
+    kept = np.setdiff1d(np.arange(len(output)), repeats)
     return replace(readings.select(kept), flags=(*readings.flags, flag))
+
+
+def _held(readings: Measurements) -> np.ndarray:
+    """Rows that repeat the output before them where it is held from leap to leap."""
+    if not readings.has("time"):
+        return np.zeros(0, int)
+    output, own = readings["output"], pieces({n: readings[n] for n in readings.columns})
+    held = held_rows(output, own)
+    again = [piece[1:][output[piece[1:]] == output[piece[:-1]]] for piece in own]
+    return np.intersect1d(held, np.concatenate([np.zeros(0, int), *again]))
 
 
 def _without_leaps(readings: Measurements) -> Measurements:
@@ -75,7 +91,7 @@ def _without_leaps(readings: Measurements) -> Measurements:
     if not readings.has("time"):
         return readings
     columns = {n: readings[n] for n in readings.columns}
-    gone, told, own = np.zeros(len(readings), bool), [], list(pieces(columns))
+    gone, told, own = np.zeros(len(readings), bool), [], pieces(columns)
     for name in (n for n in columns if readings.unit(n) == "degC" and np.ptp(columns[n]) > 0):
         rows = leaps(columns[name], own)
         gone[rows] = True
@@ -101,3 +117,91 @@ def _without_spikes(readings: Measurements) -> Measurements:
     )
     kept = np.setdiff1d(np.arange(len(readings)), rows)
     return replace(readings.select(kept), flags=(*readings.flags, flag))
+
+
+def find_spikes(readings: Measurements) -> np.ndarray:
+    """Rows of spikes, found by each reading's distance from the line through its neighbours in its run.
+
+    A smooth signal, however large, has small distances; a step has two large ones side by side and is kept.
+    Only records in time have neighbours: without a column `time` there are no spikes. Where more readings stand out
+    than spikes would, the noise may have heavy tails: what lies beyond a gap that such a tail lacks is a spike there.
+    """
+    none, given = np.zeros(0, dtype=int), recording()
+    if not readings.has("time"):
+        return none
+    found, heights, rest = [none], [np.zeros(0)], [np.zeros(0)]
+    codes = record_codes({name: readings[name] for name in readings.columns})
+    for piece in stretches(readings["time"], codes, given.spike_fewest):
+        at, high, others = _standing_out(readings["output"][piece])
+        found.append(piece[at])
+        heights.append(high)
+        rest.append(others)
+    rows, high = np.concatenate(found), np.concatenate(heights)
+    if len(rows) > max(1.0, given.spike_share * len(readings)):
+        rows = rows[_beyond_the_tail(high, np.concatenate(rest), len(readings))]
+    return np.sort(rows)
+
+
+def _standing_out(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Readings that stand out, their heights, and heights of all others, in robust standard deviations.
+
+    The worst is taken out and its neighbours are judged anew, until none is left.
+    """
+    count, given = len(y), recording()
+    before, after = np.arange(count) - 1, np.arange(count) + 1
+
+    def height(i: int) -> float:
+        i = (
+            after[i] if before[i] < 0 else before[i] if after[i] >= count else i
+        )  # an end as its neighbour
+        return float(abs(y[i] - 0.5 * (y[before[i]] + y[after[i]])))
+
+    inner = np.abs(y[1:-1] - 0.5 * (y[:-2] + y[2:]))
+    heights = np.concatenate([inner[:1], inner, inner[-1:]])
+    scale, first, last = 1.4826 * float(np.median(heights)), 0, count - 1
+    found, high = [], []
+    while scale > 0 and len(found) <= given.spike_most * count + 1:
+        # A spike at an end and its neighbour stand out alike: then it is the end.
+        worst = int(np.argmax(heights))
+        worst = next((end for end in (first, last) if heights[end] == heights[worst]), worst)
+        if heights[worst] < given.spike * scale:
+            break
+        found.append(worst)
+        high.append(heights[worst])
+        heights[worst] = -1.0
+        left, right = before[worst], after[worst]
+        first, last = (right if left < 0 else first), (left if right >= count else last)
+        if left >= 0:
+            after[left] = right
+        if right < count:
+            before[right] = left
+        near = [
+            left,
+            right,
+            before[left] if left >= 0 else -1,
+            after[right] if right < count else -1,
+        ]
+        for i in (i for i in near if 0 <= i < count):
+            heights[i] = height(int(i))
+    size = scale or 1.0
+    return np.array(found, dtype=int), np.array(high) / size, heights[heights >= 0] / size
+
+
+def _beyond_the_tail(high: np.ndarray, rest: np.ndarray, count: int) -> np.ndarray:
+    """Which of the heights that stand out lie beyond a gap that a heavy tail would not have.
+
+    Of a tail like x^−ν the i-th largest height is above the next by a factor whose logarithm times i·ν is standard
+    exponential (A. Rényi, On the theory of order statistics, Acta Math. Hung. 4 (1953) 191); ν is that of the heights
+    below the gap (B. Hill, Ann. Stat. 3 (1975) 1163).
+    """
+    given, order = recording(), np.argsort(-high)
+    tail = np.concatenate([high[order], np.sort(rest[rest > given.tail])[::-1], [given.tail]])
+    logs = np.log(np.maximum(tail / given.tail, 1.0))
+    most = min(len(high), int(given.spike_most * count))
+    i = np.arange(1, most + 1)
+    below, sums = len(tail) - 1 - i, np.cumsum(logs[::-1])[::-1]
+    nu, weight = given.usual_tail
+    exponent = (below + weight) / (sums[i] + i * logs[i] + weight / nu)
+    gaps = i * exponent * (logs[i - 1] - logs[i])
+    beyond = np.flatnonzero(gaps > np.log(max(most, 1) / given.tail_chance))
+    return order[: beyond[-1] + 1] if beyond.size else order[:0]

@@ -8,11 +8,9 @@ import numpy as np
 import pandas as pd
 
 from bayescal._data.measurements import Measurements
+from bayescal._data.record_settings import recording
 
 RATE_WINDOW = 60.0  # s
-NEXT = 5.0  # usual steps after a record's reading, within which another goes on with it
-MIXED = 0.2  # changes from one file to the other, a reading, beyond which both are of one time
-GAP = 10.0  # windows without a reading, after which nothing is known of the rate
 
 
 def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
@@ -74,8 +72,12 @@ def going_on(fitted: Measurements, later: Measurements) -> tuple[dict[str, np.nd
             continue
         merged = np.concatenate([np.zeros(known.size, bool), np.ones(rows.size, bool)])
         merged = merged[np.argsort(np.concatenate([known, at[rows]]), kind="stable")]
-        mixed = np.count_nonzero(np.diff(merged)) > max(2.0, MIXED * min(known.size, rows.size))
-        if not mixed and first - before[-1] <= NEXT * float(np.median(steps)) * (1 + 1e-9):
+        mixed = np.count_nonzero(np.diff(merged)) > max(
+            2.0, recording().interleaved * min(known.size, rows.size)
+        )
+        if not mixed and first - before[-1] <= recording().pause * float(np.median(steps)) * (
+            1 + 1e-9
+        ):
             found[name] = rows
     return found, at
 
@@ -100,7 +102,7 @@ def causal_slope(
     of_t, of_y, of_tt, of_ty = _window_sums(t, y, first)
     count = here - first + 1
     scatter = of_tt - of_t**2 / count
-    known = (first < here) & (scatter > 0) & (t - t[first] <= GAP * window)
+    known = (first < here) & (scatter > 0) & (t - t[first] <= recording().silence * window)
     slopes = np.zeros_like(y)
     slopes[order[known]] = (of_ty - of_t * of_y / count)[known] / scatter[known]
     return slopes

@@ -450,8 +450,8 @@ def _values(layout: Layout, x: np.ndarray, v: np.ndarray) -> np.ndarray:
             parts.append(x[:, b.start : b.start + b.size])
         elif b.place == "phi":
             value = np.stack([hyper[name] for name in b.member_names()], axis=1)
-            if b.coefficient.spread is not None:
-                value = b.coefficient.mean + hyper[b.spread_name][:, None] * value
+            if b.coefficient.group_sd is not None:
+                value = b.coefficient.mean + hyper[b.group_sd_name][:, None] * value
             parts.append(value)
     parts += [hyper[h.name][:, None] for h in layout.hypers if h.kind != "promoted"]
     return np.concatenate(parts, axis=1)

@@ -18,7 +18,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.json_shape import parsed_json
 from bayescal._core.progress import note, tell
 from bayescal._core.version import __version__
-from bayescal._data.column_matching import ReadOptions
+from bayescal._data.read_options import ReadOptions
 from bayescal._fleet.batch_result import first_few
 from bayescal._fleet.engine import DaskEngine, Engine, LocalEngine, every
 from bayescal._fleet.find_devices import Find

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.version import __version__
-from bayescal._data.column_matching import ReadOptions
+from bayescal._data.read_options import ReadOptions
 from bayescal._fleet.batch_result import BatchResult, load_batch
 from bayescal._fleet.devices import DEVICE, Devices
 from bayescal._fleet.find_devices import DeviceStructure, Find, find_and_fit

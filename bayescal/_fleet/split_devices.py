@@ -13,21 +13,16 @@ import pandas as pd
 from bayescal._core.errors import InputError
 from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.column_matching import (
+from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
+from bayescal._data.header_matching import matched, unused_options
+from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
     expected_columns,
-    match,
     output_name,
     unit_of,
-    unused_options,
 )
-from bayescal._data.dataset_checks import (
-    LEAST_TEMPERATURE_SPAN,
-    refuse_backward_time,
-    refuse_one_temperature,
-)
-from bayescal._data.header_matching import understood
+from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import base_unit
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._fleet.devices import DEVICE, DeviceBlock, Devices
@@ -137,8 +132,8 @@ def split_table(
     expects = _WithFurtherColumns(
         instrument.name, (*instrument.columns, *further), instrument.nominal_scale, output
     )
-    table = _read_once(understood(table, expects, options))
-    places = match(table, expected_columns(expects), options, problems)
+    table, places = matched(table, expects, options, problems)
+    table = _read_once(table)
     problems.refuse()
     labels = np.full(table.rows, stem, dtype=object)
     if DEVICE in places:
@@ -244,7 +239,7 @@ def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
     if need := need and "temperature" in block.values:
         values = block.values["temperature"]
         span = np.maximum.reduceat(values, block.starts) - np.minimum.reduceat(values, block.starts)
-        bad |= set(np.flatnonzero(span < LEAST_TEMPERATURE_SPAN).tolist())
+        bad |= set(np.flatnonzero(span < recording().temperature_span).tolist())
     refused = {}
     for i in sorted(bad):
         columns, file, problems = block.columns(i), f"device {block.names[i]}", Problems()

@@ -184,8 +184,8 @@ def _differing(then: dict[str, str], now: dict[str, str]) -> str:
             short = (
                 one and other and max(len(one), len(other)) < 60 and not name.endswith(" (hash)")
             )
-            told = f" ({one}, now {other})" if short else ""
-            found.append(f"{name.removesuffix(' (hash)')} differs{told}")
+            how = f" ({one}, now {other})" if short else ""
+            found.append(f"{name.removesuffix(' (hash)')} differs{how}")
     return ", ".join(found)
 
 

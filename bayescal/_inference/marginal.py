@@ -86,7 +86,7 @@ class Marginal(Method):
 
         with stage("sampling"):
             judged = self._sampled(assembly, mode, seed, result)
-            if judged.limit < judged.k_hat <= trust.K_HAT and not layout.row_blocks:
+            if judged.limit < judged.k_hat <= trust.sampling().k_hat and not layout.row_blocks:
                 judged = self._sampled(assembly, mode, seed, result, heavy=True)
         if not judged.why_not:
             return result(judged)
@@ -129,7 +129,7 @@ class Marginal(Method):
             tried = len(judged.weights)
             limit = PROPOSALS if self.proposals is None else 0
             expected = effective_size(judged.weights) / tried * most
-            if judged.k_hat <= judged.limit and expected >= trust.ENOUGH:
+            if judged.k_hat <= judged.limit and expected >= trust.sampling().enough:
                 limit = max(limit, most)
             if not judged.why_not or tried >= limit:
                 return judged
@@ -140,7 +140,9 @@ class Marginal(Method):
         """Draws by weights that are sound or, if `why` leaves no time for better ones, as they are."""
         found, weights, k_hat = judged.found, judged.weights, judged.k_hat
         effective, reasons = effective_size(weights), ()
-        if why and trust.unevenness(weights, k_hat, limit=judged.limit, enough=trust.FEWEST):
+        if why and trust.unevenness(
+            weights, k_hat, limit=judged.limit, enough=trust.sampling().fewest
+        ):
             reasons = (NO_MORE.format(judged.why_not, why),)
         elif why:
             notes = (*notes, FEW.format(effective, why))
@@ -214,7 +216,7 @@ def _judged(found: WeightedDraws, heavy: bool = False) -> _Judged:
     weights, k_hat = smoothed(found.log_weight)
     of_phi, _ = smoothed(found.log_weight_phi)
     correction = found.log_weight - found.log_weight_phi
-    limit = trust.K_HAT if heavy else trust.largest_k_hat(correction, of_phi)
+    limit = trust.sampling().k_hat if heavy else trust.largest_k_hat(correction, of_phi)
     why_not = trust.unevenness(weights, k_hat, limit=limit)
     return _Judged(found, weights, k_hat, limit, why_not)
 

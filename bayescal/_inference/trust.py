@@ -8,41 +8,72 @@ Sources: Vehtari et al., JMLR 25 (2024) 72 (k̂); Vehtari et al., Bayesian Analy
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.importance_weights import effective_size
+from bayescal._core.settings_in_force import OutcomeSettings, in_force
 from bayescal._inference.method import Verdict
 from bayescal._inference.mode import Mode
 from bayescal._inference.nuts_chains import Chains
 
-K_HAT = 0.7  # above it, importance weights are not reliable (Vehtari et al. 2024)
-# Where the model is nonlinear, coefficients are proposed with a Gaussian's tails, thinner than those that they may
-# have; k̂ then shows too little: at 0.6 to 0.7, standard deviations came out up to a third too small, below 0.5 right.
-K_HAT_NONLINEAR = 0.5
-NONLINEAR = 0.3  # standard deviation of the log weights by nonlinearity, from which on that counts
-ENOUGH = 400  # effective draws, below which more are made,
-FEWEST = 100  # and which will do where there is no time for more: a standard deviation is then known to 7 %
-R_HAT = 1.02  # of chains that agree
-ENOUGH_OF_CHAINS = 200  # effective draws
-DIVERGENT = 0.005  # share of the transitions, up to which a corner of the posterior is none
-MOVING = 0.05  # standard deviations that the mode's last round moved anything by
 NOT_CONVERGED = "Levenberg–Marquardt stopped before its tolerance was met."
 SINGULAR = "The curvature is singular: some direction is not determined by readings or priors."
 
 
+@dataclass(frozen=True)
+class SamplingSettings(OutcomeSettings):
+    """When draws are trusted.
+
+    Attributes:
+        k_hat: above it, importance weights are not reliable (Vehtari et al. 2024).
+        k_hat_nonlinear: the same where the model is nonlinear: coefficients are proposed with a Gaussian's tails,
+            thinner than those that they may have, and k̂ then shows too little: at 0.6 to 0.7, standard deviations came
+            out up to a third too small, below 0.5 right.
+        nonlinear: standard deviation of the log weights by nonlinearity, from which on that counts.
+        enough: effective draws, below which more are made: a standard deviation is then known to 3.5 %.
+        fewest: effective draws that will do where there is no time for more: it is then known to 7 %.
+        r_hat: of chains that agree; Vehtari et al. 2021 ask for 1.01 of long chains.
+        enough_of_chains: effective draws of a coordinate, of which a standard deviation is known to 5 %.
+        divergent: share of the transitions, up to which a corner of the posterior is none.
+        moving: standard deviations that the mode's last round moved anything by, beyond which it was no mode.
+    """
+
+    k_hat: float = 0.7
+    k_hat_nonlinear: float = 0.5
+    nonlinear: float = 0.3
+    enough: int = 400
+    fewest: int = 100
+    r_hat: float = 1.02
+    enough_of_chains: int = 200
+    divergent: float = 0.005
+    moving: float = 0.05
+
+
+def sampling() -> SamplingSettings:
+    """The settings of sampling that hold here."""
+    return in_force(SamplingSettings)
+
+
 def unevenness(
-    weights: Float[np.ndarray, "s"], k_hat: float, *, limit: float = K_HAT, enough: float = ENOUGH
+    weights: Float[np.ndarray, "s"],
+    k_hat: float,
+    *,
+    limit: float | None = None,
+    enough: float | None = None,
 ) -> str:
     """Why weighted draws are not reliable, in numbers; empty if they are.
 
     Args:
         weights: smoothed, summing to one.
         k_hat: theirs.
-        limit: largest k̂ that is trusted.
-        enough: effective draws, below which they are too few.
+        limit: largest k̂ that is trusted; that of the settings if None.
+        enough: effective draws, below which they are too few; likewise.
     """
     effective = effective_size(weights)
+    limit, enough = sampling().k_hat if limit is None else limit, enough or sampling().enough
     if k_hat <= limit and effective >= enough:
         return ""
     return f"k̂ = {k_hat:.2f}, {effective:.0f} effective draws"
@@ -52,8 +83,8 @@ def largest_k_hat(correction: Float[np.ndarray, "s"], weights: Float[np.ndarray,
     """The largest k̂ that is trusted, given what nonlinearity adds to the log weights of draws of φ."""
     correction = np.clip(correction, -1e3, 1e3)
     mean = weights @ correction
-    nonlinear = weights @ (correction - mean) ** 2 > NONLINEAR**2
-    return K_HAT_NONLINEAR if nonlinear else K_HAT
+    nonlinear = weights @ (correction - mean) ** 2 > sampling().nonlinear ** 2
+    return sampling().k_hat_nonlinear if nonlinear else sampling().k_hat
 
 
 def weights_verdict(
@@ -64,7 +95,7 @@ def weights_verdict(
     reasons: tuple[str, ...] = (),
 ) -> Verdict:
     """Of importance weights that are even enough but for `reasons`, by the mode that they were proposed around."""
-    if mode is not None and not mode.change <= MOVING:
+    if mode is not None and not mode.change <= sampling().moving:
         reasons = (
             *reasons,
             f"The mode was still moving by {float(mode.change):.2g} standard deviations "
@@ -89,12 +120,12 @@ def chain_verdict(
     draws = np.moveaxis(np.asarray(ran.draws), -1, 0)
     r_hat = max(float(np.asarray(array_stats.rhat(d, chain_axis=0, draw_axis=1))) for d in draws)
     ess = min(float(np.asarray(array_stats.ess(d, chain_axis=0, draw_axis=1))) for d in draws)
-    reasons = []
-    if not r_hat <= R_HAT:
+    reasons, given = [], sampling()
+    if not r_hat <= given.r_hat:
         reasons.append(f"Chains disagree (R-hat {r_hat:.3f}): run longer, or give tighter priors.")
-    if ess < ENOUGH_OF_CHAINS:
+    if ess < given.enough_of_chains:
         reasons.append(f"Only {ess:.0f} effective draws: run longer.")
-    if ran.divergences > DIVERGENT * draws[0].size:
+    if ran.divergences > given.divergent * draws[0].size:
         reasons.append(f"{ran.divergences} divergent transitions: the posterior has a corner.")
     return Verdict(
         ok=not reasons,

@@ -14,7 +14,8 @@ from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.settings import guarding
 from bayescal._data.covariate_checks import oddities
-from bayescal._data.rounding import AS_GOOD_AS_NOISE, rounding_step
+from bayescal._data.record_settings import recording
+from bayescal._data.rounding import rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.unknown_effect import FORMS, FREED, covariate_in
 from bayescal._search.search_path import Gate, Step
@@ -52,7 +53,7 @@ def against(steps: Sequence[Step]) -> list[str]:
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
     reasons, last = against(steps), steps[-1]
-    if notes := _confounded(steps):
+    if notes := [*_confounded(steps), *_not_decidable(last)]:
         last = last.noted(notes)
         steps = (*steps[:-1], last)
     if reasons and last.calibration.verdict.ok:
@@ -75,7 +76,7 @@ def wrong_question(
     found = conflicts(calibration, accepted)
     found = found or [one.said for one in without_priors(calibration, accepted)]
     grid, unit = rounding_step(calibration.readings["output"]), unit_label(calibration.unit)
-    if floor < AS_GOOD_AS_NOISE * grid:
+    if floor < recording().as_good_as_noise * grid:
         found.append(
             f"The output is rounded in steps of {grid:.3g} {unit}, which is more than its noise: nothing finer than "
             "a step can be known, and standard uncertainties are too small. Record it with more digits."
@@ -118,6 +119,29 @@ def _confounded(steps: Sequence[Step]) -> list[str]:
         return []
     found = taken_over(steps[0].calibration, steps[-1].calibration)
     return [str(one) for one in found if one.measured and one.confounded]
+
+
+def _not_decidable(step: Step) -> list[str]:
+    """What the last model holds that a thermometer or a logger would make as well, alike in every run, in words.
+
+    A thermometer that is late by τ turns c·T into c·T − c·τ·dT/dt, and so does an output that is early: of which of
+    them the rate is no reading of the file tells.
+    """
+    readings, model = step.calibration.readings, step.calibration.model
+    warm = {n for n in readings.columns if readings.unit(n) == "degC"}
+    in_time = [
+        e
+        for e in model.effects
+        if "time" in e.columns and not warm.isdisjoint((*e.columns, *e.varies))
+    ]
+    if not in_time:
+        return []
+    columns = sorted(warm.intersection(n for e in in_time for n in (*e.columns, *e.varies)))
+    return [
+        f"Not decidable from these readings: whether {' and '.join(e.name for e in in_time)} is of the sensor, or the "
+        f"thermometer ({', '.join(columns)}) or the output is late or slow alike in every run. Predictions hold with "
+        "this thermometer and this logger; compare the thermometer once with one at the sensor."
+    ]
 
 
 def _thermometers(steps: Sequence[Step]) -> list[str]:
@@ -238,7 +262,7 @@ def _between_runs(step: Step) -> list[str]:
 def _of_scatter(step: Step) -> list[str]:
     """What the leave-one-out tests say against the noise law."""
     check = step.check
-    along = [name for name, p in check.spread_with.items() if p < guarding().rare]
+    along = [name for name, p in check.scatter_with.items() if p < guarding().rare]
     if along:
         return [
             f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "

@@ -235,7 +235,7 @@ def _moments(layout: Layout, frame, draws):
         c = block.coefficient
         if c.per is None or c.per == "reading" or block.place == "fixed":
             continue
-        spread = hyper[block.spread_name] if c.spread is not None else c.size
+        spread = hyper[block.group_sd_name] if c.group_sd is not None else c.size
         column = forward.effect_slope(layout, frame, values, hyper, block) * spread
         deviations.setdefault(c.per, []).append(column)
     stacked = {per: jnp.stack(columns) for per, columns in deviations.items()}

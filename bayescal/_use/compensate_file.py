@@ -24,10 +24,10 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_line
 from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns, kept_table
-from bayescal._data.column_matching import ReadOptions, match
 from bayescal._data.dataset_checks import problems_of_whole
-from bayescal._data.header_matching import understood
+from bayescal._data.header_matching import matched
 from bayescal._data.measurements import Measurements, assemble
+from bayescal._data.read_options import ReadOptions
 from bayescal._tables.csv_reader import csv_parts
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
@@ -213,10 +213,8 @@ def _names(
     Raises:
         InputError: there is no output, or the names are taken.
     """
-    columns = {column.name: column for column in expected.columns}
-    table = understood(table, expected, options)
     problems = Problems(table.problems)
-    places = match(table, columns, options, problems)
+    table, places = matched(table, expected, options, problems)
     problems.refuse()
     if "output" not in places:
         raise InputError(

@@ -4,7 +4,7 @@
   without, as the mean of many readings has it. The correction is made with the posterior mean, as exports make it.
 - A slot, such as "bias": what all effects on it come to in use, for a run, cell or device that is new unless it is
   named, so that its deviation counts.
-- An unknown, such as "bias.temperature", "bias.run.spread" or "noise.white", by the name that a calibration prints.
+- An unknown, such as "bias.temperature", "bias.run.group_sd" or "noise.white", by the name that a calibration prints.
 
 The first two are values at an operating point: covariates at the middle of their calibrated range, rates and lags
 zero, the time that of the last reading, unless the limit says otherwise.

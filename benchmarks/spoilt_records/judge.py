@@ -37,7 +37,8 @@ MOST = 3  # effects to add
 LIMIT = 120.0  # s of search
 AWAY = 3.3  # posterior standard deviations
 WORSE = 1.2  # times the error that there should be
-CONFOUNDED = "are confounded in these readings"  # in a note that the result carries
+# In notes that the result carries, of what these readings cannot tell.
+OPEN = re.compile("are confounded in these readings|^Not decidable from these readings")
 WIDE = 30.0  # times the oracle's standard uncertainty, of which a model's own counts at most
 
 
@@ -130,7 +131,7 @@ def _verdict(
     base = {e.name for e in trail.steps[0].calibration.model.effects}
     added = [n for n in final.model.names if n not in base]
     named = [s for s in final.readings.flags if re.search(kind.says, s)]
-    named += [s for s in final.verdict.notes if CONFOUNDED in s and re.search(kind.says, s)]
+    named += [s for s in final.verdict.notes if OPEN.search(s) and re.search(kind.says, s)]
     named += [f"found: {n}" for n in added if re.search(kind.finds, n)]
     told = [*([] if trail.ok else [trail.gate.reason]), *named]
     away = _away(subject, kind, campaign, seed, final)

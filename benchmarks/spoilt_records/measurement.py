@@ -3,6 +3,7 @@
     python -m benchmarks gauntlet                 every instrument
     BAYESCAL_ONLY=mems_gyro BAYESCAL_KINDS="gaps;clipped at one end" python -m benchmarks gauntlet
     BAYESCAL_SEEDS=1 BAYESCAL_SECONDS=600 python -m benchmarks gauntlet
+    BAYESCAL_FIRST_SEED=21 BAYESCAL_SEEDS=3 python -m benchmarks gauntlet                fresh seeds
     BAYESCAL_KINDS_FILE=mine.toml python -m benchmarks gauntlet        kinds of a table (`of_file.py`) alone
 
 A campaign is simulated, with an effect hidden in every second one, spoilt, written to a file, read and calibrated as a
@@ -84,7 +85,8 @@ def run(name: str, kinds: Mapping[str, Kind] = KINDS, label: str = "gauntlet") -
 def plan(name: str, kinds: Mapping[str, Kind] = KINDS) -> Iterator[tuple[Kind, int]]:
     """Kinds and seeds, a seed of every kind before the next, so that a part of them is a fair sample."""
     asked = [k for k in os.environ.get("BAYESCAL_KINDS", "").split(";") if k]
-    for seed in range(1, 1 + int(os.environ.get("BAYESCAL_SEEDS", SEEDS))):
+    first = int(os.environ.get("BAYESCAL_FIRST_SEED", 1))
+    for seed in range(first, first + int(os.environ.get("BAYESCAL_SEEDS", SEEDS))):
         for kind in kinds.values():
             if kind.fits(SUBJECTS[name]) and (not asked or kind.name in asked):
                 yield kind, seed

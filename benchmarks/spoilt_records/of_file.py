@@ -8,6 +8,7 @@ Each kind is a table of
 
 - `name`; `true`, what is true of it in words (the unit as it was); `says`, a regular expression for words that name the
   cause (a thermometer's, unless given);
+- `finds`, the same for the name of an effect that was added: one that names the cause says it;
 - `needs`: "runs" where the records are runs, "sibling" where a second thermometer stands in the unit;
 - `of`: "record" (the default), or "hold-out from the record": a hold-out made of the training data is given beside it;
 - `must_say`: true where only a sentence will do;
@@ -115,8 +116,12 @@ def _drifting(p: Piece, of_range: float) -> np.ndarray:
     return p.cells + of_range * np.ptp(p.all) * np.linspace(0.0, 1.0, len(p.cells))
 
 
-def _rounded(p: Piece, of_range: float) -> np.ndarray:
-    grid = of_range * np.ptp(p.all)
+def _stretched(p: Piece, by: float) -> np.ndarray:
+    return np.interp(p.time[0] + by * (p.time - p.time[0]), p.time, p.cells)
+
+
+def _rounded(p: Piece, of_range: float = 0.0, to: float = 0.0) -> np.ndarray:
+    grid = to + of_range * np.ptp(p.all)
     return grid * np.rint(p.cells / grid)
 
 
@@ -132,6 +137,7 @@ STEPS: dict[str, Callable[..., Any]] = {
     "wrapped": _wrapped,
     "noisy": _noisy,
     "drifting": _drifting,
+    "stretched": _stretched,
     "rounded": _rounded,
     "scaled": lambda p, by=1.0, plus=0.0: by * p.cells + plus,
     "plus": lambda p, of_range: p.cells + of_range * np.ptp(p.all),
@@ -143,8 +149,8 @@ STEPS: dict[str, Callable[..., Any]] = {
     "numbered": lambda p: [f"{a} {i}" for i, a in enumerate(p.cells)],
     "renamed": lambda p: [f"later {a}" for a in p.cells],
 }
-ON_WHOLE_FILES = ("halved", "exchanged")
-_NAMES = {"name", "true", "says", "needs", "of", "must_say", "steps"}
+ON_WHOLE_FILES = ("halved", "kept", "exchanged")
+_NAMES = {"name", "true", "says", "finds", "needs", "of", "must_say", "steps"}
 _OF = ("record", "hold-out from the record")
 THERMOMETER = "temperature|thermometer"
 
@@ -185,6 +191,7 @@ def _kind(table: dict[str, Any]) -> Kind:
         spoil,
         fits,
         table.get("says", THERMOMETER),
+        table.get("finds", "^$"),
         of_holdout=hold_out,
         of_training=hold_out,
         must_say=table.get("must_say", False),
@@ -207,6 +214,8 @@ def _done(
     roles = {"thermometer": subject.thermometer, "sibling": subject.sibling, "input": subject.input}
     name = roles.get(column, column)
     old, chosen = columns[name], _where(where, columns, subject, rng)
+    if do == "kept":
+        return rows(columns, chosen)
     if do == "exchanged":
         other = columns[subject.sibling]
         both = np.where(chosen, other, old), np.where(chosen, old, other)

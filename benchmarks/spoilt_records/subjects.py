@@ -11,6 +11,7 @@ from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal_models import differential_pair, mems_gyro
 from bayescal_models.differential_pair.simulator import columns_and_truth
 from bayescal_models.inclinometer.campaign import X, Y
+from bayescal_models.inclinometer.simulator import MEAN_TEMPERATURE
 from bayescal_models.ng_accelerometer.campaign import TRUTH_A
 from bayescal_models.quartz_beam_accelerometer.device import CUBIC
 from benchmarks.spoilt_records.subject import Columns, Shift, Subject
@@ -125,7 +126,9 @@ SUBJECTS = {
                 "zero.placement(x)": X.slope,
                 "zero.placement(y)": Y.slope,
             },
-            exact={},
+            exact={
+                "zero.temperature": {"zero.temperature(x)": X.share, "zero.temperature(y)": Y.share}
+            },
             noise=2.0,
             zero=Shift(("zero.constant(x)", "zero.constant(y)"), 1000.0, _ones),
             slope=Shift(
@@ -136,6 +139,10 @@ SUBJECTS = {
             partner="placement_angle",
             input="placement_angle",
             wrong_unit=math.pi / 180.0,
+            polynomials=tuple(
+                (f"zero.constant({axis})", f"zero.temperature({axis})") for axis in "xy"
+            ),
+            T0=MEAN_TEMPERATURE,
         ),
         Subject(
             "differential_pair",

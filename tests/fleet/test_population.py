@@ -98,7 +98,7 @@ def test_a_population_agrees_with_effects_per_device() -> None:
     def of_each(effect: bc.Effect) -> bc.Effect:
         c = effect.coefficients[0]
         own = bc.Coefficient(
-            c.unit, bc.Normal(0.0, 1.0), per="device", spread=bc.HalfCauchy(c.size)
+            c.unit, bc.Normal(0.0, 1.0), per="device", group_sd=bc.HalfCauchy(c.size)
         )
         return bc.Effect(f"{effect.name}_device", effect.slot, effect.basis, (own,))
 
@@ -124,6 +124,6 @@ def test_a_population_agrees_with_effects_per_device() -> None:
             assert abs(mean - draws[:, i].mean()) < 0.12 * sd
             assert sd == pytest.approx(draws[:, i].std(), rel=0.1)
         row = pooled.population.table.set_index("coefficient").loc[name]
-        spread = joint.samples(f"{name}_device.spread")
+        spread = joint.samples(f"{name}_device.group_sd")
         assert abs(row.spread - spread.mean()) < 0.2 * spread.std()
         assert row.spread_sd == pytest.approx(spread.std(), rel=0.15)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._data.dataset_checks import odd_numbers
 from bayescal._data.held_out import not_new, said_of
-from bayescal._data.number_checks import odd_numbers
 from bayescal_models import still_sensor
 
 UNITS = {"time": "s", "temperature": "degC", "output": "ug"}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._data.spikes import find_spikes
+from bayescal._data.set_aside import find_spikes
 from bayescal_models import still_sensor
 from tests.support.command_line import needs_installation, run
 

@@ -77,6 +77,49 @@ def test_a_converter_at_its_end(ramps: Columns, end: str) -> None:
     assert f"stands exactly at its {end}" in said and said.endswith("saturated?")
 
 
+@pytest.mark.parametrize("name", sorted(INSTRUMENTS))
+@pytest.mark.parametrize("step", [0.01, 0.1, 0.5, 1.0])
+def test_displays_of_few_digits_have_nothing_odd(name: str, step: float) -> None:
+    readings = instrument_named(name).simulate({}, seed=21)
+    warm = [n for n in readings.columns if readings.unit(n) == "degC"]
+    rounded = {n: step * np.rint(readings[n] / step) for n in warm}
+    assert oddities({**columns_of(readings), **rounded}, warm) == []
+
+
+def wrapped(warm: np.ndarray) -> np.ndarray:
+    high = warm.min() + 0.8 * np.ptp(warm)
+    return np.where(warm > high, warm - 0.8 * np.ptp(warm), warm)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [wrapped, lambda t: t - 3.0 * (np.arange(len(t)) > 55)],
+    ids=["wrapped", "re-seated"],
+)
+def test_a_thermometer_that_goes_on_from_another_level(ramps: Columns, change) -> None:
+    """A body does not; set-points that are written down as they were set do, and say nothing of a body."""
+    (said,) = said_of(ramps, temperature=in_runs(ramps, change))
+    assert said.startswith("temperature goes on from another level")
+    plateaus = in_runs(ramps, lambda t: 10.0 * np.rint(t / 10.0))
+    assert said_of(ramps, temperature=plateaus) == []
+
+
+@pytest.mark.parametrize("readings", [2, 5, 20])
+def test_an_output_that_was_held_is_taken_once(readings: int) -> None:
+    record = still_sensor.simulate(seed=1)
+    output = record["output"].copy()
+    for run in np.unique(record["run"]):
+        own = np.flatnonzero(record["run"] == run)
+        output[own] = output[own[np.arange(len(own)) // readings * readings]]
+    held = record.with_column("output", output)
+    kept = set_aside(held)
+    assert "the output repeats a value until the next leap, first in row 2" in kept.flags[-1]
+    runs = [int(np.sum(record["run"] == run)) for run in np.unique(record["run"])]
+    assert len(kept) == sum(-(-n // readings) for n in runs)
+    rounded = record.with_column("output", 10.0 * np.rint(record["output"] / 10.0))
+    assert set_aside(rounded) is rounded
+
+
 def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
     readings = still_sensor.simulate(seed=3)
     rows = np.array([40, 200, 241, 300, 500, 700])  # one of them the first of a run

@@ -111,6 +111,17 @@ def test_runs_that_are_alike_surprise_none_of_the_others() -> None:
         assert np.all((found.surprise > 0.7) & (found.surprise < 1.4))
 
 
+def test_what_a_late_thermometer_would_make_is_said_to_be_open() -> None:
+    readings = still_sensor.simulate({"bias.thermal_lag": 15.0}, seed=1)
+    base, last = fits(readings, "bias.thermal_lag")
+    steps, verdict = judged([step_of(base), step_of(last)])
+    (said,) = (n for n in steps[-1].calibration.verdict.notes if n.startswith("Not decidable"))
+    assert "whether bias.thermal_lag is of the sensor, or the thermometer (temperature)" in said
+    assert verdict.ok
+    steps, _ = judged([step_of(base)])
+    assert not any("Not decidable" in n for n in steps[-1].calibration.verdict.notes)
+
+
 def test_a_group_of_one_reading_says_nothing() -> None:
     readings = still_sensor.simulate(seed=6, interval=300)
     single = readings.with_column("run", np.arange(len(readings)).astype(str))

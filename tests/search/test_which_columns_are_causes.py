@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._data.column_matching import channels_beside
+from bayescal._data.header_matching import channels_beside
 from bayescal_models import still_sensor
 from tests.support.command_line import needs_installation, run
 

@@ -15,9 +15,9 @@ import panel as pn
 import panel.models.file_dropper  # its scripts come with the page
 
 from bayescal._core.errors import InputError
-from bayescal._data.column_matching import expected_columns
 from bayescal._data.measurements import Measurements
 from bayescal._data.read import read
+from bayescal._data.read_options import expected_columns
 from bayescal._tables.mapping_file import save_mapping
 from bayescal._tables.open_table import TEXT, open_table
 from bayescal._tables.raw_table import bytes_text
