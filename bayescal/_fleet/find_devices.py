@@ -16,7 +16,7 @@ from bayescal._core.errors import BayescalError
 from bayescal._data.measurements import Measurements
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices
-from bayescal._fleet.fit_devices import FitSettings, fit_together
+from bayescal._fleet.fit_devices import FitOptions, fit_together
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, reference_of
 from bayescal._model.model import Model
@@ -113,7 +113,7 @@ def find_and_fit(
     model: Model,
     devices: Devices,
     find: Find,
-    settings: FitSettings,
+    options: FitOptions,
 ) -> tuple[BatchResult, dict[str, DeviceStructure]]:
     """Search each device, then fit those of one structure together: the results, and each device's structure.
 
@@ -126,7 +126,7 @@ def find_and_fit(
         for i, name in enumerate(block.names):
             try:
                 structure, made = search_device(
-                    model, block.measurements(i), find, settings.reference
+                    model, block.measurements(i), find, options.reference
                 )
             except BayescalError as error:
                 refused[name] = str(error)
@@ -139,4 +139,4 @@ def find_and_fit(
         (made, devices.without({*devices.names} - {*names})) for made, names in alike.values()
     ]
     groups.insert(0, (model, Devices((), ())))  # after which the result is named
-    return fit_together(devices.names, refused, groups, settings), structures
+    return fit_together(devices.names, refused, groups, options), structures

@@ -11,7 +11,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices, gathered
 from bayescal._fleet.find_devices import Find
-from bayescal._fleet.fit_devices import CHUNK, FitSettings, fit_devices, tailored_to_first
+from bayescal._fleet.fit_devices import CHUNK, FitOptions, fit_devices, tailored_to_first
 from bayescal._fleet.fit_fleet import fit_fleet
 from bayescal._fleet.fleet_result import FleetResult
 from bayescal._fleet.population import AskedPopulation, chosen
@@ -112,17 +112,17 @@ def fit_batch(
         InputError: no device that can be used, files that cannot be read, a client without `out`, a cluster gone.
         ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
     """
-    settings = FitSettings.of(model, method, seed, chunk, reference)
+    options = FitOptions.of(model, method, seed, chunk, reference)
     chosen(model, population)  # a wrong name is refused before anything is read
     if out is not None:
         search = Find() if find is True else find or None
         how = {"client": client, "rows": partition_rows, "columns": columns, "find": search}
-        return fit_fleet(model, _paths(readings), Path(out), settings, population, **how)
+        return fit_fleet(model, _paths(readings), Path(out), options, population, **how)
     if client is not None or find:
         raise InputError("workers and searches write by partition: give out=, a folder")
     devices = _devices(model, readings)
     model, _ = tailored_to_first(model, devices)
-    return fit_devices(model, devices, settings, chosen(model, population))
+    return fit_devices(model, devices, options, chosen(model, population))
 
 
 def _are_paths(readings: Any) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from bayescal._core.errors import BayescalError, InputError, ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import spare_memory_maps
+from bayescal._core.settings_in_force import unusual
 from bayescal._data.measurements import Measurements
 from bayescal._fleet import closed_form
 from bayescal._fleet.batch_result import BatchPart, BatchResult
@@ -47,7 +48,7 @@ HELD = (
 
 
 @dataclass(frozen=True)
-class FitSettings:
+class FitOptions:
     """How every device is fitted.
 
     Attributes:
@@ -65,7 +66,7 @@ class FitSettings:
     @classmethod
     def of(
         cls, model: Model, method: Method | None, seed: int, chunk: int, reference: Reference | None
-    ) -> FitSettings:
+    ) -> FitOptions:
         """As a user gives them.
 
         Raises:
@@ -76,7 +77,7 @@ class FitSettings:
             raise InputError(f"chunk is {chunk}: give at least 1")
         return cls(mappable(model, method or LeastSquares()), seed, chunk, dict(reference or {}))
 
-    def with_common(self, reference: Reference) -> FitSettings:
+    def with_common(self, reference: Reference) -> FitOptions:
         """With further constants, where none were given."""
         return replace(self, reference={**reference, **self.reference})
 
@@ -89,18 +90,19 @@ class FitSettings:
             "method": self.method.name,
             "seed": self.seed,
             "reference": {k: v for k, v in self.reference.items() if not isinstance(v, dict)},
+            **({"settings": own} if (own := unusual()) else {}),
         }
 
 
 def fit_devices(
-    model: Model, devices: Devices, settings: FitSettings, named: Named | None = None
+    model: Model, devices: Devices, options: FitOptions, named: Named | None = None
 ) -> BatchResult:
     """Fit every device by itself in a few compiled programs: see `fit_batch`.
 
     Args:
         model: what is fitted.
         devices: whose readings.
-        settings: of every fit.
+        options: of every fit.
         named: coefficients of a population, if any.
 
     Raises:
@@ -109,17 +111,17 @@ def fit_devices(
     if not len(devices):
         raise InputError("there is no device to fit: give at least one")
     if named:
-        settings = settings.with_common(common_reference(temperature_sums(devices)))
+        options = options.with_common(common_reference(temperature_sums(devices)))
     groups = [(model, devices)]
-    result = fit_together(devices.names, devices.refused, groups, settings, each=False)
-    return pooled(result, named, settings.seed) if named else result
+    result = fit_together(devices.names, devices.refused, groups, options, each=False)
+    return pooled(result, named, options.seed) if named else result
 
 
 def fit_together(
     names: tuple[str, ...],
     refused: Mapping[str, str],
     groups: Sequence[tuple[Model, Devices]],
-    settings: FitSettings,
+    options: FitOptions,
     each: bool = True,
 ) -> BatchResult:
     """Fit groups of devices, each with a model of its own; one result in the order of the names.
@@ -128,14 +130,14 @@ def fit_together(
         names: of all devices.
         refused: those of them that are in no group, and why.
         groups: models, and the devices that each is fitted to; the result is named after the first.
-        settings: of every fit.
+        options: of every fit.
         each: whether a reason that all devices share refuses each of them, and not the whole.
 
     Raises:
         InputError: none can be used, and not `each`.
     """
     spare_memory_maps()
-    fits = _Fits(settings)
+    fits = _Fits(options)
     fits.refused |= refused
     fitted = [fits.fit(model, devices, each) for model, devices in groups]
     parts, reasons = fits.parts(names), fits.reasons | fits.refused
@@ -148,7 +150,7 @@ def fit_together(
         reasons=tuple(reasons.get(name, "") for name in names),
         parts=tuple(parts),
         population=None,
-        about={**settings.data(fitted[0]), "notes": list(fits.notes)},
+        about={**options.data(fitted[0]), "notes": list(fits.notes)},
     )
 
 
@@ -275,8 +277,8 @@ class _Fits:
         notes: how it was done, once each.
     """
 
-    def __init__(self, settings: FitSettings) -> None:
-        self.settings, self.method = settings, settings.method
+    def __init__(self, options: FitOptions) -> None:
+        self.options, self.method = options, options.method
         self.refused: dict[str, str] = {}
         self.reasons: dict[str, str] = {}
         self.notes: dict[str, None] = {}
@@ -295,7 +297,7 @@ class _Fits:
             try:
                 first = block.measurements(0)
                 model.require(first)
-                model = sized_for(model, first, self.settings.reference)
+                model = sized_for(model, first, self.options.reference)
                 self._fit(model, block)
             except BayescalError as error:  # a column is missing, of all its devices
                 wrong.append(error)
@@ -309,14 +311,14 @@ class _Fits:
             self.refused[block.names[device]] = str(error)
 
         # Least squares of all has a closed form if that of the first device has that can be fitted.
-        given = model, block, self.settings.reference
+        given = model, block, self.options.reference
         first = next(frames(*given, lambda *_: None), None)
         if (
             first is not None
             and isinstance(self.method, LeastSquares)
             and closed_form.applies(first.layout, jax.tree.map(jnp.asarray, first.frame))
         ):
-            for stack in stacks(*given, refuse, self.settings.chunk):
+            for stack in stacks(*given, refuse, self.options.chunk):
                 names = [block.names[i] for i in stack.devices]
                 self._keep(names, stack.levels, _in_closed_form(stack))
             return
@@ -331,7 +333,7 @@ class _Fits:
                 one.layout, one.frame, one.y, self.method.promote
             )
         layout, notes = self._promoted[one.layout]
-        return _by_sampling(one._replace(layout=layout), self.method, self.settings.seed, notes)
+        return _by_sampling(one._replace(layout=layout), self.method, self.options.seed, notes)
 
     def _keep(self, names: Sequence[str], levels: Sequence[Levels], made: _Solved) -> None:
         self.notes |= dict.fromkeys(made.notes)

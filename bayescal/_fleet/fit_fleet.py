@@ -17,13 +17,14 @@ import pyarrow.parquet as pq
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import parsed_json
 from bayescal._core.progress import note, tell
+from bayescal._core.settings_in_force import given_settings, use_settings
 from bayescal._core.version import __version__
 from bayescal._data.read_options import ReadOptions
 from bayescal._fleet.batch_result import first_few
 from bayescal._fleet.engine import DaskEngine, Engine, LocalEngine, every
 from bayescal._fleet.find_devices import Find
 from bayescal._fleet.fit_devices import (
-    FitSettings,
+    FitOptions,
     common_reference,
     sized_for,
     tailored_to_first,
@@ -55,7 +56,7 @@ def fit_fleet(
     model: Model,
     paths: Sequence[Path],
     out: Path,
-    settings: FitSettings,
+    fit_options: FitOptions,
     population: AskedPopulation,
     *,
     client: Client | None,
@@ -75,8 +76,8 @@ def fit_fleet(
     unread = left_out(paths)
     for line in first_few(unread, len(unread), "not read: ", f", all in {WHOLE}"):
         note(line.strip())
-    options = ReadOptions.of(model.instrument, **(columns or {}))
-    request = Request(model, settings, options, find)
+    read_options = ReadOptions.of(model.instrument, **(columns or {}))
+    request = Request(model, fit_options, read_options, find, given_settings())
     rows = rows or (FIND_ROWS if find else ROWS)
     partitions = partitions_of(paths, rows, request.device_column)
     request = _with_common(request, partitions, engine, bool(population))
@@ -90,7 +91,7 @@ def fit_fleet(
     learned, apart = None, dict[str, float]()
     if named:
         files = [folder / ALONE / partitions[one.number].file for one in done]
-        learned, apart = learn_population(files, folder / POOLED, named, settings.seed, engine)
+        learned, apart = learn_population(files, folder / POOLED, named, fit_options.seed, engine)
     doubted = {name: why for one in done for name, why in one.doubted.items()}
     fleet = FleetResult(
         out,
@@ -102,9 +103,9 @@ def fit_fleet(
         table=_table([moments for one in done for moments in one.moments]),
         population=learned,
         apart=apart,
-        effects=effects_table([each for one in done for each in one.structures], settings.seed),
+        effects=effects_table([each for one in done for each in one.structures], fit_options.seed),
         about={
-            **request.settings.data(request.model),
+            **request.fit_options.data(request.model),
             "version": __version__,
             "partitions": len(partitions),
             "found_done": sum(one.again for one in done),
@@ -137,24 +138,26 @@ def _table(all_moments: Sequence[Moments]) -> pd.DataFrame:
 
 
 def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str, float, int]]:
-    return temperature_sums(read_partition(partition, request)[0])
+    with use_settings(*request.settings):
+        return temperature_sums(read_partition(partition, request)[0])
 
 
 def _sized_model(request: Request, partition: Partition) -> Model | None:
     """The model, with what it takes from readings taken from the partition's first device that has it."""
-    model, first = tailored_to_first(request.model, read_partition(partition, request)[0])
-    return None if first is None else sized_for(model, first, request.settings.reference)
+    with use_settings(*request.settings):
+        model, first = tailored_to_first(request.model, read_partition(partition, request)[0])
+        return None if first is None else sized_for(model, first, request.fit_options.reference)
 
 
 def _with_common(
     request: Request, partitions: Sequence[Partition], engine: Engine, pooled: bool
 ) -> Request:
     """The request with what has to be the same in all partitions: T0 of a population, unit, open sizes."""
-    if pooled and "T0" not in request.settings.reference:
+    if pooled and "T0" not in request.fit_options.reference:
         tell("reading all temperatures, for a common T0 (a reference given spares that)")
         sums = every(engine, _temperature_sums, [(request, p) for p in partitions])
         common = common_reference([one for some in sums for one in some])
-        request = replace(request, settings=request.settings.with_common(common))
+        request = replace(request, fit_options=request.fit_options.with_common(common))
     model = request.model
     if model.instrument.tailor is None and not any(e.open for e in model.effects):
         return request

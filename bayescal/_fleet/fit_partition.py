@@ -20,12 +20,13 @@ import pyarrow.parquet as pq
 
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
+from bayescal._core.settings_in_force import OutcomeSettings, use_settings
 from bayescal._core.version import __version__
 from bayescal._data.read_options import ReadOptions
 from bayescal._fleet.batch_result import BatchResult, load_batch
 from bayescal._fleet.devices import DEVICE, Devices
 from bayescal._fleet.find_devices import DeviceStructure, Find, find_and_fit
-from bayescal._fleet.fit_devices import FitSettings, fit_together
+from bayescal._fleet.fit_devices import FitOptions, fit_together
 from bayescal._fleet.partitions import Partition, Piece
 from bayescal._fleet.split_devices import open_readings, split_table
 from bayescal._inference.checkpoint import model_texts, shown
@@ -46,28 +47,34 @@ class Request:
 
     Attributes:
         model: what is fitted.
-        settings: of every fit.
-        options: how columns are understood.
+        fit_options: of every fit.
+        read_options: how columns are understood.
         find: what is looked for in each device, if anything is.
+        settings: that hold where this was asked, and are to hold on the workers.
     """
 
     model: Model
-    settings: FitSettings
-    options: ReadOptions
+    fit_options: FitOptions
+    read_options: ReadOptions
     find: Find | None
+    settings: tuple[OutcomeSettings, ...]
 
     @property
     def device_column(self) -> str:
         """The files' name of the column of devices."""
-        return self.options.columns.get(DEVICE, DEVICE)
+        return self.read_options.columns.get(DEVICE, DEVICE)
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 over all that results depend on, but the readings."""
         candidates = self.find.effects if self.find else ()
         search = self.find and (self.find.max_effects, self.find.widen_noise)
-        own = (*vars(self.settings).values(), search, *vars(self.options).values())
-        texts = [__version__, *model_texts(self.model, candidates), *map(shown, own)]
+        own = (*vars(self.fit_options).values(), search, *vars(self.read_options).values())
+        texts = [
+            __version__,
+            *model_texts(self.model, candidates),
+            *map(shown, (*own, *self.settings)),
+        ]
         return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
@@ -130,7 +137,7 @@ def fit_partition(
         InputError: the results cannot be written.
     """
     begun = time.process_time()
-    with ONE:
+    with ONE, use_settings(*request.settings):
         path = folder / partition.file
         digest = content_digest(partition, request)
         result = _written(path, digest, elsewhere)
@@ -160,12 +167,12 @@ def _fitted(
     request: Request, partition: Partition, digest: str, elsewhere: dict[str, str]
 ) -> BatchResult:
     devices, unreadable = read_partition(partition, request, elsewhere)
-    model, settings = request.model, request.settings
+    model, options = request.model, request.fit_options
     structures: dict[str, DeviceStructure] = {}
     if request.find is None:
-        result = fit_together(devices.names, devices.refused, [(model, devices)], settings)
+        result = fit_together(devices.names, devices.refused, [(model, devices)], options)
     else:
-        result, structures = find_and_fit(model, devices, request.find, settings)
+        result, structures = find_and_fit(model, devices, request.find, options)
     own = {
         "digest": digest,
         "files": [piece.name for piece in partition.pieces],
@@ -224,9 +231,9 @@ def read_partition(
     needs = tuple(dict.fromkeys(c for e in request.model.effects for c in e.columns))
     for piece in partition.pieces:
         try:
-            table = _open(piece, request.options)
+            table = _open(piece, request.read_options)
             stem, instrument = piece.path.stem, request.model.instrument
-            files.append(split_table(table, stem, instrument, request.options, needs))
+            files.append(split_table(table, stem, instrument, request.read_options, needs))
         except (InputError, OSError) as error:
             unreadable[piece.name] = str(error)
     names = Counter(name for devices in files for name in devices.names)

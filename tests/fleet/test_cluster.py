@@ -28,6 +28,21 @@ def test_workers_give_the_same_numbers(client, lot_folder, tmp_path) -> None:
     assert again.about["found_done"] == 5
 
 
+def test_settings_in_force_hold_on_the_workers(client, lot_folder, tmp_path) -> None:
+    given = {"out": tmp_path / "out", "client": client, "partition_rows": SMALL}
+    with bc.use_settings(bc.RecordSettings(temperature_span=1.0)):
+        found = bc.fit_batch(MODEL, lot_folder, **given)
+        assert found.trusted == 24 and found.about["settings"] == {"temperature_span": 1.0}
+    with (
+        bc.use_settings(bc.RecordSettings(temperature_span=500.0)),
+        pytest.raises(InputError, match="one temperature only"),
+    ):
+        bc.fit_batch(MODEL, lot_folder, **given)
+    usual = bc.fit_batch(MODEL, lot_folder, **given)
+    assert usual.trusted == 24 and "settings" not in usual.about
+    assert usual.about["found_done"] == 0  # what others had been written with is not taken
+
+
 def test_a_client_writes_to_a_folder_and_reads_files(client, readings) -> None:
     with pytest.raises(InputError, match="give out="):
         bc.fit_batch(MODEL, readings, client=client)  # pyright: ignore
