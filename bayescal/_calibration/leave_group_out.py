@@ -152,9 +152,7 @@ def _fold(whole: Assembly, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fo
     return _Fold(score, given[0], of_all[1].rtr, spectrum)
 
 
-def _given(
-    fitted: Density, predicted: Density, v: np.ndarray
-) -> tuple[np.ndarray, Gram] | None:
+def _given(fitted: Density, predicted: Density, v: np.ndarray) -> tuple[np.ndarray, Gram] | None:
     """Errors of the readings left out, output unit, and their products with the posterior of x from the kept readings
     as a prior of unit normals."""
     found = fitted.at(v)[1]

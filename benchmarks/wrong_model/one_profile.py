@@ -30,12 +30,12 @@ def main() -> None:
 def campaign(seed: int) -> tuple[dict[str, Any], str]:
     """One campaign as `calibrate` leaves it."""
     begun = time.perf_counter()
-    path = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), one_profile(seed), method=bc.LeastSquares())
+    path = bc.calibrate(
+        mems_gyro.INSTRUMENT.baseline(), one_profile(seed), method=bc.LeastSquares()
+    )
     sets = [s.effects for step in path.steps if step.discovery for s in step.discovery.sets]
     names = path.final.calibration.model.names
-    lost = [
-        n for n in HIDDEN if n not in names and not any(n in members for members in sets)
-    ]
+    lost = [n for n in HIDDEN if n not in names and not any(n in members for members in sets)]
     row = {
         "seed": seed,
         "final": list(names),
