@@ -316,7 +316,7 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
 
 
 def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
-    """The one of some steps that predicted groups from the others best, if it did so better than the last beyond chance.
+    """The one of some steps that predicted groups from the others best, if better than the last beyond chance.
 
     By the error, of which a twentieth is no rise, and by the joint predictive density of the groups: if the last model
     is right, another's is k times as high with probability 1/k at most (Markov's inequality; the ratio's mean is one).
@@ -346,20 +346,21 @@ def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
 
 def _contradicted(step: Step) -> list[str]:
     """What hold-out data say against the last model itself, whatever came before."""
-    if step.holdout_test is None:
+    error = step.holdout_rmse
+    if step.holdout_test is None or error is None:
         return []
     found, unit = step.holdout_test.against, unit_label(step.calibration.unit)
     other = "They are of another device or condition, or the model is wrong."
     if found.p < guarding().chance and found.share > guarding().worse:
         return [
-            f"The hold-out data contradict the last model: its error there, {number(step.holdout_rmse)} {unit}, would be "
-            f"{number(step.holdout_rmse / found.share)} with other coefficients, and a right model is so far off with "
-            f"probability {found.p:.2g}. {other}"
+            f"The hold-out data contradict the last model: its error there, {number(error)} {unit}, would be "
+            f"{number(error / found.share)} with other coefficients, and a right model is so far off with probability "
+            f"{found.p:.2g}. {other}"
         ]
     if found.scatter > guarding().expected:
         return [
-            f"The last model predicts the hold-out data worse than it claims: they scatter {found.scatter:.1f} times as "
-            f"much as expected. {other}"
+            "The last model predicts the hold-out data worse than it claims: they scatter "
+            f"{found.scatter:.1f} times as much as expected. {other}"
         ]
     return []
 
