@@ -107,9 +107,9 @@ def could_be_another(base: LinearModel, effect: Effect, others: Iterable[Effect]
         squares = float(np.sum(column**2) - np.sum(taken**2))
         cross = curves.T @ column - of_curves.T @ taken
         # gᵀG⁻¹g is the squared length of c's projection on the curves: their cosine, squared, times c's.
-        if squares > LEAST_LEFT * np.sum(column**2):
-            if (cross.T @ gram @ cross).item() > searching().alike ** 2 * squares:
-                return True
+        visible = squares > LEAST_LEFT * np.sum(column**2)
+        if visible and (cross.T @ gram @ cross).item() > searching().alike ** 2 * squares:
+            return True
     return False
 
 

@@ -97,7 +97,7 @@ def test_evidence_is_averaged_over_the_plausible_sizes() -> None:
 
 
 def test_a_score_at_the_mode_expects_what_a_refit_gives_where_little_changes() -> None:
-    made = structures(hidden(3), ("bias.temperature_quadratic", "bias.drift", "bias.rate"))
+    made = structures(hidden(3), ("bias.temperature_quadratic", "bias.drift", "bias.warm_up"))
     base = made.weigh(Structure())
     library = Library(made)
     points = View(library, base).without().scores(list(made.candidates))
