@@ -21,9 +21,7 @@ from bayescal._core.errors import TimeIsUp
 
 TICK = 0.02  # s between looks at the clock
 LATE = 0.2  # s beyond the deadline, in which work may end by itself;
-OUTERMOST = (
-    0.8  # at the door of all, of the 2 s that Ctrl-C may take: the rest is for writing the result;
-)
+OUTERMOST = 0.4  # more at the door of all, of the 2 s that Ctrl-C may take: writing takes the rest
 FIRST = 4.0  # where a time limit has passed and nothing stands yet, of the 5 s that it may be exceeded by
 T = TypeVar("T")
 
