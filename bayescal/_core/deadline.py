@@ -9,6 +9,7 @@ call behind.
 from __future__ import annotations
 
 import math
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -93,15 +94,40 @@ def until(
     outer = current()
     ends_at = math.inf if limit is None else time.monotonic() + limit
     sooner = ends_at < outer.ends_at
-    with _holding(
-        Deadline(
-            ends_at if sooner else outer.ends_at,
-            words.format(limit) if sooner else outer.limit,
-            apart or sooner or outer.apart,
-            threading.Event() if outer is _NONE else outer.ended,
-        )
-    ) as made:
+    made = Deadline(
+        ends_at if sooner else outer.ends_at,
+        words.format(limit) if sooner else outer.limit,
+        apart or sooner or outer.apart,
+        threading.Event() if outer is _NONE else outer.ended,
+    )
+    with _holding(made), _ended_by_ctrl_c(made):
         yield made
+
+
+@contextmanager
+def _ended_by_ctrl_c(end: Deadline) -> Iterator[None]:
+    """Ctrl-C sets `ended` of a deadline whose work is apart, and raises KeyboardInterrupt too where none has begun.
+
+    By itself Python raises it wherever the main thread stands. In a callback that cannot raise, such as JAX's at each
+    collection of garbage, it is printed and lost.
+    """
+    own = threading.current_thread() is threading.main_thread()
+    if not (end.apart and own and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
+        yield
+        return
+
+    def pressed(*_: object) -> None:
+        again = end.interrupted
+        end.ended.set()
+        if again or not _begun.is_set():
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, pressed)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        _begun.clear()
 
 
 @contextmanager
@@ -164,6 +190,7 @@ class Handover:
 
 _DOOR: ContextVar[Handover | None] = ContextVar("door", default=None)
 _threads: list[threading.Thread] = []
+_begun = threading.Event()  # work apart: Ctrl-C need not be raised, for its end is waited for
 
 
 def door() -> Handover:
@@ -233,6 +260,8 @@ def _apart(work: Callable[[], T], give_up: Callable[[float], bool]) -> T:
 
     thread = threading.Thread(target=copy_context().run, args=(run,), name="bayescal")
     _threads[:] = [t for t in _threads if t.is_alive()] + [thread]
+    if threading.current_thread() is threading.main_thread():
+        _begun.set()
     thread.start()
     since = math.inf  # when the time was found to be up
     while not done.is_set():
@@ -241,7 +270,7 @@ def _apart(work: Callable[[], T], give_up: Callable[[float], bool]) -> T:
                 since = min(since, time.monotonic()) if end.over else math.inf
                 if give_up(time.monotonic() - since):
                     raise TimeIsUp(end.why)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt:  # a second one, or a first where another has the signal
             if end.interrupted:
                 raise
             end.ended.set()
