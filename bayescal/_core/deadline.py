@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import dataclass, field, replace
+from types import FrameType
 from typing import Any, TypeVar
 
 from bayescal._core.errors import TimeIsUp
@@ -109,14 +110,17 @@ def _ended_by_ctrl_c(end: Deadline) -> Iterator[None]:
     """Ctrl-C sets `ended` of a deadline whose work is apart, and raises KeyboardInterrupt too where none has begun.
 
     By itself Python raises it wherever the main thread stands. In a callback that cannot raise, such as JAX's at each
-    collection of garbage, it is printed and lost.
+    collection of garbage, it is printed and lost; while JAX is loaded it ends the process without a word.
     """
     own = threading.current_thread() is threading.main_thread()
     if not (end.apart and own and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
         yield
         return
 
-    def pressed(*_: object) -> None:
+    def pressed(_: int, frame: FrameType | None) -> None:
+        if not _begun.is_set() and _loading(frame):
+            threading.Timer(TICK, signal.raise_signal, (signal.SIGINT,)).start()
+            return
         again = end.interrupted
         end.ended.set()
         if again or not _begun.is_set():
@@ -128,6 +132,15 @@ def _ended_by_ctrl_c(end: Deadline) -> Iterator[None]:
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         _begun.clear()
+
+
+def _loading(frame: FrameType | None) -> bool:
+    """Whether a module is being loaded."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 @contextmanager
