@@ -110,7 +110,8 @@ def _ended_by_ctrl_c(end: Deadline) -> Iterator[None]:
     """Ctrl-C sets `ended` of a deadline whose work is apart, and raises KeyboardInterrupt too where none has begun.
 
     By itself Python raises it wherever the main thread stands. In a callback that cannot raise, such as JAX's at each
-    collection of garbage, it is printed and lost; while JAX is loaded it ends the process without a word.
+    collection of garbage, it is printed and lost; while JAX is loaded it ends the process by a signal. So it waits
+    until the thread is out of JAX.
     """
     own = threading.current_thread() is threading.main_thread()
     if not (end.apart and own and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
@@ -118,7 +119,7 @@ def _ended_by_ctrl_c(end: Deadline) -> Iterator[None]:
         return
 
     def pressed(_: int, frame: FrameType | None) -> None:
-        if not _begun.is_set() and _loading(frame):
+        if not _begun.is_set() and _in_jax(frame):
             threading.Timer(TICK, signal.raise_signal, (signal.SIGINT,)).start()
             return
         again = end.interrupted
@@ -134,13 +135,10 @@ def _ended_by_ctrl_c(end: Deadline) -> Iterator[None]:
         _begun.clear()
 
 
-def _loading(frame: FrameType | None) -> bool:
-    """Whether a module is being loaded."""
-    while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
-            return True
+def _in_jax(frame: FrameType | None) -> bool:
+    while frame is not None and not str(frame.f_globals.get("__name__")).startswith("jax"):
         frame = frame.f_back
-    return False
+    return frame is not None
 
 
 @contextmanager

@@ -40,20 +40,20 @@ def test_ctrl_c_that_python_cannot_raise_is_not_lost() -> None:
         assert deadline.within(asked_until_over) == "what there is (interrupted)"
 
 
-def test_ctrl_c_waits_until_a_module_is_loaded(tmp_path, monkeypatch) -> None:
+def test_ctrl_c_waits_until_jax_is_loaded(tmp_path, monkeypatch) -> None:
     code = "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(0.2)\nWHOLE = True\n"
-    (tmp_path / "loaded_slowly.py").write_text(code, "utf-8")
+    (tmp_path / "jax_slowly.py").write_text(code, "utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     with deadline.until(apart=True):
         with pytest.raises(KeyboardInterrupt):
             _loaded_and_worked()
-        import loaded_slowly  # pyright: ignore[reportMissingImports]
+        import jax_slowly  # pyright: ignore[reportMissingImports]
 
-        assert loaded_slowly.WHOLE
+        assert jax_slowly.WHOLE
 
 
 def _loaded_and_worked() -> None:
-    import loaded_slowly  # pyright: ignore[reportMissingImports]  # noqa: F401
+    import jax_slowly  # pyright: ignore[reportMissingImports]  # noqa: F401
 
     time.sleep(5.0)
 
