@@ -26,6 +26,7 @@ from bayescal import effects
 from benchmarks.real_records import records_page
 from benchmarks.record import REFERENCE_DATA, write
 
+SOURCE = "plausible size, from the range of the instrument"
 BLOCKS = 20  # of equal numbers of readings, by what drives them; every second is held out
 Form = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -35,9 +36,10 @@ class PublicRecord:
     """A record of NIST's Statistical Reference Datasets, and what its owner knows before a calibration.
 
     Attributes:
-        title, file, known: of the page; the file in the folder of data.
+        title, file, known: of the page, and the file in the folder of data.
         driver, unit: what drives the output; "1" where NIST's data states no unit.
         output_unit: of the output.
+        range: of the driver, at most.
         bias, slope: plausible sizes, output unit, and output unit for each unit of the driver.
         form: what NIST certifies, of constants and driver; `start` for its constants.
     """
@@ -48,6 +50,7 @@ class PublicRecord:
     driver: str
     unit: str
     output_unit: str
+    range: float
     bias: float
     slope: float
     form: Form
@@ -55,9 +58,7 @@ class PublicRecord:
 
     @property
     def instrument(self) -> bc.Instrument:
-        """A constant and a line; what bends it is to be found."""
-        source = "plausible size, from the range of the instrument"
-        of_driver, unit = self.driver, f"{self.output_unit}/{self.unit}".removesuffix("/1")
+        """A constant and a line; a parabola and a cubic, of half a range at most, are candidates."""
         return bc.Instrument(
             name=self.driver,
             title=self.title,
@@ -68,17 +69,26 @@ class PublicRecord:
             slots=(bc.Slot("response", self.output_unit),),
             response=lambda slots, r: slots["response"],
             effects=(
-                effects.constant("response", self.bias, self.output_unit, source=source),
-                bc.Effect(
-                    "response.line",
-                    "response",
-                    basis=lambda r: r[of_driver],
-                    coefficients=(bc.Coefficient(unit, bc.Normal(0.0, self.slope)),),
-                    columns=(self.driver,),
-                    source=source,
-                ),
+                effects.constant("response", self.bias, self.output_unit, source=SOURCE),
+                self._power("line", 1),
             ),
+            candidates=(self._power("quadratic", 2), self._power("cubic", 3)),
             noise=bc.White(bc.HalfCauchy(0.1 * self.bias)),
+        )
+
+    def _power(self, name: str, order: int) -> bc.Effect:
+        driver, whole = self.driver, self.slope * self.range
+        over = f"/{self.unit}^{order}" if self.unit != "1" else ""
+        size = self.slope if order == 1 else 0.5 * whole / self.range**order
+        return bc.Effect(
+            f"response.{name}",
+            "response",
+            basis=lambda r: r[driver] ** order,
+            coefficients=(
+                bc.Coefficient(f"{self.output_unit}{over}".replace("^1", ""), bc.Normal(0.0, size)),
+            ),
+            columns=(driver,),
+            source=SOURCE,
         )
 
 
@@ -93,7 +103,7 @@ RECORDS = (
         "linear/pontius.csv",
         "deflection against load, 40 readings (P. Pontius, NIST). Certified: a parabola, "
         "−3.161e-15 ± 0.049e-15 for each unit of load squared; residual standard deviation 2.05e-4",
-        *("load", "1", "1", 1.0, 1e-6),
+        *("load", "1", "1", 3e6, 1.0, 1e-6),
         lambda b, x: b[0] + b[1] * x + b[2] * x**2,
         (0.0, 7e-7, -3e-15),
     ),
@@ -102,7 +112,7 @@ RECORDS = (
         "linear/norris.csv",
         "a customer's monitor against NIST's, 36 readings (J. Norris, NIST). Certified: a line, "
         "intercept −0.26 ± 0.23, slope 1.00212 ± 0.00043; residual standard deviation 0.885",
-        *("concentration", "ppb", "ppb", 10.0, 2.0),
+        *("concentration", "ppb", "ppb", 1000.0, 10.0, 2.0),
         lambda b, x: b[0] + b[1] * x,
         (0.0, 1.0),
     ),
@@ -111,7 +121,7 @@ RECORDS = (
         "nonlinear/Chwirut1.csv",
         "ultrasonic response against metal distance, 214 readings (D. Chwirut, NIST). Certified: "
         "exp(−b₁x)/(b₂ + b₃x); residual standard deviation 3.36",
-        *("distance", "1", "1", 100.0, 100.0),
+        *("distance", "1", "1", 6.0, 100.0, 100.0),
         lambda b, x: np.exp(-b[0] * x) / (b[1] + b[2] * x),
         (0.15, 0.008, 0.010),
     ),
@@ -120,7 +130,7 @@ RECORDS = (
         "nonlinear/Hahn1.csv",
         "thermal expansion of copper against temperature, 236 readings (T. Hahn, NIST). Certified: a cubic over a "
         "cubic, seven constants; residual standard deviation 0.082",
-        *("temperature", "K", "1", 10.0, 0.1),
+        *("temperature", "K", "1", 900.0, 10.0, 0.1),
         _rational,
         (1.0, -0.1, 0.005, -1e-6, -0.005, 1e-4, -1e-7),
     ),
@@ -129,7 +139,7 @@ RECORDS = (
         "nonlinear/Kirby2.csv",
         "line width standards, 151 readings (R. Kirby, NIST). Certified: a parabola over a parabola, "
         "five constants; residual standard deviation 0.164",
-        *("width", "1", "1", 100.0, 1.0),
+        *("width", "1", "1", 400.0, 100.0, 1.0),
         lambda b, x: (b[0] + b[1] * x + b[2] * x**2) / (1 + b[3] * x + b[4] * x**2),
         (1.5, -0.15, 0.0025, -0.0015, 2e-5),
     ),
@@ -176,6 +186,12 @@ def measure(record: PublicRecord, path: Path) -> dict[str, Any]:
     predicted = bc.predict(final.calibration, kept)
     return {
         "added": [n for n in final.calibration.model.names if n not in record.instrument.baseline().names],
+        "coefficients": {
+            n: [float(v.mean()), float(v.std())]
+            for n in final.calibration.model.names
+            if n.startswith("response.")
+            for v in (final.calibration.samples(n),)
+        },
         "noise": final.calibration.model.noise.law,
         "complete": None if final.discovery is None else final.discovery.nothing_missing,
         "ok": trail.ok,
