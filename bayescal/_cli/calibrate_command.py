@@ -272,7 +272,9 @@ def _one(
                 trail.save(folder)
             flags = trail.final.calibration.readings.flags
             print_notes(f for f in flags if f not in readings.flags)
-            print_result(result(trail) if json_ else loop_text(trail, own, told.begun, verbose, output_unit))
+            print_result(
+                result(trail) if json_ else loop_text(trail, own, told.begun, verbose, output_unit)
+            )
             if folder is not None and not json_:
                 there = files_of(folder)
                 usual = ("result.json", "calibration.nc", AVERAGED, "loop.png")

@@ -1,4 +1,4 @@
-"""Public records of other people's sensors, each with an instrument of its own: what is known, what is found, does it hold?
+"""Public records of others' sensors, each with an instrument of its own: what is known, what is found, does it hold?
 
 Every second block of a record is held out, in the order of what drives it. Beside the result stand a line, a cubic, a
 cubic with a lag where there is time, boosted trees, and the form that NIST certifies, with its constants fitted to the
@@ -176,7 +176,9 @@ def measure(record: PublicRecord, path: Path) -> dict[str, Any]:
     rank = np.argsort(np.argsort(x, kind="stable"))
     held = (rank * BLOCKS // x.size) % 2 == 1
     fitted, kept = (
-        bc.Measurements.from_arrays(record.instrument, **{record.driver: x[rows], "output": y[rows]})
+        bc.Measurements.from_arrays(
+            record.instrument, **{record.driver: x[rows], "output": y[rows]}
+        )
         for rows in (~held, held)
     )
     began = time.process_time()
@@ -185,7 +187,9 @@ def measure(record: PublicRecord, path: Path) -> dict[str, Any]:
     final = trail.final
     predicted = bc.predict(final.calibration, kept)
     return {
-        "added": [n for n in final.calibration.model.names if n not in record.instrument.baseline().names],
+        "added": [
+            n for n in final.calibration.model.names if n not in record.instrument.baseline().names
+        ],
         "coefficients": {
             n: [float(v.mean()), float(v.std())]
             for n in final.calibration.model.names
@@ -202,7 +206,9 @@ def measure(record: PublicRecord, path: Path) -> dict[str, Any]:
     }
 
 
-def _others(record: PublicRecord, x: np.ndarray, y: np.ndarray, held: np.ndarray) -> dict[str, float]:
+def _others(
+    record: PublicRecord, x: np.ndarray, y: np.ndarray, held: np.ndarray
+) -> dict[str, float]:
     """Errors of what is customary, and of the form that NIST certifies."""
     from sklearn.ensemble import HistGradientBoostingRegressor
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from bayescal._core.formatting import with_error
+from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
 from benchmarks.markdown import table
 from benchmarks.record import DOCS, read
@@ -24,17 +24,17 @@ bends where it should not, or follows the noise, loses there.
 
 The records are not part of bayescal. Where they come from, and under which licence:
 
-- **[The chamber ramp](thermal_ramp.md)**: an inertial unit at rest, six channels, of the repository tofupilot/examples, MIT
-  licence.
+- **[The chamber ramp](thermal_ramp.md)**: an inertial unit at rest, six channels, of the repository
+  tofupilot/examples, MIT licence.
 - **Load cell, ozone monitor, ultrasonic block, dilatometer, electron microscope**: [NIST's Statistical Reference
   Datasets](https://www.itl.nist.gov/div898/strd/), measured and in the public domain. NIST certifies a form and its
   constants for each.
 
 ## Held-out error
 
-Root mean square of the held-out readings about the prediction, in the record's unit. The best of what the owner could have
-used without knowing the form is **bold**. *NIST's form* is fitted to the same readings; its owner knew it from physics.
-A lag needs time, which only the ramp has. Its row of *bayescal* is of the six channels calibrated as one unit.
+Root mean square of the held-out readings about the prediction, in the record's unit. The best of what the owner could
+have used without knowing the form is **bold**. *NIST's form* is fitted to the same readings; its owner knew it from
+physics. A lag needs time, which only the ramp has. There *bayescal* is of the six channels calibrated as one unit.
 
 """
 FOUND = """\
@@ -44,14 +44,16 @@ FOUND = """\
 READ = """\
 ## How to read it
 
-Against a cubic with a lag on the ramp, bayescal is better on {wins} and worse on {losses}. {static}
-Curves of no known form (`unknown(…)`) are found where no candidate describes the record: they say *that* something bends,
-how much and where, and leave a name to who knows the sensor. Between held-out blocks such a curve is wider where readings
-are few; a form from physics, where there is one, needs fewer readings and wins: give it as an
+Against a cubic with a lag on the ramp, bayescal is better on {wins} and worse on {losses}.
+{static}
+
+Curves of no known form (`unknown(…)`) are found where no candidate describes the record: they say *that* something
+bends, how much and where, and leave a name to who knows the sensor. Between held-out blocks such a curve is wider where
+readings are few; a form from physics, where there is one, needs fewer readings and wins: give it as an
 [effect of your own](own_effect.md) or an [instrument](own_instrument.md).
 
-*Reliable* is what the command itself says, from the fitted readings alone, by its exit status. Where it says no, that is
-the answer that a user gets, and the number beside it is shown for comparison.
+*Reliable* is what the command itself says, from the fitted readings alone, by its exit status. Where it says no, that
+is the answer that a user gets, and the number beside it is shown for comparison.
 
 On the electron microscope NIST's own form leaves 0.16 that is smooth from one reading to the next: the readings scatter
 much less than they depart from the form, so a curve between them predicts better than it. The other way round, on the
@@ -117,8 +119,10 @@ def _row(title: str, errors: dict[str, float]) -> list[str]:
         if name not in errors:
             cells.append("–")
             continue
-        said = f"{errors[name]:.3g}"
-        cells.append(f"**{said}**" if name != "NIST's form" and errors[name] == min(blind) else said)
+        said = number(errors[name], 3)
+        cells.append(
+            f"**{said}**" if name != "NIST's form" and errors[name] == min(blind) else said
+        )
     return [title, *cells]
 
 

@@ -40,11 +40,15 @@ def test_a_gyroscope_in_millivolts_reads_the_same_numbers_in_both_units(tmp_path
         shown, found = cell(own, name)
         assert kept == unit.replace("µV", "°/s")
         assert found == unit
-        assert shown == pytest.approx(1000 * GAIN * value, rel=0.05)  # both are rounded for a reader
+        assert shown == pytest.approx(
+            1000 * GAIN * value, rel=0.05
+        )  # both are rounded for a reader
     refused = run("calibrate", table, *asked, "--output-unit", "hPa")
     assert refused.status == 2
     assert "the output is in deg/s, made of readings in mV" in refused.err
-    page = bc.report(bc.fit(mems_gyro.INSTRUMENT.baseline(), readings), tmp_path / "r.html", output_unit="mdeg/s")
+    page = bc.report(
+        bc.fit(mems_gyro.INSTRUMENT.baseline(), readings), tmp_path / "r.html", output_unit="mdeg/s"
+    )
     assert "The same in m°/s" in page.read_text("utf-8") or "mdeg/s" in page.read_text("utf-8")
 
 
