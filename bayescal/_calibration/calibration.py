@@ -51,8 +51,8 @@ class Calibration(Printed, Fitted):
 
     def _columns(self) -> dict[str, list[Any]]:
         """A row for each unknown, in its own unit; `low` and `high` bound the 95 % credible interval."""
-        coefficients, spreads = summary(self)
-        rows = [*coefficients, *spreads]
+        coefficients, hyperparameters = summary(self)
+        rows = [*coefficients, *hyperparameters]
         return {
             "unknown": [r["name"] for r in rows],
             **{name: [r[name] for r in rows] for name in ("effect", "unit", "mean", "sd")},

@@ -59,7 +59,7 @@ def check(calibration: Calibration) -> Check:
         rms=float(np.sqrt(np.mean(residual**2))),
         noise=noise,
         autocorrelation=autocorrelation(judged, white),
-        spread_with={} if off else _spread_with(covariates, white),
+        scatter_with={} if off else _scatter_with(covariates, white),
         outliers=tuple(
             (int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > guarding().outlier)
         ),
@@ -226,7 +226,7 @@ def _of_independent_noise(directions: np.ndarray, first: np.ndarray) -> tuple[fl
     return expected, float(np.sqrt(2 * trace)) / squares
 
 
-def _spread_with(
+def _scatter_with(
     covariates: list[covariate_evidence.Covariate], standardised: np.ndarray
 ) -> dict[str, float]:
     """Covariates along which the size of the residuals changes (rank correlation), with p-values."""

@@ -75,7 +75,7 @@ class Check(Printed):
         rms: of the residuals, output unit.
         noise: standard deviation that they are judged against.
         autocorrelation: (lag-1 coefficient within runs beyond what the fit itself leaves, its z).
-        spread_with: covariates with which the scatter changes, and the p-value of each.
+        scatter_with: covariates with which the scatter changes, and the p-value of each.
         outliers: (row, leave-one-out standard deviations).
         pit_p: p-value of uniform leave-one-out probability integral transforms.
         one_sided: p-value of as many readings far above the model as far below it.
@@ -90,7 +90,7 @@ class Check(Printed):
     rms: float
     noise: float
     autocorrelation: tuple[float, float]
-    spread_with: dict[str, float]
+    scatter_with: dict[str, float]
     outliers: tuple[tuple[int, float], ...]
     pit_p: float
     fixed: FixedComparison | None
@@ -151,7 +151,7 @@ def check_text(check: Check) -> str:
     ]
     coefficient, z = check.autocorrelation
     lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
-    for name, p in check.spread_with.items():
+    for name, p in check.scatter_with.items():
         lines.append(f"scatter changes with {name} (p = {p:.1g})")
     if check.outliers:
         shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])

@@ -127,6 +127,22 @@ def stated(effect: Effect) -> str:
     return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
 
 
+def name_of_today(name: str) -> str:
+    """The name of an unknown that may be one of 0.2.0, where a group's standard deviation was its spread."""
+    return f"{name.removesuffix('.spread')}.group_sd" if name.endswith(".spread") else name
+
+
+def of_today(described: dict[str, Any]) -> dict[str, Any]:
+    """A description with the names of unknowns that they have now."""
+    unknowns = {
+        name: str(stated_).replace("spread=", "group_sd=")
+        for name, stated_ in described.get("unknowns", {}).items()
+    }
+    fixed = {name_of_today(name): value for name, value in described.get("fixed", {}).items()}
+    changed = {"unknowns": unknowns, "fixed": fixed}
+    return described | {key: value for key, value in changed.items() if key in described}
+
+
 def _noise_words(noise: Noise) -> dict[str, Any]:
     """A noise law by the name of its class and its fields; of one that is not bayescal's own, its unknowns too."""
     found: dict[str, Any] = {"law": type(noise).__name__}

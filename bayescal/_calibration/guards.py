@@ -31,14 +31,14 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
 
     Args:
         calibration: the fit.
-        accepted: names of coefficients or effects, spreads or noise parameters, that may contradict their priors.
+        accepted: names of coefficients, effects or hyperparameters that may contradict their priors.
     """
-    coefficients, spreads = summary(calibration)
+    coefficients, hyperparameters = summary(calibration)
     stands = {row["name"]: (row["mean"], 0.0) for row in coefficients}
     found = [one.said for one in _against_priors(calibration, stands, accepted)]
-    coefficients, spreads = (
+    coefficients, hyperparameters = (
         [row for row in rows if row["name"] not in accepted and row["effect"] not in accepted]
-        for rows in (coefficients, spreads)
+        for rows in (coefficients, hyperparameters)
     )
     for row in coefficients:  # what is positive may well be larger than thought, and then wider
         if row["contraction"] is not None and row["contraction"] < guarding().wider:
@@ -46,7 +46,11 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
                 f"{row['name']} is known worse than before the readings (contraction "
                 f"{row['contraction']:.1f}): the fit did not converge."
             )
-    return [*found, *_too_large(calibration, spreads), *_beyond_the_known(calibration, accepted)]
+    return [
+        *found,
+        *_too_large(calibration, hyperparameters),
+        *_beyond_the_known(calibration, accepted),
+    ]
 
 
 def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> list[str]:
@@ -58,7 +62,7 @@ def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> l
         noise: standard deviation, likewise.
     """
     first = effect.coefficients[0]
-    if not effect.columns or effect.is_placeholder or first.spread is not None or first.flat:
+    if not effect.columns or effect.is_placeholder or first.group_sd is not None or first.flat:
         return []
     if (
         contribution == 0
@@ -198,7 +202,7 @@ def _against_priors(
     for b in calibration.layout.blocks:
         c = b.coefficient
         plain = b.place in ("x", "phi") and b.effect.weights is None
-        if not plain or c.flat or c.spread is not None or c.per == "reading":
+        if not plain or c.flat or c.group_sd is not None or c.per == "reading":
             continue
         if len(b.effect.coefficients) > MOST or b.effect.name in accepted:
             continue
@@ -265,12 +269,12 @@ def _known_effects(calibration: Fitted) -> float:
     return float(np.sqrt(np.sum(np.var(slopes, axis=0))))
 
 
-def _too_large(calibration: Fitted, spreads: list[dict[str, Any]]) -> list[str]:
+def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> list[str]:
     """Sizes of the output's quantity beyond its whole range, times of the model beyond ten records."""
     found, unit = [], calibration.unit
     reach = float(np.ptp(calibration.readings["output"]))
     sizes = _sizes_of_output(calibration)
-    for row in spreads:
+    for row in hyperparameters:
         if row["name"] in sizes and row["unit"] == unit and row["mean"] > reach > 0:
             found.append(
                 f"{row['name']} is larger than the output's whole range ({number(row['mean'])} against "
@@ -284,7 +288,7 @@ def _too_large(calibration: Fitted, spreads: list[dict[str, Any]]) -> list[str]:
         found += [
             f"{row['name']} is longer than {guarding().records:.0f} records ({number(row['mean'])} s): it cannot be "
             "told."
-            for row in spreads
+            for row in hyperparameters
             if row["name"] not in sizes | bounded
             and row["unit"] == "s"
             and record > 0
@@ -300,5 +304,8 @@ def _sizes_of_output(calibration: Fitted) -> set[str]:
     for effect in model.effects:
         for i, c in enumerate(effect.coefficients):
             if model.instrument.slot(c.slot or effect.slot).unit == calibration.unit:
-                sizes |= {f"{effect.coefficient_name(i)}.spread", f"{effect.name}.{effect.measure}"}
+                sizes |= {
+                    f"{effect.coefficient_name(i)}.group_sd",
+                    f"{effect.name}.{effect.measure}",
+                }
     return sizes

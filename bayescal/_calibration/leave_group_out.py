@@ -79,12 +79,14 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
     if not calibration.model.noise.gaussian:
         return None
     kind, members, codes = groups_of(calibration.readings)
-    mode = calibration.mode
+    mode, whole = calibration.mode, calibration.assembly
+    # Products of all readings, once: a part's are these less the others'.
+    _ = Density(whole, mode.point, mode.flat, mode.v).products
     scores, surprise = np.full((2, len(members)), np.nan)
     residual = np.full(len(codes), np.nan)
     for i in range(len(members)):
         out = np.flatnonzero(codes == i)
-        found = _fold(calibration.assembly, mode, np.flatnonzero(codes != i), out)
+        found = _fold(whole, mode, np.flatnonzero(codes != i), out)
         scores[i], surprise[i], residual[out] = found
     return LeaveOneGroupOut(kind, members, scores, residual, surprise)
 
@@ -118,5 +120,5 @@ def _fold(
 
 def _density(whole: Assembly, mode: Mode, rows: np.ndarray) -> Density:
     """Of some readings, linearised where all of them were."""
-    part = Assembly(whole.layout, Part(whole.record, rows), whole.spread)
+    part = Assembly(whole.layout, Part(whole.record, rows), whole.size_factors)
     return Density(part, Point(mode.point.x, mode.point.rows[rows]), mode.flat, mode.v)

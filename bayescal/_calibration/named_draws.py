@@ -29,8 +29,8 @@ def named(
             value = x[..., b.start : b.start + b.size]
         else:
             value = np.stack([hyper[name] for name in b.member_names()], axis=-1)
-            if b.coefficient.spread is not None:
-                value = b.coefficient.mean + hyper[b.spread_name][..., None] * value
+            if b.coefficient.group_sd is not None:
+                value = b.coefficient.mean + hyper[b.group_sd_name][..., None] * value
         if b.coefficient.per is None:
             value = value[..., 0]
         else:

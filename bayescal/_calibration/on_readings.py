@@ -103,7 +103,7 @@ def _with_beside(assembly: Assembly, draws: Vectors, hyper: Each) -> tuple[np.nd
         if t.place == "row":
             beside += (slope * t.prior_sd) ** 2
         else:
-            spread = t.prior_sd if t.spread_name is None else hyper[t.spread_name][:, None]
+            spread = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name][:, None]
             spread = spread * _there(assembly, draws, t)[:, None]
             beside += np.where(_unseen(assembly, t), (slope * spread) ** 2, 0.0)
     return mean, beside

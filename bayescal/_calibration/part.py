@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.record import Basis, Record
 from bayescal._inference.terms import ColumnsOf
 from bayescal._model.frame import Frame
@@ -45,6 +46,10 @@ class Part(Record):
         if found is None:
             return None
         return found[0][self.rows], {name: slope[self.rows] for name, slope in found[1].items()}
+
+    @cached_property
+    def products(self) -> ColumnProducts:
+        return self.whole.products.of_rows(self.rows)
 
     def several(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]

@@ -87,9 +87,9 @@ def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Datase
     for b in layout.blocks:
         if b.place == "fixed" or b.coefficient.flat or b.name not in posterior:
             continue
-        spread = fixed.get(b.spread_name, b.coefficient.size)
-        if b.spread_name in posterior.data_vars:  # `get` would take ".spread" for an attribute
-            spread = posterior[b.spread_name]
+        spread = fixed.get(b.group_sd_name, b.coefficient.size)
+        if b.group_sd_name in posterior.data_vars:  # `get` would take ".group_sd" for an attribute
+            spread = posterior[b.group_sd_name]
         if b.effect.weights is not None:
             spread = _weighted(b, posterior, fixed)
         z = (posterior[b.name] - b.coefficient.mean) / spread

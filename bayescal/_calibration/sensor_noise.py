@@ -112,10 +112,10 @@ class SensorNoise(Printed):
 
     def __str__(self) -> str:
         rows = [figure.row() for figure in self.figures]
-        told = table(["term", "value", "95 % interval", "SI"], rows, fold=40)
+        terms = table(["term", "value", "95 % interval", "SI"], rows, fold=40)
         likely = [(w, p) for w, p in self.probabilities.items() if p >= SEEN][:SHOWN]
         laws = ", ".join(f"{words} {probability(p)}" for words, p in likely)
-        lines = [told, f"Noise law: {laws}."]
+        lines = [terms, f"Noise law: {laws}."]
         unit = unit_label(self.unit)
         lines += [f"Note: {note}." for note in self.notes]
         m = self.measured

@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayescal._calibration.description import SCHEMA, description, identity, model_from
+from bayescal._calibration.description import (
+    SCHEMA,
+    description,
+    identity,
+    model_from,
+    name_of_today,
+    of_today,
+)
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.named_draws import named
 from bayescal._core.atomic_file import (
@@ -109,7 +116,10 @@ def load_calibration(
             for node in tree.subtree:  # `load` passes over a variable that is called as a group is
                 for variable in node.variables.values():
                     variable.load()
-        described = _parsed(tree.attrs.pop("bayescal", None))
+        if "posterior" in tree.children:
+            posterior = renamed(tree["posterior"].to_dataset(), name_of_today)
+            tree["posterior"] = xr.DataTree(posterior)
+        described = of_today(written := _parsed(tree.attrs.pop("bayescal", None)))
         if described.get("schema") != SCHEMA:
             raise InputError(
                 f"{path.name} is no calibration of this version: its schema is {described.get('schema')!r}, "
@@ -120,7 +130,7 @@ def load_calibration(
         readings = _readings_from(tree, described)
         model = model_from(path, described, readings, effects, instruments)
         found = _fields(tree, described, model, readings)
-        if tree.attrs.pop(IDENTITY, None) != identity(Fitted(**found)):
+        if tree.attrs.pop(IDENTITY, None) != identity(Fitted(**found)) and described == written:
             raise ValueError("its identity is not that of what it holds")
     del tree["mode"]
     return found, tree
@@ -183,9 +193,9 @@ def _fields(
     }
 
 
-def _same(what: str, told: object, expected: object) -> None:
-    if told != expected:
-        raise ValueError(f"its {what} are {told}, its readings have {expected}")
+def _same(what: str, written: object, expected: object) -> None:
+    if written != expected:
+        raise ValueError(f"its {what} are {written}, its readings have {expected}")
 
 
 def _arrays(
@@ -201,16 +211,16 @@ def _arrays(
         if name not in data.data_vars:
             raise ValueError(f"its group {group} has no variable {name}")
         values = found[name] = data[name].values
-        told = f"its {group}/{name}"
+        what = f"its {group}/{name}"
         if values.dtype != np.float64:
-            raise ValueError(f"{told} is of type {values.dtype}, expected float64")
+            raise ValueError(f"{what} is of type {values.dtype}, expected float64")
         if len(values.shape) != len(shape) or any(
             asked not in (None, came) for asked, came in zip(shape, values.shape, strict=True)
         ):
             expected = tuple("any" if length is None else length for length in shape)
-            raise ValueError(f"{told} has the shape {values.shape}, its model asks for {expected}")
+            raise ValueError(f"{what} has the shape {values.shape}, its model asks for {expected}")
         if finite and not np.isfinite(values).all():
-            raise ValueError(f"{told} holds numbers that are not finite")
+            raise ValueError(f"{what} holds numbers that are not finite")
     return found
 
 
@@ -237,14 +247,14 @@ def _refuse_other_posterior(tree: xr.DataTree, expected: xr.Dataset) -> None:
     Raises:
         ValueError: it is not.
     """
-    told = renamed(tree["posterior"].to_dataset(), named_back)
-    if set(told.data_vars) != set(expected.data_vars):
+    posterior = renamed(tree["posterior"].to_dataset(), named_back)
+    if set(posterior.data_vars) != set(expected.data_vars):
         raise ValueError(
-            f"its posterior is of {', '.join(map(str, told.data_vars))}, its model has "
+            f"its posterior is of {', '.join(map(str, posterior.data_vars))}, its model has "
             f"{', '.join(map(str, expected.data_vars))}"
         )
     for name, variable in expected.data_vars.items():
-        if not np.array_equal(told[name].values, variable.values, equal_nan=True):
+        if not np.array_equal(posterior[name].values, variable.values, equal_nan=True):
             raise ValueError(f"its posterior of {name} is not that of its draws")
 
 

@@ -28,22 +28,22 @@ def calibration_text(calibration: Fitted) -> str:
     A curve (an unknown dependence, a departure) is one line, and so are the members of a large group: single
     coefficients of these mean nothing by themselves.
     """
-    rows, told = [], set[str]()
-    coefficients, spreads = summary(calibration)
+    rows, listed = [], set[str]()
+    coefficients, hyperparameters = summary(calibration)
     large = _large_groups(calibration)
-    for s in (*coefficients, *spreads):
+    for s in (*coefficients, *hyperparameters):
         if s["effect"] in curves(calibration):
-            if s["effect"] not in told:
+            if s["effect"] not in listed:
                 rows.append(_curve_row(calibration, s["effect"]))
-                told.add(s["effect"])
+                listed.add(s["effect"])
             continue
         block = next((b for b, names in large.items() if s["name"] in names), None)
         if block is not None:
-            if block not in told:
+            if block not in listed:
                 rows.append(
                     _group_row(block, [c for c in coefficients if c["name"] in large[block]])
                 )
-                told.add(block)
+                listed.add(block)
             continue
         contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
         low, high = s["interval95"]
@@ -144,18 +144,20 @@ def _group_row(name: str, members: list[dict[str, Any]]) -> list[str]:
 
 
 def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Coefficients, and spreads with noise and shapes: name, effect, unit, mean, sd, interval95, contraction.
+    """Coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
+
+    Each has its name, effect, unit, mean, sd, interval95 and contraction.
 
     Contraction is 1 − (posterior variance)/(prior variance): 1 where the readings said everything, 0 where they
     said nothing; None where the prior is flat or has no variance, and of a value that the method holds.
     """
     layout, levels = calibration.layout, calibration.levels
-    coefficients, spreads = [], []
+    coefficients, hyperparameters = [], []
     for b in layout.blocks:
         if b.place == "fixed":
             continue
         values = calibration.samples(b.name)
-        learned = b.coefficient.spread is not None or b.effect.weights is not None
+        learned = b.coefficient.group_sd is not None or b.effect.weights is not None
         prior = None if b.coefficient.flat or learned else b.coefficient.size
         per = b.coefficient.per
         if per is None:
@@ -168,10 +170,10 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     for h in layout.hypers:
         if h.kind != "promoted":
             effect = "noise" if h.kind == "noise" else h.name.rpartition(".")[0]
-            spreads.append(
+            hyperparameters.append(
                 _row(h.name, effect, h.unit, calibration.samples(h.name), deviation(h.prior))
             )
-    return coefficients, spreads
+    return coefficients, hyperparameters
 
 
 def _row(
@@ -215,7 +217,7 @@ def null_directions(calibration: Fitted) -> list[dict[str, str]]:
 
 def _single(block: CoefficientBlock) -> bool:
     """Whether a coefficient stands for itself: no deviation of learned spread, no part of an unknown function."""
-    return block.coefficient.spread is None and not block.effect.is_placeholder
+    return block.coefficient.group_sd is None and not block.effect.is_placeholder
 
 
 def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:

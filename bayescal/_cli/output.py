@@ -91,10 +91,10 @@ def effects_data(kinds: Kinds) -> list[dict[str, Any]]:
 def fit_data(calibration: Calibration) -> dict[str, Any]:
     """A fit as data."""
     verdict = calibration.verdict
-    coefficients, spreads = summary(calibration)
+    coefficients, hyperparameters = summary(calibration)
     data = {
         "coefficients": coefficients,
-        "spreads": spreads,
+        "hyperparameters": hyperparameters,
         "reference": calibration.reference,
         "fixed": dict(calibration.model.fixed),
         "log_evidence": calibration.log_evidence,

@@ -51,17 +51,17 @@ class Assembly:
     Attributes:
         layout: which unknowns there are, and where.
         record: the readings.
-        spread: factor on the plausible size of an effect's coefficients, by the effect's name; one where not named.
+        size_factors: on the plausible sizes of an effect's coefficients, by the effect's name; one where not named.
     """
 
     layout: Layout
     record: Record
-    spread: Mapping[str, float] | None = None
+    size_factors: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         layout = self.layout
         self.terms = tuple(
-            Term.of_block(b, self.record.plain, self.spread or {}) for b in layout.blocks
+            Term.of_block(b, self.record.plain, self.size_factors or {}) for b in layout.blocks
         )
         self.hypers = layout.hypers
         self.size = sum(t.size for t in self.terms if t.place == "x")
@@ -71,7 +71,7 @@ class Assembly:
         slots = self.record.slots
         self.corrected = tuple(dict.fromkeys(t.slot for t in self.terms if t.slot not in slots))
         # A promoted coefficient in units of a learned spread moves with that spread too.
-        scaled = {t.spread_name for t in self.terms if t.place == "phi"}
+        scaled = {t.group_sd_name for t in self.terms if t.place == "phi"}
         self.kinds = [h.kind for h in self.hypers]
         self.moving = [i for i, h in enumerate(self.hypers) if h.kind in MOVING or h.name in scaled]
         self._coordinates = [(h.name, h.prior.value, h.prior.log_density) for h in self.hypers]
@@ -198,8 +198,8 @@ class Assembly:
             value = np.full(t.size, t.value)
         else:
             value = np.array([hyper[name] for name in t.members])
-            if t.spread_name is not None:
-                value = t.known.mean + hyper[t.spread_name] * value
+            if t.group_sd_name is not None:
+                value = t.known.mean + hyper[t.group_sd_name] * value
         if t.known.per is None:
             return value[0]
         return np.append(value, 0.0)[self.record.codes[t.known.per]]  # the code of no member is −1

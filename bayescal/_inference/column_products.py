@@ -9,6 +9,8 @@ from jaxtyping import Float, Int
 
 SHARED = 1e-6  # of the largest singular value, below which a direction of columns takes nothing
 
+KEEPS_DIGITS = 1e-4  # of a sum of squares that is left, where the rest is taken off: four digits of sixteen are lost
+
 
 class ColumnProducts:
     """Columns of an affine output that were asked for so far, and their products with each other.
@@ -52,6 +54,22 @@ class ColumnProducts:
         cross = self._table[:, : self._filled].T @ self._table[:, 0]
         self.products[0], self.products[:, 0] = cross, cross
         self.taken = dict(zip(places.tolist(), found.tolist(), strict=True))
+
+    def of_rows(self, kept: Int[np.ndarray, "k"]) -> ColumnProducts:
+        """The same of some of the readings, without what the others add; columns that are zero there are exactly so."""
+        found = ColumnProducts(self._table[kept, 0])
+        table = self._table[kept, : self._filled]
+        others = np.delete(self._table[:, : self._filled], kept, axis=0)
+        left = self.products.diagonal() - np.einsum("ij,ij->j", others, others)
+        if len(others) < len(table) and left[0] > KEEPS_DIGITS * self.products[0, 0]:
+            found.products = self.products - others.T @ others
+            nothing = ~np.any(table, axis=0)
+            found.products[nothing], found.products[:, nothing] = 0.0, 0.0
+        else:
+            found.products = table.T @ table
+        found._table, found._filled = np.asfortranarray(table), self._filled
+        found.places, found.taken = dict(self.places), dict(self.taken)
+        return found
 
     def beside_residual(self, places: Int[np.ndarray, "m"]) -> Float[np.ndarray, "m1 m1"]:
         """Products of some columns and of what is left of the readings, last, where only these columns took a part."""

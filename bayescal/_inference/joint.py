@@ -236,8 +236,10 @@ def _values(assembly: Assembly, x, rows, hyper: Batch):
             value = np.full((count, t.size), t.value)
         else:
             value = np.stack([np.broadcast_to(hyper[m], count) for m in t.members], axis=1)
-            if t.spread_name is not None:
-                value = t.known.mean + np.broadcast_to(hyper[t.spread_name], count)[:, None] * value
+            if t.group_sd_name is not None:
+                value = (
+                    t.known.mean + np.broadcast_to(hyper[t.group_sd_name], count)[:, None] * value
+                )
         if t.known.per is not None:  # the code of no member is −1
             codes = assembly.record.codes[t.known.per]
             value = np.concatenate([value, np.zeros((count, 1))], axis=1)[:, codes]

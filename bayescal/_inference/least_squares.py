@@ -79,7 +79,7 @@ def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:
     An unknown function's amplitude and length are neither: fitted together with the function, the amplitude would run
     away and its coefficients to zero. They stay where the marginal likelihood has its maximum.
     """
-    return layout.positions("noise", "spread"), layout.positions("shape", "promoted")
+    return layout.positions("noise", "group_sd"), layout.positions("shape", "promoted")
 
 
 @on_one_thread  # else the last digits would hang on how many cores there are

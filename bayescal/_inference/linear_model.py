@@ -31,8 +31,8 @@ GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order o
 
 def learned_size(effect: Effect, assembly: Assembly, mode: Mode) -> tuple[float, float] | None:
     """Spread or amplitude that says how large an effect is, with its standard uncertainty; None if nothing does."""
-    spread = effect.coefficients[0].spread is not None
-    learned = f"{effect.coefficient_name(0)}.spread" if spread else ""
+    spread = effect.coefficients[0].group_sd is not None
+    learned = f"{effect.coefficient_name(0)}.group_sd" if spread else ""
     if effect.measure:
         learned = f"{effect.name}.{effect.measure}"
     names = [h.name for h in assembly.hypers]
@@ -264,7 +264,7 @@ def _left(assembly: Assembly) -> Float[np.ndarray, "n"]:
         assembly.start,
         assembly.record.y,
     )
-    plain = [t.at.start for t in assembly.in_x if t.known.per is None and t.spread_name is None]
+    plain = [t.at.start for t in assembly.in_x if t.known.per is None and t.group_sd_name is None]
     sd = assembly.prior(hyper, np.ones(assembly.size)).sd[plain]
     left = y - np.mean(y)
     for _ in range(GAUSS_NEWTON):

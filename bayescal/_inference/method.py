@@ -55,13 +55,13 @@ class Verdict:
         return " ".join(self.reasons if not self.ok else self.against)
 
     @classmethod
-    def read(cls, told: dict[str, Any]) -> Verdict:
+    def read(cls, described: dict[str, Any]) -> Verdict:
         """A verdict that was written as JSON, whose tuples come back as lists.
 
         Raises:
             KeyError: a field is missing.
         """
-        known = ((f.name, {"against": (), **told}[f.name]) for f in fields(cls))
+        known = ((f.name, {"against": (), **described}[f.name]) for f in fields(cls))
         made: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in known}
         return cls(**made)
 

@@ -366,9 +366,9 @@ class Axes:
         hypers, noise, record = assembly.hypers, assembly.noise, assembly.record
         free = {h.name for h in hypers}
         self._spreads = {
-            name: t.spread_name
+            name: t.group_sd_name
             for t in assembly.terms
-            if t.place == "phi" and t.spread_name is not None
+            if t.place == "phi" and t.group_sd_name is not None
             for name in t.members
         }
         smooth = {

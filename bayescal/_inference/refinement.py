@@ -136,7 +136,9 @@ class _Refinement:
         self.density = Density(assembly, mode.point, mode.flat)
         kinds, self.gaussian = assembly.kinds, assembly.noise.gaussian
         # Of a law that is not Gaussian they stay where the marginal likelihood of the mode has them.
-        self.scales = [i for i, k in enumerate(kinds) if k in ("noise", "spread") and self.gaussian]
+        self.scales = [
+            i for i, k in enumerate(kinds) if k in ("noise", "group_sd") and self.gaussian
+        ]
         self.places = [i for i, k in enumerate(kinds) if k in ("shape", "promoted")]
 
     def prior(self, v: Float[np.ndarray, "d"]) -> Prior:

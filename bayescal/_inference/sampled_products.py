@@ -65,7 +65,7 @@ def choose_on(
         # Either factor of a product will do. In units of a spread that is learned itself, a coefficient would make a
         # funnel with it, so such a one is only taken where no other matters.
         free_of_spread = [
-            s * (b.coefficient.spread is None) for s, b in zip(strength, candidates, strict=True)
+            s * (b.coefficient.group_sd is None) for s, b in zip(strength, candidates, strict=True)
         ]
         best = int(np.argmax(free_of_spread))
         if free_of_spread[best] < THRESHOLD:

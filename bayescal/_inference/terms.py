@@ -70,7 +70,7 @@ class CoefficientTerms(NamedTuple):
             mean=coefficient.mean,
             prior_sd=coefficient.size,
             flat=coefficient.flat,
-            learned=coefficient.spread is not None,
+            learned=coefficient.group_sd is not None,
             columns=(columns := ColumnsOf.of(effect)),
             key=columns.key,
             shape_names=tuple(effect.shape_name(s) for s in effect.column_shapes),
@@ -88,13 +88,13 @@ class Term(NamedTuple):
     factor: float
     value: float
     prior_sd: float
-    spread_name: str | None
+    group_sd_name: str | None
     members: tuple[str, ...]
     at: slice  # its entries of x
 
     @classmethod
     def of_block(
-        cls, block: CoefficientBlock, plain: dict[Any, Any], spread: Mapping[str, float]
+        cls, block: CoefficientBlock, plain: dict[Any, Any], size_factors: Mapping[str, float]
     ) -> Term:
         key = (id(block.effect), block.index)
         if key not in plain:
@@ -108,8 +108,8 @@ class Term(NamedTuple):
             place=block.place,
             factor=block.factor,
             value=block.value,
-            prior_sd=known.prior_sd * spread.get(known.of, 1.0),
-            spread_name=block.spread_name if known.learned else None,
+            prior_sd=known.prior_sd * size_factors.get(known.of, 1.0),
+            group_sd_name=block.group_sd_name if known.learned else None,
             members=tuple(block.member_names()) if block.place == "phi" else (),
             at=slice(block.start, block.start + block.size),
         )
@@ -123,9 +123,9 @@ class Sizes:
         self.flat = np.zeros(size, dtype=bool)
         for t in terms:
             self.flat[t.at] = t.known.flat
-            if not t.known.flat and t.spread_name is None:
+            if not t.known.flat and t.group_sd_name is None:
                 self.plain[t.at] = t.prior_sd
-        self.learned = [(t.at, t.spread_name) for t in terms if t.spread_name is not None]
+        self.learned = [(t.at, t.group_sd_name) for t in terms if t.group_sd_name is not None]
         self.weighted: list[tuple[Any, list[tuple[str, str]], list[slice | None]]] = []
         for effect in effects:
             if effect.weights is not None:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import inspect
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import field, replace
-from functools import cached_property
+from functools import cached_property, wraps
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -30,18 +31,35 @@ FUNCTIONS = ("basis", "weights", "untestable")  # of an effect
 OPEN = (0.0, math.inf)  # low and high of a shape whose plausible range the readings say
 
 
+def _takes_spread(cls: type[Any]) -> type[Any]:
+    """The name that `group_sd` had in 0.2.0 still leads to it, and says so; it goes in 0.3.0."""
+    init = cls.__init__
+
+    @wraps(init)
+    def taking(self: Any, *args: Any, **given: Any) -> None:
+        if "spread" in given:
+            text = "Coefficient(spread=…) is called group_sd now; the old name goes in 0.3.0"
+            warnings.warn(text, DeprecationWarning, stacklevel=2)
+            given["group_sd"] = given.pop("spread")
+        init(self, *args, **given)
+
+    cls.__init__ = taking
+    return cls
+
+
+@_takes_spread
 @static
 class Coefficient:
     """One unknown that a slot is linear in.
 
     Attributes:
         unit: the unit it is reported in and its prior is stated in, such as "deg/s/degC" or "ppm/degC".
-        prior: Gaussian or flat. For a coefficient with a learned spread only its mean counts.
+        prior: Gaussian or flat. With a learned group standard deviation only its mean counts.
         part: its name within the effect, such as "parallel,M2,cos"; empty if the effect has just one.
         slot: the slot it feeds, where that is not the effect's own.
         per: None for one value; a group for one value each: "run", "cell", "device", "axis", "reading", or any
             column of labels that the instrument declares, such as "station".
-        spread: prior of the standard deviation between the group's members, which is then learned.
+        group_sd: prior of the standard deviation between the group's members, which is then learned.
             None leaves it at the prior's own sd.
     """
 
@@ -50,17 +68,17 @@ class Coefficient:
     part: str = ""
     slot: str | None = None
     per: Group | None = None
-    spread: HalfNormal | HalfCauchy | Flat | None = None
+    group_sd: HalfNormal | HalfCauchy | Flat | None = None
 
     def __post_init__(self) -> None:
-        if self.spread is not None and self.per is None:
-            raise ValueError("a `spread` between groups needs a group: give `per`")
-        if self.per == "reading" and self.spread is not None:
-            raise ValueError("a `spread` of single readings is noise: give it to the noise law")
+        if self.group_sd is not None and self.per is None:
+            raise ValueError("a `group_sd` between groups needs a group: give `per`")
+        if self.per == "reading" and self.group_sd is not None:
+            raise ValueError("a `group_sd` of single readings is noise: give it to the noise law")
 
     @property
     def flat(self) -> bool:
-        return isinstance(self.prior, Flat) and self.spread is None
+        return isinstance(self.prior, Flat) and self.group_sd is None
 
     @property
     def mean(self) -> float:
@@ -68,9 +86,9 @@ class Coefficient:
 
     @property
     def size(self) -> float:
-        """The plausible size, in `unit`: the prior's sd, or the spread prior's scale."""
-        if self.spread is not None:
-            return self.spread.scale
+        """The plausible size, in `unit`: the prior's sd, or the scale of the group standard deviation's prior."""
+        if self.group_sd is not None:
+            return self.group_sd.scale
         return self.prior.sd if isinstance(self.prior, Normal) else self.prior.scale
 
 

@@ -733,16 +733,16 @@ def _canonical(
     columns: Mapping[str, tuple[str, str]],
 ) -> str:
     """The whole in one line, from which it can be made again without readings."""
-    told = [
+    pieces = [
         f"{n} = {f'{c.mean!r} ± ' if c.mean else ''}{c.size!r} {c.unit}"
         for n, c in zip(parts, coefficients, strict=True)
     ]
-    told += [f"{n} = {s.low!r} to {s.high!r} {s.unit}" for n, s in shapes.items()]
+    pieces += [f"{n} = {s.low!r} to {s.high!r} {s.unit}" for n, s in shapes.items()]
     for n, (c, u) in columns.items():
         if n != c or n not in _UNITS:
             called = n if n.isidentifier() else f"`{n}`"
-            told.append(f"{called} = {c}" + (f" [{u}]" if u else ""))
-    return "; ".join([f"{name}: {formula}", *told])
+            pieces.append(f"{called} = {c}" + (f" [{u}]" if u else ""))
+    return "; ".join([f"{name}: {formula}", *pieces])
 
 
 def require_units(effect_: Effect, readings: Measurements, instrument: Instrument) -> None:

@@ -56,8 +56,8 @@ def prior_sd(
     flat = jnp.broadcast_to(jnp.asarray(flat), (layout.size,))
     parts = []
     for b in layout.x_blocks:
-        if b.coefficient.spread is not None:
-            sd = jnp.full(b.size, hyper[b.spread_name])
+        if b.coefficient.group_sd is not None:
+            sd = jnp.full(b.size, hyper[b.group_sd_name])
         elif b.coefficient.flat:
             sd = flat[b.start : b.start + b.size]
         else:
@@ -101,8 +101,8 @@ def coefficients(
             row += 1
         else:
             value = jnp.stack([hyper[name] for name in b.member_names()])
-            if b.coefficient.spread is not None:
-                value = b.coefficient.mean + hyper[b.spread_name] * value
+            if b.coefficient.group_sd is not None:
+                value = b.coefficient.mean + hyper[b.group_sd_name] * value
             values[b.name] = value
     return values
 

@@ -267,9 +267,9 @@ def _unknowns(effect: Effect) -> list[str]:
 
 def _spreads(effect: Effect) -> list[str]:
     return [
-        f"{effect.coefficient_name(i)}.spread"
+        f"{effect.coefficient_name(i)}.group_sd"
         for i, c in enumerate(effect.coefficients)
-        if c.spread is not None
+        if c.group_sd is not None
     ]
 
 
@@ -278,8 +278,8 @@ def _positive(effect: Effect) -> list[str]:
 
 
 def _of_size(c: Coefficient, size: float) -> Coefficient:
-    if c.spread is not None:
-        return replace(c, spread=replace(c.spread, scale=size))
+    if c.group_sd is not None:
+        return replace(c, group_sd=replace(c.group_sd, scale=size))
     return c if c.flat else replace(c, prior=Normal(c.mean, size))
 
 
@@ -296,7 +296,7 @@ def testable(effect: Effect, readings: Measurements) -> str | None:
         own = coefficient.per not in (None, "reading", *GROUPS)
         if own and not readings.has(str(coefficient.per)):
             return f"needs the column {coefficient.per}"
-        if coefficient.spread is not None and coefficient.per is not None:
+        if coefficient.group_sd is not None and coefficient.per is not None:
             _, codes = readings.groups(coefficient.per)
             if len(set(codes[codes >= 0].tolist())) < 2:
                 return f"needs more than one {coefficient.per}"

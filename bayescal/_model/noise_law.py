@@ -252,8 +252,8 @@ def _refuse_unfit(kind: type[Noise]) -> None:
     needed = [] if own["gaussian"] else ["log_density", "sample"]
     needed += [] if own.get("independent", True) else ["whiten", "sample"]
     if missing := [n for n in dict.fromkeys(needed) if n not in own]:
-        told = "is not Gaussian" if not own["gaussian"] else "does not take readings as independent"
-        raise TypeError(f"{name} {told}: it must have a method {' and '.join(missing)} of its own")
+        why = "is not Gaussian" if not own["gaussian"] else "does not take readings as independent"
+        raise TypeError(f"{name} {why}: it must have a method {' and '.join(missing)} of its own")
     for other in Noise.known.values():
         given = other.__module__.startswith("bayescal.") and other.__module__ != kind.__module__
         if given and (other.__name__ == name or other.law == kind.law):

@@ -23,7 +23,7 @@ from bayescal._model.instrument import factor_of, slot_of
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
 
-HyperKind = Literal["noise", "spread", "shape", "promoted"]
+HyperKind = Literal["noise", "group_sd", "shape", "promoted"]
 MOVING: tuple[HyperKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
 Levels = Mapping[str, Sequence[str]]  # the members of each group
 
@@ -52,8 +52,8 @@ class CoefficientBlock:
         return self.effect.coefficients[self.index]
 
     @property
-    def spread_name(self) -> str:
-        return f"{self.name}.spread"
+    def group_sd_name(self) -> str:
+        return f"{self.name}.group_sd"
 
     def member_names(self, levels: Levels | None = None) -> list[str]:
         """Names of its entries, each after its member; by their number, as in φ, where no levels are given."""
@@ -143,18 +143,18 @@ class Layout:
         for name, prior in self.model.noise.parameters().items():
             found.append(Hyper(name, self.model.noise.unit(name, unit), prior, "noise"))
         for block in self.blocks:
-            if block.coefficient.spread is not None and block.place != "fixed":
+            if block.coefficient.group_sd is not None and block.place != "fixed":
                 found.append(
                     Hyper(
-                        block.spread_name,
+                        block.group_sd_name,
                         block.coefficient.unit,
-                        block.coefficient.spread,
-                        "spread",
+                        block.coefficient.group_sd,
+                        "group_sd",
                     )
                 )
         for effect in self.model.effects:
             for shape in effect.shapes:
-                kind = "spread" if shape.name in effect.weight_shapes else "shape"
+                kind = "group_sd" if shape.name in effect.weight_shapes else "shape"
                 found.append(Hyper(effect.shape_name(shape), shape.unit, shape.prior, kind))
         for block in self.blocks:
             if block.place == "phi":
@@ -187,7 +187,7 @@ class Layout:
 
 
 def _promoted_prior(coefficient: Coefficient) -> Normal | FlatLine:
-    if coefficient.spread is not None:
+    if coefficient.group_sd is not None:
         return Normal(0.0, 1.0)  # in units of its learned spread
     return FlatLine(coefficient.size) if coefficient.flat else coefficient.prior  # pyright: ignore
 

@@ -101,7 +101,7 @@ def _does(c: Calibration, effect: Effect) -> str:
         return f"follows the temperature with a lag of {times['tau']} ({size})"
     if cause == "warm_up" and "tau" in times:
         return f"settles after the start by {size} with a time constant of {times['tau']}"
-    if group is not None and effect.coefficients[0].spread is not None:
+    if group is not None and effect.coefficients[0].group_sd is not None:
         between = _GROUPS.get(group, f"{group} to {group}")
         return f"differs from {between} by {size} (standard deviation)"
     column = effect.columns[0].replace("_", " ") if effect.columns else "time"
@@ -133,7 +133,7 @@ def _extent(c: Calibration, effect: Effect) -> str:
 def _size(c: Calibration, effect: Effect) -> str:
     first = effect.coefficients[0]
     name = effect.coefficient_name(0)
-    spread = f"{name}.spread"
+    spread = f"{name}.group_sd"
     draws = c.samples(spread if first.per is not None and spread in c.posterior.data_vars else name)
     if draws.ndim > 1:
         low, high = (

@@ -191,13 +191,13 @@ def _results(
         if isinstance(value, float) and name.endswith("0"):
             quantity = _listed(data, "quantity", f"{name}, at which constants hold")
             real(quantity, value, "degC", local_gravity)
-    coefficients, spreads = summary(calibration)
+    coefficients, hyperparameters = summary(calibration)
     for row in coefficients:
         quantity = _listed(data, "quantity", row["name"])
         real(quantity, row["mean"], row["unit"], local_gravity, row["sd"])
-    for (
-        row
-    ) in spreads:  # positive quantities: their posterior is skewed, and no multiple of u covers
+    for row in (
+        hyperparameters
+    ):  # positive quantities: their posterior is skewed, and no multiple of u covers
         quantity = _listed(data, "quantity", row["name"])
         real(quantity, row["mean"], row["unit"], local_gravity, row["sd"], row["interval95"])
 

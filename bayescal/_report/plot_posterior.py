@@ -232,8 +232,8 @@ def predictive(calibration: Calibration) -> Figure:
 
 def identifiability(calibration: Calibration, ax: Any = None) -> Figure:
     """How much narrower than its prior each unknown became: posterior over prior standard deviation."""
-    found, spreads = summary(calibration)
-    rows = [r for r in (*found, *spreads) if r["contraction"] is not None]
+    found, hyperparameters = summary(calibration)
+    rows = [r for r in (*found, *hyperparameters) if r["contraction"] is not None]
     rows = sorted(rows, key=lambda r: r["contraction"])[:MOST][::-1]
     figure = new_figure(5.6, 0.28 * max(len(rows), 3) + 1.0) if ax is None else ax.figure
     ax = figure.subplots() if ax is None else ax

@@ -41,12 +41,12 @@ PACKAGES = (
 def result(trail: SearchPath) -> dict[str, Any]:
     """Everything that a calibration found, as plain data."""
     final = trail.final.calibration
-    coefficients, spreads = summary(final)
-    for row in (*coefficients, *spreads):
+    coefficients, hyperparameters = summary(final)
+    for row in (*coefficients, *hyperparameters):
         row["averaged"] = None
     if trail.average is not None:
         averaged = {r["name"]: r for part in summary(trail.average) for r in part}
-        for row in (*coefficients, *spreads):
+        for row in (*coefficients, *hyperparameters):
             if there := averaged.get(row["name"]):
                 row["averaged"] = {k: there[k] for k in ("mean", "sd", "interval95")}
     verdict = final.verdict
@@ -81,7 +81,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
                 if s.discovery is not None
             ],
             "coefficients": coefficients,
-            "spreads": spreads,
+            "hyperparameters": hyperparameters,
             "identifiability": {"null_directions": null_directions(final)},
             "verdict": {
                 "ok": trail.ok,
@@ -107,7 +107,7 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
             {
                 "effects": list(s.effects),
                 "noise": s.noise,
-                "wanders": Noise.correlates(s.noise),
+                "correlated_noise": Noise.correlates(s.noise),
                 "log_evidence": s.log_evidence,
                 "probability": s.probability,
             }
@@ -216,7 +216,7 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
         "step": step,
         "nothing_missing_probability": found.nothing_missing,
         "unstated": found.unstated,
-        "noise_wanders": found.noise_wanders,
+        "correlated_noise": found.correlated_noise,
         "noise_laws": [vars(n) for n in found.noise],
         "sets": [{"effects": list(s.effects), "probability": s.probability} for s in found.sets],
         "departures": [{**vars(d), "in_words": str(d)} for d in found.departures],

@@ -68,7 +68,7 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
     ]
     if blind:
         not_for.append(f"Where {_or(blind)} matters: it is not detectable in this experiment.")
-    new = [r["name"] for r in chapter.data["spreads"] if r["name"].endswith(".spread")]
+    new = [r["name"] for r in chapter.data["hyperparameters"] if r["name"].endswith(".group_sd")]
     if new:
         not_for.append(
             f"By its coefficients' uncertainties alone: a new member of a group brings a deviation of its own "

@@ -95,9 +95,9 @@ def _range(name: str, meaning: str, values: np.ndarray, unit: str, part: str) ->
 
 
 def coefficients(chapter: Chapter) -> list[dict[str, Any]]:
-    """Coefficients, then spreads, shapes and noise: k = 2 interval and 95 % credible interval, apart."""
+    """Coefficients, then hyperparameters: k = 2 interval and 95 % credible interval, apart."""
     rows = []
-    for r in (*chapter.data["coefficients"], *chapter.data["spreads"]):
+    for r in (*chapter.data["coefficients"], *chapter.data["hyperparameters"]):
         mean, sd = r["mean"], r["sd"]
         held = not sd > 1e-9 * abs(mean)
         low, high = r["interval95"]
@@ -182,8 +182,8 @@ def _unknowns(effect: Effect) -> list[str]:
     found = []
     for i, c in enumerate(effect.coefficients):
         prior = (
-            f"between-group standard deviation estimated, {_prior(c.spread)}"
-            if c.spread is not None
+            f"between-group standard deviation estimated, {_prior(c.group_sd)}"
+            if c.group_sd is not None
             else _prior(c.prior)
         )
         if effect.weights is not None:

@@ -391,7 +391,7 @@ class _CheckedInstrument:
                 remark = self._remark(b.name, truth, mean, sd, None if c.flat else c.size, zero)
                 self.rows.append(Returned(kind, b.name, c.unit, adds, truth, mean, sd, remark))
             else:
-                spread = b.spread_name if c.spread is not None else None
+                spread = b.group_sd_name if c.group_sd is not None else None
                 draws = fitted.samples(spread) if spread else draws.std(axis=1)
                 truth = float(np.std(x[at] - c.mean)) if b.size > 1 else None
                 name = spread or f"{b.name}, one a {c.per}"

@@ -90,7 +90,7 @@ class Discovery(Printed):
         return replace(self, nothing_missing=None, unstated=why)
 
     @property
-    def noise_wanders(self) -> float | None:
+    def correlated_noise(self) -> float | None:
         """Probability of correlated noise, of any such law; None where the readings cannot tell."""
         found = [n.probability for n in self.noise if Noise.correlates(n.law)]
         return sum(found) if found else None

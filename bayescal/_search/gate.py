@@ -269,7 +269,7 @@ def _between_runs(step: Step) -> list[str]:
 def _of_scatter(step: Step) -> list[str]:
     """What the leave-one-out tests say against the noise law."""
     check = step.check
-    along = [name for name, p in check.spread_with.items() if p < guarding().rare]
+    along = [name for name, p in check.scatter_with.items() if p < guarding().rare]
     if along:
         return [
             f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "

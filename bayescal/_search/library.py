@@ -89,7 +89,7 @@ class Library:
     def grouped(self, name: str) -> bool:
         """Whether a candidate's size is that of many coefficients together: learned, or an amplitude."""
         effect = self.structures.candidates[name]
-        return effect.is_placeholder or effect.coefficients[0].spread is not None
+        return effect.is_placeholder or effect.coefficients[0].group_sd is not None
 
     def columns(self, slopes: Mapping[str, np.ndarray]) -> Float[np.ndarray, "n P"]:
         """∂μ/∂θ of all, output unit per reported unit, where the output has these slopes by the slots."""
@@ -134,14 +134,14 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
             hint = {effect.shape_name(s): float(one) for s, one in zip(scales, v, strict=True)}
             made.append(Size(plain * weights, hint, named, -len(scales) * math.log(LEVELS)))
         return made
-    learned = [i for i, c in enumerate(effect.coefficients) if c.spread is not None]
+    learned = [i for i, c in enumerate(effect.coefficients) if c.group_sd is not None]
     if learned:
         made = []
         for z in ndtri(0.5 + 0.5 * levels):  # a half-normal's quantiles
             sd = plain.copy()
             for i in learned:
                 sd[at[i] : at[i + 1]] *= z
-            hint = {f"{effect.coefficient_name(i)}.spread": math.log(z) for i in learned}
+            hint = {f"{effect.coefficient_name(i)}.group_sd": math.log(z) for i in learned}
             made.append(Size(sd, hint, {}, -math.log(LEVELS)))
         return made
     return [Size(plain * factor, {}, {}, math.log(p)) for factor, p in SIZES.items()]

@@ -20,7 +20,7 @@ STILL = 0.03  # standard deviations to which a mode is found: its log evidence t
 def has_size(effect: Effect) -> bool:
     """Whether its size is a prior's standard deviation, and not learned."""
     return not effect.is_placeholder and any(
-        c.spread is None and not c.flat for c in effect.coefficients
+        c.group_sd is None and not c.flat for c in effect.coefficients
     )
 
 
@@ -38,7 +38,7 @@ def averaged(
     """
     if not math.isfinite(mode.log_evidence):
         return assembly, mode, mode.log_evidence
-    begun = {e.name: (assembly.spread or {}).get(e.name, 1.0) for e in sized}
+    begun = {e.name: (assembly.size_factors or {}).get(e.name, 1.0) for e in sized}
     at_sizes, chosen = _AtSizes(assembly, mode, begun), dict(begun)
     for _ in range(2):
         before = dict(chosen)
@@ -75,7 +75,7 @@ class _AtSizes:
         )
         self.prior, self.made_at = assembly.prior(hyper, mode.flat), dict(made_at)
         self.places = {
-            name: [t.at for t in assembly.in_x if t.known.of == name and t.spread_name is None]
+            name: [t.at for t in assembly.in_x if t.known.of == name and t.group_sd_name is None]
             for name in made_at
         }
 

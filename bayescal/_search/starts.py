@@ -71,7 +71,7 @@ def starts(
         if h.kind == "shape" and h.name in known:
             same = h.prior == priors[h.name]
             further = (here[h.name] - 1.0, here[h.name] + 1.0) if same else (0.0,)
-        elif h.kind in ("spread", "noise") and h.name not in known:
+        elif h.kind in ("group_sd", "noise") and h.name not in known:
             further = (-1.5, 1.0)
         found += [{**here, h.name: v} for v in further]
     return [np.array([start[n] for n in names]) for start in found]

@@ -121,8 +121,8 @@ def _by_name(layout: Layout, x: np.ndarray, rows: np.ndarray, v: np.ndarray) -> 
             beside[b.name] = rows[:, :, len(beside)]
         elif b.place == "phi":
             value = np.stack([hypers[name] for name in b.member_names()], axis=1)
-            if b.coefficient.spread is not None:
-                spread = {**fixed, **hypers}[b.spread_name]
+            if b.coefficient.group_sd is not None:
+                spread = {**fixed, **hypers}[b.group_sd_name]
                 value = b.coefficient.mean + spread[:, None] * value
             coefficients[b.name] = value
     return _Values(coefficients, hypers, beside)
@@ -191,7 +191,7 @@ def _coordinates(h, parts: Sequence[_Values], counts: Sequence[int]) -> Float[np
         if h.name in part.hypers:
             found.append(h.prior.coordinate(part.hypers[h.name]))
         else:
-            learned = h.kind == "spread" and h.name.endswith(".spread")
+            learned = h.kind == "group_sd" and h.name.endswith(".group_sd")
             found.append(np.full(count, ABSENT if learned else usual))
     return np.concatenate(found)
 

@@ -82,7 +82,7 @@ class Weighed:
     def sized_model(self) -> Model:
         """The model with the plausible sizes of the instrument's own effects at the likeliest."""
         found, own = self.model, {e.name for e in self.model.instrument.candidates}
-        for name, factor in (self.assembly.spread or {}).items():
+        for name, factor in (self.assembly.size_factors or {}).items():
             first = found.effect(name).coefficients[0]
             if factor != 1.0 and name in own and not first.flat:
                 found = found.resize(name, factor * first.size)
@@ -239,7 +239,7 @@ class Structures:
 
     def _assembled(self, structure, near: Weighed | None, departures=()) -> Assembly:
         """A structure on the record, its effects' sizes as another structure has them."""
-        known = near.assembly.spread if near is not None else None
+        known = near.assembly.size_factors if near is not None else None
         sizes = {n: factor for n, factor in (known or {}).items() if n in structure.effects}
         layout = Layout(self.model(structure, departures), self.layout.counts)
         return Assembly(layout, self.record, sizes)

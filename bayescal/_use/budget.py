@@ -31,7 +31,7 @@ from bayescal._data.unit_conversion import (
     unit_label,
 )
 from bayescal._use import inversion
-from bayescal._use.budget_notes import learned_spreads, notes_on
+from bayescal._use.budget_notes import learned_group_sds, notes_on
 from bayescal._use.compensator import Compensator, compensator
 
 REST = "between-group sd, shapes, curvature"
@@ -297,7 +297,7 @@ def _by_source(
         )
         _, gradient = _slopes(chosen, point)
         total = float(gradient @ chosen._moments.covariance @ gradient)
-    slopes, learned = dict[str, float](), learned_spreads(chosen._equation)
+    slopes, learned = dict[str, float](), learned_group_sds(chosen._equation)
     for i, unknown in enumerate(chosen._equation.unknowns()):
         if unknown.kind == "new":
             kind = "A" if unknown.key in learned else "B"

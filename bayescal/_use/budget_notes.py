@@ -15,15 +15,15 @@ SHARED = (
 FEW = 10  # groups, below which a spread between them is not known well enough for a normal distribution
 
 
-def learned_spreads(equation: OperatingEquation) -> set[str]:
+def learned_group_sds(equation: OperatingEquation) -> set[str]:
     """Coefficients of which a new member is drawn in use, from a spread that the readings told."""
     given, fixed = dict(equation.members), dict(equation.layout.model.fixed)
     return {
         b.name
         for b in equation.blocks
-        if b.coefficient.spread is not None
+        if b.coefficient.group_sd is not None
         and b.coefficient.per not in given
-        and b.spread_name not in fixed
+        and b.group_sd_name not in fixed
     }
 
 
@@ -46,7 +46,7 @@ def notes_on(chosen: Compensator, point: Mapping[str, float]) -> tuple[str, ...]
         if not low <= point[name] <= high
     ]
     assert chosen.calibration is not None and chosen.equation is not None
-    learned = learned_spreads(chosen.equation)
+    learned = learned_group_sds(chosen.equation)
     for block in chosen.equation.blocks:
         per = block.coefficient.per
         if per is not None and block.name in learned:

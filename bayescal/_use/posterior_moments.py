@@ -57,8 +57,8 @@ def posterior_moments(
 def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np.ndarray:
     """Draws of the standard deviation from which a new member is taken."""
     c, fixed = block.coefficient, dict(calibration.model.fixed)
-    if c.spread is None:
+    if c.group_sd is None:
         return np.full(draws, c.size)
-    if block.spread_name in fixed:
-        return np.full(draws, fixed[block.spread_name])
-    return calibration.samples(block.spread_name)
+    if block.group_sd_name in fixed:
+        return np.full(draws, fixed[block.group_sd_name])
+    return calibration.samples(block.group_sd_name)

@@ -31,7 +31,7 @@ def deviation(slot: str, per: Group, size: float, unit: str, *, source: str) -> 
         f"{slot}.{per}",
         slot,
         basis=_one,
-        coefficients=(Coefficient(unit, Normal(0.0, size), per=per, spread=HalfNormal(size)),),
+        coefficients=(Coefficient(unit, Normal(0.0, size), per=per, group_sd=HalfNormal(size)),),
         columns=column,
         equation=f"d[{per}],  d ~ N(0, s²)",
         source=source,

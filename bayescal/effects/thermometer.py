@@ -52,7 +52,7 @@ def thermometer_offset(
         column,
         basis=_one,
         coefficients=(
-            Coefficient("delta_degC", Normal(0.0, size), per=per, spread=HalfNormal(size)),
+            Coefficient("delta_degC", Normal(0.0, size), per=per, group_sd=HalfNormal(size)),
         ),
         columns=(column,),
         equation=f"T_true = T + e[{per}]",

@@ -88,7 +88,7 @@ def schools(
         "value.school",
         "value",
         _one,
-        (bc.Coefficient("1", per="device", spread=bc.HalfCauchy(spread)),),
+        (bc.Coefficient("1", per="device", group_sd=bc.HalfCauchy(spread)),),
     )
     model = _instrument((common, own), (), bc.White(), groups=("device",)).baseline()
     model = model.fix({"noise.white": NO_NOISE})
@@ -100,7 +100,7 @@ def schools(
     )
 
     def draws(fit: bc.Calibration) -> dict[str, np.ndarray]:
-        mu, tau = fit.samples("value.common"), fit.samples("value.school.spread")
+        mu, tau = fit.samples("value.common"), fit.samples("value.school.group_sd")
         theta = mu[:, None] + fit.samples("value.school")
         found = {f"theta[{j + 1}]": theta[:, j] for j in range(theta.shape[1])}
         return {**found, "mu": mu, "tau": tau}

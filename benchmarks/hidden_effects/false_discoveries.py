@@ -171,8 +171,8 @@ def _with_prior(effect: bc.Effect, factor: float) -> bc.Effect:
     """The same effect with prior standard deviations `factor` times as large."""
     made = []
     for c in effect.coefficients:
-        if c.spread is not None:
-            made.append(replace(c, spread=replace(c.spread, scale=factor * c.spread.scale)))
+        if c.group_sd is not None:
+            made.append(replace(c, group_sd=replace(c.group_sd, scale=factor * c.group_sd.scale)))
         elif isinstance(c.prior, bc.Normal):
             made.append(replace(c, prior=replace(c.prior, sd=factor * c.prior.sd)))
         else:

@@ -117,7 +117,7 @@ class Later:
         mode = weighed.mode
         _, found = Density(weighed.assembly, mode.point, mode.flat).at(mode.v)
         x = mode.point.x if found is None else found.mean
-        there = Assembly(weighed.assembly.layout, self.record, weighed.assembly.spread)
+        there = Assembly(weighed.assembly.layout, self.record, weighed.assembly.size_factors)
         rows = np.zeros((self.record.size, len(there.row_sd)))
         return there.linearise(Point(x, rows), there.hyper(mode.v)).mean
 

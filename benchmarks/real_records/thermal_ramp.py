@@ -143,7 +143,7 @@ def as_unit(path: Path, split: str) -> dict[str, Any]:
         predicted = [bc.predict(s.calibration, whole[axis], same_record=True) for s in trail.steps]
         errors = [float(np.sqrt(np.mean(p.residual[outside] ** 2))) for p in predicted]
         last = predicted[-1]
-        wander = 0.0 if last.wander is None else np.nan_to_num(last.wander)
+        wander = 0.0 if last.correlated_noise is None else np.nan_to_num(last.correlated_noise)
         results["errors"][axis] = errors[-1]
         inside = (last.residual - wander)[outside]
         results["inside"][axis] = float(np.sqrt(np.mean(inside**2)))

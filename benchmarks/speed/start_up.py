@@ -96,7 +96,7 @@ def peer(table: str, begun: str) -> None:
 
 def ours(told: dict[str, Any]) -> dict[str, Any]:
     """The same numbers out of `calibrate --json`."""
-    rows = {row["name"]: row for row in (*told["coefficients"], *told["spreads"])}
+    rows = {row["name"]: row for row in (*told["coefficients"], *told["hyperparameters"])}
     named = {"offset": "bias.constant", "slope": "bias.temperature", "noise": "noise.white"}
     found = {k: [rows[name]["mean"], rows[name]["sd"]] for k, name in named.items()}
     return {**found, "effects": told["steps"][-1]["effects"]}

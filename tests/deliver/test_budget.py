@@ -38,7 +38,7 @@ def test_shares_count_correlations_by_hand() -> None:
     lever = np.array([1.0, 70.0 - float(fit.frame.reference["T0"])]) / (
         1 + 1e-6 * fit.samples("scale.constant").mean()
     )
-    new_run = np.mean(fit.samples("bias.run.spread") ** 2) * lever[0] ** 2
+    new_run = np.mean(fit.samples("bias.run.group_sd") ** 2) * lever[0] ** 2
     total = lever @ covariance @ lever + new_run
     np.testing.assert_allclose(found.uncertainty**2, total, rtol=1e-9)
     shares = {c.name: c.share for c in found.coefficients}

@@ -67,7 +67,7 @@ def test_what_belongs_to_the_test_rig_does_not_act_in_use(bent) -> None:
 
 def test_a_new_run_brings_its_spread(gyro) -> None:
     new = {u.name: i for i, u in enumerate(gyro.program.unknowns)}["bias.run(new run)"]
-    spread = bent_sensor.gyro().samples("bias.run.spread")
+    spread = bent_sensor.gyro().samples("bias.run.group_sd")
     covariance = gyro.program.covariance
     assert gyro.program.unknowns[new].mean == 0.0
     np.testing.assert_allclose(covariance[new, new], np.mean(spread**2), rtol=1e-12)

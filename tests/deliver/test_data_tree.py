@@ -60,7 +60,7 @@ def test_every_unknown_has_its_unit_and_its_members(found) -> None:
         "bias.constant": "deg/s",
         "bias.temperature": "deg/s/degC",
         "bias.run": "deg/s",
-        "bias.run.spread": "deg/s",
+        "bias.run.group_sd": "deg/s",
         "noise.white": "deg/s",
     }
     assert posterior["bias.run"].dims == ("chain", "draw", "run")
@@ -80,7 +80,7 @@ def test_prior_draws_follow_the_stated_priors(found) -> None:
     for name, exact in {
         "bias.constant": stats.norm(0, 50),
         "bias.temperature": stats.norm(0, 0.05),
-        "bias.run.spread": stats.halfnorm(scale=0.05),
+        "bias.run.group_sd": stats.halfnorm(scale=0.05),
         "noise.white": stats.halfcauchy(scale=0.1),
     }.items():
         assert stats.kstest(prior[name].values.ravel(), exact.cdf).pvalue > 1e-3, name
@@ -91,12 +91,12 @@ def test_log_prior_is_the_density_of_each_unknown_in_its_own_unit(found) -> None
     posterior = found.tree["posterior"].to_dataset()
     assert set(densities) == set(posterior)
     drawn = {str(name): posterior[name].values for name in posterior}
-    spread = drawn["bias.run.spread"]
+    spread = drawn["bias.run.group_sd"]
     exact = {
         "bias.constant": stats.norm.logpdf(drawn["bias.constant"], 0, 50),
         "bias.temperature": stats.norm.logpdf(drawn["bias.temperature"], 0, 0.05),
         "bias.run": stats.norm.logpdf(drawn["bias.run"], 0, spread[..., None]),
-        "bias.run.spread": stats.halfnorm.logpdf(spread, scale=0.05),
+        "bias.run.group_sd": stats.halfnorm.logpdf(spread, scale=0.05),
         "noise.white": stats.halfcauchy.logpdf(drawn["noise.white"], scale=0.1),
     }
     for name, density in exact.items():
@@ -105,7 +105,7 @@ def test_log_prior_is_the_density_of_each_unknown_in_its_own_unit(found) -> None
 
 
 def test_log_prior_knows_a_spread_that_is_held(readings) -> None:
-    held = bc.fit(MODEL.fix({"bias.run.spread": 0.2}), readings, bc.LeastSquares(draws=400))
+    held = bc.fit(MODEL.fix({"bias.run.group_sd": 0.2}), readings, bc.LeastSquares(draws=400))
     density = np.asarray(held.tree["log_prior"]["bias.run"])
     exact = stats.norm.logpdf(np.asarray(held.tree["posterior"]["bias.run"]), 0, 0.2)
     np.testing.assert_allclose(density, exact, rtol=1e-9)

@@ -114,7 +114,7 @@ def test_a_slot_is_decided_on_with_a_new_run(gyro) -> None:
     (found,) = bc.decide(gyro, "bias: 22.25..22.31 °/s at temperature = 70 °C").decisions
     lever = 70.0 - float(gyro.frame.reference["T0"])
     line = gyro.samples("bias.constant") + lever * gyro.samples("bias.temperature")
-    spread = gyro.samples("bias.run.spread")
+    spread = gyro.samples("bias.run.group_sd")
     by_hand = np.mean(
         stats.norm.cdf((22.31 - line) / spread) - stats.norm.cdf((22.25 - line) / spread)
     )
@@ -199,7 +199,7 @@ def test_over_a_range_the_worst_place_counts(gyro) -> None:
         for t in (31.0, 79.0)
     ]
     np.testing.assert_allclose(found.estimate, [e.mean() for e in ends], atol=1e-9)
-    spread = float(gyro.samples("bias.run.spread").mean())
+    spread = float(gyro.samples("bias.run.group_sd").mean())
     new = spread * stats.norm.ppf((np.arange(400) + 0.5) / 400)[:, None]
     inside = (ends[0] + new >= 20.20) & (ends[1] + new <= 22.85)
     assert found.probability == pytest.approx(inside.mean(), abs=5 * found.probability_error)
@@ -385,7 +385,7 @@ def test_a_drift_sets_the_date(tmp_path) -> None:
     slope, constant = fit.samples("zero.drift"), fit.samples("zero.constant")
     time = readings["time"]
     at = (time.max() + after - time.mean()) / np.ptp(time)
-    spread = float(fit.samples("zero.run.spread").mean())
+    spread = float(fit.samples("zero.run.group_sd").mean())
     line = constant + slope * at
     p = np.mean(stats.norm.cdf((12 - line) / spread) - stats.norm.cdf((-12 - line) / spread))
     assert p == pytest.approx(0.95, abs=0.01)

@@ -33,13 +33,13 @@ TYPES = {
 # The keys of schema bayescal.result/1, which no later version may drop.
 KEYS = {
     "": "schema complete search calibration instrument method seed versions reference readings holdout gate steps "
-    "check missing coefficients spreads identifiability verdict",
+    "check missing coefficients hyperparameters identifiability verdict",
     "reference": "T0",
     "readings": "file sha256 rows groups",
     "holdout": "file sha256 rows",
     "gate": "ok reason",
     "search": "weighed complete stopped ending seconds structures averaged_over",
-    "search.structures[]": "effects wanders noise log_evidence probability",
+    "search.structures[]": "effects correlated_noise noise log_evidence probability",
     "search.averaged_over[]": "effects probability",
     "other_path": "noise added log_bayes_factor in_words",
     "steps[]": "effects added dropped rmse rmse_fitted unit holdout_rmse leave_one_group_out "
@@ -51,7 +51,7 @@ KEYS = {
     "check[].worst": "from to group size unit",
     "allan[]": "step unit runs curve terms agrees in_words",
     "allan[].terms[]": "symbol name unit value uncertainty law law_uncertainty",
-    "missing[]": "step nothing_missing_probability unstated noise_wanders noise_laws sets departures candidates "
+    "missing[]": "step nothing_missing_probability unstated correlated_noise noise_laws sets departures candidates "
     "unknown",
     "missing[].sets[]": "effects probability",
     "missing[].departures[]": "effect along share at unit in_words",
@@ -59,7 +59,7 @@ KEYS = {
     "shape visibility minimum_detectable kind indistinguishable_from",
     "missing[].unknown[]": "column size unit log_bayes_factor probability",
     "coefficients[]": "name effect unit mean sd interval95 contraction averaged",
-    "spreads[]": "name effect unit mean sd interval95 contraction averaged",
+    "hyperparameters[]": "name effect unit mean sd interval95 contraction averaged",
     "identifiability": "null_directions",
     "verdict": "ok reasons",
 }

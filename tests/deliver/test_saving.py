@@ -272,3 +272,19 @@ def test_a_broken_write_leaves_the_old_file_whole(line, tmp_path, monkeypatch) -
         line.save(path)
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["line.nc"]
+
+
+def test_a_file_with_the_names_of_0_2_is_read(tmp_path) -> None:
+    """There a group's standard deviation was its spread, in its posterior and in what its model says of itself."""
+    fitted = bc.fit(INSTRUMENT.baseline() + "bias.run", simulate(seed=3))
+    fitted.save(tmp_path / "now.nc")
+
+    def older(tree: xr.DataTree) -> None:
+        posterior = tree["posterior"].to_dataset()
+        tree["posterior"] = xr.DataTree(posterior.rename({"bias.run.group_sd": "bias.run.spread"}))
+        tree.attrs["bayescal"] = tree.attrs["bayescal"].replace("group_sd=", "spread=")
+
+    loaded = bc.load(resealed(tmp_path / "now.nc", tmp_path / "then.nc", older))
+    name = "bias.run.group_sd"
+    np.testing.assert_array_equal(loaded.samples(name), fitted.samples(name))
+    assert name in loaded.posterior.data_vars

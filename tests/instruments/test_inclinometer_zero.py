@@ -194,7 +194,7 @@ def test_a_population_of_devices_is_learned() -> None:
     fitted = bc.fit(dict(INSTRUMENT.structures)["line, hierarchy of axes"](), readings)
     # Devices differ by 30″ and 0.3″/deg; the document's two axes by 34″ and 0.65″/deg beside that.
     spread, slope = (
-        fitted.samples(f"{n}.spread").mean() for n in ("zero.axis", "zero.placement_axis")
+        fitted.samples(f"{n}.group_sd").mean() for n in ("zero.axis", "zero.placement_axis")
     )
     assert 18 < spread < 60
     assert 0.25 < slope < 0.8

@@ -39,7 +39,7 @@ def test_numpyro_program_has_the_same_density(model) -> None:
         for block in b.layout.x_blocks:
             z = jnp.asarray(rng.normal(size=block.size))
             c = block.coefficient
-            spread = hyper[block.spread_name] if c.spread is not None else c.size
+            spread = hyper[block.group_sd_name] if c.group_sd is not None else c.size
             sites[f"{block.name}.standard"] = z
             x.append(c.mean + spread * z)
             ours += block.size * jnp.log(spread)  # likewise: x is written in units of its spread

@@ -120,9 +120,9 @@ def test_priors_and_shapes_out_of_range_are_refused() -> None:
     with pytest.raises(ValueError, match="positive if logarithmic"):
         bc.Shape("tau", "s", -1.0, 1.0)
     with pytest.raises(ValueError, match="needs a group"):
-        bc.Coefficient("deg/s", spread=bc.HalfNormal(1.0))
+        bc.Coefficient("deg/s", group_sd=bc.HalfNormal(1.0))
     with pytest.raises(ValueError, match="give it to the noise law"):
-        bc.Coefficient("deg/s", per="reading", spread=bc.HalfNormal(1.0))
+        bc.Coefficient("deg/s", per="reading", group_sd=bc.HalfNormal(1.0))
 
 
 # Fixed and free.
@@ -174,9 +174,9 @@ def test_a_scale_cannot_be_fixed_to_zero_or_less() -> None:
     ):
         lagging.fix({"bias.thermal_lag.tau": -5.0})
     with pytest.raises(
-        bc.ModelError, match=r"'bias.run.spread' cannot be fixed to -1.0: .*positive"
+        bc.ModelError, match=r"'bias.run.group_sd' cannot be fixed to -1.0: .*positive"
     ):
-        (BASELINE + "bias.run").fix({"bias.run.spread": -1.0})
+        (BASELINE + "bias.run").fix({"bias.run.group_sd": -1.0})
 
 
 @pytest.mark.parametrize("method", [bc.LeastSquares(), bc.Marginal()], ids=lambda m: m.name)

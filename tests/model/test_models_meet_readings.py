@@ -47,7 +47,7 @@ def test_a_group_effect_has_one_coefficient_a_member() -> None:
     layout, levels = bind(BASELINE + "bias.run", data)
     block = layout.x_blocks[-1]
     assert (block.name, block.size, levels["run"]) == ("bias.run", 3, ("a", "b", "c"))
-    assert [h.name for h in layout.hypers] == ["noise.white", "bias.run.spread"]
+    assert [h.name for h in layout.hypers] == ["noise.white", "bias.run.group_sd"]
 
 
 def test_as_many_flat_coefficients_as_readings_are_refused() -> None:
@@ -101,7 +101,7 @@ def test_every_unknown_stands_in_exactly_one_place() -> None:
     assert layout.size == 2 + 1 + 2
     assert [h.name for h in layout.hypers] == [
         "noise.white",
-        "bias.run.spread",
+        "bias.run.group_sd",
         "bias.thermal_lag.tau",
         "bias.temperature",
     ]

@@ -116,8 +116,8 @@ def test_a_law_that_is_right_leaves_normal_scores() -> None:
         spoilt = readings.with_column("output", readings["output"] + more)
         found = bc.check(bc.fit(MODEL.with_noise(law), spoilt, FAST, strict=False))
         assert found.pit_p > 1e-3
-        assert found.spread_with == {}
-        assert bc.check(fitted(spoilt)).pit_p < 1e-5 or bc.check(fitted(spoilt)).spread_with
+        assert found.scatter_with == {}
+        assert bc.check(fitted(spoilt)).pit_p < 1e-5 or bc.check(fitted(spoilt)).scatter_with
 
 
 def test_two_periods_that_even_readings_confuse_are_two_modes() -> None:

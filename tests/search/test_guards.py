@@ -102,7 +102,7 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
     check = SimpleNamespace(
         fixed=None,
         autocorrelation=(0.0, 0.0),
-        spread_with={},
+        scatter_with={},
         pit_p=0.5,
         one_sided=1.0,
         outliers=(),
@@ -184,7 +184,7 @@ def test_the_gates_reasons_are_the_results(line: bc.Calibration) -> None:
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        ({"spread_with": {"temperature": 1e-6}}, "the scatter changes with temperature"),
+        ({"scatter_with": {"temperature": 1e-6}}, "the scatter changes with temperature"),
         ({"pit_p": 1e-6}, "do not scatter about the model as normal noise does"),
         (
             {"entries": [SimpleNamespace(log_bayes_factor=11.0, against="run")]},

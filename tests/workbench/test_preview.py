@@ -59,7 +59,7 @@ def test_size_and_uncertainty_are_those_of_the_fit(gyro: bc.Calibration, name: s
 def test_of_a_group_it_is_the_spread(gyro: bc.Calibration) -> None:
     found = agrees(gyro, "bias.run")
     after = bc.fit(gyro.model + "bias.run", gyro.readings, QUICK, strict=False)
-    assert found.size == pytest.approx(after.samples("bias.run.spread").mean(), rel=1e-6)
+    assert found.size == pytest.approx(after.samples("bias.run.group_sd").mean(), rel=1e-6)
     assert found.size_sd is not None and found.size_sd > 0
 
 

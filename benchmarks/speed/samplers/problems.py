@@ -52,7 +52,7 @@ def fleet() -> Given:
         basis=lambda r: r.centred(),
         coefficients=(
             bc.Coefficient(
-                "°/s/°C", bc.Normal(0.0, SLOPES), per="run", spread=bc.HalfNormal(SLOPES)
+                "°/s/°C", bc.Normal(0.0, SLOPES), per="run", group_sd=bc.HalfNormal(SLOPES)
             ),
         ),
         columns=("run", "temperature"),

@@ -64,7 +64,7 @@ def _device(
 ) -> bc.Effect:
     """An effect with one coefficient for each device, their spread learned."""
     coefficient = bc.Coefficient(
-        unit, bc.Normal(0.0, size), per="device", spread=bc.HalfNormal(size)
+        unit, bc.Normal(0.0, size), per="device", group_sd=bc.HalfNormal(size)
     )
     needs = ("device", *more.pop("columns", ()))
     return bc.Effect(

@@ -85,7 +85,7 @@ SHARED = bc.Effect(
             part="sensitivity",
             slot="sensitivity",
             per="device",
-            spread=bc.HalfNormal(SENSITIVITY_SPREAD),
+            group_sd=bc.HalfNormal(SENSITIVITY_SPREAD),
         ),
         *(
             bc.Coefficient("ug", bc.Normal(0.0, float(sd)), part=f"order {n}")

@@ -92,8 +92,8 @@ class CalibratedAxis:
         for effect in self.calibration.model.effects:
             for i, c in enumerate(effect.coefficients):
                 acts = (c.slot or effect.slot) == "zero" and c.unit == "arcsec"
-                if acts and c.spread is not None and self._member(c.per) is None:
-                    spread = self.calibration.samples(f"{effect.coefficient_name(i)}.spread")
+                if acts and c.group_sd is not None and self._member(c.per) is None:
+                    spread = self.calibration.samples(f"{effect.coefficient_name(i)}.group_sd")
                     variance += float(np.mean(spread**2))
         return float(np.sqrt(variance))
 

@@ -74,7 +74,7 @@ def _effect(
         slot or name.split(".")[0],
         basis,
         coefficients=tuple(
-            bc.Coefficient(unit, bc.Normal(0.0, size), part=part, per=per, spread=spread)
+            bc.Coefficient(unit, bc.Normal(0.0, size), part=part, per=per, group_sd=spread)
             for part in parts
         ),
         equation=equation,

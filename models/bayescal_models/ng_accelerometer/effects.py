@@ -120,7 +120,7 @@ def _run_slope() -> bc.Effect:
         "fixture_tilt",
         basis=_centred,
         coefficients=(
-            bc.Coefficient(unit, bc.Normal(0.0, size), per="run", spread=bc.HalfNormal(size)),
+            bc.Coefficient(unit, bc.Normal(0.0, size), per="run", group_sd=bc.HalfNormal(size)),
         ),
         columns=("run", "temperature"),
         varies=("temperature",),
@@ -171,7 +171,7 @@ def _cells(name: str, parts: tuple[str, ...] = ("",)) -> bc.Effect:
                 part=part,
                 slot=slot,
                 per="cell",
-                spread=bc.HalfCauchy(size),
+                group_sd=bc.HalfCauchy(size),
             )
             for part, slot in zip(parts, slots, strict=True)
         ),

@@ -42,5 +42,5 @@ def _narrowed(effect: bc.Effect) -> bc.Effect:
     if effect.name in PRIORS:
         coefficients = tuple(replace(c, prior=PRIORS[effect.name]) for c in coefficients)
     if effect.name in SPREADS:
-        coefficients = tuple(replace(c, spread=SPREADS[effect.name]) for c in coefficients)
+        coefficients = tuple(replace(c, group_sd=SPREADS[effect.name]) for c in coefficients)
     return replace(effect, coefficients=coefficients)
