@@ -137,23 +137,23 @@ def _followed(steps: Sequence[Step]) -> list[TakenOver]:
 def _not_decidable(step: Step) -> list[str]:
     """What the last model holds that a thermometer or a logger would make as well, alike in every run, in words.
 
-    A thermometer that is late by τ turns c·T into c·T − c·τ·dT/dt, and so does an output that is early: of which of
-    them the rate is no reading of the file tells.
+    A thermometer that is late by τ turns c·T into c·T − c·τ·dT/dt, and so does an output that is early; one that drifts
+    in every run makes a warm-up. Which of them it is no reading of the file tells.
     """
     readings, model = step.calibration.readings, step.calibration.model
-    warm = {n for n in readings.columns if readings.unit(n) == "degC"}
+    needed = {n for e in model.effects for n in (*e.columns, *e.varies)}
+    warm = sorted(n for n in needed if readings.has(n) and readings.unit(n) == "degC")
     in_time = [
-        e
+        e.name
         for e in model.effects
-        if "time" in e.columns and not warm.isdisjoint((*e.columns, *e.varies))
+        if e.along == "elapsed" or ("time" in e.columns and not set(warm).isdisjoint(e.columns))
     ]
-    if not in_time:
+    if not (warm and in_time):
         return []
-    columns = sorted(warm.intersection(n for e in in_time for n in (*e.columns, *e.varies)))
     return [
-        f"Not decidable from these readings: whether {' and '.join(e.name for e in in_time)} is of the sensor, or the "
-        f"thermometer ({', '.join(columns)}) or the output is late or slow alike in every run. Predictions hold with "
-        "this thermometer and this logger; compare the thermometer once with one at the sensor."
+        f"Not decidable from these readings: whether {' and '.join(in_time)} is of the sensor, or the thermometer "
+        f"({', '.join(warm)}) or the output is late, slow or drifting alike in every run. Predictions hold with this "
+        "thermometer and this logger; compare the thermometer once with one at the sensor."
     ]
 
 
