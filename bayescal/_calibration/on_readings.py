@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,21 +37,33 @@ class PredictiveMoments(NamedTuple):
 
 
 @on_one_thread
-def moments(assembly: Assembly, draws: Vectors) -> PredictiveMoments:
+def moments(
+    assembly: Assembly, draws: Vectors, carried: Callable[[np.ndarray], np.ndarray] | None = None
+) -> PredictiveMoments:
     """Of readings, per-reading coefficients and members of groups that are not known (of code −1) beside the mean.
 
     Draws are taken a stretch at a time and never held together; sums are of differences from the first.
+
+    Args:
+        assembly: the model on the readings.
+        draws: of its unknowns.
+        carried: what known readings say of the correlated noise of all, by what each draw expects of them (b, n): it
+            is added to the mean, and its variance is no part of that of the noise.
     """
     count, size = len(draws.x), assembly.record.size
     first, total, squares, noise, beside = np.zeros((5, size))
     for part, some, hyper in _stretches(assembly, draws):
         mean, own = _with_beside(assembly, some, hyper)
+        own_noise = _variance(assembly, hyper)
+        if carried is not None:
+            mean = mean + carried(mean)
+            own_noise = own_noise - np.atleast_1d(assembly.noise.slow_variance(hyper))[:, None]
         first = mean[0].copy() if part.start == 0 else first
         away = mean - first
         total += np.sum(away, axis=0)
         squares += np.einsum("bn,bn->n", away, away)
         many = part.stop - part.start
-        noise += many * np.mean(_variance(assembly, hyper), axis=0)
+        noise += many * np.mean(own_noise, axis=0)
         beside += many * np.mean(np.atleast_1d(own), axis=0)  # a single zero where there is none
     away = total / count
     variance = np.maximum(squares / count - away**2, 0.0)

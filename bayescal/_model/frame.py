@@ -241,12 +241,27 @@ def reference_of(readings: Measurements) -> Reference:
 
 
 def _round_middle(values: np.ndarray) -> float:
-    """The mean, to the fewest decimal places that keep it in the record and within a tenth of its spread."""
-    mean, low, high = float(np.mean(values)), float(np.min(values)), float(np.max(values))
-    near = 0.1 * float(np.std(values))
-    rounded = (round(mean, places) for places in range(16))
-    kept = (r for r in rounded if abs(r - mean) <= near and low <= r <= high)
-    return next(kept, min(max(mean, low), high))
+    own = np.mean(values), np.std(values), np.min(values), np.max(values)
+    return float(rounded_means(*own)[0])
+
+
+def rounded_means(
+    mean: np.ndarray, sd: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> Float[np.ndarray, "d"]:
+    """Means of records, each to the fewest decimal places that keep it in the record and within 0.1 sd.
+
+    Args:
+        mean, sd, low, high: of the values of each record, (d,).
+    """
+    mean, low, high = np.atleast_1d(mean), np.atleast_1d(low), np.atleast_1d(high)
+    rounded, left = np.clip(mean, low, high), np.ones(len(mean), dtype=bool)
+    for places in range(16):
+        near = np.round(mean, places)
+        kept = left & (abs(near - mean) <= 0.1 * sd) & (low <= near) & (near <= high)
+        rounded[kept], left = near[kept], left & ~kept
+        if not left.any():
+            break
+    return rounded
 
 
 def build_frame(
