@@ -241,8 +241,8 @@ def reference_of(readings: Measurements) -> Reference:
 
 
 def _round_middle(values: np.ndarray) -> float:
-    own = np.mean(values), np.std(values), np.min(values), np.max(values)
-    return float(rounded_means(*own)[0])
+    row = values[None]
+    return float(rounded_means(row.mean(1), row.std(1), row.min(1), row.max(1))[0])
 
 
 def rounded_means(
@@ -253,7 +253,6 @@ def rounded_means(
     Args:
         mean, sd, low, high: of the values of each record, (d,).
     """
-    mean, low, high = np.atleast_1d(mean), np.atleast_1d(low), np.atleast_1d(high)
     rounded, left = np.clip(mean, low, high), np.ones(len(mean), dtype=bool)
     for places in range(16):
         near = np.round(mean, places)

@@ -58,7 +58,7 @@ def test_offsets_of_a_narrow_record_are_at_the_temperature_of_its_fit() -> None:
     """A batch rounded the mean temperature to a degree, a fit to a tenth of the record's standard deviation."""
     rng = np.random.default_rng(5)
     temperature = 25.34 + 0.5 * rng.standard_normal(60)
-    output = 3.0 + 1.0 * (temperature - 25.0) + 0.01 * rng.standard_normal(60)
+    output = 3.0 + 0.1 * (temperature - 25.0) + 0.01 * rng.standard_normal(60)
     one = bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, temperature=temperature, output=output)
     constant, sd = bc.fit_batch(MODEL, {"narrow": one})["narrow"]["bias.constant"]
     alone = bc.fit(MODEL, one, bc.LeastSquares()).samples("bias.constant")
