@@ -46,6 +46,7 @@ from ._workbench.start import workbench as workbench  # in a notebook; needs bay
 from ._model.model import Instrument as Instrument  # with `baseline`, which model.py attaches
 from ._model.instrument import Slot as Slot
 from ._model.instrument import Use as Use
+from ._model.vector import Vector as Vector
 from ._model.model import Model as Model
 from ._model.effect import Effect as Effect
 from ._model.formula import effect as effect
