@@ -41,11 +41,9 @@ ACROSS = tuple(f"across_{a}" for a in AXES)  # the direction that a reading is t
 DIRECTION = tuple(f"direction_{a}" for a in AXES)  # of what acts, in the body's axes
 POSE_UNCERTAINTY = "pose_uncertainty"  # of that direction, rad
 MAGNITUDE = "magnitude"  # of what acts, output unit
-INVERSIONS = 2  # Newton steps before the one that is differentiated: 1e-12 for terms of a tenth of the output
+INVERSIONS = 1  # Newton steps before the one that is differentiated: with terms of second order of a tenth, 1e-7 at the end
 
-Equation = Callable[
-    [Float[Array, "n 3"], Mapping[str, Float[Array, "n"]], Frame], Float[Array, "n 3"]
-]
+Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
 
 
 @static
@@ -54,11 +52,11 @@ class Vector:
 
     Attributes:
         outputs: the three columns that files hold, in the output's unit; `output` is made of them.
-        equation: h(f, slots, frame), the three outputs expected where f acts, (n, 3), output unit.
+        equation: h of slots and frame: a function of what acts (n, 3), output unit, to the three outputs expected.
     """
 
     outputs: tuple[str, str, str]
-    equation: Equation
+    equation: Callable[[Mapping[str, Any], Frame], Outputs]
 
     def response(
         self, slots: Mapping[str, Float[Array, "n"]], frame: Frame
@@ -66,7 +64,8 @@ class Vector:
         """The expected output of each reading, magnitude or projection, output unit."""
         y = jnp.stack([frame[name] for name in self.outputs], axis=1)
         size = frame[MAGNITUDE]
-        force, inverse = self.inverted(y, slots, frame)
+        outputs = self.equation(slots, frame)
+        force, inverse = inverted(outputs, y)
         length = _norm(force)
         slope = _norm(jnp.sum(inverse * (force / length[:, None])[:, :, None], axis=1))
         radial = 3 * size * (jnp.cbrt(length / size) - 1) / slope
@@ -75,21 +74,9 @@ class Vector:
             return expected
         across = jnp.stack([frame[name] for name in ACROSS], axis=1)
         direction = jnp.stack([frame[name] for name in DIRECTION], axis=1)
-        known = self.equation(size[:, None] * direction, slots, frame)
+        known = outputs(size[:, None] * direction)
         projected = jnp.any(across != 0, axis=1)
         return jnp.where(projected, jnp.sum(across * known, axis=1), expected)
-
-    def inverted(
-        self, y: Float[Array, "n 3"], slots: Mapping[str, Float[Array, "n"]], frame: Frame
-    ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
-        """f̂ = h⁻¹(y) and H⁻¹ there. The last step of Newton alone is differentiated: that is the derivative of h⁻¹."""
-        force = y
-        for step in range(INVERSIONS + 1):
-            force = jax.lax.stop_gradient(force) if step == INVERSIONS else force
-            there, slopes = _with_slopes(lambda f: self.equation(f, slots, frame), force)
-            inverse = _inverse(slopes)
-            force = force - jnp.sum(inverse * (there - y)[:, None, :], axis=2)
-        return force, inverse
 
     def readings(
         self, values: Mapping[str, np.ndarray], units: Mapping[str, str | None], file: str
@@ -141,6 +128,20 @@ class Vector:
         return made, own
 
 
+def inverted(
+    outputs: Outputs, y: Float[Array, "n 3"]
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
+    """f̂ = h⁻¹(y) and H⁻¹ there. The last step of Newton alone is differentiated: that is the derivative of h⁻¹."""
+    force, inverse = y, y[:, :, None]
+    for step in range(INVERSIONS + 1):
+        force = jax.lax.stop_gradient(force) if step == INVERSIONS else force
+        along = jnp.broadcast_to(jnp.eye(3)[:, None, :], (3, *force.shape))
+        there, push = jax.linearize(outputs, force)
+        inverse = _inverse(*jax.vmap(push)(along))
+        force = force - jnp.sum(inverse * (there - y)[:, None, :], axis=2)
+    return force, inverse
+
+
 def _tangents(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors at right angles to each direction and to each other."""
     least = np.eye(3)[np.argmin(np.abs(direction), axis=1)]
@@ -153,18 +154,9 @@ def _norm(vectors: Float[Array, "n 3"]) -> Float[Array, "n"]:
     return jnp.sqrt(jnp.sum(vectors**2, axis=1))
 
 
-def _with_slopes(
-    function: Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]], at: Float[Array, "n 3"]
-) -> tuple[Float[Array, "n 3"], list[Float[Array, "n 3"]]]:
-    """Values, and the columns of their derivative."""
-    made = [
-        jax.jvp(function, (at,), (jnp.broadcast_to(jnp.asarray(e), at.shape),)) for e in np.eye(3)
-    ]
-    return made[0][0], [slope for _, slope in made]
-
-
-def _inverse(columns: list[Any]) -> Float[Array, "n 3 3"]:
+def _inverse(
+    a: Float[Array, "n 3"], b: Float[Array, "n 3"], c: Float[Array, "n 3"]
+) -> Float[Array, "n 3 3"]:
     """Of matrices given by their columns: cross products over the determinant."""
-    a, b, c = columns
     rows = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
     return rows / jnp.sum(a * rows[:, 0], axis=1)[:, None, None]

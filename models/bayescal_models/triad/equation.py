@@ -8,7 +8,7 @@ model equation: K0, K1, the angles of the input axis, K2 and the cross-coupling 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ BIAS = tuple(f"bias_{a}" for a in AXES)
 SCALE = tuple(f"scale_{a}" for a in AXES)
 UPPER = ("misalignment_xy", "misalignment_xz", "misalignment_yz")  # of the first axis toward the second
 LOWER = ("misalignment_yx", "misalignment_zx", "misalignment_zy")
+FIRST = tuple(f"scale_{i}" if i == j else f"misalignment_{i}{j}" for i in AXES for j in AXES)
 SQUARE = tuple(f"square_{a}" for a in AXES)
 CROSS = tuple(f"cross_{a}_{p}" for a in AXES for p in ("xy", "xz", "yz"))
 
@@ -44,15 +45,21 @@ def second_order(unit: str) -> tuple[bc.Slot, ...]:
     )
 
 
-def equation(force: Any, given: Mapping[str, Any], r: bc.Frame) -> Any:
-    """The three outputs where `force` acts, (n, 3), output unit; second order where there are slots for it."""
-    f = dict(zip(AXES, (force[:, 0], force[:, 1], force[:, 2]), strict=True))
-    made = []
-    for a in AXES:
-        total = f[a] * (1 + given[f"scale_{a}"]) + given[f"bias_{a}"]
-        total += sum(given[f"misalignment_{a}{j}"] * f[j] for j in AXES if j != a)
-        if SQUARE[0] in given:
-            total += given[f"square_{a}"] * f[a] ** 2
-            total += sum(given[f"cross_{a}_{p}"] * f[p[0]] * f[p[1]] for p in ("xy", "xz", "yz"))
-        made.append(total)
-    return jnp.stack(made, axis=1)
+def equation(given: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
+    """The three outputs (n, 3), output unit, as a function of what acts (n, 3); second order where there are slots."""
+
+    def stacked(names: Sequence[str]) -> Any:
+        return jnp.stack([given[name] for name in names], axis=1).reshape(r.size, 3, -1)
+
+    bias, first = stacked(BIAS)[:, :, 0], stacked(FIRST)
+    second = (stacked(SQUARE)[:, :, 0], stacked(CROSS)) if SQUARE[0] in given else None
+
+    def outputs(force: Any) -> Any:
+        total = force + bias + jnp.sum(first * force[:, None, :], axis=2)
+        if second is None:
+            return total
+        square, cross = second
+        products = jnp.stack([force[:, i] * force[:, j] for i, j in ((0, 1), (0, 2), (1, 2))], axis=1)
+        return total + square * force**2 + jnp.sum(cross * products[:, None, :], axis=2)
+
+    return outputs
