@@ -35,6 +35,7 @@ from ._data.allan_deviation import AllanDeviation as AllanDeviation
 # what leaves: the compensation, its budget, pictures, the report for sign-off
 from ._use.compensator import compensator as compensator
 from ._use.compensator import load_compensator as load_compensator
+from ._use.vector_correction import vector_correction as vector_correction
 from ._use.budget import budget as budget
 from ._use.decide import decide as decide
 from ._use.firmware_parameters import firmware_parameters as firmware_parameters
@@ -98,6 +99,7 @@ from ._report.save_search import (
 from ._search.next_experiment import NextExperiment as NextExperiment
 from ._search.false_reports import FalseReports as FalseReports
 from ._use.compensator import Compensator as Compensator
+from ._use.vector_correction import VectorCorrection as VectorCorrection
 from ._use.budget import Budget as Budget
 from ._use.decision import Decisions as Decisions
 from ._use.firmware_parameters import FirmwareParameters as FirmwareParameters

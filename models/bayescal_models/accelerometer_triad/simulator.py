@@ -20,6 +20,7 @@ BASELINE = {
     "scale.constant": np.array([8000.0, -5000.0, 12000.0]),
     "misalignment.constant": np.array([4.0, -6.0, 3.0]),
 }
+REFERENCE = 25.0  # °C, where bias, scale and misalignment are those
 # A hidden effect of size c comes at these multiples of it on the members of its family.
 SHARES = np.array([1.0, -0.6, 0.8, -1.0, 0.5, 0.9, -0.7, 1.0, -0.4])
 PAIRS = ((0, 1), (0, 2), (1, 2))
@@ -69,7 +70,7 @@ def simulated_columns(
     sizes["cross.constant"] = np.zeros(9)
     for name, size in given.items():
         sizes[name] = size * SHARES[: len(sizes[name])]
-    warm = (temperature - round(float(np.mean(temperature))))[:, None]
+    warm = (temperature - REFERENCE)[:, None]
     progress = ((time - time.mean()) / max(float(np.ptp(time)), 1.0))[:, None]
     bias = sizes["bias.constant"] + sizes["bias.temperature"] * warm
     bias = bias + sizes["bias.temperature_quadratic"] * warm**2 + sizes["bias.drift"] * progress
