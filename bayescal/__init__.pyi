@@ -13,6 +13,7 @@ from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
 # beside the loop: which test to run next, how often a search reports what is not there, an effect's draft
+from ._search.poses import poses as poses
 from ._search.next_experiment import next_experiment as next_experiment
 from ._search.false_reports import false_reports as false_reports
 from ._search.draft_effect import shape_of as shape_of

@@ -35,6 +35,7 @@ from bayescal._data.dataset_checks import (
     row_namer,
 )
 from bayescal._data.header_matching import unused_options
+from bayescal._data.pose_rows import scalar_readings
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name
 from bayescal._data.unit_conversion import check_unit
 from bayescal._data.unit_parsing import ANY, STANDARD_GRAVITY
@@ -346,8 +347,8 @@ def assemble(
     odd += [f"{names}: {said}" for said in odd_numbers(values, units, output)]
     kept, flags = once(values, repeated), [*converted.flags, *odd]
     values = {n: v[kept] for n, v in values.items()}
-    if (vector := getattr(instrument, "vector", None)) is not None:
-        values, units = vector.readings(values, units, names)
+    if outputs := getattr(instrument, "outputs", ()):
+        values, units = scalar_readings(outputs, values, units, names)
     variables = {n: _variable(v, units[n]) for n, v in values.items()}
     if since is not None:
         variables["time"].attrs[SINCE] = since

@@ -206,6 +206,11 @@ class Instrument:
         return tuple(dict.fromkeys((*GROUPS, "reading", *labels)))
 
     @property
+    def outputs(self) -> tuple[str, ...]:
+        """Columns that the output is made of; none where a file holds it."""
+        return () if self.vector is None else self.vector.outputs
+
+    @property
     def unit(self) -> str:
         """The fixed unit of the output; "any" before it is tailored to readings."""
         unit = self.column("output").unit

@@ -8,6 +8,7 @@ import lazy_loader
 
 import bayescal as bc
 
+OUTPUTS = ("output_x", "output_y", "output_z")
 COLUMNS = (
     bc.Column("run", None, "label of the session", required=False),
     bc.Column("time", "s", "one origin over all runs", required=False),

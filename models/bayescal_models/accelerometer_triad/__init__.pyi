@@ -7,3 +7,4 @@ from .model import INSTRUMENT as INSTRUMENT
 from .model import simulate as simulate
 
 COLUMNS: tuple[bc.Column, ...]
+OUTPUTS: tuple[str, str, str]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bayescal as bc
 from bayescal_models.triad.equation import BIAS, CROSS, LOWER, SCALE, SQUARE, UPPER
-from bayescal_models.triad.families import drift, family, over_temperature
+from bayescal_models.triad.families import drift, family, over_temperature, unknown_directions
 
 SHEETS = "data sheets of ADXL355, BMI088 and ICM-20948, zero-g offset, sensitivity and cross axis; size ours"
 TEMPCO = "the same data sheets, change with temperature; size ours"
@@ -13,15 +13,8 @@ SECOND = "IEEE Std 1293-2018, model equation; size ours, a nonlinearity of 0.1 %
 CONSTANT = family("bias.constant", BIAS, 50.0, "mg", SHEETS)
 FACTOR = family("scale.constant", SCALE, 30000.0, "ppm", SHEETS)
 SHEAR = family("misalignment.constant", UPPER, 20.0, "mrad", SHEETS)
-
-
-def _unknown_directions(readings: bc.Measurements) -> str | None:
-    """Why a rotation of the triad moves no reading."""
-    return None if readings.has("across_x") else "needs poses of known direction (direction_x, …, pose_uncertainty)"
-
-
 TURNED = family(
-    "misalignment.frame", LOWER, 20.0, "mrad", "ours: how well a triad is mounted", untestable=_unknown_directions
+    "misalignment.frame", LOWER, 20.0, "mrad", "ours: how well a triad is mounted", untestable=unknown_directions
 )
 BIAS_TEMPERATURE = over_temperature("bias.temperature", BIAS, 0.5, "mg/degC", TEMPCO)
 SCALE_TEMPERATURE = over_temperature("scale.temperature", SCALE, 200.0, "ppm/degC", TEMPCO)

@@ -39,12 +39,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import bayescal as bc
-from bayescal_models.accelerometer_triad import COLUMNS, effects
+from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS, effects
 from bayescal_models.accelerometer_triad.campaign import Campaign
 from bayescal_models.accelerometer_triad.simulator import simulated_columns
 from bayescal_models.triad.equation import equation, second_order, slots
 
-VECTOR = bc.Vector(outputs=("output_x", "output_y", "output_z"), equation=equation)
+VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation)
 
 
 def _response(slots, r):

@@ -1,41 +1,19 @@
-"""Columns of a simulated campaign: three dies, each with its own input axis, in poses at rest.
-
-An axis feels the specific force along its own direction, a row of the sensor's matrix; quadratic terms are those of its
-own equation. All of it is computed pose by pose in NumPy, independently of the instrument's equation.
-"""
+"""Columns of a simulated campaign of three accelerometers; the world is that of any three axes (`triad/simulator.py`)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from bayescal_models.accelerometer_triad.campaign import Campaign
-from bayescal_models.triad.poses import beside, directions
+from bayescal_models.triad.campaign import Campaign
+from bayescal_models.triad.simulator import COUNTS, poses_of
 
 # The triad that is there unless effects say otherwise: bias mg, scale ppm, misalignment mrad; x, y, z (xy, xz, yz).
 BASELINE = {
-    "bias.constant": np.array([12.0, -20.0, 35.0]),
-    "scale.constant": np.array([8000.0, -5000.0, 12000.0]),
-    "misalignment.constant": np.array([4.0, -6.0, 3.0]),
+    "bias.constant": (12.0, -20.0, 35.0),
+    "scale.constant": (8000.0, -5000.0, 12000.0),
+    "misalignment.constant": (4.0, -6.0, 3.0),
 }
-REFERENCE = 25.0  # °C, where bias, scale and misalignment are those
-# A hidden effect of size c comes at these multiples of it on the members of its family.
-SHARES = np.array([1.0, -0.6, 0.8, -1.0, 0.5, 0.9, -0.7, 1.0, -0.4])
-PAIRS = ((0, 1), (0, 2), (1, 2))
-NAMES = (
-    *BASELINE,
-    "bias.temperature",
-    "bias.temperature_quadratic",
-    "bias.drift",
-    "bias.run",
-    "scale.temperature",
-    "misalignment.temperature",
-    "misalignment.frame",
-    "square.constant",
-    "cross.constant",
-)
 
 
 def simulated_columns(
@@ -45,52 +23,4 @@ def simulated_columns(
 
     Args and Raises: as of `simulate` in `model.py`.
     """
-    given, campaign = dict(effects or {}), campaign or Campaign()
-    if unknown := sorted(set(given) - set(NAMES)):
-        raise ValueError(f"no law for {', '.join(unknown)}: choose among {', '.join(NAMES)}")
-    for name, size in given.items():
-        if not np.isfinite(size):
-            raise ValueError(f"{name}: its size {size!r} is no number")
-    rng = np.random.default_rng(seed)
-    each = len(campaign.temperatures) * campaign.poses
-    count = campaign.runs * each
-    nominal = np.concatenate(
-        [
-            directions(campaign.kind, campaign.poses, rng)
-            for _ in range(campaign.runs * len(campaign.temperatures))
-        ]
-    )
-    angle = campaign.pose_uncertainty or 0.0
-    force = beside(nominal, angle, rng)
-    temperature = np.tile(np.repeat(campaign.temperatures, campaign.poses), campaign.runs)
-    run = np.repeat(np.arange(campaign.runs), each)
-    time = campaign.interval * np.arange(count) + 3600.0 * run
-    of_run, noise = rng.standard_normal((campaign.runs, 3)), rng.standard_normal((count, 3))
-    sizes = {name: np.zeros(3) for name in NAMES} | BASELINE
-    sizes["cross.constant"] = np.zeros(9)
-    for name, size in given.items():
-        sizes[name] = size * SHARES[: len(sizes[name])]
-    warm = (temperature - REFERENCE)[:, None]
-    progress = ((time - time.mean()) / max(float(np.ptp(time)), 1.0))[:, None]
-    bias = sizes["bias.constant"] + sizes["bias.temperature"] * warm
-    bias = bias + sizes["bias.temperature_quadratic"] * warm**2 + sizes["bias.drift"] * progress
-    bias = 1e-3 * (bias + sizes["bias.run"] * of_run[run])
-    scale = 1e-6 * (sizes["scale.constant"] + sizes["scale.temperature"] * warm)
-    upper = 1e-3 * (sizes["misalignment.constant"] + sizes["misalignment.temperature"] * warm)
-    lower = 1e-3 * sizes["misalignment.frame"]
-    output = np.empty((count, 3))
-    for i in range(count):
-        matrix = np.eye(3) + np.diag(scale[i])
-        matrix[0, 1], matrix[0, 2], matrix[1, 2] = upper[i]
-        matrix[1, 0], matrix[2, 0], matrix[2, 1] = lower
-        products = np.array([force[i, a] * force[i, b] for a, b in PAIRS])
-        second = sizes["square.constant"] * force[i] ** 2
-        second = second + sizes["cross.constant"].reshape(3, 3) @ products
-        output[i] = matrix @ force[i] + bias[i] + 1e-3 * second
-    output += campaign.noise * noise
-    made: dict[str, Any] = {"run": (run + 1).astype(str), "time": time, "temperature": temperature}
-    made |= {f"output_{a}": output[:, i] for i, a in enumerate("xyz")}
-    if campaign.pose_uncertainty is not None:
-        made |= {f"direction_{a}": nominal[:, i] for i, a in enumerate("xyz")}
-        made["pose_uncertainty"] = np.full(count, angle)
-    return made
+    return poses_of(BASELINE, tuple(COUNTS), 1e-3, effects, seed, campaign or Campaign())

@@ -89,3 +89,8 @@ def drift(name: str, slots: Sequence[str], size: float, unit: str, source: str) 
     return family(
         name, slots, size, unit, source, basis=_progress, equation="c·progress", columns=("time",), varies=("time",)
     )
+
+
+def unknown_directions(readings: bc.Measurements) -> str | None:
+    """Why a rotation of the triad moves no reading."""
+    return None if readings.has("across_x") else "needs poses of known direction (direction_x, …, pose_uncertainty)"
