@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from scipy import special as on_host
 
 from bayescal._model.correlated_noise import allan_of_exponential
+from bayescal._model.noise_law import WHITE
 from bayescal._model.prior import LogUniform, Normal, Positive, multiplied
 from bayescal._model.static import static
 
@@ -28,6 +29,13 @@ RUNGS = 8.0  # from one time of a ladder to the next: its spectrum within 3.5 % 
 FASTEST = 0.25  # steps, the shortest of these times: below a period of two steps, the shortest there is, over 2π
 SMOOTH = 1e-3  # times λ·h, below which a smooth process is told by the first terms of its series
 REACH = 0.1  # λ·h, below which a small difference of exponentials is summed as a series
+MOVING = ("noise.tone.slope", "noise.tone.bend")  # of a tone's frequency along a column
+WINDOW = 32  # readings of a spectrum, in which a line that moves stays in its place
+FINE = 2  # places of a spectrum to each that its readings tell apart
+FEWEST_WINDOWS = 8
+GRID = 16  # slopes of a frequency, from none to twice the Nyquist frequency over half the column's range
+LOUDEST = 20.0  # times the usual, as much as a window counts: a spike is no line
+UNEVEN = 0.05  # of the usual step
 FLAT = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
 
 
@@ -37,11 +45,13 @@ class Bounds(NamedTuple):
     Attributes:
         shortest, longest: of correlation times, s: the usual step and the longest run.
         correlated: prior of a correlated part's standard deviation, output unit.
+        column: that the frequency of a tone follows; none if empty.
     """
 
     shortest: float
     longest: float
     correlated: Positive
+    column: str = ""
 
     @property
     def middle(self) -> float:
@@ -92,7 +102,7 @@ class NoiseTerm(abc.ABC):
 
     @abc.abstractmethod
     def block(self, values: Values, bounds: Bounds, h: Float[Array, "n"]) -> Block:
-        """Its states over steps h, s."""
+        """Its states over steps h, s; `values` has the column that is followed too, by its name, from −1 to 1 (n,)."""
 
     @abc.abstractmethod
     def variance(self, values: Values, bounds: Bounds) -> Any:
@@ -105,6 +115,15 @@ class NoiseTerm(abc.ABC):
     @abc.abstractmethod
     def allan(self, values: Values, bounds: Bounds, m: Float[np.ndarray, "k"], step: float) -> Any:
         """Allan variance of means of m evenly spaced readings; values with a last axis of one."""
+
+    def starts(
+        self,
+        step: Float[np.ndarray, "n"],
+        left: Float[np.ndarray, "n"],
+        z: Float[np.ndarray, "n"] | None,
+    ) -> list[dict[str, float]]:
+        """Values at which a maximum may lie; further unknowns anywhere."""
+        return [{}]
 
     def derived(self, values: Values, bounds: Bounds) -> dict[str, Any]:
         """Further numbers that its unknowns come to."""
@@ -304,26 +323,37 @@ class SmoothTerm(NoiseTerm):
 
 
 class ToneTerm(NoiseTerm):
-    """A narrow line: a pair of states that turns with a frequency and forgets its phase within a time."""
+    """A narrow line: a pair of states that turns with a frequency and forgets its phase within a time.
+
+    Where a column z is followed the frequency is f + a·z + b·z², z from −1 to 1 over the readings of the fit. Readings
+    show a line above their Nyquist frequency folded; the pair turns by as much between them.
+    """
 
     words: ClassVar[str] = "tone"
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         slowest, fastest = 1 / bounds.longest, 0.5 / bounds.shortest
+        moving = dict.fromkeys(MOVING, Normal(0.0, fastest)) if bounds.column else {}
         return {
             "noise.tone": bounds.correlated,
             "noise.tone.frequency": LogUniform(min(slowest, 0.5 * fastest), fastest),
             "noise.tone.time": LogUniform(bounds.shortest, bounds.longest),
+            **moving,
         }
 
     def unit(self, name: str, output: str) -> str:
-        return {"noise.tone.frequency": "Hz", "noise.tone.time": "s"}.get(name, output)
+        return {"noise.tone": output, "noise.tone.time": "s"}.get(name, "Hz")
 
     def variance(self, values, bounds):
         return values["noise.tone"] ** 2
 
+    def _frequency(self, values: Values, bounds: Bounds, z: Any) -> Any:
+        slope, bend = (values[name] if bounds.column else 0.0 for name in MOVING)
+        return values["noise.tone.frequency"] + slope * z + bend * z**2
+
     def block(self, values, bounds, h):
-        turn = 2 * math.pi * values["noise.tone.frequency"] * h
+        z = values[bounds.column] if bounds.column else 0.0
+        turn = 2 * math.pi * self._frequency(values, bounds, z) * h
         c, s = jnp.cos(turn), jnp.sin(turn)
         plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
         turned = jnp.stack([jnp.stack([c, s], -1), jnp.stack([-s, c], -1)], -2)
@@ -331,8 +361,83 @@ class ToneTerm(NoiseTerm):
         return Block(plain.carry[:, :, None] * turned, root, plain.start * jnp.eye(2))
 
     def allan(self, values, bounds, m, step):
-        a = step / values["noise.tone.time"] - 2j * math.pi * step * values["noise.tone.frequency"]
-        return values["noise.tone"] ** 2 * _exponential_complex(m, a).real
+        """Of a frequency that moves: the mean over the column's range."""
+        places = np.linspace(-1, 1, 33) if bounds.column else [0.0]
+        found = [
+            _exponential_complex(
+                m,
+                step / values["noise.tone.time"]
+                - 2j * math.pi * step * self._frequency(values, bounds, z),
+            ).real
+            for z in places
+        ]
+        return values["noise.tone"] ** 2 * np.mean(found, axis=0)
+
+    def starts(
+        self,
+        step: Float[np.ndarray, "n"],
+        left: Float[np.ndarray, "n"],
+        z: Float[np.ndarray, "n"] | None,
+    ) -> list[dict[str, float]]:
+        """Values at the strongest line of a spectrogram, its frequency any quadratic of the column; none of few readings.
+
+        Each window's spectrum counts in parts of the median of all windows at its frequency: what is there in all of
+        them is no line that moves, and of one that stays the neighbours are the measure.
+
+        Args:
+            step: since the reading before, s; −1 at a run's first.
+            left: of the readings in the order of time, output unit.
+            z: the column, from −1 to 1.
+        """
+        usual = float(np.median(step[step > 0]))
+        even = np.abs(step / usual - 1) < UNEVEN
+        ends = np.cumsum(even)
+        begins = [
+            s
+            for s in range(0, len(left) - WINDOW + 1, WINDOW // 2)
+            if ends[s + WINDOW - 1] - ends[s] == WINDOW - 1
+        ]
+        if len(begins) < FEWEST_WINDOWS:
+            return []
+        rows = np.array(begins)[:, None] + np.arange(WINDOW)
+        some, hann = left[rows], np.hanning(WINDOW + 2)[1:-1]
+        ramp = np.vander(np.linspace(-1, 1, WINDOW), 2)
+        some = some - some @ ramp @ np.linalg.pinv(ramp)
+        power = np.abs(np.fft.rfft(some * hann, FINE * WINDOW, axis=1)) ** 2
+        floor = np.median(power, axis=0) / math.log(
+            2
+        )  # the mean of an exponential distribution, by its median
+        if z is None:
+            floor = np.array(
+                [np.median(floor[max(0, k - WINDOW) : k + WINDOW]) for k in range(floor.size)]
+            )
+        excess, place = power / floor, np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
+        count, best = FINE * WINDOW, (-math.inf, 0.0, 0.0, 0.0)
+        slopes = np.linspace(-1, 1, 4 * GRID + 1) if z is not None else np.zeros(1)
+        middles, each = np.arange(1, count // 2) / count, np.arange(len(rows))
+        for a in slopes:
+            for b in slopes[::2] / 2:
+                turns = (middles[:, None] + a * place + b * place**2) % 1.0
+                bins = np.rint(np.minimum(turns, 1 - turns) * count).astype(int)
+                totals = np.mean(np.minimum(excess[each, bins], LOUDEST), axis=1)
+                if (top := float(totals.max())) > best[0]:
+                    best = (top, float(middles[np.argmax(totals)]), float(a), float(b))
+        level, middle, a, b = best
+        jumps = np.diff(left)[even[1:]]
+        noise = float(np.median(np.abs(jumps))) / (0.6745 * math.sqrt(2))
+        share = max(level - 1, 0.1) * 2 * float(np.sum(hann**2)) / float(np.sum(hann)) ** 2
+        share = share / (1 + share)
+        found = {
+            WHITE: noise * math.sqrt(1 - share),
+            "noise.tone": noise * math.sqrt(share),
+            "noise.tone.frequency": middle / usual,
+            "noise.tone.time": WINDOW * usual,
+        }
+        return [
+            found
+            if z is None
+            else {**found, **dict(zip(MOVING, (a / usual, b / usual), strict=True))}
+        ]
 
 
 class RoundedAngleTerm(NoiseTerm):

@@ -102,8 +102,18 @@ def on_residuals_in_time(law: Noise, record: Record, left: Float[np.ndarray, "n"
     narrow = float(np.median(np.abs(jumps))) or float(np.sqrt(np.mean(left**2)))
     if not narrow > 0:
         return OnResiduals(-math.inf, {})
-    first = priors[names[0]].coordinate(narrow)
-    starts = np.array(list(itertools.product([first], *[LEVELS] * (len(names) - 1))))
+    stated = law.starts(record.frame.in_time(), left[record.in_time[0]])
+    starts = np.array(
+        [
+            one
+            for values in ({WHITE: narrow, **some} for some in stated)
+            for one in itertools.product(
+                *([p.coordinate(values[n])] if n in values else LEVELS for n, p in priors.items())
+            )
+        ]
+    )
+    if not len(starts):
+        return OnResiduals(-math.inf, {})
     hyper = {name: p.value(starts[:, i]) for i, (name, p) in enumerate(priors.items())}
     there = total_log_density(law, record, left[None], hyper) + of_priors(starts)
     found = minimize(
