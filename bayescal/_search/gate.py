@@ -330,14 +330,18 @@ def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
 
 
 def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
-    """The same of the hold-out data: under correlated noise an error that the model expects there is no rise."""
+    """The same of the hold-out data: under correlated noise an error that the model may have there is no rise.
+
+    Its errors there may be no more than one, that of the noise's state: as far out as one normal number is.
+    """
     known = [(s.holdout_rmse, s) for s in earlier if s.holdout_rmse is not None]
     if last.holdout_rmse is None or not known:
         return None
     error, best = min(known, key=lambda one: one[0])
     if last.holdout_rmse <= guarding().worse * error:
         return None
-    expected = last.holdout_sd is not None and last.holdout_rmse <= last.holdout_sd
+    allowed = guarding().expected * (last.holdout_sd or 0.0)
+    expected = last.holdout_rmse <= allowed
     return None if expected and not last.calibration.model.noise.independent else best
 
 

@@ -41,7 +41,7 @@ def test_groups_left_out_are_judged_by_their_density_under_correlated_noise(
 
 
 @pytest.mark.parametrize(
-    ("noise", "sd", "worse"), [(WALK, 1.5, False), (WALK, 1.2, True), (bc.White(), 1.5, True)]
+    ("noise", "sd", "worse"), [(WALK, 0.7, False), (WALK, 0.6, True), (bc.White(), 1.5, True)]
 )
 def test_hold_out_data_are_judged_by_what_correlated_noise_lets_one_expect(
     noise, sd, worse
