@@ -178,7 +178,7 @@ class Noise(abc.ABC):
         return self.whiten(left[:, None], 0.0, parameters, frame)[0][:, 0]
 
     def followed(self, frame: Frame) -> Float[Array, "n"] | None:
-        """The column that its correlated part follows, from −1 to 1 over the readings of the fit; None if it does none."""
+        """The column that its correlated part follows, −1 to 1 over the readings of the fit; None if it does none."""
         return None
 
     def starts(self, frame: Frame, left: Float[np.ndarray, "n"]) -> list[dict[str, float]]:

@@ -7,6 +7,7 @@ stationary, so that any of them may begin a run. IEEE Std 952-1997, Annex C, has
 from __future__ import annotations
 
 import abc
+import itertools
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
@@ -379,7 +380,7 @@ class ToneTerm(NoiseTerm):
         left: Float[np.ndarray, "n"],
         z: Float[np.ndarray, "n"] | None,
     ) -> list[dict[str, float]]:
-        """Values at the strongest line of a spectrogram, its frequency any quadratic of the column; none of few readings.
+        """Values at the strongest line of a spectrogram, its frequency a quadratic of the column; none of few.
 
         Each window's spectrum counts in parts of the median of all windows at its frequency: what is there in all of
         them is no line that moves, and of one that stays the neighbours are the measure.
@@ -391,53 +392,56 @@ class ToneTerm(NoiseTerm):
         """
         usual = float(np.median(step[step > 0]))
         even = np.abs(step / usual - 1) < UNEVEN
-        ends = np.cumsum(even)
-        begins = [
-            s
-            for s in range(0, len(left) - WINDOW + 1, WINDOW // 2)
-            if ends[s + WINDOW - 1] - ends[s] == WINDOW - 1
-        ]
-        if len(begins) < FEWEST_WINDOWS:
+        within = np.convolve(even, np.ones(WINDOW - 1), "valid")[1:] == WINDOW - 1
+        begins = np.arange(0, len(left) - WINDOW + 1, WINDOW // 2)
+        rows = begins[within[begins]][:, None] + np.arange(WINDOW)
+        if len(rows) < FEWEST_WINDOWS:
             return []
-        rows = np.array(begins)[:, None] + np.arange(WINDOW)
-        some, hann = left[rows], np.hanning(WINDOW + 2)[1:-1]
-        ramp = np.vander(np.linspace(-1, 1, WINDOW), 2)
-        some = some - some @ ramp @ np.linalg.pinv(ramp)
-        power = np.abs(np.fft.rfft(some * hann, FINE * WINDOW, axis=1)) ** 2
-        floor = np.median(power, axis=0) / math.log(
-            2
-        )  # the mean of an exponential distribution, by its median
-        if z is None:
-            floor = np.array(
-                [np.median(floor[max(0, k - WINDOW) : k + WINDOW]) for k in range(floor.size)]
-            )
-        excess, place = power / floor, np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
-        count, best = FINE * WINDOW, (-math.inf, 0.0, 0.0, 0.0)
+        window = np.hanning(WINDOW + 2)[1:-1]
+        excess = _excess(left[rows], window, moves=z is not None)
+        place = np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
         slopes = np.linspace(-1, 1, 4 * GRID + 1) if z is not None else np.zeros(1)
-        middles, each = np.arange(1, count // 2) / count, np.arange(len(rows))
-        for a in slopes:
-            for b in slopes[::2] / 2:
-                turns = (middles[:, None] + a * place + b * place**2) % 1.0
-                bins = np.rint(np.minimum(turns, 1 - turns) * count).astype(int)
-                totals = np.mean(np.minimum(excess[each, bins], LOUDEST), axis=1)
-                if (top := float(totals.max())) > best[0]:
-                    best = (top, float(middles[np.argmax(totals)]), float(a), float(b))
+        count, each, best = FINE * WINDOW, np.arange(len(rows)), (-math.inf, 0.0, 0.0, 0.0)
+        middles = np.arange(1, count // 2) / count
+        for a, b in itertools.product(slopes, slopes[::2] / 2):
+            turns = (middles[:, None] + a * place + b * place**2) % 1.0
+            bins = np.rint(np.minimum(turns, 1 - turns) * count).astype(int)
+            totals = np.mean(np.minimum(excess[each, bins], LOUDEST), axis=1)
+            best = max(best, (float(totals.max()), float(middles[np.argmax(totals)]), a, b))
         level, middle, a, b = best
-        jumps = np.diff(left)[even[1:]]
-        noise = float(np.median(np.abs(jumps))) / (0.6745 * math.sqrt(2))
-        share = max(level - 1, 0.1) * 2 * float(np.sum(hann**2)) / float(np.sum(hann)) ** 2
-        share = share / (1 + share)
+        noise = float(np.median(np.abs(np.diff(left)[even[1:]]))) / (0.6745 * math.sqrt(2))
+        # A line of variance s² beside white noise w² has (Σh)²·s²/(2·w²·Σh²) times the noise's power under a window h.
+        ratio = max(level - 1, 0.1) * 2 * float(np.sum(window**2) / np.sum(window) ** 2)
+        share = ratio / (1 + ratio)
         found = {
             WHITE: noise * math.sqrt(1 - share),
             "noise.tone": noise * math.sqrt(share),
             "noise.tone.frequency": middle / usual,
             "noise.tone.time": WINDOW * usual,
         }
-        return [
-            found
-            if z is None
-            else {**found, **dict(zip(MOVING, (a / usual, b / usual), strict=True))}
-        ]
+        if z is not None:
+            found |= dict(zip(MOVING, (float(a) / usual, float(b) / usual), strict=True))
+        return [found]
+
+
+def _excess(
+    left: Float[np.ndarray, "w r"], window: Float[np.ndarray, "r"], moves: bool
+) -> Float[np.ndarray, "w f"]:
+    """Power of windows at each frequency, in parts of what is usual there in all of them; straight lines taken out.
+
+    Args:
+        left: of the readings of each window.
+        window: weights.
+        moves: whether a line does; else what is usual at its frequency is that of the neighbours.
+    """
+    ramp = np.vander(np.linspace(-1, 1, len(window)), 2)
+    flat = left - left @ ramp @ np.linalg.pinv(ramp)
+    power = np.abs(np.fft.rfft(flat * window, FINE * len(window), axis=1)) ** 2
+    usual = np.median(power, axis=0) / math.log(2)  # the mean of an exponential distribution
+    if not moves:
+        some = [slice(max(0, k - WINDOW), k + WINDOW) for k in range(usual.size)]
+        usual = np.array([np.median(usual[one]) for one in some])
+    return power / usual
 
 
 class RoundedAngleTerm(NoiseTerm):
