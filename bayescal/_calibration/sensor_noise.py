@@ -181,7 +181,7 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
         print(bc.noise(bc.read("still.csv", still_sensor.INSTRUMENT)))
 
     Sums of white and quantisation noise, a random walk, flicker noise and one or two Ornstein–Uhlenbeck processes
-    are weighed by their evidence; a level of each run and a cubic over a column `temperature` are taken out beside them.
+    are weighed by their evidence; levels of runs and a cubic over a column `temperature` are taken out beside them.
 
     Args:
         readings: of one channel, evenly spaced in time within runs.

@@ -25,6 +25,7 @@ from bayescal._cli import (
     deliverables,
     fit_and_predict,
     noise_command,
+    plan_command,
 )
 from bayescal._core import deadline
 from bayescal._core.errors import BayescalError, NotConverged, TimeIsUp
@@ -43,7 +44,15 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-for group in (catalogue, calibrate_command, fit_and_predict, noise_command, deliverables, batch):
+for group in (
+    catalogue,
+    calibrate_command,
+    fit_and_predict,
+    noise_command,
+    plan_command,
+    deliverables,
+    batch,
+):
     app.add_typer(group.commands)
 
 

@@ -19,7 +19,7 @@ from bayescal._data.rounding import rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.unknown_effect import FORMS, FREED, covariate_in
 from bayescal._search.search_path import Gate, Step
-from bayescal._search.taken_over import taken_over
+from bayescal._search.taken_over import TakenOver, taken_over
 
 
 def gate(steps: Sequence[Step]) -> Gate:
@@ -115,10 +115,20 @@ def _freed(steps: Sequence[Step]) -> list[str]:
 
 def _confounded(steps: Sequence[Step]) -> list[str]:
     """What the last model holds that these readings hardly tell from a term of the first, in words."""
-    if len(steps) < 2 or not steps[-1].calibration.verdict.ok:
+    if not steps[-1].calibration.verdict.ok:
         return []
-    found = taken_over(steps[0].calibration, steps[-1].calibration)
-    return [str(one) for one in found if one.measured and one.confounded]
+    return [str(one) for one in _followed(steps) if one.measured and one.confounded]
+
+
+def _followed(steps: Sequence[Step]) -> list[TakenOver]:
+    """Terms of the first model in the last; what has no name is compared with the last model without such."""
+    last, found = steps[-1].calibration, list[TakenOver]()
+    unnamed = {e.name for e in last.model.effects if e.is_placeholder}
+    plain = [s.calibration for s in steps[:-1] if unnamed.isdisjoint(s.calibration.model.names)]
+    if plain:
+        found = [one for one in taken_over(plain[0], last) if not one.unnamed]
+        found += [one for one in taken_over(plain[-1], last) if one.unnamed]
+    return sorted(found, key=lambda one: -one.moved)
 
 
 def _not_decidable(step: Step) -> list[str]:
@@ -152,7 +162,7 @@ def _thermometers(steps: Sequence[Step]) -> list[str]:
     every = [n for n in readings.columns if readings.unit(n) == "degC"]
     if not warm:
         return []
-    found = oddities({n: readings[n] for n in readings.columns}, every)
+    found = oddities({n: readings[n] for n in readings.columns}, every, readings.output)
     return [
         f"Column {one.column!r} {one.said}: what depends on it is not measured."
         for one in found
@@ -162,10 +172,7 @@ def _thermometers(steps: Sequence[Step]) -> list[str]:
 
 def _taken_over(steps: Sequence[Step]) -> list[str]:
     """Terms of the first model that something else stands for in the last, the one that moved the most alone."""
-    if len(steps) < 2:
-        return []
-    found = taken_over(steps[0].calibration, steps[-1].calibration)
-    return [str(one) for one in found if not one.measured][:1]
+    return [str(one) for one in _followed(steps) if not one.measured][:1]
 
 
 def _undecided(step: Step) -> list[str]:

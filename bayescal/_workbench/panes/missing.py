@@ -35,9 +35,6 @@ class Missing:
             kind="pair",
             pointing=True,
             label="Candidates",
-            margin=0,
-            sizing_mode="stretch_both",
-            styles={"min-height": "0"},
         )
         self.rows.param.watch(lambda event: point(event.new), "pointed")
         self.view = column(

@@ -31,7 +31,7 @@ class Tabs:
         instrument = bench.session.current.step.calibration.model.instrument
         self.file = FilePane(bench.run, instrument, bench.begin_with)
         self.describe = DescribePane(
-            bench.run, session, bench.fails.select, bench.fails.columns, bench.draft_loaded
+            bench.run, session, bench.fails.select, bench.fails.columns, bench.done
         )
         self._panes: dict[str, Any] = {
             "Next experiment": self.experiment,

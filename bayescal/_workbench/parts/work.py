@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from threading import Lock
 from typing import Any
 
@@ -23,6 +24,9 @@ class Work:
         """`tell(words, refused)` says what is being done, "" when it is done, or why it could not be."""
         self._tell = tell
         self._document = pn.state.curdoc
+        self._context = (
+            copy_context()
+        )  # settings in force where the page was made hold for its work
         self._jobs = ThreadPoolExecutor(1, thread_name_prefix="workbench job")
         self._looks = ThreadPoolExecutor(1, thread_name_prefix="workbench look")
         self._previews = ThreadPoolExecutor(1, thread_name_prefix="workbench preview")
@@ -61,7 +65,7 @@ class Work:
             result, error = _outcome(job)
             self.on_page(lambda: done(result, error))
 
-        self._jobs.submit(run)
+        self._jobs.submit(self._context.copy().run, run)
 
     def look(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Look for something beside everything else; what is pressed meanwhile is not refused."""
@@ -72,7 +76,7 @@ class Work:
                 lambda: then(result) if error is None else self._tell(_in_words(error), True)
             )
 
-        self._looks.submit(run)
+        self._looks.submit(self._context.copy().run, run)
 
     def preview(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Compute a preview; one that another has overtaken is dropped."""
@@ -91,18 +95,17 @@ class Work:
             else:
                 self.on_page(lambda: then(result))
 
-        self._previews.submit(run)
+        self._previews.submit(self._context.copy().run, run)
 
     def forget_preview(self) -> None:
         """Drop the preview that is under way."""
         with self._lock:
             self._wanted += 1
 
-    def close(self) -> None:
-        """Take no further work."""
-        self._jobs.shutdown(wait=False, cancel_futures=True)
-        self._looks.shutdown(wait=False, cancel_futures=True)
-        self._previews.shutdown(wait=False, cancel_futures=True)
+    def close(self, wait: bool = False) -> None:
+        """Take no further work; what has not begun is dropped, unless it is waited for."""
+        for pool in (self._jobs, self._looks, self._previews):
+            pool.shutdown(wait=wait, cancel_futures=not wait)
 
     def _count(self, more: int) -> None:
         before, self._under_way = self._under_way, self._under_way + more
