@@ -27,6 +27,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.measurements import Measurements
+from bayescal._inference.mode import curvature
 from bayescal._inference.programs import padded_length
 from bayescal._model.noise_law import LOG_2PI, WHITE
 from bayescal._model.noise_terms import FLAT, TERMS
@@ -353,13 +354,9 @@ def _fit(channel: _AtRest, terms: tuple[str, ...]) -> _Fit:
         for i in np.argsort(-there)[:STARTS]
     ]
     best = min(tries, key=lambda t: t.fun)
-    d = len(best.x)
-    curvature = np.empty((d, d))
-    for i, shift in enumerate(SHIFT * np.eye(d)):
-        curvature[i] = (down(best.x + shift)[1] - down(best.x - shift)[1]) / (2 * SHIFT)
-    weights, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    weights, vectors = np.linalg.eigh(curvature(lambda at: -down(at)[1], best.x, SHIFT))
     weights = np.maximum(weights, LEAST)
-    evidence = -float(best.fun) + 0.5 * d * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
+    evidence = -float(best.fun) + 0.5 * len(best.x) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
     return _Fit(evidence, best.x, (vectors / weights) @ vectors.T)
 
 

@@ -215,14 +215,16 @@ class _CarriedOn(NamedTuple):
         (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
         time, at, parts = fitted["time"], readings["time"], []
         frames = calibration.frame_of(fitted), calibration.frame_of(readings)
-        along = [None if (z := law.followed(f)) is None else np.asarray(z) for f in frames]
+        before, after = (law.followed(frame) for frame in frames)
         for code, name in enumerate(asked):
             if name not in names:
                 continue
             rows = np.flatnonzero(known == names.index(name))
             inside = (at >= time[rows].min()) & (at <= time[rows].max())
             others = np.flatnonzero((codes == code) & (beyond | inside))
-            both = None if along[0] is None else (along[0][rows], along[1][others])
+            both = None
+            if before is not None and after is not None:
+                both = np.asarray(before)[rows], np.asarray(after)[others]
             parts.append((rows, time[rows], white[rows], others, at[others], both))
         return cls(law, values, parts, fitted["output"], len(readings))
 
