@@ -42,7 +42,8 @@ def _against(chapter: Chapter) -> Iterator[str]:
     reasons = [*chapter.data["verdict"]["reasons"], *[gate["reason"]] * (not gate["ok"])]
     if reasons:
         ended = chapter.data["search"] and chapter.data["search"]["stopped"] and not gate["ok"]
-        yield reasons[0] if ended else f"Not to be used as it is: {reasons[0]}"
+        first = re.split(r"(?<=[.?]) ", reasons[0])[0]  # the rest stands at the gate
+        yield first if ended else f"Not to be used as it is: {first}"
 
 
 def _found(chapter: Chapter) -> str:
