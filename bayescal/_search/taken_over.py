@@ -91,7 +91,8 @@ class TakenOver(NamedTuple):
         return (
             f"The coefficient {name} is not measured: {told}, and these readings cannot tell which it is ({name} is "
             f"{self.kept:.2g} times what it was, {self.moved:.0f} of its standard uncertainties away). Look at the "
-            f"column {column}: late, held, smoothed, another's in one run? Vary {column} otherwise in another run."
+            f"column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a run? "
+            f"Vary {column} otherwise in another run."
         )
 
 
