@@ -13,9 +13,7 @@ from bayescal._data.still_stretches import SHORTEST, still_stretches
 from bayescal._model.instrument import Instrument
 
 
-def poses(
-    log: Measurements, instrument: Instrument, *, shortest: float = SHORTEST
-) -> Measurements:
+def poses(log: Measurements, instrument: Instrument, *, shortest: float = SHORTEST) -> Measurements:
     """Still stretches of a log, averaged, a row each; other numeric columns are averaged beside them.
 
     Args:
