@@ -47,7 +47,9 @@ def poses(log: Measurements, instrument: Instrument, *, shortest: float = SHORTE
     columns = {name: np.concatenate(parts) for name, parts in rows.items()}
     known = {c.name for c in instrument.columns} | {UNCERTAINTY}
     units = {name: str(log.unit(name)) for name in columns if name not in known and log.unit(name)}
-    made = Measurements.from_arrays(instrument, units=units, allow_one_temperature=True, **columns)
+    made = Measurements.from_arrays(
+        instrument, units=units, allow_one_temperature=True, **columns  # pyright: ignore[reportArgumentType]
+    )
     said = (
         f"{len(made['output'])} readings of {len(columns[UNCERTAINTY])} poses found in {log.file}; means of blocks "
         f"scatter {np.mean(ratios):.1f} times as much as those of independent samples would"
