@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.mixture import with_columns
-from bayescal._calibration.on_readings import Vectors, moments
+from bayescal._calibration.on_readings import Vectors, moments, replicate
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import going_on, run_codes
 from bayescal._inference.noise_on_record import variance
 from bayescal._model.frame import Frame
+from bayescal._model.noise_law import Noise
+
+ROUNDING = 1e-12  # of a variance: what is left of it as white noise, if a law has none
 
 
 @dataclass(frozen=True)
@@ -92,11 +97,7 @@ def predict(
     if same_record:
         new_groups = False
     if new_groups:
-        frame = eqx.tree_at(
-            lambda f: f.codes,
-            frame,
-            {k: c if k == "axis" else -jnp.ones_like(c) for k, c in frame.codes.items()},
-        )
+        frame = _of_new_groups(frame)
     going = (
         {}
         if known or same_record or not new_groups
@@ -105,6 +106,43 @@ def predict(
     if going:
         return _continued(calibration, readings, draws)
     return _predicted(calibration, readings, frame, known and not new_groups, same_record, draws)
+
+
+def replicates(
+    calibration: Calibration, readings: Measurements, draws: int, seed: int
+) -> Float[np.ndarray, "draws n"]:
+    """Readings as a calibration expects them, simulated once from each draw: new runs, cells and devices as `predict`
+    has them, with deviations of their own; readings that go on with a fitted run have its deviation, and correlated
+    noise that is not told by its past."""
+    calibration, random = with_columns(calibration, readings.columns), np.random.default_rng(seed)
+
+    def made(some: Measurements, frame: Frame) -> np.ndarray:
+        x, rows, v = calibration.draws(draws)
+        rows = np.zeros((len(x), len(some), rows.shape[2]))
+        members = {per: some.groups(per)[1] for per in frame.codes}
+        return replicate(calibration.assembly_on(some, frame), Vectors(x, rows, v), random, members)
+
+    runs, at = going_on(calibration.readings, readings)
+    if not runs:
+        return made(readings, _of_new_groups(calibration.frame_of(readings)))
+    fitted, later = calibration.readings, np.sort(np.concatenate([*runs.values()]))
+    names, codes = run_codes(fitted)
+    past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
+    whole = fitted.select(past).followed_by(readings.with_column("time", at).select(later))
+    parts = {0: (later, made(whole, calibration.frame_of(whole))[:, len(past) :])}
+    if len(rest := np.setdiff1d(np.arange(len(readings)), later)):
+        others = readings.select(rest)
+        parts[1] = (rest, made(others, _of_new_groups(calibration.frame_of(others))))
+    found = np.empty((len(parts[0][1]), len(readings)))
+    for rows, values in parts.values():
+        found[:, rows] = values
+    return found
+
+
+def _of_new_groups(frame: Frame) -> Frame:
+    """Every run, cell and device one that the fit has not seen; an axis is part of its instrument."""
+    codes = {k: c if k == "axis" else -jnp.ones_like(c) for k, c in frame.codes.items()}
+    return eqx.tree_at(lambda f: f.codes, frame, codes)
 
 
 def _predicted(
@@ -131,8 +169,11 @@ def _predicted(
     made = Prediction(found.mean, np.sqrt(model_variance), total, residual)
     if not same_record or calibration.model.noise.independent:
         return made
-    mean, sd = _correlated_noise(calibration, readings)
-    return replace(made, correlated_noise=mean, correlated_noise_sd=sd)
+    past = np.arange(len(calibration.readings))
+    noise = _CarriedOn.of(calibration, past, readings, beyond=False)
+    left = predict(calibration, new_groups=False).residual
+    mean, spread = noise.found(left[:, None])
+    return replace(made, correlated_noise=mean[:, 0], correlated_noise_sd=np.sqrt(spread))
 
 
 def _continued(calibration: Calibration, readings: Measurements, draws: int) -> Prediction:
@@ -144,16 +185,20 @@ def _continued(calibration: Calibration, readings: Measurements, draws: int) -> 
     past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
     later = readings.with_column("time", at).select(rows)
     whole = fitted.select(past).followed_by(later)
-    found = _predicted(calibration, whole, calibration.frame_of(whole), False, False, draws)
-    tail = slice(len(past), None)
-    mean, model, sd = found.mean[tail], found.model_sd[tail], found.sd[tail]
+    x, own, v = calibration.draws(draws)
+    vectors = Vectors(x, np.zeros((len(x), len(whole), own.shape[2])), v)
+    assembly, noise = calibration.assembly_on(whole, calibration.frame_of(whole)), None
+    tail, spread = slice(len(past), None), 0.0
     if not calibration.model.noise.independent:
-        correlated_noise, correlated_noise_sd = _correlated_noise(calibration, later, beyond=True)
-        values = calibration.assembly.hyper(calibration.mode.v)
-        slow = float(calibration.model.noise.slow_variance(values))
-        rest = np.maximum(sd**2 - slow, model**2)
-        mean, sd = mean + correlated_noise, np.sqrt(rest + correlated_noise_sd**2)
-    made = {"mean": mean, "model_sd": model, "sd": sd}
+        noise = _CarriedOn.of(calibration, past, later, beyond=True)
+        spread = noise.variance
+    found = moments(assembly, vectors, noise)
+    model = found.variance[tail] + found.beside[tail]
+    made = {
+        "mean": found.mean[tail],
+        "model_sd": np.sqrt(model),
+        "sd": np.sqrt(model + found.noise[tail] + spread),
+    }
     others = np.setdiff1d(np.arange(len(readings)), rows)
     if others.size:
         apart = predict(calibration, readings.select(others), draws=draws)
@@ -164,27 +209,70 @@ def _continued(calibration: Calibration, readings: Measurements, draws: int) -> 
     return Prediction(**made, residual=readings["output"] - made["mean"])
 
 
-def _correlated_noise(
-    calibration: Calibration, readings: Measurements, beyond: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
-    """The record's correlated noise at these readings' times, at the mode.
+class _CarriedOn(NamedTuple):
+    """What fitted readings say of the correlated noise at others of their runs, at the mode of the law's parameters.
 
-    Args:
-        beyond: also before and after a run's fitted readings, where it is NaN else.
+    Its mean is linear in what a model leaves of the fitted readings. Each draw of the coefficients leaves its own, so
+    that a level that the noise and a coefficient may both hold is uncertain in either, and not in their sum.
+
+    Attributes:
+        law, values: the noise law and its parameters.
+        parts: of each run, which of the fitted readings are its own, their times, the variance of their own noise,
+            and of the others which, and their times.
+        output: of the fitted readings (n,).
+        count: of the others.
     """
-    fitted, assembly = calibration.readings, calibration.assembly
-    left = predict(calibration, new_groups=False).residual
-    values = assembly.hyper(calibration.mode.v)
-    law = calibration.model.noise
-    white = variance(law, values, assembly.record) - law.slow_variance(values)
-    (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
-    mean, spread = np.full((2, len(readings)), np.nan)
-    for code, name in enumerate(asked):
-        rows = np.flatnonzero(known == names.index(name)) if name in names else []
-        if not len(rows):
-            continue
-        time, at = fitted["time"][rows], readings["time"]
-        inside = (codes == code) & (beyond | ((at >= time.min()) & (at <= time.max())))
-        found = law.slow_part(values, time, left[rows], white[rows], at[inside])
-        mean[inside], spread[inside] = found
-    return mean, np.sqrt(spread)
+
+    law: Noise
+    values: dict[str, Any]
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+    output: np.ndarray
+    count: int
+
+    @classmethod
+    def of(
+        cls, calibration: Calibration, past: np.ndarray, readings: Measurements, beyond: bool
+    ) -> _CarriedOn:
+        """Of a fit's noise.
+
+        Args:
+            calibration: the fit.
+            past: which of its readings are known.
+            readings: the others.
+            beyond: also before and after a run's fitted readings, where nothing is said else.
+        """
+        fitted, record = calibration.readings.select(past), calibration.assembly.record
+        law, values = calibration.model.noise, calibration.assembly.hyper(calibration.mode.v)
+        total = variance(law, values, record)
+        white = np.maximum(total - law.slow_variance(values), ROUNDING * total)[past]
+        (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
+        time, at, parts = fitted["time"], readings["time"], []
+        for code, name in enumerate(asked):
+            if name not in names:
+                continue
+            rows = np.flatnonzero(known == names.index(name))
+            inside = (at >= time[rows].min()) & (at <= time[rows].max())
+            others = np.flatnonzero((codes == code) & (beyond | inside))
+            parts.append((rows, time[rows], white[rows], others, at[others]))
+        return cls(law, values, parts, fitted["output"], len(readings))
+
+    def found(self, left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (m, b) and variance (m,); NaN where nothing is said."""
+        mean = np.full((self.count, left.shape[1]), np.nan)
+        spread = np.full(self.count, np.nan)
+        for rows, time, white, others, at in self.parts:
+            found = self.law.slow_part(self.values, time, left[rows], white, at)
+            mean[others], spread[others] = found
+        return mean, spread
+
+    @property
+    def variance(self) -> Float[np.ndarray, "m"]:
+        """Of the noise, the coefficients known."""
+        return self.found(np.zeros((len(self.output), 1)))[1]
+
+    def __call__(self, expected: Float[np.ndarray, "b n"]) -> Float[np.ndarray, "b n"]:
+        """Its mean at all readings, the fitted ones first: zero at these, whose noise is not asked for."""
+        known = len(self.output)
+        found = np.zeros_like(expected)
+        found[:, known:] = self.found((self.output - expected[:, :known]).T)[0].T
+        return found

@@ -25,6 +25,7 @@ from bayescal._cli import (
     deliverables,
     fit_and_predict,
     noise_command,
+    plan_command,
     triad_command,
 )
 from bayescal._core import deadline
@@ -49,6 +50,7 @@ for group in (
     calibrate_command,
     fit_and_predict,
     noise_command,
+    plan_command,
     triad_command,
     deliverables,
     batch,

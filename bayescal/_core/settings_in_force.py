@@ -55,6 +55,11 @@ def use_settings(*settings: OutcomeSettings) -> Iterator[None]:
         _IN_FORCE.reset(token)
 
 
+def given_settings() -> tuple[OutcomeSettings, ...]:
+    """What `use_settings` was given here, for it to be given again elsewhere: in threads, in workers."""
+    return tuple(_IN_FORCE.get().values())
+
+
 def unusual() -> dict[str, float | list[float]]:
     """OutcomeSettings that differ from the usual ones, by name."""
     found = {}

@@ -18,7 +18,7 @@ from bayescal._data.record_settings import recording
 from bayescal._data.rounding import rounding_step
 from bayescal._data.stretches import RECORD, members, record_codes, stretches
 
-AROUND = 7  # changes, of which the median is the rate around one: three of them may be odd
+BESIDE = 3  # changes on either side of one, of which the median is the rate there: one of them may be odd
 LEVELS = 3  # of fewer, each change is as large as the range
 MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
 
@@ -33,12 +33,15 @@ class Oddity(NamedTuple):
     rows: np.ndarray
 
 
-def oddities(columns: Columns, thermometers: Collection[str]) -> list[Oddity]:
+def oddities(
+    columns: Columns, thermometers: Collection[str], output: str = "output"
+) -> list[Oddity]:
     """What is odd in the columns of thermometers.
 
     Args:
         columns: readings by name; without `time` nothing can be said.
         thermometers: columns of measured temperatures, °C.
+        output: name of the output column, if it is there.
     """
     if "time" not in columns:
         return []
@@ -48,7 +51,7 @@ def oddities(columns: Columns, thermometers: Collection[str]) -> list[Oddity]:
         for name in names:
             for check in (_spikes, _held, _at_an_end):
                 found += check(name, columns[name], own)
-            found += _jumps(name, columns[name], columns["time"], own)
+            found += _jumps(name, columns, {*thermometers, output}, own)
         return [*found, *_unlike(columns, names)]
 
 
@@ -144,43 +147,78 @@ def _held(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddi
 
 
 def _jumps(
-    name: str, values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]
+    name: str, columns: Columns, follow: Collection[str], own: Sequence[np.ndarray]
 ) -> list[Oddity]:
-    """Where a column goes on from another level at once: no body does, but one that is set there by hand.
+    """Where a column goes on from another level at once: no body does, but a thermometer that was set there.
 
-    Of each change what the rate around it (the median of seven) does not explain is compared with what all changes are:
-    a corner of a profile, from heating to cooling, is twice its rate at the most. Values that stand still before and
-    after are set-points, written down as they were set.
+    Where the output, or another thermometer, goes on from another level too, it was the body, and readings are far
+    apart; unless an input was set anew there. Values that stand still before and after are set-points, written down as
+    they were set.
+
+    Args:
+        name: of the column.
+        columns: readings by name.
+        follow: columns that follow a body, this one among them.
+        own: rows of each stretch without a pause, by `pieces`.
     """
-    given, jumps, usual, at, still = recording(), [], [], [], []
-    for piece in (piece for piece in own if len(piece) > AROUND):
-        change, step = np.diff(values[piece]), np.diff(time[piece])
-        rate = np.where(step > 0, change / step, 0.0)
-        wide = np.pad(rate, AROUND // 2, mode="edge")
-        around = np.median(np.lib.stride_tricks.sliding_window_view(wide, AROUND), axis=1)
-        jumps.append(np.abs(change - around * step))
-        usual.append(np.abs(change))
-        at.append(piece[1:])
-        flat = np.pad(change == 0, 1, constant_values=True)
-        still.append(flat[:-2] & flat[2:])
-    if sum(map(len, jumps)) < given.few_changes or len(np.unique(values)) < LEVELS:
+    given, values = recording(), columns[name]
+    own = [piece for piece in own if len(piece) > 2 * BESIDE + 1]
+    changes = [np.diff(values[piece]) for piece in own]
+    if sum(map(len, changes)) < given.few_changes or len(np.unique(values)) < LEVELS:
         return []
-    jump, change = np.concatenate(jumps), np.concatenate(usual)
-    least = max(
-        given.unlike_least,
-        given.leap_noise * 1.4826 * float(np.median(jump)),
-        given.end_excess * float(np.quantile(change, 0.9)),
-        given.held_step * rounding_step(values),
-    )
-    chosen = (jump > least) & ~np.concatenate(still)
-    rows = np.setdiff1d(np.concatenate(at)[chosen], leaps(values, own))
+    time, at = columns["time"], np.concatenate([piece[1:] for piece in own])
+    flat = [np.pad(change == 0, 1, constant_values=True) for change in changes]
+    still = np.concatenate([one[:-2] & one[2:] for one in flat])
+    jump = _unexplained(values, time, own)
+    usual = float(np.quantile(np.abs(np.concatenate(changes)), 0.9))  # a rounded corner leaves less
+    least = max(given.unlike_least, given.held_step * rounding_step(values), _usual(jump), usual)
+    chosen = (jump > least) & ~still
+    if chosen.any():
+        others = {
+            n: v for n, v in columns.items() if n not in (name, "time") and v.dtype.kind == "f"
+        }
+        sizes = {n: _unexplained(v, time, own) for n, v in others.items()}
+        leapt = {n: size > _usual(size) for n, size in sizes.items()}
+        followed, set_anew = (
+            np.any(
+                [v for n, v in leapt.items() if (n in follow) == asked]
+                or [np.zeros(len(at), bool)],
+                axis=0,
+            )
+            for asked in (True, False)
+        )
+        chosen &= ~followed | set_anew
+    rows = np.setdiff1d(at[chosen], leaps(values, own))
     if not len(rows) or len(rows) > given.leap_share * len(values):
         return []
     said = (
-        f"goes on from another level, {jump[chosen].max():.2g} °C away, from one reading to the next: re-seated, "
-        "exchanged, or a counter that wrapped?"
+        f"goes on from another level, {jump[np.isin(at, rows)].max():.2g} °C away, from one reading to the next, and "
+        "nothing else does: re-seated, exchanged, or a counter that wrapped?"
     )
     return [Oddity(name, said, np.sort(rows))]
+
+
+def _unexplained(values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
+    """Of each change from one reading to the next, what neither the rate before it nor the rate after it explains.
+
+    These rates are medians of three changes, so that a corner of a profile, from one rate to another, is explained.
+    """
+    found = []
+    for piece in own:
+        change, step = np.diff(values[piece]), np.diff(time[piece])
+        rate = np.where(step > 0, change / np.where(step > 0, step, 1.0), 0.0)
+        wide = np.pad(rate, BESIDE, mode="edge")
+        around = np.median(np.lib.stride_tricks.sliding_window_view(wide, BESIDE), axis=1)
+        before, after = around[: len(rate)], around[BESIDE + 1 :]
+        found.append(np.minimum(abs(change - before * step), abs(change - after * step)))
+    return np.concatenate(found)
+
+
+def _usual(sizes: np.ndarray) -> float:
+    """What noise makes of sizes, at the most."""
+    given = recording()
+    noise = given.leap_noise * 1.4826 * float(np.median(sizes))
+    return max(noise, given.end_excess * float(np.quantile(sizes, 0.9)))
 
 
 def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:

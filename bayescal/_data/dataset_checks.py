@@ -153,7 +153,7 @@ def flags_of(
     ]
     flags += [
         f"{names}: column {one.column!r} {one.said} (first at {where(int(one.rows[0]))})"
-        for one in oddities(columns, thermometers)
+        for one in oddities(columns, thermometers, output)
     ]
     for name, values in columns.items():
         number = values.dtype.kind == "f" and name not in unchecked

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,102 @@ import pyarrow.parquet as pq
 
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
-from bayescal._fleet.device_result import BatchPart, DeviceResult
 from bayescal._fleet.population import Population
 
-SCHEMA = "bayescal.batch/1"
+FORMAT = "bayescal.batch/1"
 AGAIN = "Take a copy, or run the batch again"
-SHOWN = 10  # devices that are named in print when they cannot be trusted
-COLUMNS = ("device", "coefficient", "mean", "sd", "unit", "ok", "reason")
-POPULATION = ("coefficient", "mean", "mean_sd", "spread", "spread_sd", "unit")
+SHOWN = 10  # devices, files that are named in print
+SCHEMA = pa.schema(
+    [
+        ("device", pa.string()),
+        ("coefficient", pa.string()),
+        ("mean", pa.float64()),
+        ("sd", pa.float64()),
+        ("unit", pa.string()),
+        ("ok", pa.bool_()),
+        ("reason", pa.string()),
+        ("covariance", pa.list_(pa.float64())),
+    ]
+)
+COLUMNS = tuple(SCHEMA.names[:-1])  # of the table that a user sees
+
+
+def first_few(items: Mapping[str, str], total: int, head: str = "", more: str = "") -> list[str]:
+    """Names and what is said of them, a line each, the first ten; then how many more there are."""
+    lines = [f"  {head}{name}: {why}" for name, why in list(items.items())[:SHOWN]]
+    rest = total - len(lines)
+    return [*lines, f"  … and {rest} more{more}"] if rest > 0 else lines
+
+
+@dataclass(frozen=True, eq=False)
+class BatchPart:
+    """Devices that have the same unknowns.
+
+    Attributes:
+        devices: their places in the batch.
+        names, units: of the unknowns.
+        mean: (b, q), in these units.
+        covariance: (b, q, q); NaN for what is held at its estimate (standard deviations, by least squares).
+    """
+
+    devices: np.ndarray
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard uncertainties, (b, q)."""
+        variance = np.diagonal(self.covariance, axis1=1, axis2=2)
+        return np.sqrt(np.where(variance >= 0, variance, np.nan))
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceResult:
+    """One device of a batch.
+
+    Attributes:
+        device: its name.
+        ok: whether to trust it.
+        reason: why not: a refusal, or what the fit did not reach; empty if nothing.
+        names, units: of its unknowns; none if it was refused.
+        mean: (q,), in these units.
+        covariance: (q, q).
+    """
+
+    device: str
+    ok: bool
+    reason: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard uncertainties, (q,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def __getitem__(self, name: str) -> tuple[float, float]:
+        """Mean and standard uncertainty of one unknown.
+
+        Raises:
+            InputError: nothing is called so.
+        """
+        if name not in self.names:
+            raise InputError(
+                f"device {self.device!r} has no unknown {name!r}; it has: {', '.join(self.names) or 'none'}"
+                f"{' (' + self.reason + ')' if self.reason else ''}"
+            )
+        i = self.names.index(name)
+        return float(self.mean[i]), float(self.sd[i])
+
+    def __str__(self) -> str:
+        head = f"device {self.device}: {'ok' if self.ok else self.reason}"
+        known = [("" if np.isnan(s) else f" ± {s:.2g}") for s in self.sd]
+        rows = zip(self.names, self.mean, known, self.units, strict=True)
+        return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +146,6 @@ class BatchResult:
     def _places(self) -> dict[str, int]:
         return {name: i for i, name in enumerate(self.devices)}
 
-    @cached_property
-    def _where(self) -> dict[int, tuple[int, int]]:
-        """Place in the batch → part, and place in it."""
-        return {
-            int(d): (p, i) for p, part in enumerate(self.parts) for i, d in enumerate(part.devices)
-        }
-
     def __getitem__(self, device: str | int) -> DeviceResult:
         """One device's result, by its name or by its place.
 
@@ -76,57 +157,47 @@ class BatchResult:
             shown = ", ".join(self.devices[:5])
             raise InputError(f"there is no device {device!r} among the {len(self)}: {shown} …")
         at %= len(self)
-        found = partial(DeviceResult, self.devices[at], bool(self.ok[at]), self.reasons[at])
-        if at not in self._where:
-            return found(names=(), units=(), mean=np.zeros(0), covariance=np.zeros((0, 0)))
-        p, i = self._where[at]
-        part = self.parts[p]
-        return found(
-            names=part.names,
-            units=part.units,
-            mean=part.mean[i],
-            covariance=part.covariance[i],
-        )
+        own = self.devices[at], bool(self.ok[at]), self.reasons[at]
+        for part in self.parts:
+            for i in np.flatnonzero(part.devices == at):
+                return DeviceResult(*own, part.names, part.units, part.mean[i], part.covariance[i])
+        return DeviceResult(*own, (), (), np.zeros(0), np.zeros((0, 0)))
 
     def table(self) -> pd.DataFrame:
         """One row for each device and unknown: device, coefficient, mean, sd, unit, ok, reason.
 
         A device that was refused has one row without a coefficient. Devices in the order in which they came.
         """
-        return self._long(covariance=False)
+        return self._rows().select(COLUMNS).to_pandas()
 
-    def _long(self, covariance: bool) -> pd.DataFrame:
-        names = np.array(self.devices, dtype=object)
-        reasons = np.array(self.reasons, dtype=object)
-        refused = np.array([i for i in range(len(self)) if i not in self._where], dtype=int)
+    def _rows(self) -> pa.Table:
+        """The table as it is saved, with each unknown's row of the covariance."""
+        fitted = np.concatenate([np.zeros(0, int), *(part.devices for part in self.parts)])
+        refused = np.setdiff1d(np.arange(len(self)), fitted)
         pieces, places = [], []
         for part in self.parts:
-            q = len(part.names)
-            at = np.repeat(part.devices, q)
-            piece = {
-                "device": names[at],
-                "coefficient": np.tile(np.array(part.names, dtype=object), len(part.devices)),
-                "mean": part.mean.ravel(),
-                "sd": part.sd.ravel(),
-                "unit": np.tile(np.array(part.units, dtype=object), len(part.devices)),
-                "ok": self.ok[at],
-                "reason": reasons[at],
-            }
-            if covariance:
-                piece["covariance"] = list(part.covariance.reshape(-1, q))
-            pieces.append(pd.DataFrame(piece))
-            places.append(at)
-        none = {"coefficient": None, "mean": np.nan, "sd": np.nan, "unit": None, "ok": False}
-        empty = pd.DataFrame(
-            {"device": names[refused], **none, "reason": reasons[refused]}, columns=list(COLUMNS)
-        )
-        if covariance:
-            empty["covariance"] = None
-        if len(refused) or not pieces:
-            pieces.append(empty)
-            places.append(refused)
-        order = np.argsort(np.concatenate(places), kind="stable")
-        return pd.concat(pieces, ignore_index=True).iloc[order].reset_index(drop=True)
+            b, q = part.mean.shape
+            covariance = pa.ListArray.from_arrays(
+                np.arange(0, b * q * q + 1, q, dtype=np.int32), part.covariance.ravel()
+            )
+            unknowns = np.tile(np.arange(q), b)
+            names, units = (pa.array(own, pa.string()) for own in (part.names, part.units))
+            own = names.take(unknowns), part.mean.ravel(), part.sd.ravel(), units.take(unknowns)
+            pieces.append((*own, covariance))
+            places.append(np.repeat(part.devices, q))
+        count = len(refused)
+        nothing, no_name = np.full(count, np.nan), pa.nulls(count, pa.string())
+        no_row = pa.nulls(count, SCHEMA.field("covariance").type)
+        pieces.append((no_name, nothing, nothing, no_name, no_row))
+        places.append(refused)
+        devices, reasons = (pa.array(own, pa.string()) for own in (self.devices, self.reasons))
+        tables = [
+            pa.table(
+                [devices.take(at), *own[:4], self.ok[at], reasons.take(at), own[4]], schema=SCHEMA
+            )
+            for at, own in zip(map(pa.array, places), pieces, strict=True)
+        ]
+        return pa.concat_tables(tables).take(np.argsort(np.concatenate(places), kind="stable"))
 
     def save(self, path: str | Path) -> Path:
         """Write the table to Parquet, with each unknown's row of the covariance. `load_batch` reads it back.
@@ -139,21 +210,8 @@ class BatchResult:
             raise InputError(
                 f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
             )
-        long = self._long(covariance=True)
-        kinds = [pa.string(), pa.string(), pa.float64(), pa.float64(), pa.string(), pa.bool_()]
-        kinds += [pa.string(), pa.list_(pa.float64())]
-        head = json.dumps(
-            {"schema": SCHEMA, "about": self.about, "population": _told(self.population)}
-        )
-        fields = [pa.field(n, k) for n, k in zip((*COLUMNS, "covariance"), kinds, strict=True)]
-        schema = pa.schema(fields)
-        columns = [
-            pa.array(long[f.name].tolist() if f.name == "covariance" else long[f.name], type=f.type)
-            if f.name not in ("mean", "sd")
-            else pa.array(long[f.name].to_numpy(np.float64), type=f.type)  # NaN stays NaN
-            for f in fields
-        ]
-        table = pa.Table.from_arrays(columns, schema=schema)
+        table, population = self._rows(), self.population and self.population.data()
+        head = json.dumps({"schema": FORMAT, "about": self.about, "population": population})
         sealed = {"bayescal": head, "bayescal_sha256": _digest(table, head.encode())}
         with replacing_for_user(path) as partial:
             pq.write_table(table.replace_schema_metadata(sealed), partial, write_page_checksum=True)
@@ -162,8 +220,7 @@ class BatchResult:
     def __str__(self) -> str:
         bad = np.flatnonzero(~self.ok)
         lines = [f"{len(self)} devices, {len(self) - len(bad)} reliable ({self.about['method']})"]
-        lines += [f"  {self.devices[i]}: {self.reasons[i]}" for i in bad[:SHOWN]]
-        lines += [f"  … and {len(bad) - SHOWN} more"] if len(bad) > SHOWN else []
+        lines += first_few({self.devices[i]: self.reasons[i] for i in bad[:SHOWN]}, len(bad))
         for part in self.parts:
             good = self.ok[part.devices]
             if not good.any():
@@ -181,22 +238,10 @@ class BatchResult:
         return "\n".join([*lines, *([str(self.population)] if self.population else [])])
 
 
-def _told(population: Population | None) -> dict[str, Any] | None:
-    if population is None:
-        return None
-    return {
-        "table": population.table.to_dict("list"),
-        "ok": population.ok,
-        "reason": population.reason,
-        "devices": population.devices,
-        "pareto_k": population.pareto_k,
-    }
-
-
 def _digest(table: pa.Table, head: bytes) -> str:
     """SHA-256 over what a batch says of itself and every value of its table, however Parquet lays them out."""
     digest = hashlib.sha256(head)
-    for name in (*COLUMNS, "covariance"):
+    for name in SCHEMA.names:
         column = table.column(name).combine_chunks()
         digest.update(f"\n{name} {len(column)}\n".encode())
         if name == "covariance":
@@ -223,7 +268,7 @@ def load_batch(path: str | Path) -> BatchResult:
         about = table.schema.metadata or {}
         text, seal = about[b"bayescal"], about[b"bayescal_sha256"]
         head = json.loads(text)
-        if head["schema"] != SCHEMA:
+        if head["schema"] != FORMAT:
             raise KeyError(head["schema"])
         whole = _digest(table, text).encode() == seal
     except Exception as error:  # whatever a damaged file makes Arrow raise
@@ -234,20 +279,17 @@ def load_batch(path: str | Path) -> BatchResult:
         raise InputError(
             f"{path.name} is damaged: its values do not have the checksum that it states. {AGAIN}"
         )
-    columns = {name: table.column(name).to_numpy() for name in (*COLUMNS, "covariance")}
+    columns = {name: table.column(name).to_numpy() for name in SCHEMA.names}
     codes, names = pd.factorize(columns["device"])
     starts = np.searchsorted(codes, np.arange(len(names)))
     try:
-        parts = _parts(columns, [*starts, len(codes)])
-        told = head["population"]
-        if told is not None:
-            told = Population(pd.DataFrame(told.pop("table"), columns=list(POPULATION)), **told)
+        population = head["population"]
         return BatchResult(
             devices=tuple(map(str, names)),
             ok=columns["ok"][starts].astype(bool),
             reasons=tuple(columns["reason"][starts]),
-            parts=parts,
-            population=told,
+            parts=_parts(columns, [*starts, len(codes)]),
+            population=population and Population.of_data(population),
             about=head["about"],
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -30,7 +30,6 @@ from bayescal._model.parameters import Layout
 
 GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
 STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits
-STRETCH = 8192  # rows that are factored at once: little memory, and they stay in cache
 LEAST = 1e-24  # share of the readings' variance, below which the noise counts as none
 NOISE = "noise.white"
 
@@ -59,117 +58,65 @@ def applies(layout: Layout, frame: Frame) -> bool:
     )
 
 
-class _Reduced(NamedTuple):
-    """What the readings of one device come down to."""
-
-    scale: Float[Array, "p"]
-    centre: Float[Array, "p"]
-    upper: Float[Array, "q q"]  # R, flat columns first, then the proper ones, then the readings
-    d: Float[Array, "m"]
-    vt: Float[Array, "m m"]
-    c: Float[Array, "m"]  # along the singular vectors
-    count: Float[Array, ""]  # readings less flat coefficients
-
-
 @compiled
 def solve(
     layout: Layout, frames: Frame, ys: Float[Array, "b n"], real: Float[Array, "b n"]
 ) -> ClosedFormFit:
-    """All devices of a stack."""
-    parts = jax.vmap(lambda *device: _reduced(layout, *device))(frames, ys, real)
-    if NOISE in dict(layout.model.fixed):
-        variance = jnp.full(len(ys), dict(layout.model.fixed)[NOISE] ** 2)
-    else:
-        rest = parts.upper[:, -1, -1] ** 2
-        variance = jnp.exp(_log_variance(parts.count, rest, parts.c.T**2, parts.d.T**2))
-    return jax.vmap(lambda *device: _placed(layout, *device))(parts, variance)
+    """All devices of a stack; `real` is 0 where a reading is padding."""
+    return jax.vmap(lambda *device: _solve(layout, *device))(frames, ys, real)
 
 
-def _order(layout: Layout) -> tuple[np.ndarray, int]:
-    """The coefficients, flat ones first, and how many of them are flat."""
-    flat = np.concatenate([np.full(b.size, b.coefficient.flat) for b in layout.x_blocks])
-    return np.concatenate([np.flatnonzero(flat), np.flatnonzero(~flat)]), int(flat.sum())
-
-
-def _reduced(
+def _solve(
     layout: Layout, frame: Frame, y: Float[Array, "n"], real: Float[Array, "n"]
-) -> _Reduced:
-    centre, (places, f) = forward.prior_mean(layout), _order(layout)
+) -> ClosedFormFit:
+    flat = np.concatenate([np.full(b.size, b.coefficient.flat) for b in layout.x_blocks])
+    places, f, p = np.argsort(~flat, kind="stable"), int(flat.sum()), layout.size
+    centre = forward.prior_mean(layout)
     hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
     line = forward.linearise(layout, frame, centre, jnp.zeros((frame.size, 0)), hyper)
     norm = jnp.sqrt(jnp.sum((line.jacobian * real[:, None]) ** 2, axis=0))
     scale = forward.prior_sd(layout, hyper, 1 / jnp.where(norm > 0, norm, 1.0))
     table = jnp.column_stack([(line.jacobian * scale)[:, places], y - line.mean])
-    upper, p = _triangle(table * real[:, None]), layout.size
+    # R, flat columns first, then the proper ones, then the readings.
+    upper = _triangle(table * real[:, None])
     u, d, vt = jnp.linalg.svd(upper[f:p, f:p])
-    return _Reduced(
-        scale=scale,
-        centre=centre,
-        upper=upper,
-        d=d,
-        vt=vt,
-        c=u.T @ upper[f:p, p],
-        count=jnp.sum(real) - f,
-    )
-
-
-def _placed(layout: Layout, own: _Reduced, variance: Float[Array, ""]) -> ClosedFormFit:
-    """x̂ and its covariance given the noise."""
-    (places, f), p, d2 = _order(layout), layout.size, own.d**2
-    z = own.vt.T @ (own.d * own.c / (variance + d2))
-    covariance_z = (own.vt.T * (variance / (variance + d2))) @ own.vt
-    value, covariance = z, covariance_z
-    left, first = own.upper[:f, :f], own.upper[:f, p]
-    if f:  # the flat ones, given the others: R11·x = first − R12·z + noise
-        right = jnp.column_stack([own.upper[:f, f:p], first, jnp.eye(f)])
-        back = solve_triangular(left, right, lower=False)
-        slope, free, root = back[:, : p - f], back[:, p - f], back[:, p - f + 1 :]
-        value = jnp.concatenate([free - slope @ z, z])
-        cross = -slope @ covariance_z
-        inner = variance * root @ root.T - cross @ slope.T
-        covariance = jnp.block([[inner, cross], [cross.T, covariance_z]])
+    c, rest, d2 = u.T @ upper[f:p, p], upper[p, p] ** 2, d**2
+    if NOISE in dict(layout.model.fixed):
+        variance = jnp.asarray(dict(layout.model.fixed)[NOISE]) ** 2
+    else:
+        variance = jnp.exp(_log_variance(jnp.sum(real) - f, rest, c**2, d2))
+    # The proper coefficients z, in parts of their prior standard deviations, given the noise.
+    z = vt.T @ (d * c / (variance + d2))
+    covariance_z = (vt.T * (variance / (variance + d2))) @ vt
+    # The flat ones given these: R11·x = first − R12·z + noise.
+    left = upper[:f, :f]
+    right = jnp.column_stack([upper[:f, f:p], upper[:f, p], jnp.eye(f)])
+    back = solve_triangular(left, right, lower=False)
+    slope, free, root = back[:, : p - f], back[:, p - f], back[:, p - f + 1 :]
+    cross = -slope @ covariance_z
+    inner = variance * root @ root.T - cross @ slope.T
     undo = np.argsort(places)
-    value, covariance = value[undo], covariance[undo][:, undo]
+    value = jnp.concatenate([free - slope @ z, z])[undo]
+    covariance = jnp.block([[inner, cross], [cross.T, covariance_z]])[undo][:, undo]
     # Flat columns have length one: a diagonal of R near zero is a direction that nothing determines.
     determined = jnp.all(jnp.abs(jnp.diag(left)) > 1e-10) & jnp.all(jnp.isfinite(value))
-    rest = own.upper[p, p] ** 2
     return ClosedFormFit(
-        x=own.centre + own.scale * value,
-        covariance=own.scale[:, None] * covariance * own.scale,
+        x=centre + scale * value,
+        covariance=scale[:, None] * covariance * scale,
         noise=jnp.sqrt(variance),
         determined=determined,
-        scatter=rest > LEAST * jnp.sum(own.upper[:, p] ** 2),
+        scatter=rest > LEAST * jnp.sum(upper[:, p] ** 2),
     )
 
 
 def _triangle(table: Float[Array, "n q"]) -> Float[Array, "q q"]:
-    """R of the QR factors up to the signs of its rows, square however few rows there are.
-
-    A stretch of rows at a time.
-    """
-    whole, columns = len(table) // STRETCH, table.shape[1]
-
-    def further(i: Array, upper: Float[Array, "q q"]) -> Float[Array, "q q"]:
-        rows = jax.lax.dynamic_slice_in_dim(table, i * STRETCH, STRETCH)
-        return jnp.linalg.qr(jnp.concatenate([upper, rows]), mode="r")
-
-    if whole < 2 or columns > STRETCH:
-        upper = jnp.linalg.qr(table, mode="r")
-    else:
-        upper = jax.lax.fori_loop(1, whole, further, jnp.linalg.qr(table[:STRETCH], mode="r"))
-        rest = table[whole * STRETCH :]
-        upper = jnp.linalg.qr(jnp.concatenate([upper, rest]), mode="r") if len(rest) else upper
-    missing = columns - upper.shape[0]
-    return jnp.pad(upper, ((0, missing), (0, 0))) if missing > 0 else upper
+    """R of the QR factors up to the signs of its rows, square however few rows there are."""
+    upper = jnp.linalg.qr(table, mode="r")
+    return jnp.pad(upper, ((0, table.shape[1] - upper.shape[0]), (0, 0)))
 
 
-def _log_variance(
-    count: Float[Array, "b"],
-    rest: Float[Array, "b"],
-    c2: Float[Array, "m b"],
-    d2: Float[Array, "m b"],
-) -> Float[Array, "b"]:
-    """Where the restricted likelihood of log σ² is greatest. Devices come last: sums over few numbers are slow.
+def _log_variance(count: Array, rest: Array, c2: Float[Array, "m"], d2: Float[Array, "m"]) -> Array:
+    """Where the restricted likelihood of t = log σ² is greatest.
 
     Args:
         count: readings less flat coefficients.
@@ -179,30 +126,22 @@ def _log_variance(
 
     def value(t):
         s = jnp.exp(t)
-        return -(count * t + rest / s + jnp.sum(jnp.log1p(d2 / s) + c2 / (s + d2), axis=0))
+        return -(count * t + rest / s + jnp.sum(jnp.log1p(d2 / s) + c2 / (s + d2)))
 
     def slopes(t):
         s = jnp.exp(t)
         share = s / (s + d2)
         pull = c2 * share / (s + d2)
-        first = -count + rest / s + jnp.sum(1 - share + pull, axis=0)
-        second = -rest / s + jnp.sum(-share * (1 - share) + pull * (1 - 2 * share), axis=0)
+        first = -count + rest / s + jnp.sum(1 - share + pull)
+        second = -rest / s + jnp.sum(-share * (1 - share) + pull * (1 - 2 * share))
         return first, second
 
     # From none of it explained by noise to all of it.
     least = jnp.log(rest / count + 1e-300) - 0.5
-    most = jnp.log((rest + jnp.sum(c2, axis=0)) / count + 1e-300) + 4.0
-
-    def grid(k):
-        return least + (most - least) * (k / (GRID - 1)) ** 2
-
-    def better(k, best):
-        new = value(grid(k))
-        return jnp.where(new > best[1], k, best[0]), jnp.maximum(new, best[1])
-
-    nowhere = (jnp.zeros_like(count), jnp.full_like(count, -jnp.inf))
-    best = jax.lax.fori_loop(0, GRID, better, nowhere)[0]
-    low, high = grid(jnp.maximum(best - 1, 0)), grid(jnp.minimum(best + 1, GRID - 1))
+    most = jnp.log((rest + jnp.sum(c2)) / count + 1e-300) + 4.0
+    grid = least + (most - least) * jnp.linspace(0.0, 1.0, GRID) ** 2
+    best = jnp.argmax(jax.vmap(value)(grid))
+    low, high = grid[jnp.maximum(best - 1, 0)], grid[jnp.minimum(best + 1, GRID - 1)]
 
     def closer(_, state):
         t, low, high = state
@@ -212,4 +151,4 @@ def _log_variance(
         inside = (step >= low) & (step <= high) & (second < 0)
         return jnp.where(inside, step, 0.5 * (low + high)), low, high
 
-    return jax.lax.fori_loop(0, STEPS, closer, (grid(best), low, high))[0]
+    return jax.lax.fori_loop(0, STEPS, closer, (grid[best], low, high))[0]

@@ -1,4 +1,4 @@
-"""What a population asks of its devices: sums over them at given spreads, and their own coefficients in the end.
+"""Sums over devices of which a population is learned, at given standard deviations τ; their coefficients under it.
 
 A device is summed up by Λ and h (`population.py`), kept as its own estimate x̂ and e = h − Λx̂, which is small: it is
 what its own prior pulled. With T = diag(τ²) and M = (1 + ΛT)⁻¹, all that the population's hyper-parameters depend on
@@ -8,16 +8,15 @@ are three sums over the devices,
     Σ M·h  =  Σ M·Λx + M·e,
     Σ M·Λ,
 
-with x = x̂ − c, the coefficients counted from a common centre c. Written so, no term is larger than the spread of the
+with x = x̂ − c, the coefficients counted from a common centre c. Written so, no term is larger than the scatter of the
 devices in parts of τ asks for, and the order of summing does not show. Padded devices have Λ = 0, x = 0 and e = 0 and
 add nothing. The sums add up over any parts of a fleet.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,10 +28,8 @@ from bayescal._core.parallel import over
 
 configure_jax()
 
-TOGETHER = 16  # spreads evaluated at once
-LEAST = (
-    64  # devices in a program at least; beyond it powers of two, so that few programs are compiled
-)
+TOGETHER = 16  # standard deviations evaluated at once
+LEAST = 64  # devices in a program; beyond it powers of two, so that few are compiled
 
 
 class DeviceEstimates(NamedTuple):
@@ -50,7 +47,7 @@ class DeviceEstimates(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Sums over devices at each of several spreads, or their slopes along log τ (leaves (s, k, …)).
+    """Sums over devices at each of several standard deviations τ, or their slopes along log τ (leaves (s, k, …)).
 
     Attributes:
         level: Σ hᵀTMh + log|M|, but for a constant, (s,).
@@ -62,9 +59,6 @@ class Sums(NamedTuple):
     pull: np.ndarray
     precision: np.ndarray
 
-    def __add__(self, other: Sums) -> Sums:
-        return Sums(*(a + b for a, b in zip(self, other, strict=True)))
-
 
 class DeviceMoments(NamedTuple):
     """Devices' coefficients under a population, in units of the plausible sizes: (b, k), (b, k, k)."""
@@ -73,58 +67,21 @@ class DeviceMoments(NamedTuple):
     covariance: np.ndarray
 
 
-def sums(told: DeviceEstimates, centre: np.ndarray, scale: np.ndarray, v: np.ndarray) -> Sums:
-    """Sums over devices, counted from a centre, at the spreads τ = scale·exp(v), v (s, k)."""
-    return Sums(*map(np.asarray, _sums(_padded(told, centre), scale, v)))
+def sums(devices: DeviceEstimates, centre: np.ndarray, scale: np.ndarray, v: np.ndarray) -> Sums:
+    """Sums over devices, counted from a centre, at the standard deviations τ = scale·exp(v), v (s, k)."""
+    return Sums(*map(np.asarray, _sums(_padded(devices, centre), scale, v)))
 
 
 def sums_and_slopes(
-    told: DeviceEstimates, centre: np.ndarray, scale: np.ndarray, v: np.ndarray
+    devices: DeviceEstimates, centre: np.ndarray, scale: np.ndarray, v: np.ndarray
 ) -> tuple[Sums, Sums]:
     """The sums, and their derivatives along each of v, (s, k, …)."""
-    values, slopes = _sums_and_slopes(_padded(told, centre), scale, v)
+    values, slopes = _sums_and_slopes(_padded(devices, centre), scale, v)
     return Sums(*map(np.asarray, values)), Sums(*map(np.asarray, slopes))
 
 
-class DeviceSource(Protocol):
-    """Devices that stand somewhere, here or in parts on many machines, and add up their sums."""
-
-    @property
-    def count(self) -> int: ...
-
-    @property
-    def centre(self) -> np.ndarray:
-        """Mean of their estimates, (k,)."""
-        ...
-
-    def sums(self, scale: np.ndarray, v: np.ndarray) -> Sums: ...
-
-    def sums_and_slopes(self, scale: np.ndarray, v: np.ndarray) -> tuple[Sums, Sums]: ...
-
-
-@dataclass(frozen=True)
-class LocalDevices:
-    """Devices in this process."""
-
-    told: DeviceEstimates
-
-    @property
-    def count(self) -> int:
-        return len(self.told.estimate)
-
-    @property
-    def centre(self) -> np.ndarray:
-        return self.told.estimate.mean(axis=0)
-
-    def sums(self, scale: np.ndarray, v: np.ndarray) -> Sums:
-        return sums(self.told, self.centre, scale, v)
-
-    def sums_and_slopes(self, scale: np.ndarray, v: np.ndarray) -> tuple[Sums, Sums]:
-        return sums_and_slopes(self.told, self.centre, scale, v)
-
-
 def device_moments(
-    told: DeviceEstimates,
+    devices: DeviceEstimates,
     centre: np.ndarray,
     scale: np.ndarray,
     v: np.ndarray,
@@ -132,27 +89,27 @@ def device_moments(
     mean: np.ndarray,
     covariance: np.ndarray,
 ) -> DeviceMoments:
-    """Devices' own coefficients, averaged over weighted draws of the spreads.
+    """Devices' own coefficients, averaged over weighted draws of log τ.
 
     Args:
-        told: the devices.
+        devices: the devices.
         centre, scale, v: the draws, as of `sums`.
         weights: of the draws, adding up to one, (s,).
         mean, covariance: of the population's mean less the centre, given each draw, (s, k) and (s, k, k).
     """
-    count, likely = len(told.estimate), int(np.argmax(weights))
-    made = _moments(_padded(told, centre), scale, v, weights, mean, covariance, likely)
-    found = DeviceMoments(*(np.asarray(a)[:count] for a in made))
-    return found._replace(mean=found.mean + centre)
+    count, likely = len(devices.estimate), int(np.argmax(weights))
+    made = _moments(_padded(devices, centre), scale, v, weights, mean, covariance, likely)
+    moments = DeviceMoments(*(np.asarray(a)[:count] for a in made))
+    return moments._replace(mean=moments.mean + centre)
 
 
-def _padded(told: DeviceEstimates, centre: np.ndarray) -> DeviceEstimates:
-    count = len(told.estimate)
+def _padded(devices: DeviceEstimates, centre: np.ndarray) -> DeviceEstimates:
+    count = len(devices.estimate)
     spare = max(LEAST, 1 << max(count - 1, 0).bit_length()) - count
     return DeviceEstimates(
-        np.pad(told.precision, ((0, spare), (0, 0), (0, 0))),
-        np.pad(told.estimate - centre, ((0, spare), (0, 0))),
-        np.pad(told.rest, ((0, spare), (0, 0))),
+        np.pad(devices.precision, ((0, spare), (0, 0), (0, 0))),
+        np.pad(devices.estimate - centre, ((0, spare), (0, 0))),
+        np.pad(devices.rest, ((0, spare), (0, 0))),
     )
 
 
@@ -165,10 +122,10 @@ def _times(matrices: Any, vectors: Any) -> Array:
     return jnp.einsum("bij,bj->bi", matrices, vectors)
 
 
-def _at(told: DeviceEstimates, scale: Array, v: Float[Array, "k"]):
+def _at(devices: DeviceEstimates, scale: Array, v: Float[Array, "k"]):
     t = (scale * jnp.exp(v)) ** 2
-    inverse = _inverse(told.precision, t)
-    x, rest, weighed = told.estimate, told.rest, inverse @ told.precision
+    inverse = _inverse(devices.precision, t)
+    x, rest, weighed = devices.estimate, devices.rest, inverse @ devices.precision
     pulled, pulled_rest = _times(weighed, x), _times(inverse, rest)
     level = jnp.sum(rest * (t * pulled_rest + 2 * x) - x * (pulled + 2 * pulled_rest))
     level = level + jnp.sum(jnp.linalg.slogdet(inverse)[1])
@@ -176,16 +133,16 @@ def _at(told: DeviceEstimates, scale: Array, v: Float[Array, "k"]):
 
 
 @jax.jit
-def _sums(told: DeviceEstimates, scale: Array, v: Array):
-    return over(partial(_at, told, scale), v, TOGETHER)
+def _sums(devices: DeviceEstimates, scale: Array, v: Array):
+    return over(partial(_at, devices, scale), v, TOGETHER)
 
 
 @jax.jit
-def _sums_and_slopes(told: DeviceEstimates, scale: Array, v: Array):
+def _sums_and_slopes(devices: DeviceEstimates, scale: Array, v: Array):
     def one(v: Array):
         def both(v: Array):
-            found = _at(told, scale, v)
-            return found, found
+            sums = _at(devices, scale, v)
+            return sums, sums
 
         slopes, values = jax.jacfwd(both, has_aux=True)(v)
         return values, jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), slopes)
@@ -194,15 +151,15 @@ def _sums_and_slopes(told: DeviceEstimates, scale: Array, v: Array):
 
 
 @partial(jax.jit, static_argnames="likely")
-def _moments(told: DeviceEstimates, scale, v, weights, mean, covariance, likely):
+def _moments(devices: DeviceEstimates, scale, v, weights, mean, covariance, likely):
     def given(v, mean, covariance):
         """c | m has covariance T·M and mean m + T·M·(h − Λm); m is integrated over its own."""
         t = (scale * jnp.exp(v)) ** 2
-        inner = t[:, None] * _inverse(told.precision, t)
+        inner = t[:, None] * _inverse(devices.precision, t)
         inner = 0.5 * (inner + jnp.swapaxes(inner, 1, 2))
-        share = inner @ told.precision
+        share = inner @ devices.precision
         slope = jnp.eye(len(t)) - share
-        device = _times(share, told.estimate) + _times(inner, told.rest)
+        device = _times(share, devices.estimate) + _times(inner, devices.rest)
         device = device + jnp.einsum("bij,j->bi", slope, mean)
         return device, inner + slope @ covariance @ jnp.swapaxes(slope, 1, 2)
 
@@ -216,6 +173,6 @@ def _moments(told: DeviceEstimates, scale, v, weights, mean, covariance, likely)
         new = device, inner + device[:, :, None] * device[:, None, :]
         return tuple(a + weight * b for a, b in zip(total, new, strict=True)), None
 
-    start = jnp.zeros_like(told.estimate), jnp.zeros_like(told.precision)
+    start = jnp.zeros_like(devices.estimate), jnp.zeros_like(devices.precision)
     first, second = jax.lax.scan(add, start, (weights, v, mean, covariance))[0]
     return about + first, second - first[:, :, None] * first[:, None, :]

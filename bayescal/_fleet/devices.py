@@ -6,7 +6,7 @@ are asked for.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -49,22 +49,41 @@ class DeviceBlock:
         """Readings of each device."""
         return self.ends - self.starts
 
+    @property
+    def temperatures(self) -> list[str]:
+        """Columns of measured temperatures, whose mean is a reference of the bases."""
+        return [n for n, unit in self.units.items() if unit == "degC" and n != "temperature_point"]
+
+    def columns(self, index: int) -> dict[str, np.ndarray]:
+        """The columns of one device."""
+        rows = slice(int(self.starts[index]), int(self.ends[index]))
+        return {name: values[rows] for name, values in self.values.items()}
+
     def measurements(self, index: int) -> Measurements:
         """One device's readings."""
-        rows = slice(int(self.starts[index]), int(self.ends[index]))
-        variables = {}
-        for name, column in self.values.items():
-            unit, own = self.units[name], column[rows]
-            variables[name] = (
-                xr.Variable(ROW, own.astype(str))
-                if unit is None
-                else xr.Variable(ROW, own.astype(np.float64), {"units": unit})
-            )
-        file = f"device {self.names[index]}"
+        variables = {
+            name: xr.Variable(ROW, own.astype(str))
+            if self.units[name] is None
+            else xr.Variable(ROW, own.astype(np.float64), {"units": self.units[name]})
+            for name, own in self.columns(index).items()
+        }
+        file, sha256 = f"device {self.names[index]}", ""
         if self.source is not None:
-            file = f"{self.source.file}, {file}"
-        source = Source(file, self.source.sha256 if self.source else "", rows.stop - rows.start)
+            file, sha256 = f"{self.source.file}, {file}", self.source.sha256
+        source = Source(file, sha256, int(self.counts[index]))
         return Measurements(xr.Dataset(variables), (source,), (), self.output)
+
+    def some(self, keep: np.ndarray) -> DeviceBlock:
+        """The devices where `keep` is true."""
+        if keep.all():
+            return self
+        rows = np.repeat(keep, self.counts)
+        return replace(
+            self,
+            names=tuple(n for n, k in zip(self.names, keep, strict=True) if k),
+            ends=np.cumsum(self.counts[keep]),
+            values={name: values[rows] for name, values in self.values.items()},
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,27 +125,38 @@ class Devices:
                 yield block.measurements(i)
 
     def __repr__(self) -> str:
-        rows = sum(int(block.ends[-1]) for block in self.blocks)
-        return f"<{rows} readings of {len(self)} devices, {len(self.refused)} of them refused>"
+        return f"<{self.readings} readings of {len(self)} devices, {len(self.refused)} of them refused>"
+
+    @classmethod
+    def together(cls, some: Sequence[Devices]) -> Devices:
+        """Devices of several files."""
+        names = dict.fromkeys(name for devices in some for name in devices.names)
+        blocks = tuple(block for devices in some for block in devices.blocks)
+        return cls(tuple(names), blocks, {n: why for d in some for n, why in d.refused.items()})
+
+    @property
+    def readings(self) -> int:
+        """Readings of the devices that were let in."""
+        return sum(int(block.ends[-1]) for block in self.blocks)
+
+    def without(self, names: Collection[str]) -> Devices:
+        """All devices but these."""
+        if not names:
+            return self
+        kept = [(b, np.array([n not in names for n in b.names])) for b in self.blocks]
+        return Devices(
+            tuple(n for n in self.names if n not in names),
+            tuple(block.some(keep) for block, keep in kept if keep.any()),
+            {n: why for n, why in self.refused.items() if n not in names},
+        )
+
+    def refusing(self, why: Mapping[str, str]) -> Devices:
+        """The same devices, some of them refused for these reasons."""
+        why = {name: why[name] for name in self.names if name in why}
+        return replace(self, blocks=self.without(why).blocks, refused=self.refused | why)
 
 
-def without(block: DeviceBlock, bad: Mapping[int, str]) -> DeviceBlock:
-    """A block without some of its devices."""
-    if not bad:
-        return block
-    keep = np.array([i not in bad for i in range(len(block.names))])
-    rows = np.repeat(keep, block.counts)
-    return replace(
-        block,
-        names=tuple(n for n, k in zip(block.names, keep, strict=True) if k),
-        ends=np.cumsum(block.counts[keep]),
-        values={name: values[rows] for name, values in block.values.items()},
-    )
-
-
-def gathered(
-    readings: Sequence[Measurements] | Mapping[str, Measurements],
-) -> Devices:
+def gathered(readings: Sequence[Measurements] | Mapping[str, Measurements]) -> Devices:
     """Devices from measurements, named by their key, by their label of column `device`, or by their place."""
     if isinstance(readings, Mapping):
         names, given = [str(n) for n in readings], list(readings.values())
@@ -135,26 +165,37 @@ def gathered(
         names = [_label(one, i) for i, one in enumerate(given)]
         if len(set(names)) < len(names):
             names = [str(i + 1) for i in range(len(given))]
-    alike: dict[tuple, list[int]] = {}
-    for i, one in enumerate(given):
-        kind = tuple((n, one.unit(n)) for n in one.columns), one.output
-        alike.setdefault(kind, []).append(i)
-    blocks, refused = [], {}
-    for (columns, output), members in alike.items():
-        values = {n: np.concatenate([given[i][n] for i in members]) for n, _ in columns}
-        ends = np.cumsum([len(given[i]) for i in members])
-        block = DeviceBlock(
-            names=tuple(names[i] for i in members),
-            ends=ends,
-            values=values,
-            units=dict(columns),
-            output=output,
+    blocks = joined(
+        DeviceBlock(
+            names=(name,),
+            ends=np.array([len(one)]),
+            values={n: one[n] for n in one.columns},
+            units={n: one.unit(n) for n in one.columns},
+            output=one.output,
         )
-        bad = _not_finite(block)
-        refused |= {block.names[i]: why for i, why in bad.items()}
-        if len(bad) < len(members):
-            blocks.append(without(block, bad))
-    return Devices(tuple(names), tuple(blocks), refused)
+        for name, one in zip(names, given, strict=True)
+    )
+    bad = {name: why for block in blocks for name, why in _not_finite(block).items()}
+    return Devices(tuple(names), blocks).refusing(bad)
+
+
+def joined(blocks: Iterable[DeviceBlock]) -> tuple[DeviceBlock, ...]:
+    """Blocks of the same columns as one: thousands of files with a device each are fitted at once."""
+    alike: dict[tuple, list[DeviceBlock]] = {}
+    for block in blocks:
+        alike.setdefault((*block.units.items(), block.output), []).append(block)
+    return tuple(
+        some[0]
+        if len(some) == 1
+        else replace(
+            some[0],
+            names=tuple(n for block in some for n in block.names),
+            ends=np.cumsum(np.concatenate([block.counts for block in some])),
+            values={n: np.concatenate([b.values[n] for b in some]) for n in some[0].values},
+            source=None,
+        )
+        for some in alike.values()
+    )
 
 
 def _label(one: Measurements, index: int) -> str:
@@ -162,17 +203,16 @@ def _label(one: Measurements, index: int) -> str:
     return levels[0] if len(levels) == 1 else str(index + 1)
 
 
-def _not_finite(block: DeviceBlock) -> dict[int, str]:
-    """Devices with a number that is none (arrays made by hand are not checked at any door)."""
-    bad: dict[int, str] = {}
-    for name, values in block.values.items():
-        if block.units[name] is None or name == "temperature_point":
+def _not_finite(block: DeviceBlock) -> dict[str, str]:
+    """Devices with a number that is none, and where (arrays made by hand were checked by no file reader)."""
+    bad: dict[str, str] = {}
+    for column, values in block.values.items():
+        if block.units[column] is None or column == "temperature_point":
             continue
-        wrong = np.flatnonzero(~np.isfinite(values))
-        for row in wrong[::-1]:
+        for row in np.flatnonzero(~np.isfinite(values))[::-1]:
             i = int(np.searchsorted(block.ends, row, side="right"))
-            bad[i] = (
-                f"reading {row - block.starts[i] + 1} of device {block.names[i]}, column {name!r}: reads "
+            bad[block.names[i]] = (
+                f"reading {row - block.starts[i] + 1} of device {block.names[i]}, column {column!r}: reads "
                 f"{values[row]:g}, a number was expected. Fill it in, or remove the reading"
             )
     return bad

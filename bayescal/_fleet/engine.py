@@ -1,15 +1,17 @@
 """Where tasks run: in this process, or on the workers of a Dask cluster. Results are the same bit for bit.
 
-Retries, restarts and the placing of tasks are the scheduler's (`distributed`); here tasks are only handed to it, a few
-for each worker at a time, so that neither it nor this process holds more than what is under way.
+Retries, restarts and the placing of tasks are the scheduler's (`distributed`); here its futures are waited for.
 """
 
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+
+import jax
 
 from bayescal._core.errors import BayescalError, InputError
 
@@ -17,12 +19,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
 T = TypeVar("T")
-AHEAD = 4  # tasks for each thread of the cluster that the scheduler holds
 RETRIES = 2  # of a task that failed; a worker that died does not count
-LOOK, PATIENCE = (
-    20.0,
-    200.0,
-)  # seconds between looks at the workers; without one, until it is given up
+LOOK = 20.0  # seconds between looks at the workers
+PATIENCE = 200.0  # seconds without a worker, after which a run is given up
 ARITY = 16  # sums that are added up at once
 
 
@@ -47,9 +46,23 @@ class Engine(Protocol):
         """Run a function on each of several arguments; outcomes as they come in."""
         ...
 
-    def tree(self, function: Callable[..., T], tasks: Sequence[tuple]) -> T:
-        """The sum of a function over several arguments, added up as a tree in their order."""
+    def total(self, function: Callable[..., T], tasks: Sequence[tuple]) -> T:
+        """The sum of a function over several arguments (tuples of numbers and arrays), added up in their order."""
         ...
+
+
+def every(engine: Engine, function: Callable[..., T], tasks: Sequence[tuple]) -> list[T]:
+    """What a function makes of each of several arguments, in their order.
+
+    Raises:
+        InputError: one of them fails.
+    """
+    values: dict[int, T] = {}
+    for outcome in engine.each(function, tasks):
+        if outcome.error:
+            raise InputError(outcome.error)
+        values[outcome.index] = outcome.value
+    return [values[index] for index in range(len(tasks))]
 
 
 class LocalEngine:
@@ -62,14 +75,11 @@ class LocalEngine:
             except (BayescalError, OSError) as error:
                 yield TaskOutcome(index, None, str(error))
 
-    def tree(self, function: Callable[..., T], tasks: Sequence[tuple]) -> T:
-        level = [function(*task) for task in tasks]
-        while len(level) > 1:
-            level = [added(*level[i : i + ARITY]) for i in range(0, len(level), ARITY)]
-        return level[0]
+    def total(self, function: Callable[..., T], tasks: Sequence[tuple]) -> T:
+        return _added_up([function(*task) for task in tasks], added)
 
 
-class OnDask:
+class DaskEngine:
     """The workers of a cluster."""
 
     def __init__(self, client: Client) -> None:
@@ -79,93 +89,85 @@ class OnDask:
         """Run a function on each of several arguments.
 
         Raises:
-            InputError: the scheduler is gone; what was written stays.
+            InputError: the scheduler is gone, or no worker has come for some minutes; what was written stays.
         """
-        waiting = iter(enumerate(tasks))
-        running: dict[Any, int] = {}
+        from distributed import as_completed
 
-        def submit(count: int) -> None:
-            for _, (index, task) in zip(range(count), waiting, strict=False):
-                future = self.client.submit(function, *task, pure=False, retries=RETRIES)
-                running[future] = index
-
-        threads: Any = self.client.nthreads()
-        submit(AHEAD * max(sum(threads.values()), 1))
-        while running:
-            for future in self._ended(list(running)):
-                yield self._outcome(running.pop(future), future)
-                submit(1)
-
-    def _ended(self, running: list[Any]) -> list[Any]:
-        """Those of the tasks that have ended, as soon as one has.
-
-        Raises:
-            InputError: there is no worker, and none has come for some minutes.
-        """
-        from distributed import wait
-
+        left = {future: index for index, future in enumerate(self._futures(function, tasks))}
         alone = 0.0
-        while True:
+        while left:
             try:
-                found: Any = wait(running, timeout=LOOK, return_when="FIRST_COMPLETED")
-                return list(found.done)
+                for future in as_completed(list(left), timeout=LOOK):
+                    outcome = self._outcome(left.pop(future), future)
+                    future.release()
+                    yield outcome
             except TimeoutError:
                 alone = 0.0 if self.client.nthreads() else alone + LOOK
-            except CancelledError:
-                raise InputError(_gone(self.client)) from None
             if alone > PATIENCE:
                 raise InputError(
                     "the cluster has no worker left. The partitions that were finished are kept: start workers, and "
                     "the same command goes on from there"
                 )
 
-    def _outcome(self, index: int, future: Any) -> TaskOutcome:
-        error = future.exception()
-        if future.status == "finished":
-            try:
-                return TaskOutcome(index, future.result(), "")
-            except (OSError, CancelledError):  # the scheduler died between the word and the result
-                raise InputError(_gone(self.client)) from None
-        if self.client.status != "running" or future.status in ("cancelled", "lost"):
-            raise InputError(_gone(self.client))
-        return TaskOutcome(index, None, _in_words(error))
+    def _futures(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> list[Any]:
+        return self.client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
 
-    def tree(self, function: Callable[..., T], tasks: Sequence[tuple]) -> T:
+    def _outcome(self, index: int, future: Any) -> TaskOutcome:
+        try:
+            return TaskOutcome(index, future.result(), "")
+        except BayescalError as error:
+            return TaskOutcome(index, None, str(error))
+        except (Exception, CancelledError) as error:  # whatever a cluster says of tasks it gave up
+            self._refuse_if_gone(future)
+            return TaskOutcome(index, None, _in_words(error))
+
+    def total(self, function: Callable[..., T], tasks: Sequence[tuple]) -> T:
         """The sum of a function over several arguments.
 
         Raises:
             InputError: a part of it failed for good, or the scheduler is gone.
         """
-        submit = functools.partial(self.client.submit, pure=False, retries=RETRIES)
-        level = [submit(function, *task) for task in tasks]
-        while len(level) > 1:
-            level = [submit(added, *level[i : i + ARITY]) for i in range(0, len(level), ARITY)]
+        add = functools.partial(self.client.submit, added, pure=False, retries=RETRIES)
+        whole: Any = _added_up(self._futures(function, tasks), add)
         try:
-            return level[0].result()
+            return whole.result()
         except BayescalError:
             raise
-        except Exception as error:  # whatever a cluster says of tasks that it gave up
-            if self.client.status != "running" or level[0].status in ("cancelled", "lost"):
-                raise InputError(_gone(self.client)) from None
+        except (Exception, CancelledError) as error:
+            self._refuse_if_gone(whole)
             raise InputError(
                 f"a part of the sum over partitions failed: {_in_words(error)}"
             ) from None
 
+    def _refuse_if_gone(self, future: Any) -> None:
+        """Say that the scheduler is gone, if a task failed for that.
+
+        Raises:
+            InputError: it is.
+        """
+        if self.client.status == "running" and future.status not in ("cancelled", "lost"):
+            return
+        scheduler = self.client.scheduler
+        address = "the scheduler" if scheduler is None else scheduler.address
+        raise InputError(
+            f"the scheduler at {address} is gone. The partitions that were finished are kept: start it again, and the "
+            "same command goes on from there"
+        )
+
+
+def _added_up(level: list[Any], add: Callable[..., Any]) -> Any:
+    """The sum of parts, or the future of it, as a tree in their order: no process holds more than a few of them."""
+    while len(level) > 1:
+        level = [add(*level[i : i + ARITY]) for i in range(0, len(level), ARITY)]
+    return level[0]
+
 
 def added(*parts: Any) -> Any:
-    """The sum of parts, from the first to the last."""
-    return functools.reduce(lambda a, b: a + b, parts)
+    """The sum of tuples of numbers and arrays, from the first to the last."""
+    return functools.reduce(lambda a, b: jax.tree.map(operator.add, a, b), parts)
 
 
-def _gone(client: Client) -> str:
-    scheduler = client.scheduler.address if client.scheduler is not None else "the scheduler"
-    return (
-        f"the scheduler at {scheduler} is gone. The partitions that were finished are kept: start it again, and the "
-        "same command goes on from there"
-    )
-
-
-def _in_words(error: BaseException | None) -> str:
+def _in_words(error: BaseException) -> str:
     """Why a task was given up: what it raised, or that its workers died."""
     from distributed.scheduler import KilledWorker
 

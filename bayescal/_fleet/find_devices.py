@@ -6,9 +6,8 @@ are the checks and pictures of every step. Coefficients come from the fit of a b
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit
@@ -16,11 +15,8 @@ from scipy.special import expit
 from bayescal._core.errors import BayescalError
 from bayescal._data.measurements import Measurements
 from bayescal._fleet.batch_result import BatchResult
-from bayescal._fleet.devices import DeviceBlock, Devices, without
-from bayescal._fleet.fit_devices import fit_devices
-from bayescal._fleet.shares import Evidence
-from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.marginal import Marginal
+from bayescal._fleet.devices import Devices
+from bayescal._fleet.fit_devices import FitOptions, fit_together
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, reference_of
 from bayescal._model.model import Model
@@ -51,7 +47,7 @@ class Find:
 
 @dataclass(frozen=True)
 class DeviceStructure:
-    """What is missing from one device's model.
+    """What is missing from one device's model, as plain JSON holds it.
 
     Attributes:
         effects: of the structure to use.
@@ -63,56 +59,13 @@ class DeviceStructure:
         weighed: sets of effects with their log evidence, all noise laws together, against the best.
     """
 
-    effects: tuple[str, ...]
+    effects: list[str]
     noise: str
     nothing: float
     inclusion: dict[str, float]
-    sets: tuple[tuple[str, ...], ...]
+    sets: list[list[str]]
     prior: dict[str, float]
-    weighed: tuple[tuple[tuple[str, ...], float], ...]
-
-
-@dataclass(frozen=True)
-class EffectCounts:
-    """Over devices: how many have an effect, and what each says of its structures; to be added up.
-
-    Attributes:
-        devices: that were searched.
-        found: effect → devices whose structure has it.
-        possible: effect → devices in which it is one of those of which one is missing.
-        nothing: devices of which nothing was found missing.
-        noise: law → devices whose structure has it.
-        evidence: of each device.
-    """
-
-    devices: int = 0
-    found: Counter[str] = field(default_factory=Counter)
-    possible: Counter[str] = field(default_factory=Counter)
-    nothing: int = 0
-    noise: Counter[str] = field(default_factory=Counter)
-    evidence: tuple[Evidence, ...] = ()
-
-    def __add__(self, other: EffectCounts) -> EffectCounts:
-        return EffectCounts(
-            self.devices + other.devices,
-            self.found + other.found,
-            self.possible + other.possible,
-            self.nothing + other.nothing,
-            self.noise + other.noise,
-            self.evidence + other.evidence,
-        )
-
-    @classmethod
-    def of(cls, found: Sequence[DeviceStructure]) -> EffectCounts:
-        """Of some devices."""
-        return cls(
-            len(found),
-            Counter(name for one in found for name in one.effects),
-            Counter(name for one in found for name in {n for s in one.sets for n in s}),
-            sum(not one.effects for one in found),
-            Counter(one.noise for one in found),
-            tuple(Evidence(one.prior, dict(one.weighed)) for one in found),
-        )
+    weighed: list[tuple[list[str], float]]
 
 
 def search_device(
@@ -132,86 +85,58 @@ def search_device(
     posterior = Posterior.of(structures)
     chosen = posterior.chosen
     inclusion = {n: posterior.inclusion(n) for n in structures.candidates}
-    told = DeviceStructure(
-        tuple(sorted(chosen.effects)),
+    structure = DeviceStructure(
+        sorted(chosen.effects),
         chosen.noise,
-        posterior.nothing,
+        posterior.nothing(),
         {n: p for n, p in inclusion.items() if p > LEAST},
-        tuple(found.effects for found in posterior.findings),
+        [list(finding.effects) for finding in posterior.findings],
         {n: float(expit(odds)) for n, odds in structures.log_odds.items()},
         _weighed(posterior, structures.log_odds),
     )
-    return told, structures.weigh(chosen).model
+    return structure, structures.weigh(chosen).model
 
 
-def _weighed(
-    posterior: Posterior, log_odds: Mapping[str, float]
-) -> tuple[tuple[tuple[str, ...], float], ...]:
+def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[list[str], float]]:
     """Sets of effects with their log evidence, the best first."""
-    found: dict[tuple[str, ...], float] = {}
-    for structure, total in zip(posterior.structures, posterior.total, strict=True):
+    total: dict[tuple[str, ...], float] = {}
+    for structure, log_posterior in zip(posterior.structures, posterior.total, strict=True):
         effects = tuple(sorted(structure.effects))
-        own = total - sum(log_odds[name] for name in effects)
-        found[effects] = float(np.logaddexp(found.get(effects, -np.inf), own))
-    order = sorted(found, key=lambda effects: -found[effects])
-    best = found[order[0]]
-    kept = (e for e in order[:KEPT] if found[e] > best - FAR)
-    return tuple((effects, round(found[effects] - best, 6)) for effects in kept)
+        own = log_posterior - sum(log_odds[name] for name in effects)
+        total[effects] = float(np.logaddexp(total.get(effects, -np.inf), own))
+    best = max(total.values())
+    order = sorted(total, key=lambda effects: -total[effects])[:KEPT]
+    return [(list(e), round(total[e] - best, 6)) for e in order if total[e] > best - FAR]
 
 
 def find_and_fit(
     model: Model,
     devices: Devices,
     find: Find,
-    method: LeastSquares | Marginal,
-    *,
-    seed: int,
-    chunk: int,
-    reference: Reference,
+    options: FitOptions,
 ) -> tuple[BatchResult, dict[str, DeviceStructure]]:
-    """Search each device, then fit those of one structure together: the results, and what each device's search found.
+    """Search each device, then fit those of one structure together: the results, and each device's structure.
 
     A device that cannot be searched is refused with the reason.
     """
-    refused, told = dict(devices.refused), dict[str, DeviceStructure]()
+    refused = dict(devices.refused)
+    structures: dict[str, DeviceStructure] = {}
     alike: dict[tuple, tuple[Model, list[str]]] = {}
     for block in devices.blocks:
         for i, name in enumerate(block.names):
             try:
-                told[name], made = search_device(model, block.measurements(i), find, reference)
+                structure, made = search_device(
+                    model, block.measurements(i), find, options.reference
+                )
             except BayescalError as error:
                 refused[name] = str(error)
                 continue
+            structures[name] = structure
             # Departures and open sizes are a device's own: only equal models share a program.
-            kind = (told[name].effects, told[name].noise, repr(made.effects), repr(made.noise))
+            kind = (*structure.effects, structure.noise, repr(made.effects), repr(made.noise))
             alike.setdefault(kind, (made, []))[1].append(name)
-    shared = {"seed": seed, "chunk": chunk, "reference": reference, "each": True}
-    pieces = [
-        fit_devices(made, _only(devices, set(names)), method, **shared)
-        for made, names in alike.values()
+    groups = [
+        (made, devices.without({*devices.names} - {*names})) for made, names in alike.values()
     ]
-    none = Devices(tuple(refused), (), refused)
-    pieces.append(fit_devices(model, none, method, **shared))
-    return _together(devices.names, pieces), told
-
-
-def _only(devices: Devices, names: set[str]) -> Devices:
-    blocks: list[DeviceBlock] = []
-    for block in devices.blocks:
-        others = {i: "" for i, name in enumerate(block.names) if name not in names}
-        if len(others) < len(block.names):
-            blocks.append(without(block, others))
-    return Devices(tuple(n for b in blocks for n in b.names), tuple(blocks))
-
-
-def _together(names: tuple[str, ...], pieces: Sequence[BatchResult]) -> BatchResult:
-    """Results of disjoint devices as one, in the order of the devices."""
-    places = {name: i for i, name in enumerate(names)}
-    ok, reasons, parts = np.zeros(len(names), dtype=bool), [""] * len(names), []
-    for piece in pieces:
-        at = np.array([places[name] for name in piece.devices], dtype=int)
-        ok[at] = piece.ok
-        for i, reason in zip(at, piece.reasons, strict=True):
-            reasons[i] = reason
-        parts += [replace(part, devices=at[part.devices]) for part in piece.parts]
-    return replace(pieces[-1], devices=names, ok=ok, reasons=tuple(reasons), parts=tuple(parts))
+    groups.insert(0, (model, Devices((), ())))  # after which the result is named
+    return fit_together(devices.names, refused, groups, options), structures

@@ -11,14 +11,11 @@ from bayescal._data.measurements import Measurements
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices, gathered
 from bayescal._fleet.find_devices import Find
-from bayescal._fleet.fit_devices import CHUNK, fit_devices, mappable
+from bayescal._fleet.fit_devices import CHUNK, FitOptions, fit_devices, tailored_to_first
 from bayescal._fleet.fit_fleet import fit_fleet
 from bayescal._fleet.fleet_result import FleetResult
 from bayescal._fleet.population import AskedPopulation, chosen
 from bayescal._fleet.split_devices import split_devices
-from bayescal._fleet.tailored import tailored_to_first
-from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
@@ -101,7 +98,8 @@ def fit_batch(
         readings: `split_devices(…)`, paths of files with a column `device`, or measurements, one a device (a mapping
             names them). With `out`: paths, of folders too.
         method: `LeastSquares()` if not given; or `Marginal()`, by importance sampling alone.
-        population: True for all coefficients that a device has one of, or names, or names with priors of their spreads.
+        population: True for all coefficients that a device has one of, or names, or names with priors of their standard
+            deviations between devices.
         seed: of every random number.
         chunk: devices fitted at once at most, which bounds memory.
         reference: constants of the bases, in place of each device's own; a population sets T0 to that of all readings.
@@ -115,55 +113,50 @@ def fit_batch(
         InputError: no device that can be used, files that cannot be read, a client without `out`, a cluster gone.
         ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
     """
-    mapped = mappable(model, method or LeastSquares())
+    options = FitOptions.of(model, method, seed, chunk, reference)
     chosen(model, population)  # a wrong name is refused before anything is read
-    shared = {"seed": seed, "chunk": chunk, "reference": reference}
     if out is not None:
         search = Find() if find is True else find or None
         how = {"client": client, "rows": partition_rows, "columns": columns, "find": search}
-        return fit_fleet(model, _paths(readings), Path(out), mapped, population, **how, **shared)
+        return fit_fleet(model, _paths(readings), Path(out), options, population, **how)
     if client is not None or find:
         raise InputError("workers and searches write by partition: give out=, a folder")
-    return _at_once(model, _devices(model, readings), mapped, population, shared)
-
-
-def _at_once(
-    model: Model,
-    devices: Devices,
-    method: LeastSquares | Marginal,
-    population: AskedPopulation,
-    shared: Mapping[str, Any],
-) -> BatchResult:
+    devices = _devices(model, readings)
     model, _ = tailored_to_first(model, devices)
-    return fit_devices(model, devices, method, named=chosen(model, population), **shared)
+    return fit_devices(model, devices, options, chosen(model, population))
 
 
-def _paths(readings: Readings) -> list[Path]:
+def _are_paths(readings: Any) -> bool:
+    """Whether these are paths of files; one path is."""
+    if isinstance(readings, str | Path):
+        return True
+    if isinstance(readings, Devices | Mapping):
+        return False
+    return len(readings) > 0 and all(isinstance(one, str | Path) for one in readings)
+
+
+def _paths(readings: Any) -> list[Path]:
     """Paths for workers to read.
 
     Raises:
         InputError: something else was given.
     """
-    given: Any = [readings] if isinstance(readings, str | Path) else readings
-    if isinstance(given, Devices | Mapping) or not all(isinstance(p, str | Path) for p in given):
+    if not _are_paths(readings):
         raise InputError(
             "fit_batch with out= reads its files itself, partition by partition: give paths, not readings"
         )
+    given = [readings] if isinstance(readings, str | Path) else readings
     return [Path(path).resolve() for path in given]
 
 
-def _devices(model: Model, readings: Readings) -> Devices:
+def _devices(model: Model, readings: Any) -> Devices:
     if isinstance(readings, Devices):
         return readings
-    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-    if isinstance(readings, str | Path):
+    if _are_paths(readings):
+        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
         return split_devices(readings, model.instrument, needs=needs)
-    if isinstance(readings, Mapping):
-        return gathered(readings)
-    given: list[Any] = list(readings)
-    if given and all(isinstance(one, str | Path) for one in given):
-        return split_devices(given, model.instrument, needs=needs)
-    for i, one in enumerate(given):
+    given = readings if isinstance(readings, Mapping) else list(readings)
+    for i, one in enumerate(given.values() if isinstance(given, Mapping) else given):
         if not isinstance(one, Measurements):
             raise InputError(
                 f"fit_batch: entry {i + 1} of the readings is of type {type(one).__name__}; measurements were "

@@ -1,68 +1,157 @@
-"""Many devices of one type, fitted each by itself in this process."""
+"""Many devices of one type, fitted each by itself in this process: mean, covariance and whether they are reliable."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.errors import BayescalError, InputError, ModelError
+from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import spare_memory_maps
+from bayescal._core.settings_in_force import unusual
 from bayescal._data.measurements import Measurements
-from bayescal._fleet import fit_stack
-from bayescal._fleet.batch_result import BatchResult
-from bayescal._fleet.device_result import BatchPart
-from bayescal._fleet.devices import DeviceBlock, Devices
-from bayescal._fleet.fit_stack import StackFit
+from bayescal._fleet import closed_form
+from bayescal._fleet.batch_result import BatchPart, BatchResult
+from bayescal._fleet.devices import DeviceBlock, Devices, joined
 from bayescal._fleet.partial_pooling import pooled
 from bayescal._fleet.population import Named
-from bayescal._fleet.stacks import DeviceStack, Refusal, stacks
+from bayescal._fleet.stacks import DeviceFrame, DeviceStack, frames, stacks
+from bayescal._inference import least_squares, sampled_products, trust
+from bayescal._inference.assembly import Assembly
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
-from bayescal._model.frame import Reference, build_frame, reference_name, reference_of
+from bayescal._inference.mode import Mode, find_mode
+from bayescal._inference.record import Record
+from bayescal._inference.sampling import WeightedDraws, weighted_draws
+from bayescal._model.effect import Effect
+from bayescal._model.frame import Frame, Reference, build_frame, reference_name, reference_of
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Layout, Levels
 
 CHUNK = 4096  # devices in one compiled program at most
+NUDGE = 1e-5  # of a coordinate, for the slope of its value
+NO_SCATTER = (
+    "The readings leave no scatter about the model, so that the noise is not determined: too few readings for the "
+    "coefficients, or made without noise."
+)
+HELD = (
+    "Shapes have the standard uncertainty of their coordinate times its slope; noise and between-group standard "
+    "deviations are held at their restricted-likelihood estimates."
+)
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How every device is fitted.
+
+    Attributes:
+        method: of every fit.
+        seed: of every random number.
+        chunk: devices fitted at once at most.
+        reference: constants of the bases, in place of each device's own.
+    """
+
+    method: LeastSquares | Marginal
+    seed: int = 0
+    chunk: int = CHUNK
+    reference: Reference = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, model: Model, method: Method | None, seed: int, chunk: int, reference: Reference | None
+    ) -> FitOptions:
+        """As a user gives them.
+
+        Raises:
+            InputError: `chunk` is none.
+            ModelError: the method cannot be mapped over devices.
+        """
+        if chunk < 1:
+            raise InputError(f"chunk is {chunk}: give at least 1")
+        return cls(mappable(model, method or LeastSquares()), seed, chunk, dict(reference or {}))
+
+    def with_common(self, reference: Reference) -> FitOptions:
+        """With further constants, where none were given."""
+        return replace(self, reference={**reference, **self.reference})
+
+    def data(self, model: Model) -> dict[str, Any]:
+        """What was fitted, as a result says it."""
+        return {
+            "instrument": model.instrument.name,
+            "effects": list(model.names),
+            "noise": model.noise.law,
+            "method": self.method.name,
+            "seed": self.seed,
+            "reference": {k: v for k, v in self.reference.items() if not isinstance(v, dict)},
+            **({"settings": own} if (own := unusual()) else {}),
+        }
 
 
 def fit_devices(
-    model: Model,
-    devices: Devices,
-    method: LeastSquares | Marginal,
-    *,
-    named: Named | None = None,
-    seed: int = 0,
-    chunk: int = CHUNK,
-    reference: Reference | None = None,
-    each: bool = False,
+    model: Model, devices: Devices, options: FitOptions, named: Named | None = None
 ) -> BatchResult:
     """Fit every device by itself in a few compiled programs: see `fit_batch`.
 
     Args:
         model: what is fitted.
         devices: whose readings.
-        method: of every fit.
+        options: of every fit.
         named: coefficients of a population, if any.
-        seed: of every random number.
-        chunk: devices fitted at once at most.
-        reference: constants of the bases, in place of each device's own.
+
+    Raises:
+        InputError: no device at all, or none that can be used.
+    """
+    if not len(devices):
+        raise InputError("there is no device to fit: give at least one")
+    if named:
+        options = options.with_common(common_reference(temperature_sums(devices)))
+    groups = [(model, devices)]
+    result = fit_together(devices.names, devices.refused, groups, options, each=False)
+    return pooled(result, named, options.seed) if named else result
+
+
+def fit_together(
+    names: tuple[str, ...],
+    refused: Mapping[str, str],
+    groups: Sequence[tuple[Model, Devices]],
+    options: FitOptions,
+    each: bool = True,
+) -> BatchResult:
+    """Fit groups of devices, each with a model of its own; one result in the order of the names.
+
+    Args:
+        names: of all devices.
+        refused: those of them that are in no group, and why.
+        groups: models, and the devices that each is fitted to; the result is named after the first.
+        options: of every fit.
         each: whether a reason that all devices share refuses each of them, and not the whole.
 
     Raises:
-        InputError: no device at all, or, unless `each`, none that can be used.
+        InputError: none can be used, and not `each`.
     """
     spare_memory_maps()
-    if chunk < 1:
-        raise InputError(f"chunk is {chunk}: give at least 1")
-    if not len(devices) and not each:
-        raise InputError("there is no device to fit: give at least one")
-    reference = dict(reference or {})
-    if named:
-        reference = {**common_reference(devices), **reference}
-    run = _BatchRun(model, method, seed=seed, chunk=chunk, reference=reference)
-    run.fit(devices, each)
-    return run.result(devices.names, named or {}, each)
+    fits = _Fits(options)
+    fits.refused |= refused
+    fitted = [fits.fit(model, devices, each) for model, devices in groups]
+    parts, reasons = fits.parts(names), fits.reasons | fits.refused
+    if not parts and names and not each:
+        name, why = next(iter(fits.refused.items()))
+        raise InputError(f"none of the {len(names)} devices can be used; {name}: {why}")
+    return BatchResult(
+        devices=names,
+        ok=np.array([not reasons.get(name) for name in names], dtype=bool),
+        reasons=tuple(reasons.get(name, "") for name in names),
+        parts=tuple(parts),
+        population=None,
+        about={**options.data(fitted[0]), "notes": list(fits.notes)},
+    )
 
 
 def mappable(model: Model, method: Method) -> LeastSquares | Marginal:
@@ -86,17 +175,71 @@ def mappable(model: Model, method: Method) -> LeastSquares | Marginal:
     return method
 
 
-def common_reference(devices: Devices) -> dict[str, float | dict[str, float]]:
+def temperature_sums(devices: Devices) -> list[tuple[str, float, int]]:
+    """Sum and number of the readings of each column of temperatures."""
+    return [
+        (name, float(np.sum(block.values[name])), len(block.values[name]))
+        for block in devices.blocks
+        for name in block.temperatures
+    ]
+
+
+def common_reference(sums: Sequence[tuple[str, float, int]]) -> Reference:
     """T0 and its like over all devices, so that offsets mean the same for each."""
-    sums: dict[str, list[np.ndarray]] = {}
-    for block in devices.blocks:
-        for name, unit in block.units.items():
-            if unit == "degC" and name != "temperature_point":
-                sums.setdefault(name, []).append(block.values[name])
-    return {
-        reference_name(name): float(np.round(np.mean(np.concatenate(values))))
-        for name, values in sums.items()
+    total: dict[str, np.ndarray] = {}
+    for name, *own in sums:
+        total[name] = total.get(name, 0.0) + np.array(own)
+    return {reference_name(name): float(np.round(s / n)) for name, (s, n) in total.items()}
+
+
+def tailored(model: Model, readings: Measurements) -> Model:
+    """The model with its instrument tailored to one device's readings; the same where nothing has to be.
+
+    What it has of the instrument's own (effects, the noise law) is that of the tailored one; what was changed stays. A
+    size that was changed is one in parts of what a record shows, as all of the general instrument's are.
+    """
+    general = model.instrument
+    own = general.for_readings(readings)
+    if own is general:
+        return model
+    stated = {e.name: e for e in (*general.effects, *general.candidates)}
+    sized = {e.name: e for e in (*own.effects, *own.candidates)}
+    parts = {
+        e.name: e.coefficients[0].size / stated[e.name].coefficients[0].size
+        for e in model.effects
+        if e.name in stated and e == _sized_as(e, stated[e.name])
     }
+    effects = tuple(sized.get(e.name, e) if e.name in parts else e for e in model.effects)
+    noise = own.noise if model.noise == general.noise else model.noise
+    made = Model(own, effects, noise, model.fixed)
+    for name, part in parts.items():
+        if part != 1:
+            made = made.resize(name, part * made.effect(name).coefficients[0].size)
+    return made
+
+
+def _sized_as(effect: Effect, stated: Effect) -> Effect:
+    """An effect as it is stated, of the sizes that this one has."""
+    return replace(stated, coefficients=effect.coefficients)
+
+
+def tailored_to_first(
+    model: Model, devices: Iterable[Measurements]
+) -> tuple[Model, Measurements | None]:
+    """The model tailored to the first device that it can be tailored to, and that device; None where there is none.
+
+    Raises:
+        InputError: no device has what the instrument takes from readings: why, of the first.
+    """
+    refusals: list[InputError] = []
+    for readings in devices:
+        try:
+            return tailored(model, readings), readings
+        except InputError as error:
+            refusals.append(error)
+    if refusals:
+        raise refusals[0]
+    return model, None
 
 
 def sized_for(model: Model, readings: Measurements, reference: Reference) -> Model:
@@ -107,127 +250,210 @@ def sized_for(model: Model, readings: Measurements, reference: Reference) -> Mod
     return sized(model, readings, frame)
 
 
-class _BatchRun:
-    """Fits as they come in."""
+class _Solved(NamedTuple):
+    """Devices of one layout, every unknown in its reported unit.
 
-    def __init__(
-        self,
-        model: Model,
-        method: LeastSquares | Marginal,
-        *,
-        seed: int,
-        chunk: int,
-        reference: Reference,
-    ) -> None:
-        self.model, self.method, self.seed, self.chunk = model, method, seed, chunk
-        self.reference = reference
+    Attributes:
+        layout: where the unknowns stand.
+        mean: (b, q).
+        covariance: (b, q, q); NaN where a standard deviation is held at its estimate.
+        reasons: what stands against each device; empty if nothing.
+        notes: how it was done.
+    """
+
+    layout: Layout
+    mean: np.ndarray
+    covariance: np.ndarray
+    reasons: Sequence[str]
+    notes: tuple[str, ...] = ()
+
+
+class _Fits:
+    """Fits as they come in.
+
+    Attributes:
+        refused: devices that cannot be fitted, and why.
+        reasons: what stands against each device that was fitted.
+        notes: how it was done, once each.
+    """
+
+    def __init__(self, options: FitOptions) -> None:
+        self.options, self.method = options, options.method
         self.refused: dict[str, str] = {}
-        self.notes: dict[str, None] = {}
         self.reasons: dict[str, str] = {}
-        self.ways: dict[str, bool] = {}
-        self.found: dict[tuple[tuple[str, str], ...], list[tuple]] = {}
+        self.notes: dict[str, None] = {}
+        self._promoted: dict[Layout, tuple[Layout, tuple[str, ...]]] = {}
+        self._found: dict[tuple[tuple[str, str], ...], list[tuple]] = {}
 
-    def fit(self, devices: Devices, each: bool) -> None:
-        """Fit every device that can be fitted.
+    def fit(self, model: Model, devices: Devices, each: bool) -> Model:
+        """Fit every device that can be fitted; the model, with open sizes taken from the first.
 
         Raises:
             BayescalError: no block can be used, and not `each`; what is said of the first.
         """
-        self.refused |= devices.refused
         wrong: list[BayescalError] = []
-        for block in devices.blocks:
+        blocks = joined(devices.blocks)
+        for block in blocks:
             try:
-                self.model.require(block.measurements(0))
-                self.model = sized_for(self.model, block.measurements(0), self.reference)
-                self._add(block)
+                first = block.measurements(0)
+                model.require(first)
+                model = sized_for(model, first, self.options.reference)
+                self._fit(model, block)
             except BayescalError as error:  # a column is missing, of all its devices
                 wrong.append(error)
                 self.refused = dict.fromkeys(block.names, str(error)) | self.refused
-        if wrong and len(wrong) == len(devices.blocks) and not each:
+        if wrong and len(wrong) == len(blocks) and not each:
             raise wrong[0]
+        return model
 
-    def _add(self, block: DeviceBlock) -> None:
-        masked = self._masked(block)
-        for stack in stacks(self.model, block, self.reference, masked, self.chunk):
-            if isinstance(stack, Refusal):
-                self.refused[block.names[stack.device]] = stack.reason
-                continue
-            layout, way = Layout(self.model, stack.counts), self._straight(stack)
-            self._keep(block, stack, fit_stack.solve(layout, stack, self.method, self.seed, way))
+    def _fit(self, model: Model, block: DeviceBlock) -> None:
+        def refuse(device: int, error: BayescalError) -> None:
+            self.refused[block.names[device]] = str(error)
 
-    def _masked(self, block: DeviceBlock) -> bool:
-        """Whether padded readings cost nothing: on the quick way, which leaves them out."""
-        for stack in stacks(self.model, block, self.reference, False, 1):
-            if isinstance(stack, DeviceStack):
-                return self._straight(stack)
-        return False
+        # Least squares of all has a closed form if that of the first device has that can be fitted.
+        given = model, block, self.options.reference
+        first = next(frames(*given, lambda *_: None), None)
+        if (
+            first is not None
+            and isinstance(self.method, LeastSquares)
+            and closed_form.applies(first.layout, jax.tree.map(jnp.asarray, first.frame))
+        ):
+            for stack in stacks(*given, refuse, self.options.chunk):
+                names = [block.names[i] for i in stack.devices]
+                self._keep(names, stack.levels, _in_closed_form(stack))
+            return
+        for one in frames(*given, refuse):
+            self._keep([block.names[one.device]], [one.levels], self._solved(one))
 
-    def _straight(self, stack: DeviceStack) -> bool:
-        """Whether the quick way is open, asked once for groups of these sizes and columns of these names."""
-        kind = (dict(stack.counts) | {"reading": 0}, sorted(stack.frame.columns))
-        if str(kind) not in self.ways:
-            layout = Layout(self.model, stack.counts)
-            self.ways[str(kind)] = fit_stack.straight(layout, stack, self.method)
-        return self.ways[str(kind)]
-
-    def _keep(self, block: DeviceBlock, stack: DeviceStack, made: StackFit) -> None:
-        self.notes |= dict.fromkeys(made.notes)
-        alike: dict[tuple, list[int]] = {}
-        if _grouped(made.layout):  # then unknowns are called after the members, each device's own
-            for i, levels in enumerate(stack.levels):
-                alike.setdefault(tuple(levels.items()), []).append(i)
-        for members in alike.values() or [list(range(len(stack.devices)))]:
-            own = tuple(fit_stack.unknowns(made.layout, stack.levels[members[0]]))
-            names = [block.names[stack.devices[i]] for i in members]
-            self.found.setdefault(own, []).append(
-                (names, made.mean[members], made.covariance[members])
+    def _solved(self, one: DeviceFrame) -> _Solved:
+        if isinstance(self.method, LeastSquares):
+            return _by_least_squares(one, self.method)
+        if one.layout not in self._promoted:  # decided on the first device of its kind, for all
+            self._promoted[one.layout] = sampled_products.choose(
+                one.layout, one.frame, one.y, self.method.promote
             )
-            self.reasons |= dict(zip(names, (made.reasons[i] for i in members), strict=True))
+        layout, notes = self._promoted[one.layout]
+        return _by_sampling(one._replace(layout=layout), self.method, self.options.seed, notes)
 
-    def result(self, devices: tuple[str, ...], named: Named, each: bool) -> BatchResult:
-        """Everything that was found, in the order of the devices; pooled over those of `named`, if any."""
-        refused = self.refused
+    def _keep(self, names: Sequence[str], levels: Sequence[Levels], made: _Solved) -> None:
+        self.notes |= dict.fromkeys(made.notes)
+        self.reasons |= dict(zip(names, made.reasons, strict=True))
+        alike: dict[tuple, list[int]] = {(): list(range(len(names)))}
+        if any(b.coefficient.per not in (None, "reading") for b in made.layout.blocks):
+            alike = {}  # unknowns are called after the members of groups, each device's own
+            for i, own in enumerate(levels):
+                alike.setdefault(tuple(own.items()), []).append(i)
+        for members in alike.values():
+            own = tuple(_unknowns(made.layout, levels[members[0]]))
+            some = [names[i] for i in members], made.mean[members], made.covariance[members]
+            self._found.setdefault(own, []).append(some)
+
+    def parts(self, devices: Sequence[str]) -> list[BatchPart]:
+        """All unknowns with their moments, in the order of the devices."""
         places = {name: i for i, name in enumerate(devices)}
         parts = []
-        for own, pieces in self.found.items():
-            at = np.array([places[n] for names, _, _ in pieces for n in names], dtype=int)
+        for own, pieces in self._found.items():
+            names, means, covariances = zip(*pieces, strict=True)
+            at = np.array([places[name] for some in names for name in some], dtype=int)
             order = np.argsort(at)
-            mean = np.concatenate([m for _, m, _ in pieces])[order]
-            covariance = np.concatenate([c for _, _, c in pieces])[order]
-            names, units = zip(*own, strict=True) if own else ((), ())
-            parts.append(
-                BatchPart(
-                    devices=at[order], names=names, units=units, mean=mean, covariance=covariance
-                )
-            )
-        if not parts and refused and not each:
-            first = next(iter(refused.items()))
-            raise InputError(
-                f"none of the {len(devices)} devices can be used; {first[0]}: {first[1]}"
-            )
-        reasons = [refused.get(name) or self.reasons.get(name, "") for name in devices]
-        ok = np.array([not reason for reason in reasons], dtype=bool)
-        population = None
-        if named:
-            parts, population = pooled(parts, ok, named, self.seed)
-        about = {
-            "instrument": self.model.instrument.name,
-            "effects": list(self.model.names),
-            "noise": self.model.noise.law,
-            "method": self.method.name,
-            "seed": self.seed,
-            "reference": {k: v for k, v in self.reference.items() if not isinstance(v, dict)},
-            "notes": list(self.notes),
-        }
-        return BatchResult(
-            devices=devices,
-            ok=ok,
-            reasons=tuple(reasons),
-            parts=tuple(parts),
-            population=population,
-            about=about,
-        )
+            mean, covariance = np.concatenate(means)[order], np.concatenate(covariances)[order]
+            called, units = zip(*own, strict=True) if own else ((), ())
+            parts.append(BatchPart(at[order], called, units, mean, covariance))
+        return parts
 
 
-def _grouped(layout: Layout) -> bool:
-    return any(b.coefficient.per not in (None, "reading") for b in layout.blocks)
+def _unknowns(layout: Layout, levels: Levels) -> list[tuple[str, str]]:
+    """(name, unit) of every unknown but those of single readings, in the order of `_Solved.mean`."""
+    unknowns = []
+    for b in layout.blocks:
+        if b.place not in ("fixed", "row"):
+            unknowns += [(name, b.coefficient.unit) for name in b.member_names(levels)]
+    return unknowns + [(h.name, h.unit) for h in layout.hypers if h.kind != "promoted"]
+
+
+def _in_closed_form(stack: DeviceStack) -> _Solved:
+    padded, few = stack.padded(), len(stack.devices)
+    y, real = jnp.asarray(padded.y), jnp.asarray(padded.real)
+    solved = closed_form.solve(stack.layout, padded.frame, y, real)
+    line = jax.tree.map(lambda a: np.asarray(a)[:few], solved)
+    if closed_form.NOISE in dict(stack.layout.model.fixed):
+        mean, covariance = line.x, line.covariance
+        line = line._replace(scatter=np.ones(few, dtype=bool))
+    else:
+        mean = np.column_stack([line.x, line.noise])
+        covariance = _held(line.covariance, range(line.x.shape[1]), mean.shape[1])
+    reasons = np.where(line.scatter, "", NO_SCATTER)
+    reasons = np.where(line.determined, reasons, trust.SINGULAR).tolist()
+    return _Solved(stack.layout, mean, covariance, reasons)
+
+
+def _held(covariance: np.ndarray, free: Sequence[int], size: int) -> np.ndarray:
+    """Covariances (b, q, q) of all unknowns from those of the free ones; NaN for what is held at its estimate."""
+    whole = np.full((len(covariance), size, size), np.nan)
+    whole[:, np.array(free)[:, None], free] = covariance
+    return whole
+
+
+def _by_least_squares(one: DeviceFrame, method: LeastSquares) -> _Solved:
+    """`LeastSquares` itself."""
+    layout, (_, places) = one.layout, least_squares.split_hypers(one.layout)
+    assembly = Assembly(layout, Record(layout.model.instrument, one.frame, one.y))
+    solution = least_squares.solution_on(assembly, method.curvature == "hessian")
+    v, priors = solution.mode.v, [h.prior for h in layout.hypers]
+    ends = [[float(priors[i].value(v[i] + d)) for d in (-NUDGE, NUDGE)] for i in places]
+    slopes = np.append(np.ones(layout.size), [(b - a) / (2 * NUDGE) for a, b in ends])
+    values = [float(prior.value(own)) for prior, own in zip(priors, v, strict=True)]
+    mean = np.append(solution.mode.point.x, values)
+    covariance = slopes[:, None] * np.asarray(solution.covariance) * slopes
+    free = [*range(layout.size), *(layout.size + i for i in places)]
+    reason = "" if solution.converged else trust.NOT_CONVERGED
+    if not (np.all(np.isfinite(covariance)) and np.all(np.isfinite(mean))):
+        reason = trust.SINGULAR
+    whole = _held(covariance[None], free, len(mean))
+    return _Solved(layout, mean[None], whole, [reason], (HELD,) if places else ())
+
+
+def drawn(
+    layout: Layout, frame: Frame, y: np.ndarray, method: Marginal, seed: int, device: int
+) -> tuple[WeightedDraws, Mode]:
+    """Weighted joint draws of one device, and the mode that they were proposed around."""
+    assembly = Assembly(layout, Record(layout.model.instrument, frame, y))
+    mode = find_mode(assembly)
+    own = int(np.random.SeedSequence([seed, device]).generate_state(1)[0])
+    return weighted_draws(assembly, mode, own, method.proposals, method.rounds), mode
+
+
+def _by_sampling(one: DeviceFrame, method: Marginal, seed: int, notes: tuple[str, ...]) -> _Solved:
+    """`Marginal` by importance sampling; where its weights fail, the verdict says so."""
+    draws, _ = drawn(one.layout, one.frame, one.y, method, seed, one.device)
+    weights, k_hat = _weights(draws.log_weight)
+    values = _values(one.layout, draws.x, draws.v)
+    mean = weights @ values
+    apart = values - mean
+    covariance = (weights[:, None] * apart).T @ apart
+    reason = "" if np.all(np.isfinite(mean)) else trust.SINGULAR
+    if not reason and (why := trust.unevenness(weights, k_hat)):
+        reason = f"Importance weights were uneven ({why}): fit this device by bc.fit, which goes over to NUTS."
+    return _Solved(one.layout, mean[None], covariance[None], [reason], notes)
+
+
+def _weights(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
+    if not np.any(np.isfinite(log_weight)):
+        return np.full(log_weight.size, np.nan), np.inf
+    return smoothed(np.where(np.isfinite(log_weight), log_weight, -1e300))
+
+
+def _values(layout: Layout, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """All unknowns of draws (s, q), in the order of `_unknowns`."""
+    hyper = {h.name: np.asarray(h.prior.value(v[:, i])) for i, h in enumerate(layout.hypers)}
+    parts = []
+    for b in layout.blocks:
+        if b.place == "x":
+            parts.append(x[:, b.start : b.start + b.size])
+        elif b.place == "phi":
+            value = np.stack([hyper[name] for name in b.member_names()], axis=1)
+            if b.coefficient.group_sd is not None:
+                value = b.coefficient.mean + hyper[b.group_sd_name][:, None] * value
+            parts.append(value)
+    parts += [hyper[h.name][:, None] for h in layout.hypers if h.kind != "promoted"]
+    return np.concatenate(parts, axis=1)

@@ -1,52 +1,64 @@
-"""A fleet from its files to its results: partitions, the run over them, what the devices have in common."""
+"""A fleet from its files to its results: partitions are cut and fitted, what is wrong is named, the whole summed up."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from bayescal._core.errors import InputError
+from bayescal._core.json_shape import parsed_json
 from bayescal._core.progress import note, tell
+from bayescal._core.settings_in_force import given_settings, use_settings
 from bayescal._core.version import __version__
 from bayescal._data.read_options import ReadOptions
-from bayescal._fleet.engine import Engine, LocalEngine, OnDask
+from bayescal._fleet.batch_result import first_few
+from bayescal._fleet.engine import DaskEngine, Engine, LocalEngine, every
 from bayescal._fleet.find_devices import Find
-from bayescal._fleet.fit_devices import sized_for
-from bayescal._fleet.fleet_request import Request
-from bayescal._fleet.fleet_result import ALONE, POOLED, SHOWN, WHOLE, FleetResult
-from bayescal._fleet.fleet_table import effects_table
+from bayescal._fleet.fit_devices import (
+    FitOptions,
+    common_reference,
+    sized_for,
+    tailored_to_first,
+    temperature_sums,
+)
+from bayescal._fleet.fit_partition import (
+    PARTITION,
+    Moments,
+    PartitionSummary,
+    Request,
+    fit_partition,
+    read_partition,
+)
+from bayescal._fleet.fleet_result import ALONE, POOLED, WHOLE, FleetResult
+from bayescal._fleet.partial_pooling import learn_population
 from bayescal._fleet.partitions import FIND_ROWS, ROWS, Partition, left_out, partitions_of
-from bayescal._fleet.population import AskedPopulation, Population, chosen
-from bayescal._fleet.population_tree import learn_population
-from bayescal._fleet.read_partition import read_partition
-from bayescal._fleet.run import Run
-from bayescal._fleet.tailored import tailored_to_first
-from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.marginal import Marginal
-from bayescal._model.frame import Reference, reference_name
+from bayescal._fleet.population import AskedPopulation, chosen
+from bayescal._fleet.shares import effects_table
 from bayescal._model.model import Model
 
 if TYPE_CHECKING:
     from distributed import Client
 
 DOUBTED = 100  # devices whose result is not reliable, of which the whole says why
+EVERY = 2.0  # seconds between two lines of progress
 
 
 def fit_fleet(
     model: Model,
     paths: Sequence[Path],
     out: Path,
-    method: LeastSquares | Marginal,
+    fit_options: FitOptions,
     population: AskedPopulation,
     *,
-    seed: int,
-    chunk: int,
-    reference: Reference | None,
     client: Client | None,
     rows: int | None,
     columns: Mapping[str, Any] | None,
@@ -58,122 +70,245 @@ def fit_fleet(
         InputError: there are no such files, none of their devices can be used, or the cluster is gone.
     """
     begun = time.monotonic()
-    engine: Engine = LocalEngine() if client is None else OnDask(client)
+    engine: Engine = LocalEngine() if client is None else DaskEngine(client)
     if client is not None and client.cluster is None and client.dashboard_link:
         tell(f"the cluster's dashboard: {client.dashboard_link}")
     unread = left_out(paths)
-    for name, why in list(unread.items())[:SHOWN]:
-        note(f"not read: {name}: {why}")
-    if len(unread) > SHOWN:
-        note(f"not read: {len(unread) - SHOWN} more, all in {WHOLE}")
-    partitions = partitions_of(paths, rows or (FIND_ROWS if find else ROWS))
-    options = ReadOptions.of(model.instrument, **(columns or {}))
-    request = Request(model, method, seed, chunk, dict(reference or {}), options, find=find)
+    for line in first_few(unread, len(unread), "not read: ", f", all in {WHOLE}"):
+        note(line.strip())
+    read_options = ReadOptions.of(model.instrument, **(columns or {}))
+    request = Request(model, fit_options, read_options, find, given_settings())
+    rows = rows or (FIND_ROWS if find else ROWS)
+    partitions = partitions_of(paths, rows, request.device_column)
     request = _with_common(request, partitions, engine, bool(population))
     named = chosen(request.model, population)
     folder = out.resolve()
-    run = Run(request, partitions, folder / ALONE, engine)
+    run = _Run(request, partitions, folder / ALONE, engine)
     run.fit()
-    if not any(done.trusted for done in run.in_order):
-        raise InputError(f"none of the devices can be used; {_first_reason(run)}")
+    done = run.in_order
+    if not any(one.trusted for one in done):
+        raise InputError(f"none of the devices can be used; {run.first_reason}")
     learned, apart = None, dict[str, float]()
     if named:
-        files = [folder / ALONE / partitions[done.number].file for done in run.in_order]
-        learned, apart = learn_population(files, folder / POOLED, named, seed, engine)
-    found = replace(_whole(run, out, learned, apart, time.monotonic() - begun), left_out=unread)
-    found.save()
-    return found
-
-
-def _first_reason(run: Run) -> str:
-    doubted = (item for done in run.in_order for item in done.doubted.items())
-    name, why = next(doubted, None) or next(iter(run.missing.items()), ("", "there is none"))
-    return f"{name}: {why}"
-
-
-@dataclass(frozen=True)
-class TemperatureSums:
-    """Sums over readings from which a common T0 and its like follow: column → sum, number."""
-
-    of: dict[str, tuple[float, int]]
-
-    def __add__(self, other: TemperatureSums) -> TemperatureSums:
-        names = {**self.of, **other.of}
-        none = (0.0, 0)
-        both = {n: (self.of.get(n, none), other.of.get(n, none)) for n in names}
-        return TemperatureSums({n: (a[0] + b[0], a[1] + b[1]) for n, (a, b) in both.items()})
-
-
-def temperature_sums(request: Request, partition: Partition) -> TemperatureSums:
-    """Of the readings of one partition."""
-    sums: dict[str, tuple[float, int]] = {}
-    for block in read_partition(partition, request, {}).devices.blocks:
-        for name, unit in block.units.items():
-            if unit == "degC" and name != "temperature_point":
-                total, count = sums.get(name, (0.0, 0))
-                values = block.values[name]
-                sums[name] = total + float(np.sum(values)), count + len(values)
-    return TemperatureSums(sums)
-
-
-def sized_model(request: Request, partition: Partition) -> Model | None:
-    """The model, with what it takes from readings taken from the partition's first device that tells it."""
-    model, first = tailored_to_first(request.model, read_partition(partition, request, {}).devices)
-    return None if first is None else sized_for(model, first, request.reference)
-
-
-def _with_common(
-    request: Request, partitions: Sequence[Partition], engine: Engine, pooled: bool
-) -> Request:
-    """The request with what has to be the same in all partitions: T0 of a population, unit, open sizes."""
-    known = {"T0"} <= set(request.reference)
-    if pooled and not known:
-        tell("reading all temperatures, for a common T0 (a reference given spares that)")
-        sums = engine.tree(temperature_sums, [(request, p) for p in partitions])
-        common = {reference_name(n): float(np.round(s / c)) for n, (s, c) in sums.of.items() if c}
-        request = replace(request, reference={**common, **request.reference})
-    model = request.model
-    reason = ""
-    if model.instrument.tailor is not None or any(e.open for e in model.effects):
-        for partition in partitions:
-            for outcome in engine.each(sized_model, [(request, partition)]):
-                if outcome.value is not None:
-                    return replace(request, model=outcome.value)
-                reason = reason or outcome.error
-    if reason and model.instrument.tailor is not None:
-        raise InputError(f"none of the devices can be used; {reason}")
-    return request
-
-
-def _whole(
-    run: Run, out: Path, population: Population | None, apart: dict[str, float], seconds: float
-) -> FleetResult:
-    done, model = list(run.in_order), run.request.model
-    doubted = {n: why for one in done for n, why in one.doubted.items()}
-    about = {
-        "instrument": model.instrument.name,
-        "effects": list(model.names),
-        "noise": model.noise.law,
-        "method": run.request.method.name,
-        "seed": run.request.seed,
-        "reference": {k: v for k, v in run.request.reference.items() if not isinstance(v, dict)},
-        "version": __version__,
-        "partitions": len(run.partitions),
-        "found_done": sum(one.again for one in done),
-        "seconds": seconds,
-        "processor_seconds": sum(one.seconds for one in done),
-        "peak_memory": max((one.memory for one in done), default=0),
-    }
-    return FleetResult(
+        files = [folder / ALONE / partitions[one.number].file for one in done]
+        learned, apart = learn_population(files, folder / POOLED, named, fit_options.seed, engine)
+    doubted = {name: why for one in done for name, why in one.doubted.items()}
+    fleet = FleetResult(
         out,
         devices=sum(one.devices for one in done),
         trusted=sum(one.trusted for one in done),
         readings=sum(one.readings for one in done),
         doubted=dict(list(doubted.items())[:DOUBTED]),
         missing=run.missing,
-        table=run.table(),
-        population=population,
+        table=_table([moments for one in done for moments in one.moments]),
+        population=learned,
         apart=apart,
-        effects=effects_table(run.effects, run.request.seed),
-        about=about,
+        effects=effects_table([each for one in done for each in one.structures], fit_options.seed),
+        about={
+            **request.fit_options.data(request.model),
+            "version": __version__,
+            "partitions": len(partitions),
+            "found_done": sum(one.again for one in done),
+            "seconds": time.monotonic() - begun,
+            "processor_seconds": sum(one.seconds for one in done),
+            "peak_memory": max(one.memory for one in done),
+        },
+        left_out=unread,
     )
+    fleet.save()
+    return fleet
+
+
+def _table(all_moments: Sequence[Moments]) -> pd.DataFrame:
+    """One row a coefficient, over the devices that are reliable: sums of partitions put together."""
+    alike: dict[tuple[str, str], list[tuple]] = {}
+    for name, unit, *own in all_moments:
+        alike.setdefault((name, unit), []).append(tuple(own))
+    rows = []
+    for (name, unit), own in alike.items():
+        count, mean, square, variance = np.array(own).T
+        total = count.sum()
+        centre = count @ mean / total
+        # Σ over all devices of (x − centre)², from each partition's about its own mean
+        about = square.sum() + count @ (mean - centre) ** 2
+        between, typical = np.sqrt(about / total), np.sqrt(variance.sum() / total)
+        rows.append((name, centre, between, typical, unit, int(total)))
+    columns = ["coefficient", "mean", "between devices", "typical sd", "unit", "devices"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str, float, int]]:
+    with use_settings(*request.settings):
+        return temperature_sums(read_partition(partition, request)[0])
+
+
+def _sized_model(request: Request, partition: Partition) -> Model | None:
+    """The model, with what it takes from readings taken from the partition's first device that has it."""
+    with use_settings(*request.settings):
+        model, first = tailored_to_first(request.model, read_partition(partition, request)[0])
+        return None if first is None else sized_for(model, first, request.fit_options.reference)
+
+
+def _with_common(
+    request: Request, partitions: Sequence[Partition], engine: Engine, pooled: bool
+) -> Request:
+    """The request with what has to be the same in all partitions: T0 of a population, unit, open sizes."""
+    if pooled and "T0" not in request.fit_options.reference:
+        tell("reading all temperatures, for a common T0 (a reference given spares that)")
+        sums = every(engine, _temperature_sums, [(request, p) for p in partitions])
+        common = common_reference([one for some in sums for one in some])
+        request = replace(request, fit_options=request.fit_options.with_common(common))
+    model = request.model
+    if model.instrument.tailor is None and not any(e.open for e in model.effects):
+        return request
+    reason = ""
+    for partition in partitions:
+        for outcome in engine.each(_sized_model, [(request, partition)]):
+            if outcome.value is not None:
+                return replace(request, model=outcome.value)
+            reason = reason or outcome.error
+    if reason and model.instrument.tailor is not None:
+        raise InputError(f"none of the devices can be used; {reason}")
+    return request
+
+
+@dataclass
+class _Run:
+    """Partitions as they are done.
+
+    Attributes:
+        request: what is fitted.
+        partitions: all of them.
+        folder: that each writes its file to.
+        engine: where they are fitted.
+        done: by number.
+        failed: partition → why it has no results.
+    """
+
+    request: Request
+    partitions: Sequence[Partition]
+    folder: Path
+    engine: Engine
+    done: dict[int, PartitionSummary] = field(default_factory=dict)
+    failed: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def in_order(self) -> list[PartitionSummary]:
+        """What was done, in the order of the partitions: so that sums do not depend on which was first."""
+        return [self.done[number] for number in sorted(self.done)]
+
+    @property
+    def missing(self) -> dict[str, str]:
+        """File → why its devices have no results."""
+        files = {name: why for done in self.in_order for name, why in done.unreadable.items()}
+        return files | {self.partitions[n].name: why for n, why in sorted(self.failed.items())}
+
+    @property
+    def first_reason(self) -> str:
+        """Why nothing can be used, of the first."""
+        reasons = [item for done in self.in_order for item in done.doubted.items()]
+        name, why = [*reasons, *self.missing.items(), ("", "there is none")][0]
+        return f"{name}: {why}"
+
+    def fit(self) -> None:
+        """Fit every partition that has no results, and refuse devices that stand in several.
+
+        Raises:
+            InputError: the folder holds results of other partitions, or the engine is gone.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        own = {p.file for p in self.partitions}
+        others = sorted(f.name for f in self.folder.glob("part-*.parquet") if f.name not in own)
+        if others:
+            raise InputError(
+                f"{self.folder} holds results of more partitions ({others[0]} …) than these readings make: they are "
+                "of other readings. Choose another folder, or remove them"
+            )
+        self._each({p.number: None for p in self.partitions})
+        elsewhere = self._elsewhere()
+        again = {
+            number: own
+            for number, done in self.done.items()
+            if (own := elsewhere.get(number, {})) != done.elsewhere
+        }
+        if again:
+            tell(f"devices that stand in several partitions: {len(again)} of these fitted again")
+            self._each(again)
+
+    def _each(self, wanted: Mapping[int, dict[str, str] | None]) -> None:
+        some = [self.partitions[number] for number in wanted]
+        tasks = [(self.request, p, self.folder, wanted[p.number]) for p in some]
+        progress = _Progress(sum(p.readings for p in some))
+        for outcome in self.engine.each(fit_partition, tasks):
+            partition = some[outcome.index]
+            if outcome.error:
+                self.failed[partition.number] = outcome.error
+                self.done.pop(partition.number, None)
+            else:
+                self.done[partition.number] = outcome.value
+            progress.add(partition.readings, outcome.value)
+        progress.end()
+
+    def _elsewhere(self) -> dict[int, dict[str, str]]:
+        """Partition → its devices that stand in others too, as `fit_partition` takes them, after all were fitted.
+
+        Their readings belong into one file: which of them count, and from where their time runs, cannot be known.
+        """
+        names = [_names_in(self.folder / partition.file) for partition in self.partitions]
+        numbers = np.repeat(np.arange(len(names)), [len(some) for some in names])
+        table = pa.table({"device": pa.chunked_array(names, pa.string()), "at": numbers})
+        counts = table.group_by("device").aggregate([("at", "count")])
+        twice = counts.filter(pc.greater(counts["at_count"], 1))["device"]  # pyright: ignore
+        rows = table.filter(pc.is_in(table["device"], value_set=twice)).to_pydict()  # pyright: ignore
+        places: dict[str, list[int]] = {}
+        for device, number in zip(rows["device"], rows["at"], strict=True):
+            places.setdefault(device, []).append(number)
+        elsewhere: dict[int, dict[str, str]] = {}
+        for device, (first, *others) in sorted(places.items()):
+            shown = " and ".join(repr(self.partitions[n].name) for n in (first, others[0]))
+            elsewhere.setdefault(first, {})[device] = (
+                f"device {device!r} stands in {1 + len(others)} partitions, {shown}: put its readings into one file"
+            )
+            for number in others:
+                elsewhere.setdefault(number, {})[device] = ""
+        return elsewhere
+
+
+def _names_in(path: Path) -> pa.Array:
+    """The devices of a partition's results, and those that are left out of them."""
+    if not path.is_file():
+        return pa.array([], pa.string())
+    with pq.ParquetFile(path) as file:
+        column = file.read(columns=["device"])["device"].unique()
+        head = parsed_json((file.schema_arrow.metadata or {})[b"bayescal"])
+    elsewhere = head["about"][PARTITION]["elsewhere"]
+    left_out = pa.array([name for name, why in elsewhere.items() if not why], pa.string())
+    return pa.concat_arrays([column.cast(pa.string()), left_out])
+
+
+class _Progress:
+    """Lines on stderr: devices done, their rate, and what is left."""
+
+    def __init__(self, readings: int) -> None:
+        self.readings, self.begun = max(readings, 1), time.monotonic()
+        self.last, self.passed, self.devices, self.before = self.begun, 0, 0, 0
+
+    def add(self, readings: int, done: PartitionSummary | None) -> None:
+        self.passed += readings
+        if done is not None:
+            self.devices += done.devices
+            self.before += done.devices if done.again else 0
+        if time.monotonic() > self.last + EVERY:
+            self.last = time.monotonic()
+            self._tell()
+
+    def end(self) -> None:
+        if self.last > self.begun:
+            self._tell()
+
+    def _tell(self) -> None:
+        seconds = time.monotonic() - self.begun
+        rate = (self.devices - self.before) / seconds
+        left = seconds * (self.readings / max(self.passed, 1) - 1)
+        before = f", {self.before:,} of them found done" if self.before else ""
+        tell(f"{self.devices:,} devices{before}, {rate:,.0f} a second, about {left:,.0f} s left")

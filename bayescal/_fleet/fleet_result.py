@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +13,14 @@ import pyarrow.dataset as pads
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
-from bayescal._fleet.batch_result import COLUMNS, POPULATION, load_batch
-from bayescal._fleet.device_result import DeviceResult
-from bayescal._fleet.fleet_table import COLUMNS as EFFECTS
+from bayescal._fleet.batch_result import COLUMNS, SHOWN, DeviceResult, first_few, load_batch
 from bayescal._fleet.population import Population
+from bayescal._fleet.shares import COLUMNS as EFFECTS
 
-SCHEMA = "bayescal.fleet/1"
+FORMAT = "bayescal.fleet/1"
 WHOLE = "fleet.json"
 ALONE = "devices"  # folder of each device's own results
 POOLED = "pooled"  # and of those under the population
-SHOWN = 10  # devices, files that are named in print
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +36,7 @@ class FleetResult:
             (root mean square) standard uncertainty, unit.
         population: what the devices have in common, if it was asked for.
         apart: devices that stand out from the population, and their posterior predictive p, the least first.
-        effects: where effects were looked for, one row an effect, as `fleet_table.effects_table` says; else no rows.
+        effects: where effects were looked for, one row an effect, as `shares.effects_table` says; else no rows.
         about: instrument, effects, method, seed, versions, partitions and what they took.
         left_out: what stands in folders of readings and was not read → why.
     """
@@ -86,28 +84,14 @@ class FleetResult:
 
     def data(self) -> dict[str, Any]:
         """Plain JSON."""
-        population = self.population
+        plain = {f.name: getattr(self, f.name) for f in fields(self)}
+        del plain["folder"], plain["table"]
         return {
-            "schema": SCHEMA,
-            "devices": self.devices,
-            "trusted": self.trusted,
-            "readings": self.readings,
-            "doubted": self.doubted,
-            "missing": self.missing,
+            "schema": FORMAT,
+            **plain,
             "coefficients": self.table.to_dict("records"),
-            "population": None
-            if population is None
-            else {
-                "table": population.table.to_dict("records"),
-                "ok": population.ok,
-                "reason": population.reason,
-                "devices": population.devices,
-                "pareto_k": population.pareto_k,
-            },
-            "apart": self.apart,
+            "population": self.population and self.population.data(),
             "effects": self.effects.to_dict("records"),
-            "about": self.about,
-            "left_out": self.left_out,
         }
 
     def save(self) -> Path:
@@ -120,19 +104,10 @@ class FleetResult:
         return write_text(text + "\n", self.folder / WHOLE)
 
     def __str__(self) -> str:
-        head = f"{self.devices} devices, {self.trusted} reliable ({self.about['method']})"
-        lines = [head]
-        lines += [f"  {name}: {why}" for name, why in list(self.doubted.items())[:SHOWN]]
-        more = self.devices - self.trusted - min(SHOWN, len(self.doubted))
-        lines += [f"  … and {more} more"] if more > 0 else []
-        lines += [
-            f"  no results of {name}: {why}" for name, why in list(self.missing.items())[:SHOWN]
-        ]
-        lines += [f"  … and {len(self.missing) - SHOWN} more files"] * (len(self.missing) > SHOWN)
-        lines += [f"  not read: {name}: {why}" for name, why in list(self.left_out.items())[:SHOWN]]
-        lines += [f"  … and {len(self.left_out) - SHOWN} more, not read either"] * (
-            len(self.left_out) > SHOWN
-        )
+        lines = [f"{self.devices} devices, {self.trusted} reliable ({self.about['method']})"]
+        lines += first_few(self.doubted, self.devices - self.trusted)
+        lines += first_few(self.missing, len(self.missing), "no results of ", " files")
+        lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
         lines.append(self.table.to_string(index=False, float_format=lambda v: f"{v:.4g}"))
         if len(self.effects):
             shown = self.effects.head(SHOWN).to_string(index=False, float_format="{:.3g}".format)
@@ -153,15 +128,12 @@ def load_fleet(folder: str | Path) -> FleetResult:
     folder = Path(folder)
     try:
         held = read_json(folder / WHOLE)
-        if held.pop("schema") != SCHEMA:
+        if held.pop("schema") != FORMAT:
             raise KeyError("schema")
-        table = pd.DataFrame(held.pop("coefficients"))
-        told = held.pop("population")
-        if told is not None:
-            table_ = pd.DataFrame(told.pop("table"), columns=list(POPULATION))
-            told = Population(table_, **told)
+        table, population = pd.DataFrame(held.pop("coefficients")), held.pop("population")
+        population = population and Population.of_data(population)
         effects = pd.DataFrame(held.pop("effects"), columns=EFFECTS)
-        return FleetResult(folder, table=table, population=told, effects=effects, **held)
+        return FleetResult(folder, table=table, population=population, effects=effects, **held)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
             f"{folder} holds no results of a fleet, or not of this version ({type(error).__name__}: {error}): give "

@@ -1,65 +1,121 @@
-"""A population put to the devices that it was learned from: each moves toward it by what its readings leave open."""
+"""A population put to the devices that it was learned from: each moves toward it by what its readings leave open.
+
+A fleet in partitions keeps what the readings alone say of its devices in a file of numbers for each; all that travels
+are sums over them, a few numbers for each draw of the standard deviations.
+"""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
-from bayescal._core.errors import ModelError
-from bayescal._fleet.device_result import BatchPart
-from bayescal._fleet.population import FEWEST, Named, Population, pool
+from bayescal._core.atomic_file import replacing_for_user
+from bayescal._fleet.batch_result import BatchPart, BatchResult, load_batch
+from bayescal._fleet.device_sums import DeviceEstimates
+from bayescal._fleet.engine import Engine, every
+from bayescal._fleet.population import (
+    Learned,
+    Named,
+    Population,
+    estimates,
+    learn,
+    load_estimates,
+    save_estimates,
+)
+
+KEPT = 100  # devices that stand out most, of which the whole keeps the p
+BY_CHANCE = 0.01  # devices of so small a p, expected by chance in the whole fleet
 
 
-def pooled(
-    parts: Sequence[BatchPart], ok: np.ndarray, named: Named, seed: int
-) -> tuple[list[BatchPart], Population]:
-    """Learn the population from all devices that can be trusted, and put it to each of them.
+def pooled(result: BatchResult, named: Named, seed: int) -> BatchResult:
+    """The result under the population that is learned from all its devices that are reliable.
 
     Raises:
         ModelError: fewer than three of them.
     """
-    mean, covariance = summed_up(parts, ok, named)
-    if len(mean) < FEWEST:
-        raise ModelError(
-            f"a population is learned from at least {FEWEST} devices that converge; here {len(mean)} did"
-        )
-    learned = pool(mean, covariance, named, seed)
-    return put_to(parts, ok, named, learned.mean, learned.covariance), learned.population
+    own = _estimates_of(result, named)
+    return _under_population(result, own, named, learn([own], named, seed))
 
 
-def summed_up(
-    parts: Sequence[BatchPart], ok: np.ndarray, named: Named
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of the named coefficients of the devices that can be trusted, part by part."""
-    # Of unknowns that differ from part to part, the named ones alone take part; the others of a part follow there.
-    some = [(part, ok[part.devices], _named_in(part, named)) for part in parts]
+def learn_population(
+    files: Sequence[Path], folder: Path, named: Named, seed: int, engine: Engine
+) -> tuple[Population, dict[str, float]]:
+    """Learn a population from the results of partitions, and write each partition's devices under it.
+
+    Args:
+        files: results of each device by itself.
+        folder: for those under the population.
+        named: the population's coefficients.
+        seed: of every random number.
+        engine: where the sums are made.
+
+    Returns:
+        The population, and the devices that stand out from it with their posterior predictive p.
+
+    Raises:
+        ModelError: fewer than three devices that are reliable.
+        InputError: a partition cannot be read or written.
+    """
+    # What stands there is of another population: derived, and quickly made anew.
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    places = [folder / f".{file.stem}.npy" for file in files]  # hidden: a dataset passes over it
+    pairs = list(zip(files, places, strict=True))
+    every(engine, write_estimates, [(*pair, named) for pair in pairs])
+    learned = learn(places, named, seed, engine)
+    tasks = [(file, place, folder / file.name, named, learned) for file, place in pairs]
+    outliers = sorted(one for some in every(engine, write_pooled, tasks) for one in some)[:KEPT]
+    for place in places:
+        place.unlink(missing_ok=True)
+    devices = learned.population.devices
+    return learned.population, {name: p for p, name in outliers if p * devices < BY_CHANCE}
+
+
+def write_estimates(file: Path, place: Path, named: Named) -> None:
+    """Keep what a partition's readings alone say of its devices."""
+    with replacing_for_user(place) as partial:
+        save_estimates(_estimates_of(load_batch(file), named), partial)
+
+
+def write_pooled(
+    file: Path, place: Path, to: Path, named: Named, learned: Learned
+) -> list[tuple[float, str]]:
+    """Write a partition's devices under the population; those that stand out from it most, (p, device)."""
+    result, own = load_batch(file), load_estimates(place)
+    _under_population(result, own, named, learned).save(to)
+    return _standing_out(result, own, learned)
+
+
+def _estimates_of(result: BatchResult, named: Named) -> DeviceEstimates:
+    """What the readings alone say of the named coefficients of the reliable devices, part by part."""
     k = len(named)
-    mean = [part.mean[good][:, of] for part, good, of in some]
-    covariance = [part.covariance[good][:, of[:, None], of] for part, good, of in some]
-    return np.concatenate([np.zeros((0, k)), *mean]), np.concatenate(
-        [np.zeros((0, k, k)), *covariance]
-    )
+    mean, covariance = [np.zeros((0, k))], [np.zeros((0, k, k))]
+    for part in result.parts:
+        good, of = result.ok[part.devices], _named_in(part, named)
+        mean.append(part.mean[good][:, of])
+        covariance.append(part.covariance[good][:, of[:, None], of])
+    return estimates(np.concatenate(mean), np.concatenate(covariance), named)
 
 
-def put_to(
-    parts: Sequence[BatchPart],
-    ok: np.ndarray,
-    named: Named,
-    mean: np.ndarray,
-    covariance: np.ndarray,
-) -> list[BatchPart]:
-    """The parts, where the named coefficients of trusted devices, part by part, have a new mean and covariance."""
-    changed, begin = [], 0
-    for part in parts:
-        good, of = ok[part.devices], _named_in(part, named)
+def _under_population(
+    result: BatchResult, own: DeviceEstimates, named: Named, learned: Learned
+) -> BatchResult:
+    """The result, where the named coefficients of its reliable devices have their moments under the population."""
+    moments, changed, begin = learned.moments(own), [], 0
+    for part in result.parts:
+        good = result.ok[part.devices]
         some = slice(begin, begin + int(good.sum()))
         begin = some.stop
-        new_mean, new_covariance = part.mean.copy(), part.covariance.copy()
-        new_mean[good], new_covariance[good] = _follow(part, good, of, mean[some], covariance[some])
-        changed.append(replace(part, mean=new_mean, covariance=new_covariance))
-    return changed
+        mean, covariance = part.mean.copy(), part.covariance.copy()
+        new = moments.mean[some], moments.covariance[some]
+        mean[good], covariance[good] = _follow(part, good, _named_in(part, named), *new)
+        changed.append(replace(part, mean=mean, covariance=covariance))
+    return replace(result, parts=tuple(changed), population=learned.population)
 
 
 def _named_in(part: BatchPart, named: Named) -> np.ndarray:
@@ -80,3 +136,22 @@ def _follow(
     change = gain @ (covariance - inner) @ np.swapaxes(gain, 1, 2)
     new[:, rest[:, None], rest] += change
     return new_mean, new
+
+
+def _standing_out(
+    result: BatchResult, own: DeviceEstimates, learned: Learned
+) -> list[tuple[float, str]]:
+    """Posterior predictive p of what each device's readings alone say, as of a device drawn from the population anew.
+
+    For a device of mean m and variances T, h − Λm has the covariance Λ + ΛTΛ; directions that its readings do not
+    determine take no part.
+    """
+    table, size = learned.population.table, learned.size
+    mean = table["mean"].to_numpy() / size
+    variance = (table["spread"].to_numpy() ** 2 + table["mean_sd"].to_numpy() ** 2) / size**2
+    apart = np.einsum("bij,bj->bi", own.precision, own.estimate - mean) + own.rest
+    covariance = own.precision + (own.precision * variance) @ own.precision
+    square = np.einsum("bi,bij,bj->b", apart, np.linalg.pinv(covariance, hermitian=True), apart)
+    p = stats.chi2.sf(square, np.linalg.matrix_rank(covariance, hermitian=True))
+    at = [int(d) for part in result.parts for d in part.devices[result.ok[part.devices]]]
+    return [(float(p[i]), result.devices[at[i]]) for i in np.argsort(p)[:KEPT]]

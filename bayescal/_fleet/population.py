@@ -1,4 +1,4 @@
-"""A population of devices: each named coefficient's mean and spread over the devices, learned from all of them.
+"""A population of devices: each named coefficient's mean and standard deviation over the devices, from all of them.
 
 Each device has been fitted by itself and is summed up by a Gaussian N(x̂, C) of the named coefficients c. Its prior
 N(m₀, s₀²) is taken out again, which leaves what the readings alone say, Λ = C⁻¹ − 1/s₀² and h = C⁻¹x̂ − m₀/s₀²; a
@@ -25,28 +25,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from bayescal._core.errors import ModelError
+from bayescal._core.errors import InputError, ModelError
+from bayescal._core.importance_weights import smoothed
 from bayescal._fleet import device_sums
-from bayescal._fleet.device_sums import DeviceEstimates, DeviceSource, LocalDevices
-from bayescal._fleet.spread_draws import Spread, SpreadDensity, draws_of_spread
+from bayescal._fleet.device_sums import DeviceEstimates, DeviceMoments, Sums
+from bayescal._fleet.engine import Engine, LocalEngine
 from bayescal._inference import trust
+from bayescal._inference.mode import climb, gaussian_fit
+from bayescal._inference.sampling import PriorShare, explore
 from bayescal._model.effect import Coefficient
 from bayescal._model.model import Model
-from bayescal._model.prior import HalfCauchy
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
 
-FEWEST = 3  # devices from which a spread can be learned
-ENOUGH = 50  # effective draws of τ, from which its mean and spread are known well enough
+FEWEST = 3  # devices from which a standard deviation between them can be learned
+ENOUGH = (
+    50  # effective draws of τ, from which its mean and standard deviation are known well enough
+)
+DRAWS = 2000  # of τ, fewer for many devices: their posterior is narrow
+CELLS = 1_000_000  # draws × devices at most
+STARTS = (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)  # of log(τ/scale), where its mode is looked for first
+STEPS = 3  # of Newton at the mode
+NUDGE, SIDES = 1e-5, np.array([-1.0, 1.0])  # of v, for the slopes of priors
 
-Named = Mapping[str, tuple[Coefficient, Spread]]  # a population's coefficients by name
+GroupSdPrior = HalfNormal | HalfCauchy | Flat  # prior of a standard deviation between devices
+Named = Mapping[str, tuple[Coefficient, GroupSdPrior]]  # a population's coefficients by name
 AskedPopulation = (
-    bool | Sequence[str] | Mapping[str, Spread]
+    bool | Sequence[str] | Mapping[str, GroupSdPrior]
 )  # which those are: all, or some, or with priors
+COLUMNS = ("coefficient", "mean", "mean_sd", "spread", "spread_sd", "unit")
 
 
 @dataclass(frozen=True)
@@ -68,13 +82,22 @@ class Population:
     devices: int
     pareto_k: float
 
+    def data(self) -> dict[str, Any]:
+        """Plain JSON."""
+        return {**vars(self), "table": self.table.to_dict("records")}
+
+    @classmethod
+    def of_data(cls, held: Mapping[str, Any]) -> Population:
+        """From what `data` gave."""
+        return cls(**{**held, "table": pd.DataFrame(held["table"], columns=list(COLUMNS))})
+
     def __str__(self) -> str:
         head = f"population of {self.devices} devices"
         return f"{head}{'' if self.ok else ': ' + self.reason}\n{self.table.to_string(index=False)}"
 
 
-def chosen(model: Model, asked: AskedPopulation) -> dict[str, tuple[Coefficient, Spread]]:
-    """The coefficients of a population, each with the prior of its spread.
+def chosen(model: Model, asked: AskedPopulation) -> dict[str, tuple[Coefficient, GroupSdPrior]]:
+    """The coefficients of a population, each with the prior of its standard deviation between devices.
 
     Raises:
         ModelError: a name is none of the model's single coefficients.
@@ -97,9 +120,19 @@ def chosen(model: Model, asked: AskedPopulation) -> dict[str, tuple[Coefficient,
 
 
 class Learned(NamedTuple):
-    """A population, and what each device's coefficients follow from (arguments of `device_sums.device_moments`)."""
+    """A population, and what each device's coefficients follow from.
+
+    Attributes:
+        population: as it is reported.
+        size: plausible sizes of the coefficients, the units of all below: so all matrices are of order one, (k,).
+        centre: from which coefficients are counted, (k,).
+        scale, v: draws of the standard deviations, τ = scale·exp(v), (k,) and (s, k).
+        weights: of the draws, adding up to one, (s,).
+        mean, covariance: of the population's mean less the centre, given each draw, (s, k) and (s, k, k).
+    """
 
     population: Population
+    size: np.ndarray
     centre: np.ndarray
     scale: np.ndarray
     v: np.ndarray
@@ -107,21 +140,13 @@ class Learned(NamedTuple):
     mean: np.ndarray
     covariance: np.ndarray
 
-
-class Pooled(NamedTuple):
-    """The devices' named coefficients under the population, and the population."""
-
-    mean: np.ndarray  # (b, k)
-    covariance: np.ndarray  # (b, k, k)
-    population: Population
+    def moments(self, devices: DeviceEstimates) -> DeviceMoments:
+        """The devices' coefficients under the population, in their units."""
+        own = device_sums.device_moments(devices, *self[2:])
+        return DeviceMoments(own.mean * self.size, own.covariance * np.outer(self.size, self.size))
 
 
-def sizes(named: Named) -> np.ndarray:
-    """Plausible sizes of the coefficients, the units of all sums: so all matrices are of order one."""
-    return np.array([c.size for c, _ in named.values()])
-
-
-def told(
+def estimates(
     mean: Float[np.ndarray, "b k"], covariance: Float[np.ndarray, "b k k"], named: Named
 ) -> DeviceEstimates:
     """What the readings alone say of devices fitted each by itself: their own priors taken out again.
@@ -130,71 +155,181 @@ def told(
         mean, covariance: of the named coefficients, in their units.
         named: the population's coefficients, in that order.
     """
-    size, (weight, centre) = sizes(named), _prior(named)
+    size, weight, centre = _prior(named)
     own = np.linalg.inv(covariance / np.outer(size, size))
     estimate = mean / size
     return DeviceEstimates(own - np.diag(weight), estimate, weight * (estimate - centre))
 
 
-def _prior(named: Named) -> tuple[np.ndarray, np.ndarray]:
-    """Weight and mean of each coefficient's own prior, in units of the plausible sizes."""
+def _prior(named: Named) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Plausible size of each coefficient; in units of it, weight and mean of the coefficient's own prior."""
     parts = [c for c, _ in named.values()]
+    size = np.array([c.size for c in parts])
     weight = np.array([0.0 if c.flat else 1.0 for c in parts])
-    return weight, np.array([c.mean / c.size for c in parts])
+    return size, weight, np.array([c.mean for c in parts]) / size
 
 
-def pool(
-    mean: Float[np.ndarray, "b k"],
-    covariance: Float[np.ndarray, "b k k"],
-    named: Named,
-    seed: int,
-) -> Pooled:
-    """Learn the population, and each device's named coefficients anew under it.
-
-    Args:
-        mean, covariance: of the named coefficients, of each device by itself, in their units.
-        named: the population's coefficients, in that order.
-        seed: of every random number.
-    """
-    devices = LocalDevices(told(mean, covariance, named))
-    learned, size = learn(devices, named, seed), sizes(named)
-    found = device_sums.device_moments(devices.told, *learned[1:])
-    return Pooled(found.mean * size, found.covariance * np.outer(size, size), learned.population)
-
-
-def learn(devices: DeviceSource, named: Named, seed: int) -> Learned:
+def learn(
+    parts: Sequence[DeviceEstimates | Path], named: Named, seed: int, engine: Engine | None = None
+) -> Learned:
     """Learn a population from sums over its devices.
 
     Args:
-        devices: where they stand.
+        parts: the devices, in arrays or in files as `save_estimates` writes them.
         named: the population's coefficients.
         seed: of every random number.
+        engine: where the sums are made; this process if None.
+
+    Raises:
+        ModelError: fewer than three devices that can be trusted.
     """
-    size, spreads = sizes(named), [spread for _, spread in named.values()]
-    weight, centre = _prior(named)
-    density = SpreadDensity(devices, spreads, size, weight, centre - devices.centre)
-    draws, weights, k_hat, given = draws_of_spread(density, seed)
+    engine = engine or LocalEngine()
+    count, total = engine.total(_count, [(part,) for part in parts])
+    if count < FEWEST:
+        raise ModelError(
+            f"a population is learned from at least {FEWEST} devices that converge; here {count} did"
+        )
+    density = _Density(parts, engine, count, total / count, named)
+    v, weights, k_hat, given = _draws(density, seed)
     mean, covariance = density.population_mean(given)
-    spread = density.scale * np.exp(draws)
+    size, between = density.size, density.scale * np.exp(v)
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     table = pd.DataFrame(
         {
             "coefficient": list(named),
-            "mean": (weights @ mean + devices.centre) * size,
+            "mean": (weights @ mean + density.centre) * size,
             "mean_sd": np.sqrt(weights @ (variance + (mean - weights @ mean) ** 2)) * size,
-            "spread": weights @ spread * size,
-            "spread_sd": np.sqrt(weights @ (spread - weights @ spread) ** 2) * size,
+            "spread": weights @ between * size,
+            "spread_sd": np.sqrt(weights @ (between - weights @ between) ** 2) * size,
             "unit": [c.unit for c, _ in named.values()],
         }
     )
     why = trust.unevenness(weights, k_hat, enough=ENOUGH)
-    population = Population(
-        table=table,
-        ok=not why,
-        reason=f"weights of the between-group standard deviations were uneven ({why})"
-        if why
-        else "",
-        devices=devices.count,
-        pareto_k=k_hat,
-    )
-    return Learned(population, devices.centre, density.scale, draws, weights, mean, covariance)
+    reason = why and f"weights of the between-group standard deviations were uneven ({why})"
+    population = Population(table, not why, reason, count, k_hat)
+    return Learned(population, size, density.centre, density.scale, v, weights, mean, covariance)
+
+
+def save_estimates(own: DeviceEstimates, path: Path) -> None:
+    """Keep estimates as numbers (b, k, k + 2), which workers map into memory."""
+    columns = own.precision, own.estimate[:, :, None], own.rest[:, :, None]
+    with path.open("wb") as file:
+        np.save(file, np.concatenate(columns, axis=2))
+
+
+def load_estimates(part: DeviceEstimates | Path) -> DeviceEstimates:
+    """Estimates, from their file if they stand in one.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if isinstance(part, DeviceEstimates):
+        return part
+    try:
+        held = np.load(part, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{part} cannot be read: {error}. Run the same command again") from None
+    return DeviceEstimates(held[:, :, :-2], held[:, :, -2], held[:, :, -1])
+
+
+def _count(part: DeviceEstimates | Path) -> tuple[int, np.ndarray]:
+    own = load_estimates(part).estimate
+    return len(own), own.sum(axis=0)
+
+
+def _sums(part: DeviceEstimates | Path, *at: np.ndarray) -> Sums:
+    return device_sums.sums(load_estimates(part), *at)
+
+
+def _sums_and_slopes(part: DeviceEstimates | Path, *at: np.ndarray) -> tuple[Sums, Sums]:
+    return device_sums.sums_and_slopes(load_estimates(part), *at)
+
+
+class _Density:
+    """The density of v = log(τ/scale), and of m given it. Everything in units of the plausible sizes."""
+
+    def __init__(
+        self,
+        parts: Sequence[DeviceEstimates | Path],
+        engine: Engine,
+        count: int,
+        centre: np.ndarray,
+        named: Named,
+    ) -> None:
+        self.parts, self.engine, self.count, self.centre = parts, engine, count, centre
+        self.priors = [prior for _, prior in named.values()]
+        self.size, self.weight, own = _prior(named)
+        self.own = own - centre  # mean of the prior of m, counted from the centre
+        self.scale = np.array([prior.scale for prior in self.priors]) / self.size
+
+    def _summed(self, function: Any, v: np.ndarray) -> Any:
+        tasks = [(part, self.centre, self.scale, v) for part in self.parts]
+        return self.engine.total(function, tasks)
+
+    def population_mean(self, given: Sums) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and covariance of m given each τ: A⁻¹a and A⁻¹."""
+        covariance = np.linalg.inv(given.precision + np.diag(self.weight))
+        pull = given.pull + self.weight * self.own
+        return np.einsum("sij,sj->si", covariance, pull), covariance
+
+    def log_density(self, v: np.ndarray) -> tuple[np.ndarray, Sums]:
+        """At several v (s, k), and the sums that it was made of."""
+        given = self._summed(_sums, v)
+        return self.log_prior(v) + self._of_sums(given), given
+
+    def log_prior(self, v: np.ndarray) -> np.ndarray:
+        return np.sum([p.log_density(v[:, i]) for i, p in enumerate(self.priors)], axis=0)
+
+    def prior_draws(self, random: np.random.Generator, count: int) -> np.ndarray:
+        key = jax.random.key(int(random.integers(1 << 31)))
+        keys = jax.random.split(key, (len(self.priors), count))
+        each = zip(self.priors, keys, strict=True)
+        return np.stack([np.asarray(jax.vmap(p.sample)(own)) for p, own in each], axis=1)
+
+    def _of_sums(self, given: Sums) -> np.ndarray:
+        mean, covariance = self.population_mean(given)
+        pull = given.pull + self.weight * self.own
+        volume = np.linalg.slogdet(covariance)[1]
+        return 0.5 * (given.level + np.einsum("si,si->s", pull, mean) + volume)
+
+    def values(self, v: np.ndarray) -> np.ndarray:
+        """Its logarithm at several v."""
+        return np.nan_to_num(self.log_density(v)[0], nan=-np.inf)
+
+    def slope(self, v: np.ndarray) -> tuple[float, np.ndarray]:
+        """Its logarithm at one v (k,), and the slopes."""
+        given, slopes = self._summed(_sums_and_slopes, v[None])
+        (mean,), (covariance,) = self.population_mean(given)
+        level, pull, precision = (leaf[0] for leaf in slopes)
+        # ∂(aᵀA⁻¹a − log|A|), where A⁻¹a and A⁻¹ are mean and covariance of m
+        slope = level + 2 * pull @ mean - mean @ precision @ mean
+        slope -= np.einsum("ij,kji->k", covariance, precision)
+        ends = [p.log_density(v[i] + NUDGE * SIDES) for i, p in enumerate(self.priors)]
+        value = self.log_prior(v[None]) + self._of_sums(given)
+        return float(value[0]), 0.5 * slope + np.diff(ends)[:, 0] / (2 * NUDGE)
+
+
+class _LaplaceFit(NamedTuple):
+    """Where a density is greatest, and the covariance of its Gaussian fit there."""
+
+    v: np.ndarray
+    covariance: np.ndarray
+
+
+def _draws(density: Any, seed: int) -> tuple[np.ndarray, np.ndarray, float, Sums]:
+    """Draws of the logarithms of τ, with smoothed weights and k̂, and the sums at each."""
+    starts = [np.full(len(density.size), v) for v in STARTS]
+    best, _ = climb(density, starts, None)
+    covariance, *_ = gaussian_fit(density, best)
+    # To the last digits, so that the order of summing does not show in what is drawn.
+    for _ in range(STEPS):
+        best = best + covariance @ density.slope(best)[1]
+    count = int(np.clip(CELLS // max(1, density.count), 200, DRAWS))
+    improper = any(isinstance(s, Flat) for s in density.priors)
+    prior = None if improper else PriorShare(density.prior_draws, density.log_prior)
+    fit, random = _LaplaceFit(best, covariance), np.random.default_rng(seed)
+    v, log_proposal = explore(fit, density.values, prior, random, count, rounds=0)
+    log_density, given = density.log_density(v)
+    log_weight = np.where(np.isfinite(log_density), log_density, -1e300) - log_proposal
+    weights, k_hat = smoothed(log_weight)
+    return v, weights, k_hat, given

@@ -1,4 +1,4 @@
-"""Which share of a fleet has each effect: all devices together tell substitutes apart that no device can.
+"""Which share of a fleet has each effect: all devices together separate substitutes that no single device can.
 
 The fleet has an effect or not; if it has, any share of its devices is as probable as another. Given the shares, devices
 are independent. What is known of one device is the evidence of its structures; shares and structures are drawn in turn
@@ -8,15 +8,20 @@ probable as its search finds it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float, Int
+
+from bayescal._fleet.find_devices import LEAST, DeviceStructure
 
 BURN_IN, ROUNDS = 200, 1000
 NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
+COLUMNS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,25 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
     return {n: Share(*(float(c[i]) for c in columns)) for i, n in enumerate(names)}
 
 
+def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.DataFrame:
+    """One row an effect, the most probable first.
+
+    Columns: effect; devices whose own structure has it; in how many it is one of the effects of which one is missing.
+    Then of all devices together: probability that any has it, how many are expected to, their share, and its 95 %
+    interval if any device has it.
+    """
+    named = Counter(name for one in structures for name in one.effects)
+    possible = Counter(name for one in structures for name in {n for s in one.sets for n in s})
+    known = [Evidence(one.prior, {tuple(e): v for e, v in one.weighed}) for one in structures]
+    rows = [
+        [name, named[name], possible[name], one.in_fleet, one.expected, *one[1:4]]
+        for name, one in shares(known, seed).items()
+        if named[name] or possible[name] or one.expected > LEAST
+    ]
+    rows.sort(key=lambda row: (-row[4], -row[1]))
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
 @dataclass(frozen=True, eq=False)
 class _Fleet:
     """All devices' structures, one below the other.
@@ -101,13 +125,13 @@ class _Fleet:
         sets = [effects for device in devices for effects in device.log_evidence]
         has_effect = np.array([[n in effects for n in names] for effects in sets], dtype=float)
         lengths = [len(device.log_evidence) for device in devices]
-        told = [[device.prior[n] for device in devices if n in device.prior] for n in names]
+        priors = [[device.prior[n] for device in devices if n in device.prior] for n in names]
         return cls(
             begins=np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int),
             log_evidence=np.array([v for d in devices for v in d.log_evidence.values()]),
             has_effect=has_effect,
-            able=np.array([len(own) for own in told]),
-            prior=np.array([np.mean(own) for own in told]),
+            able=np.array([len(own) for own in priors]),
+            prior=np.array([np.mean(own) for own in priors]),
         )
 
     def drawn(self, share: Float[np.ndarray, "e"], rng: np.random.Generator) -> np.ndarray:

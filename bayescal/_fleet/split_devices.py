@@ -1,17 +1,19 @@
-"""Files that hold many devices, split into them."""
+"""Files that hold many devices, split into them; what is wrong with one device's rows refuses that device alone."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from bayescal._core.errors import InputError
-from bayescal._data.column import Column, NominalScale, Source
+from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
+from bayescal._data.column_conversion import convert_columns
+from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
 from bayescal._data.header_matching import matched, unused_options
 from bayescal._data.read_options import (
     InstrumentLike,
@@ -20,9 +22,9 @@ from bayescal._data.read_options import (
     output_name,
     unit_of,
 )
+from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import base_unit
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
-from bayescal._fleet.device_refusals import TableRows, TakenRows, convert_most, without_useless
 from bayescal._fleet.devices import DEVICE, DeviceBlock, Devices
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, open_table
@@ -59,7 +61,7 @@ def split_devices(
 
     Raises:
         InputError: a file cannot be read, lacks a column, has a wrong unit, rows without a device, or a device of
-            another file: nothing in it can be told apart from what is right.
+            another file: nothing shows then what of it is right.
     """
     given = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     if not given:
@@ -73,21 +75,18 @@ def split_devices(
         decimal=decimal,
         **more,
     )
-    names: list[str] = []
-    blocks: list[DeviceBlock] = []
-    refused: dict[str, str] = {}
+    names: dict[str, None] = {}
+    files: list[Devices] = []
     for path in given:
         table = open_readings(path, options, max_bytes)
-        found = split_table(table, path.stem, instrument, options, needs)
-        if twice := set(found.names) & set(names):
+        files.append(split_table(table, path.stem, instrument, options, needs))
+        if twice := names.keys() & files[-1].names:
             raise InputError(
-                f"{path.name!r} holds device {sorted(twice)[0]!r}, which a file before it holds too: put the "
+                f"{path.name!r} holds device {min(twice)!r}, which a file before it holds too: put the "
                 "readings of a device into one file"
             )
-        names += found.names
-        blocks += found.blocks
-        refused |= found.refused
-    return Devices(tuple(names), tuple(blocks), refused)
+        names |= dict.fromkeys(files[-1].names)
+    return Devices.together(files)
 
 
 def open_readings(path: Path, options: ReadOptions, max_bytes: int = MAX_BYTES) -> Table:
@@ -102,6 +101,15 @@ def open_readings(path: Path, options: ReadOptions, max_bytes: int = MAX_BYTES) 
         )
     asked = tuple(options.columns.values())
     return open_table(path, path.name, max_bytes, options.decimal, asked)
+
+
+class _WithFurtherColumns(NamedTuple):
+    """What reading asks of an instrument, with further columns that must be read."""
+
+    name: str
+    columns: tuple[Column, ...]
+    nominal_scale: NominalScale | None
+    output: str
 
 
 def split_table(
@@ -119,39 +127,54 @@ def split_table(
     problems = Problems(table.problems)
     unused_options([table], options, problems)
     problems.refuse()
-    expects = _Wider(instrument, _further(table, instrument, options, needs))
-    table, places = matched(table, expects, options, problems := Problems())
+    further = _further(table, instrument, options, needs)
+    output = output_name(instrument)
+    expects = _WithFurtherColumns(
+        instrument.name, (*instrument.columns, *further), instrument.nominal_scale, output
+    )
+    table, places = matched(table, expects, options, problems)
+    table = _read_once(table)
     problems.refuse()
-    named = DEVICE in places
-    if named:
-        labels = load_whole(table, {places[DEVICE]: False})[places[DEVICE]].values
-        # The labels are at hand: as a column they would be read, and checked level by level, once more.
-        table, options = _less(table, places[DEVICE]), _without_device_column(options)
-    else:
-        labels = np.full(table.rows, stem, dtype=object)
+    labels = np.full(table.rows, stem, dtype=object)
+    if DEVICE in places:
+        labels = table.load({places[DEVICE]: False})[places[DEVICE]].values
+        # The labels are at hand: as a column they would be checked, level by level, once more.
+        table = _less(table, places[DEVICE])
+        columns = {ours: theirs for ours, theirs in options.columns.items() if ours != DEVICE}
+        options = replace(options, columns=columns)
     codes, levels = pd.factorize(labels)
     if "" in levels:
         where = table.place(int(np.argmax(labels == "")))
         raise InputError(f"{where} of {table.file!r} names no device: fill it in, or remove it")
-    order = np.argsort(codes, kind="stable")
     names = tuple(map(str, levels))
-    taken = TakenRows(TableRows(table), order)
-    converted, rows, refused = convert_most(taken, codes[order], names, expects, options)
+    converted, rows, refused = _convert_usable(table, codes, names, expects, options)
     if not rows.size:
         return Devices(names, (), refused)
-    codes = codes[order][rows]
-    kept = np.flatnonzero(np.bincount(codes, minlength=len(names)))
+    counts = np.bincount(codes[rows])
     block = DeviceBlock(
-        names=tuple(names[k] for k in kept),
-        ends=np.searchsorted(codes, kept, side="right"),
+        names=tuple(names[k] for k in np.flatnonzero(counts)),
+        ends=np.cumsum(counts[counts > 0]),
         values=converted.values,
         units=converted.units,
-        output=output_name(instrument),
+        output=output,
         source=Source(table.file, table.sha256, table.rows),
     )
-    if named:
-        block.values[DEVICE], block.units[DEVICE] = labels[order][rows], None
-    return without_useless(names, block, refused, instrument)
+    if DEVICE in places:
+        block.values[DEVICE], block.units[DEVICE] = labels[rows], None
+    return Devices(names, (block,), refused).refusing(_useless(block, instrument))
+
+
+def _read_once(table: Table) -> Table:
+    """The table, whose columns are kept once they were read: rows of it are taken again and again."""
+    kept: dict[tuple[int, bool], Cells] = {}
+
+    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        for position, number in wanted.items():
+            if (position, number) not in kept:
+                kept[position, number] = load_whole(table, {position: number})[position]
+        return {position: kept[position, number] for position, number in wanted.items()}
+
+    return replace(table, load=load)
 
 
 def _less(table: Table, position: int) -> Table:
@@ -159,39 +182,10 @@ def _less(table: Table, position: int) -> Table:
     rest = [i for i in range(len(table.headers)) if i != position]
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        found = table.load({rest[p]: number for p, number in wanted.items()})
-        return {p: found[rest[p]] for p in wanted}
+        cells = table.load({rest[p]: number for p, number in wanted.items()})
+        return {p: cells[rest[p]] for p in wanted}
 
     return replace(table, headers=tuple(table.headers[i] for i in rest), load=load)
-
-
-def _without_device_column(options: ReadOptions) -> ReadOptions:
-    columns = {ours: theirs for ours, theirs in options.columns.items() if ours != DEVICE}
-    return replace(options, columns=columns)
-
-
-@dataclass(frozen=True)
-class _Wider:
-    """An instrument with further columns."""
-
-    instrument: InstrumentLike
-    further: tuple[Column, ...]
-
-    @property
-    def name(self) -> str:
-        return self.instrument.name
-
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        return (*self.instrument.columns, *self.further)
-
-    @property
-    def nominal_scale(self) -> NominalScale | None:
-        return self.instrument.nominal_scale
-
-    @property
-    def output(self) -> str:
-        return output_name(self.instrument)
 
 
 def _further(
@@ -200,10 +194,72 @@ def _further(
     """Columns that effects need and the instrument does not know, in their base units."""
     known = expected_columns(instrument)
     headers = {h.name: h for h in table.headers}
-    found = []
+    further = []
     for name in needs:
         header = headers.get(options.columns.get(name, name))
         if name in known or header is None or (unit := unit_of(header, name, options)) is None:
             continue
-        found.append(Column(name, base_unit(unit), required=False))
-    return tuple(found)
+        further.append(Column(name, base_unit(unit), required=False))
+    return tuple(further)
+
+
+def _convert_usable(
+    table: Table,
+    codes: np.ndarray,
+    names: Sequence[str],
+    instrument: InstrumentLike,
+    options: ReadOptions,
+) -> tuple[ConvertedColumns, np.ndarray, dict[str, str]]:
+    """The columns of all devices whose cells can be used, their rows of the table, and why the others cannot.
+
+    Raises:
+        InputError: something is wrong that is not in one row.
+    """
+    rows, refused = np.argsort(codes, kind="stable"), dict[str, str]()
+    while rows.size:
+        problems, some = Problems(), table.take(rows)
+        converted = convert_columns(some, instrument, options, problems)
+        if not problems:
+            return converted, rows if converted.kept is None else rows[converted.kept], refused
+        Problems(p for p in problems if not p.rows).refuse()
+        bad: dict[int, str] = {}
+        for problem in problems:
+            for index in problem.rows:
+                one = replace(problem, rows=(index,), places=(some.place(index),))
+                bad[int(codes[rows[index]])] = str(one)
+        refused |= {names[code]: why for code, why in bad.items()}
+        rows = rows[~np.isin(codes[rows], list(bad))]
+    return ConvertedColumns(), rows, refused
+
+
+def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
+    """Devices with one temperature only, or with time running backwards, and what is said of them."""
+    bad = _backward(block)
+    need = any(c.name == "temperature" and c.required for c in instrument.columns)
+    if need := need and "temperature" in block.values:
+        values = block.values["temperature"]
+        span = np.maximum.reduceat(values, block.starts) - np.minimum.reduceat(values, block.starts)
+        bad |= set(np.flatnonzero(span < recording().temperature_span).tolist())
+    refused = {}
+    for i in sorted(bad):
+        columns, file, problems = block.columns(i), f"device {block.names[i]}", Problems()
+        with problems.collecting(file):
+            if need:
+                refuse_one_temperature(columns, file)
+            refuse_backward_time(columns, lambda row, file=file: f"reading {row + 1} of {file}")
+        refused[block.names[i]] = str(problems[0])
+    return refused
+
+
+def _backward(block: DeviceBlock) -> set[int]:
+    """Devices in which time runs backwards within a run of an axis."""
+    if "time" not in block.values:
+        return set()
+    device = np.repeat(np.arange(len(block.names)), block.counts)
+    record = device
+    for name in {"run", "axis"} & block.values.keys():
+        codes, levels = pd.factorize(block.values[name])
+        record = record * len(levels) + codes
+    order = np.argsort(record, kind="stable")
+    back = (np.diff(block.values["time"][order]) < 0) & (np.diff(record[order]) == 0)
+    return set(device[order[1:][back]].tolist())

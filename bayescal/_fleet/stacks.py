@@ -7,8 +7,8 @@ and counts nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,172 +24,161 @@ from bayescal._model.frame import (
     build_frame,
     reference_name,
     reference_of,
+    rounded_means,
 )
 from bayescal._model.model import Model
-from bayescal._model.parameters import bind
+from bayescal._model.parameters import Layout, Levels, bind
 
-STEP = 1.25  # from one rung of the ladder to the next
+STEP = 1.25  # from one padded number of readings to the next
 NUMBERS = 2_000_000  # readings in one stack at most
-POINT = "temperature_point"
+
+
+class DeviceFrame(NamedTuple):
+    """One device as a fit takes it.
+
+    Attributes:
+        device: its index in the block.
+        layout: where its unknowns stand.
+        levels: members of its groups.
+        frame: what the effects see.
+        y: outputs, (n,).
+    """
+
+    device: int
+    layout: Layout
+    levels: Levels
+    frame: Frame
+    y: np.ndarray
 
 
 class DeviceStack(NamedTuple):
-    """Devices of one shape.
+    """Devices of one shape, as `DeviceFrame` with a leading axis.
 
     Attributes:
-        devices: their indices in the block.
+        devices: their indices in the block, (b,).
+        layout: common to all.
+        levels: members of the groups of each.
         frame: stacked frames; leaves (b, …).
         y: outputs, (b, n).
         real: 1 where a reading is one, 0 where it is padding, (b, n).
-        counts: sizes of the groups, common to all.
-        levels: members of the groups of each device.
     """
 
     devices: np.ndarray
+    layout: Layout
+    levels: Sequence[Levels]
     frame: Frame
     y: np.ndarray
     real: np.ndarray
-    counts: tuple[tuple[str, int], ...]
-    levels: list[dict[str, tuple[str, ...]]]
+
+    def padded(self) -> DeviceStack:
+        """A few devices more, the last one repeated, so that few programs are compiled: at most an eighth above 64."""
+        few = len(self.devices)
+        step = max(64, 1 << max((few - 1).bit_length() - 4, 0))
+        many = 1 << (few - 1).bit_length() if few < 64 else -(-few // step) * step
+        pick = np.minimum(np.arange(many), few - 1)
+        if many == few:
+            return self
+        frame = jax.tree.map(lambda a: np.asarray(a)[pick], self.frame)
+        return self._replace(frame=frame, y=self.y[pick], real=self.real[pick])
 
 
-class _Single(NamedTuple):
-    """A device that waits for others of its shape; as in `DeviceStack`."""
-
-    device: int
-    frame: Frame
-    y: np.ndarray
-    counts: tuple[tuple[str, int], ...]
-    levels: dict[str, tuple[str, ...]]
+Refuse = Callable[[int, BayescalError], Any]  # takes the index of a device that cannot be fitted
 
 
-class Refusal(NamedTuple):
-    """A device of the block that cannot be fitted, and why."""
-
-    device: int
-    reason: str
-
-
-def plain(block: DeviceBlock) -> bool:
-    """Whether the frames need nothing but the numbers: no time, no groups, no labels."""
-    labels = {name for name, unit in block.units.items() if unit is None}
-    return labels <= {DEVICE} and not {"time", POINT} & set(block.values)
-
-
-def stacks(
-    model: Model, block: DeviceBlock, reference: Reference, padded: bool, most: int
-) -> Iterator[DeviceStack | Refusal]:
-    """The devices of a block by shape, at most so many at once; or a device that is refused.
+def frames(
+    model: Model, block: DeviceBlock, reference: Reference, refuse: Refuse
+) -> Iterator[DeviceFrame]:
+    """The devices of a block one by one, but for those that are refused.
 
     Args:
         model: what is to be fitted.
         block: the devices.
         reference: constants of the bases in place of the devices' own.
-        padded: whether padded readings are left out by their weights, so that shapes go to a common ladder.
-        most: devices in one stack.
+        refuse: called with a device that cannot be fitted, and why.
     """
-    sizes = np.unique(block.counts)
-    rungs = {int(n): _rung(int(n)) if padded and plain(block) else int(n) for n in sizes}
-    if plain(block):
-        for rung in sorted(set(rungs.values())):
-            members = np.flatnonzero(np.isin(block.counts, [n for n in rungs if rungs[n] == rung]))
-            at_once = max(1, min(most, NUMBERS // rung))
-            yield from _plain_stacks(model, block, members, rung, reference, at_once)
-        return
-    waiting: dict[tuple, list[_Single]] = {}
     for i in range(len(block.names)):
+        readings = block.measurements(i)
         try:
-            made = _single(model, block, i, reference)
+            layout, levels = bind(model, readings)
+            frame = build_frame(readings, {**reference_of(readings), **reference})
         except BayescalError as error:
-            yield Refusal(i, str(error))
+            refuse(i, error)
             continue
-        kind = (str(jax.tree.map(jnp.shape, made.frame)), made.counts)
-        waiting.setdefault(kind, []).append(made)
-        if len(waiting[kind]) >= min(most, NUMBERS // max(1, len(made.y))):
-            yield _joined(waiting.pop(kind))
+        yield DeviceFrame(
+            i, layout, levels, jax.tree.map(np.asarray, frame), np.asarray(readings["output"])
+        )
+
+
+def stacks(
+    model: Model, block: DeviceBlock, reference: Reference, refuse: Refuse, most: int
+) -> Iterator[DeviceStack]:
+    """The devices of a block by shape, at most so many at once; arguments as of `frames`."""
+    labels = {name for name, unit in block.units.items() if unit is None}
+    if labels <= {DEVICE} and not {"time", "temperature_point"} & block.values.keys():
+        yield from _stacks_of_numbers(model, block, reference, refuse, most)
+        return
+    waiting: dict[tuple, list[DeviceFrame]] = {}
+    for one in frames(model, block, reference, refuse):
+        kind = (str(jax.tree.map(jnp.shape, one.frame)), one.layout.counts)
+        waiting.setdefault(kind, []).append(one)
+        if len(waiting[kind]) >= min(most, NUMBERS // max(1, len(one.y))):
+            yield _stacked(waiting.pop(kind))
     for rest in waiting.values():
-        yield _joined(rest)
+        yield _stacked(rest)
+
+
+def _stacked(made: Sequence[DeviceFrame]) -> DeviceStack:
+    devices, layouts, levels, each, ys = zip(*made, strict=True)
+    y = np.stack(ys)
+    frame = jax.tree.map(lambda *a: np.stack(a), *each)
+    return DeviceStack(np.array(devices), layouts[0], levels, frame, y, np.ones_like(y))
+
+
+def _stacks_of_numbers(
+    model: Model, block: DeviceBlock, reference: Reference, refuse: Refuse, most: int
+) -> Iterator[DeviceStack]:
+    """Devices whose frames need nothing but their numbers: no time, no groups, no labels."""
+    rungs = np.array([_rung(int(n)) for n in range(int(block.counts.max()) + 1)])[block.counts]
+    constants = {name: v for name, v in reference.items() if not isinstance(v, dict)}
+    levels = {g: () if g == "cell" else ("1",) for g in GROUPS}
+    for rung in np.unique(rungs).tolist():
+        counts = (*((group, len(names)) for group, names in levels.items()), ("reading", rung))
+        layout = Layout(model, counts)
+        few = block.counts <= layout.size  # readings, perhaps not enough for the model
+        for one in np.flatnonzero(few & (rungs == rung)).tolist():
+            try:
+                bind(model, block.measurements(one))
+            except BayescalError as error:
+                refuse(one, error)
+                rungs[one] = 0
+        members = np.flatnonzero(rungs == rung)
+        at_once = max(1, min(most, NUMBERS // rung))
+        for begin in range(0, len(members), at_once):
+            some = members[begin : begin + at_once]
+            columns, real, scalars = _matrices(block, some, rung)
+            shape = real.shape
+            frame = Frame(  # NumPy arrays, until they are fitted
+                columns=columns,
+                labels={},
+                rates={},
+                codes={g: np.full(shape, len(names) - 1) for g, names in levels.items()},
+                reference={**scalars, **{n: np.full(len(some), v) for n, v in constants.items()}},
+                order=np.broadcast_to(np.arange(rung), shape),
+                step=-np.ones(shape),
+                record=dict(columns),
+            )
+            own = [levels] * len(some)
+            if DEVICE in block.values:
+                own = [{**levels, DEVICE: (block.names[i],)} for i in some]
+            yield DeviceStack(some, layout, own, frame, columns["output"], real)
 
 
 def _rung(count: int) -> int:
-    """The least rung of the ladder that holds so many readings."""
+    """The least of a ladder of numbers of readings that is no smaller."""
     rung = 8
     while rung < count:
         rung = int(np.ceil(rung * STEP))
     return rung
-
-
-def _single(model: Model, block: DeviceBlock, index: int, reference: Reference) -> _Single:
-    readings = block.measurements(index)
-    layout, levels = bind(model, readings)
-    frame = build_frame(readings, {**reference_of(readings), **reference})
-    frame = jax.tree.map(np.asarray, frame)
-    return _Single(
-        device=index, frame=frame, y=readings["output"], counts=layout.counts, levels=levels
-    )
-
-
-def _joined(made: list[_Single]) -> DeviceStack:
-    y = np.stack([m.y for m in made])
-    return DeviceStack(
-        devices=np.array([m.device for m in made]),
-        frame=jax.tree.map(lambda *a: np.stack(a), *(m.frame for m in made)),
-        y=y,
-        real=np.ones_like(y),
-        counts=made[0].counts,
-        levels=[m.levels for m in made],
-    )
-
-
-def _plain_stacks(
-    model: Model,
-    block: DeviceBlock,
-    members: np.ndarray,
-    rung: int,
-    reference: Reference,
-    most: int,
-) -> Iterator[DeviceStack | Refusal]:
-    few = members[block.counts[members] == block.counts[members].min()]
-    try:
-        bind(model, block.measurements(int(few[0])))
-    except BayescalError:  # too few readings for the model: say of each how many
-        good = []
-        for i in members:
-            try:
-                bind(model, block.measurements(int(i)))
-                good.append(i)
-            except BayescalError as error:
-                yield Refusal(int(i), str(error))
-        members = np.array(good, dtype=int)
-    counts = (*((group, 0 if group == "cell" else 1) for group in GROUPS), ("reading", rung))
-    for begin in range(0, len(members), most):
-        some = members[begin : begin + most]
-        columns, real, scalars = _matrices(block, some, rung)
-        scalars |= {
-            name: np.full(len(some), float(v))
-            for name, v in reference.items()
-            if not isinstance(v, dict)
-        }
-        shape = real.shape
-        codes = {g: np.full(shape, -1 if g == "cell" else 0) for g in GROUPS}
-        frame = Frame(  # NumPy arrays, until they are fitted
-            columns=columns,
-            labels={},
-            rates={},
-            codes=codes,
-            reference=scalars,
-            order=np.broadcast_to(np.arange(rung), shape),
-            step=-np.ones(shape),
-            record=dict(columns),
-        )
-        levels = {g: () if g == "cell" else ("1",) for g in GROUPS}
-        own = [
-            {**levels, DEVICE: (block.names[i],)} if DEVICE in block.values else levels
-            for i in some
-        ]
-        yield DeviceStack(
-            devices=some, frame=frame, y=columns["output"], real=real, counts=counts, levels=own
-        )
 
 
 def _matrices(
@@ -204,10 +193,11 @@ def _matrices(
     columns = {name: block.values[name][rows] for name in numbers}
     scalars = {}
     for name in numbers:
+        low, high = columns[name].min(axis=1), columns[name].max(axis=1)
         if block.units[name] == "degC":
             mean = np.sum(columns[name] * real, axis=1) / counts
-            scalars[reference_name(name)] = np.round(mean)
+            sd = np.sqrt(np.sum((columns[name] - mean[:, None]) ** 2 * real, axis=1) / counts)
+            scalars[reference_name(name)] = rounded_means(mean, sd, low, high)
         if name not in ("output", UNCERTAINTY):
-            scalars[f"{name}_low"] = columns[name].min(axis=1)
-            scalars[f"{name}_high"] = columns[name].max(axis=1)
+            scalars |= {f"{name}_low": low, f"{name}_high": high}
     return columns, real, scalars

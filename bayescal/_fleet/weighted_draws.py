@@ -15,7 +15,7 @@ from bayescal._calibration.posterior_tree import named
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._data.measurements import Measurements
-from bayescal._fleet.fit_stack import drawn
+from bayescal._fleet.fit_devices import drawn
 from bayescal._inference import sampled_products
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.mode import Mode
@@ -79,32 +79,36 @@ def weighted_draws(
         raise ModelError(
             f"weighted_draws needs Gaussian noise, not {model.noise.law}: fit one by one"
         )
-    bound = [bind(model, one) for one in readings]
+    each = []
     for one in readings:
         model.require(one)
-    frames = [build_frame(one, reference_of(one)) for one in readings]
-    shapes = {
-        (str(jax.tree.map(np.shape, f)), b[0].counts) for f, b in zip(frames, bound, strict=True)
-    }
+        each.append((*bind(model, one), build_frame(one, reference_of(one))))
+    shapes = {(str(jax.tree.map(np.shape, frame)), own.counts) for own, _, frame in each}
     if len(shapes) != 1:
         raise InputError(
             f"weighted_draws needs data sets of one shape; these {len(readings)} have {len(shapes)} different "
             "ones (rows, columns or group sizes differ)"
         )
     ys = [np.asarray(one["output"]) for one in readings]
-    layout, _ = sampled_products.choose(bound[0][0], frames[0], ys[0], method.promote or ())
-    each = zip(frames, ys, strict=True)
-    made = [drawn(layout, f, y, method, seed, i) for i, (f, y) in enumerate(each)]
-    draws = [one for one, _ in made]
-    k_hat = np.array([smoothed(one.log_weight)[1] for one in draws])
+    layout, levels, frame = each[0]
+    layout, _ = sampled_products.choose(layout, frame, ys[0], method.promote or ())
+    made = [
+        drawn(layout, frame, y, method, seed, i)
+        for i, ((*_, frame), y) in enumerate(zip(each, ys, strict=True))
+    ]
+    draws, modes = zip(*made, strict=True)
+
+    def stacked(name: str) -> np.ndarray:
+        return np.stack([getattr(one, name) for one in draws])
+
     return Batch(
         layout=layout,
-        levels=bound[0][1],
-        log_weight=np.stack([one.log_weight for one in draws]),
-        x=np.stack([one.x for one in draws]),
-        rows=np.stack([one.rows for one in draws]),
-        v=np.stack([one.v for one in draws]),
-        mode=jax.tree.map(lambda *a: np.stack(a), *(mode for _, mode in made)),
-        log_evidence=np.array([float(one.log_evidence) for one in draws]),
-        pareto_k=k_hat,
+        levels=levels,
+        log_weight=stacked("log_weight"),
+        x=stacked("x"),
+        rows=stacked("rows"),
+        v=stacked("v"),
+        mode=jax.tree.map(lambda *a: np.stack(a), *modes),
+        log_evidence=stacked("log_evidence"),
+        pareto_k=np.array([smoothed(one.log_weight)[1] for one in draws]),
     )

@@ -16,7 +16,7 @@ import json
 import platform
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -41,6 +41,7 @@ from bayescal._core.atomic_file import (
 )
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
+from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 
 SCHEMA = "bayescal.checkpoint/2"
@@ -199,25 +200,35 @@ def fingerprint(
         values.update(f"{name} [{readings.unit(name)}] {plain.dtype} {len(plain)}".encode())
         values.update(np.ascontiguousarray(plain).tobytes())
     made_by = [f"{name} {version(name)}" for name in PACKAGES]
-    instrument = model.instrument
-    described = [
-        _shown((instrument.name, instrument.settings, instrument.columns, instrument.slots)),
-        _code_of(instrument.response),
-        _shown((type(model.noise).__name__, model.noise, model.fixed)),
-        *(
-            _shown((e.name, e.slot, e.coefficients, e.shapes)) + _code_of(e.basis)
-            for e in model.effects
-        ),
-    ]
     return {
         "effects": ", ".join(model.names),
-        "model (hash)": _digest(described),
+        "model (hash)": _digest(model_texts(model)),
         "readings (hash)": values.hexdigest(),
         "reference (hash)": _digest([json.dumps(reference, sort_keys=True)]),
-        "method": _shown(method),
+        "method": shown(method),
         "seed": str(seed),
         "versions": f"{', '.join(made_by)}, Python {platform.python_version()}, {platform.machine()}",
     }
+
+
+def model_texts(model: Model, candidates: Sequence[Effect] = ()) -> list[str]:
+    """What a model computes, as texts that are the same in every process: its numbers, and the code of its functions.
+
+    Args:
+        model: the model.
+        candidates: effects that may be added to it.
+    """
+    instrument = model.instrument
+    return [
+        shown((instrument.name, instrument.settings, instrument.columns, instrument.slots)),
+        _code_of(instrument.response),
+        shown((type(model.noise).__name__, model.noise, model.fixed)),
+        *(
+            shown((e.name, e.slot, e.coefficients, e.shapes))
+            + "".join(_code_of(function) for function in (e.basis, e.weights) if function)
+            for e in (*model.effects, *candidates)
+        ),
+    ]
 
 
 def _digest(parts: list[str]) -> str:
@@ -231,19 +242,19 @@ def _code_of(function: Any, depth: int = 0) -> str:
         function, bound = function.func, (*function.args, *function.keywords.values())
     code = getattr(function, "__code__", None)
     if code is None or depth > 8:
-        return f"{type(function).__name__} {getattr(function, '__qualname__', '')}"
+        return f"{type(function).__name__} {getattr(function, '__qualname__', shown(function))}"
     closed = [cell.cell_contents for cell in getattr(function, "__closure__", None) or ()]
     given = [*bound, *closed, *(getattr(function, "__defaults__", None) or ())]
-    inner = [_code_of(v, depth + 1) if callable(v) else _shown(v) for v in given]
+    inner = [_code_of(v, depth + 1) if callable(v) else shown(v) for v in given]
     return f"{_bytes_of(code)} {inner}"
 
 
 def _bytes_of(code: CodeType) -> str:
-    constants = [_bytes_of(c) if isinstance(c, CodeType) else _shown(c) for c in code.co_consts]
+    constants = [_bytes_of(c) if isinstance(c, CodeType) else shown(c) for c in code.co_consts]
     return f"{code.co_code.hex()} {code.co_names} {constants}"
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """A value as text that is the same in every process: no addresses, sets in order."""
     if isinstance(value, frozenset | set):
         return repr(sorted(map(repr, value)))

@@ -155,10 +155,10 @@ class OrnsteinUhlenbeck(Noise):
         self,
         values: Parameters,
         time: Float[np.ndarray, "n"],
-        left: Float[np.ndarray, "n"],
+        left: Float[np.ndarray, "n b"],
         white: Float[np.ndarray, "n"],
         at: Float[np.ndarray, "m"],
-    ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+    ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
         """Its precision over sorted times has three diagonals.
 
         Source: H. Rue and L. Held, Gaussian Markov Random Fields (2005), ch. 2.
@@ -170,15 +170,12 @@ class OrnsteinUhlenbeck(Noise):
         diagonal = np.ones(grid.size)
         diagonal[1:] = 1 / fresh
         diagonal[:-1] += kept**2 / fresh
-        place, pull, diagonal = (
-            np.searchsorted(grid, time),
-            np.zeros(grid.size),
-            diagonal / variance,
-        )
+        place, diagonal = np.searchsorted(grid, time), diagonal / variance
+        pull = np.zeros((grid.size, left.shape[1]))
         np.add.at(diagonal, place, 1 / white)
-        np.add.at(pull, place, left / white)
+        np.add.at(pull, place, left / white[:, None])
         pivots, below, _ = dpttrf(diagonal, -kept / fresh / variance)
-        mean = dpttrs(pivots, below, pull[:, None])[0][:, 0]
+        mean = dpttrs(pivots, below, pull)[0]
         spread, beyond = 1 / pivots, 0.0
         for i in range(grid.size - 1, -1, -1):  # the diagonal of the inverse
             spread[i] += beyond

@@ -205,20 +205,20 @@ class Noise(abc.ABC):
         self,
         values: Parameters,
         time: Float[np.ndarray, "n"],
-        left: Float[np.ndarray, "n"],
+        left: Float[np.ndarray, "n b"],
         white: Float[np.ndarray, "n"],
         at: Float[np.ndarray, "m"],
-    ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+    ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
         """Mean and variance of the correlated part at some times of a run, given what a model leaves of its readings.
 
         Args:
             values: its parameters.
             time: of the readings, s.
-            left: of the readings, output unit.
+            left: of the readings, output unit; a column for each set of coefficients. The mean is linear in it.
             white: variance of each reading's own noise.
             at: where it is asked for, s.
         """
-        return np.zeros(len(at)), np.zeros(len(at))
+        return np.zeros((len(at), left.shape[1])), np.zeros(len(at))
 
 
 def in_time(

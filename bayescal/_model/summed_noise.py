@@ -218,10 +218,10 @@ class SummedNoise(Noise):
         self,
         values: Parameters,
         time: Float[np.ndarray, "n"],
-        left: Float[np.ndarray, "n"],
+        left: Float[np.ndarray, "n b"],
         white: Float[np.ndarray, "n"],
         at: Float[np.ndarray, "m"],
-    ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+    ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
         """The Kalman filter over all these times, and the smoother back.
 
         Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
@@ -233,36 +233,33 @@ class SummedNoise(Noise):
             np.asarray(a if a.ndim == 3 else jax.vmap(jnp.diag)(a))
             for a in (states.carry, states.fresh)
         )
-        place, weight, pull = np.searchsorted(grid, time), np.zeros(grid.size), np.zeros(grid.size)
+        place, weight = np.searchsorted(grid, time), np.zeros(grid.size)
+        pull = np.zeros((grid.size, left.shape[1]))
         np.add.at(weight, place, 1 / white)
-        np.add.at(pull, place, left / white)
-        x, p = np.zeros(size), np.zeros((size, size))
-        means, spreads, steps = [], [], []
+        np.add.at(pull, place, left / white[:, None])
+        x, p = np.zeros((size, left.shape[1])), np.zeros((size, size))
+        mean, variance, steps = np.empty_like(pull), np.empty(grid.size), []
         for t in range(grid.size):
             x, p = carry[t] @ x, carry[t] @ p @ carry[t].T + fresh[t]
-            means.append(x)
-            spreads.append(p)
+            column = p @ h
+            mean[t], variance[t] = h @ x, h @ column
+            gain, new, information = np.zeros(size), 0 * mean[t], 0.0
             if weight[t] > 0:
-                column = p @ h
-                total = h @ column + 1 / weight[t]
-                new = pull[t] / weight[t] - h @ x
-                gain = column / total
-                x, p = x + gain * new, p - np.outer(gain, column)
-                steps.append((gain, new / total, 1 / total))
-            else:
-                steps.append((np.zeros(size), 0.0, 0.0))
-        mean, spread = np.empty(grid.size), np.empty(grid.size)
-        r, big = np.zeros(size), np.zeros((size, size))
+                information = 1 / (variance[t] + 1 / weight[t])
+                gain, new = column * information, pull[t] / weight[t] - mean[t]
+                x, p = x + np.outer(gain, new), p - np.outer(gain, column)
+            steps.append((column, gain, new * information, information))
+        r, big = np.zeros(x.shape), np.zeros((size, size))
         for t in range(grid.size - 1, -1, -1):
-            gain, new, information = steps[t]
+            column, gain, new, information = steps[t]
             kept = np.eye(size) - np.outer(gain, h)
-            r = h * new + kept.T @ r
+            r = np.outer(h, new) + kept.T @ r
             big = information * np.outer(h, h) + kept.T @ big @ kept
-            column = spreads[t] @ h
-            mean[t], spread[t] = h @ means[t] + column @ r, h @ column - column @ big @ column
+            mean[t] += column @ r
+            variance[t] -= column @ big @ column
             r, big = carry[t].T @ r, carry[t].T @ big @ carry[t]
         asked = np.searchsorted(grid, at)
-        return mean[asked], np.maximum(spread[asked], 0.0)
+        return mean[asked], np.maximum(variance[asked], 0.0)
 
 
 def filtered(

@@ -182,6 +182,26 @@ def outlook(calibration: Calibration, readings: Measurements, length: int | None
         length: campaigns of unlike length are brought to this one, so that one compiled program serves all: longer
             ones are thinned; rows repeated at the end of shorter ones are left out of the answer.
     """
+    _, means, noise = expected_readings(calibration, readings, length, DRAWS)
+    centred = means - means.mean(axis=0)
+    return Outlook(means.mean(axis=0), centred.T @ centred / len(means) + noise)
+
+
+def expected_readings(
+    calibration: Calibration, readings: Measurements, length: int | None, draws: int | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What a fitted model expects of a campaign: rows (n,), means of draws (d, n), covariance of the rest (n, n).
+
+    Args:
+        calibration: the fit.
+        readings: the campaign's plan.
+        length: that campaigns are brought to, as in `outlook`; the rows that are left of this one come first.
+        draws: of the posterior; all if None.
+
+    Returns:
+        Rows of the plan that are looked at; expected outputs of each draw, members of groups new; and what single
+        readings add to that: noise, the deviations of new members, coefficients of readings.
+    """
     calibration.model.require(readings)
     length = len(readings) if length is None else length
     kept = np.arange(0, len(readings), -(-len(readings) // length))
@@ -192,7 +212,7 @@ def outlook(calibration: Calibration, readings: Measurements, length: int | None
         **dict(calibration.layout.counts),
         "reading": len(readings),
     }
-    x, rows, v = calibration.draws(DRAWS)
+    x, rows, v = calibration.draws(draws)
     rows = np.zeros((len(x), len(readings), rows.shape[2]))
     unseen = eqx.tree_at(
         lambda f: f.codes, frame, {k: -jnp.ones_like(c) for k, c in frame.codes.items()}
@@ -200,15 +220,13 @@ def outlook(calibration: Calibration, readings: Measurements, length: int | None
     layout = Layout(calibration.model, tuple(counts.items()), calibration.layout.promoted)
     arrays = tuple(jnp.asarray(a) for a in (x, rows, v))
     means, root, deviations, beside = _moments(layout, unseen, arrays)
-    means = np.asarray(means)
-    centred = means - means.mean(axis=0)
-    covariance = centred.T @ centred / len(means) + np.asarray(root) + np.diag(np.asarray(beside))
+    covariance = np.asarray(root) + np.diag(np.asarray(beside))
     for per, columns in deviations.items():
         codes = np.asarray(frame.codes[per])
         same = (codes[:, None] == codes[None, :]) & (codes[:, None] >= 0)
         for column in np.asarray(columns):
             covariance += same * np.outer(column, column)
-    return Outlook(means.mean(axis=0)[:count], covariance[:count, :count])
+    return kept, np.asarray(means)[:, :count], covariance[:count, :count]
 
 
 @compiled

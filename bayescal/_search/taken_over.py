@@ -58,14 +58,18 @@ class TakenOver(NamedTuple):
 
         A named effect is a cause of its own, and may well correct what the first model took for the term: it stands for
         the term if it halved the coefficient, or left next to nothing of it, and moved it beyond chance, which grows
-        with 1/√(what is left). What has no name is no cause but a description, and one that can take up the term
-        describes it too.
+        with 1/√(what is left). What has no name is no cause but a description: one that can take up the term describes
+        it too, and where it moves the coefficient beyond chance, the readings do not tell which of both values it has.
         """
-        unnamed = any(e.is_placeholder and e.along not in IN_TIME for e in self.by)
-        if self.confounded and unnamed:
-            return False
         by_chance = self.moved**2 * min(self.left, 1.0) <= guarding().moved ** 2
+        if self.unnamed:
+            return by_chance and not self.confounded
         return by_chance or not (self.confounded or self.kept < guarding().corrected)
+
+    @property
+    def unnamed(self) -> bool:
+        """Whether a description that may repeat from run to run is among what was added."""
+        return any(e.is_placeholder and e.along not in IN_TIME for e in self.by)
 
     @property
     def confounded(self) -> bool:
@@ -87,7 +91,8 @@ class TakenOver(NamedTuple):
         return (
             f"The coefficient {name} is not measured: {told}, and these readings cannot tell which it is ({name} is "
             f"{self.kept:.2g} times what it was, {self.moved:.0f} of its standard uncertainties away). Look at the "
-            f"column {column}: late, held, smoothed, another's in one run? Vary {column} otherwise in another run."
+            f"column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a run? "
+            f"Vary {column} otherwise in another run."
         )
 
 

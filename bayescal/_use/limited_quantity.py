@@ -78,6 +78,10 @@ class LimitedQuantity:
         """What the posterior says of it, s after the last reading of the calibration."""
         raise NotImplementedError
 
+    def values(self) -> Float[np.ndarray, "d g"]:
+        """Its value in each draw, in the calibration's order, at each place of the limit's range."""
+        raise NotImplementedError
+
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         """Mean and standard deviation over devices whose coefficients have these; None where that cannot be said."""
         raise NotImplementedError
@@ -93,6 +97,9 @@ class LimitedUnknown(LimitedQuantity):
         draws = np.asarray(self.draws)
         mean = float(draws.mean())
         return DrawnQuantity(draws, draws, (mean, mean))
+
+    def values(self) -> Float[np.ndarray, "d g"]:
+        return np.asarray(self.draws)[:, None]
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         return table.get(self.limit.quantity)
@@ -154,6 +161,9 @@ class QuantityInUse(LimitedQuantity):
             (float(middle.min()), float(middle.max())),
             scatter,
         )
+
+    def values(self) -> Float[np.ndarray, "d g"]:
+        return self._values(self._chosen._moments.draws, 0.0)[0]
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         if self._is_corrected or self._size > 1:

@@ -73,14 +73,7 @@ class Workbench:
         self.light.param.watch(lambda event: self._wear(event.new == "dark"), "value")
         self.ground.param.watch(lambda _: self._prefer(), "seen")
         title = pn.pane.HTML("<h1>bayescal workbench</h1>", stylesheets=[INSIDE], margin=0)
-        top = row(
-            title,
-            self.told,
-            self.status,
-            self.light,
-            self.ground,
-            kinds=("top",),
-        )
+        top = row(title, self.told, self.status, self.light, self.ground, kinds=("top",))
         return pn.Column(
             top,
             self.model.view,
@@ -108,7 +101,7 @@ class Workbench:
         self.work.forget_preview()
         self.error.searching(False)  # what the last search found is of another path
         told = f"{_DOING.get(name, name)} {' '.join(map(str, arguments))} …"
-        self.work.begin(told, lambda: getattr(self.session, name)(*arguments), self._done)
+        self.work.begin(told, lambda: getattr(self.session, name)(*arguments), self.done)
 
     def begin_with(self, readings: Any) -> None:
         """Begin anew with other readings: a session of its own, in the place of this one."""
@@ -123,11 +116,7 @@ class Workbench:
         self.told.object = readings_in_words(session)
         self.error.searching(False)
         self.tabs.open("The error")
-        self._done(None)
-
-    def draft_loaded(self, _: Any) -> None:
-        """An effect of the user's own is among the candidates: look again."""
-        self._done(None)
+        self.done()
 
     def run(self, told: str, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Other work beside the page."""
@@ -164,7 +153,8 @@ class Workbench:
 
         self.work.look(self.session.look, found)
 
-    def _done(self, _: Any) -> None:
+    def done(self, _: Any = None) -> None:
+        """Something was done: show the state that it led to, and look for what is missing from it."""
         self.refresh()
         self.look()
 
@@ -182,7 +172,7 @@ class Workbench:
         def drawn(found: Any) -> None:
             if self.missing.rows.pointed == effect and self.session.current.number == shown:
                 self.fails.preview(found.curve)
-                self.missing.preview(preview_in_words(found))
+                self.missing.preview(str(found))
 
         self.work.preview(lambda: self.session.preview(effect), drawn)
 
@@ -195,7 +185,7 @@ class Workbench:
 
         def ended(_: Any) -> None:
             self.error.searching(False, self._found)
-            self._done(None)
+            self.done()
 
         self.work.begin(
             "Finding all …",
@@ -258,11 +248,6 @@ def readings_in_words(session: Any) -> str:
     readings, kept = session.readings, session.holdout
     told = f"{len(readings):,} readings of {readings.file}"
     return told + (f"; hold-out data: {len(kept):,} of {kept.file}" if kept is not None else "")
-
-
-def preview_in_words(found: Any) -> str:
-    """What a candidate would do."""
-    return str(found)
 
 
 def progress_in_words(trail: Any) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._fleet.population import chosen, pool
+from bayescal._fleet.population import chosen, estimates, learn
 from bayescal._model.effect import CENTRAL_95 as WIDE
 from bayescal_models import mems_gyro
 from benchmarks.fleet.simulated import T0, write_partition
@@ -54,7 +54,8 @@ def coverage() -> dict[str, Any]:
         # What a device's own fit would say: its readings and its own prior N(0, size²).
         own = 1 / (1 / sd**2 + 1 / size**2)
         covariance = own[:, :, None] * np.eye(len(size))
-        found = pool(own * read / sd**2, covariance, named, fleet).population.table
+        alone = estimates(own * read / sd**2, covariance, named)
+        found = learn([alone], named, fleet).population.table
         held[fleet, 0] = np.abs(found["mean"] - mean) < WIDE * found["mean_sd"]
         # A spread is positive, and its logarithm nearly normal.
         width = np.log1p((found["spread_sd"] / found["spread"]) ** 2) ** 0.5

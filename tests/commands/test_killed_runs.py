@@ -31,6 +31,10 @@ CALIBRATE = ("calibrate", TABLE, *GYRO, *QUICK, "--out", "{out}/loop")
 FILES = {
     "batch": (("batch", "{lot}", *GYRO, "-o", "{out}/lot.parquet"), "lot.parquet"),
     "report": (("report", "{saved}", "-o", "{out}/report.html"), "report.html"),
+    "decide": (
+        ("decide", "{saved}", "--limit", "bias: ±500 °/s", "-o", "{out}/decisions.json"),
+        "decisions.json",
+    ),
     "export": (("export", "{saved}", "-o", "{out}/gyro.json"), "gyro.json"),
 }
 WRITES = """

@@ -41,12 +41,16 @@ def other() -> bc.SearchPath:
     return trail_of(2)
 
 
-@pytest.fixture
-def folder(trail, tmp_path) -> Path:
-    made = tmp_path / "result"
-    made.mkdir()
+@pytest.fixture(scope="module")
+def saved(trail, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("saved")
     trail.save(made)
     return made
+
+
+@pytest.fixture
+def folder(saved: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(saved, tmp_path / "result")
 
 
 def state(folder: Path) -> dict[str, bytes]:

@@ -9,6 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._core.errors import InputError
+from tests.commands.conftest import OWN_EFFECTS
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL
 
@@ -27,6 +28,21 @@ def test_workers_give_the_same_numbers(client, lot_folder, tmp_path) -> None:
     assert again.about["found_done"] == 5
 
 
+def test_settings_in_force_hold_on_the_workers(client, lot_folder, tmp_path) -> None:
+    given = {"out": tmp_path / "out", "client": client, "partition_rows": SMALL}
+    with bc.use_settings(bc.RecordSettings(temperature_span=1.0)):
+        found = bc.fit_batch(MODEL, lot_folder, **given)
+        assert found.trusted == 24 and found.about["settings"] == {"temperature_span": 1.0}
+    with (
+        bc.use_settings(bc.RecordSettings(temperature_span=500.0)),
+        pytest.raises(InputError, match="one temperature only"),
+    ):
+        bc.fit_batch(MODEL, lot_folder, **given)
+    usual = bc.fit_batch(MODEL, lot_folder, **given)
+    assert usual.trusted == 24 and "settings" not in usual.about
+    assert usual.about["found_done"] == 0  # what others had been written with is not taken
+
+
 def test_a_client_writes_to_a_folder_and_reads_files(client, readings) -> None:
     with pytest.raises(InputError, match="give out="):
         bc.fit_batch(MODEL, readings, client=client)  # pyright: ignore
@@ -42,25 +58,10 @@ def test_the_command_takes_a_scheduler(client, lot_folder, tmp_path) -> None:
     assert "24 devices, 24 reliable" in ran.out
 
 
-OWN = """
-import bayescal as bc
-
-EFFECTS = (
-    bc.Effect(
-        "bias.elbow", "bias",
-        basis=lambda r: (r["temperature"] - 60.0).clip(0.0),
-        coefficients=(bc.Coefficient("deg/s/degC", bc.Normal(0.0, 0.05)),),
-        columns=("temperature",),
-        equation="c·max(T − 60 °C, 0)",
-    ),
-)
-"""
-
-
 @needs_installation
 def test_the_workers_get_effects_of_the_users_own(client, lot_folder, tmp_path) -> None:
     file = tmp_path / "effects_of_mine.py"
-    file.write_text(OWN, encoding="utf-8")
+    file.write_text(OWN_EFFECTS, encoding="utf-8")
     ran = run(
         *("batch", lot_folder, *GYRO, "-o", tmp_path / "out", "--effects", file),
         *("--add", "bias.elbow", "--scheduler", client.scheduler.address),

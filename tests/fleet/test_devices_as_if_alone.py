@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import bayescal as bc
-from bayescal._fleet import closed_form, stacks
+from bayescal._fleet import closed_form
 from bayescal_models import mems_gyro
 from tests.support.made_up.gyro_lot import MODEL, NOISE
 
@@ -54,6 +54,17 @@ def test_the_quick_way_is_least_squares(readings, monkeypatch) -> None:
         np.testing.assert_allclose(one.covariance[:2, :2], other.covariance[:2, :2], rtol=5e-4)
 
 
+def test_offsets_of_a_narrow_record_are_at_the_temperature_of_its_fit() -> None:
+    """A batch rounded the mean temperature to a degree, a fit to a tenth of the record's standard deviation."""
+    rng = np.random.default_rng(5)
+    temperature = 25.34 + 0.5 * rng.standard_normal(60)
+    output = 3.0 + 0.1 * (temperature - 25.0) + 0.01 * rng.standard_normal(60)
+    one = bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, temperature=temperature, output=output)
+    constant, sd = bc.fit_batch(MODEL, {"narrow": one})["narrow"]["bias.constant"]
+    alone = bc.fit(MODEL, one, bc.LeastSquares()).samples("bias.constant")
+    assert constant == pytest.approx(alone.mean(), abs=sd)
+
+
 def test_flat_priors_give_ordinary_least_squares(readings) -> None:
     flat = [
         bc.Effect(e.name, e.slot, e.basis, (bc.Coefficient(e.coefficients[0].unit, bc.Flat()),))
@@ -77,19 +88,16 @@ def test_chunks_change_nothing(readings, result) -> None:
         np.testing.assert_allclose(one.mean, result[name].mean, rtol=1e-12)
 
 
-@pytest.mark.slow
-def test_marginal_carries_the_noise_and_padding_weighs_nothing(readings, monkeypatch) -> None:
-    """Against the posterior in closed form at each noise, summed over a grid of it; padded and not."""
+def test_marginal_carries_the_noise(readings) -> None:
+    """Against the posterior in closed form at each noise, summed over a grid of it."""
     own = {name: readings[name].select(np.arange(11)) for name in readings.names[:3]}
-    for padded in (False, True):
-        monkeypatch.setattr(stacks, "EXACT", 0 if padded else 3)
-        found = bc.fit_batch(MODEL, own, method=bc.Marginal(proposals=4096, rounds=2))
-        assert found.ok.all()
-        for name, one in own.items():
-            mean, covariance = _over_noise(one)
-            sd = np.sqrt(np.diag(covariance))
-            np.testing.assert_allclose((found[name].mean[:2] - mean) / sd, 0, atol=0.1)
-            np.testing.assert_allclose(found[name].sd[:2], sd, rtol=0.06)
+    found = bc.fit_batch(MODEL, own, method=bc.Marginal(proposals=4096, rounds=2))
+    assert found.ok.all()
+    for name, one in own.items():
+        mean, covariance = _over_noise(one)
+        sd = np.sqrt(np.diag(covariance))
+        np.testing.assert_allclose((found[name].mean[:2] - mean) / sd, 0, atol=0.1)
+        np.testing.assert_allclose(found[name].sd[:2], sd, rtol=0.06)
 
 
 def _over_noise(one: bc.Measurements) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._fleet.population import pool
+from bayescal._fleet.population import estimates, learn
 from bayescal._model.frame import Reference
 from bayescal_models import mems_gyro
 from tests.support.made_up.gyro_lot import MODEL, NOISE, SEED, table
@@ -27,8 +27,10 @@ def test_a_population_is_the_joint_fit_of_one_table() -> None:
     alone = [
         _posterior(j, y, np.zeros(k), np.diag(size**2)) for j, y in zip(designs, ys, strict=True)
     ]
-    pooled = pool(np.stack([m for m, _ in alone]), np.stack([c for _, c in alone]), named, 3)
-    assert pooled.population.ok
+    own = estimates(np.stack([m for m, _ in alone]), np.stack([c for _, c in alone]), named)
+    learned = learn([own], named, 3)
+    pooled = learned.moments(own)
+    assert learned.population.ok
     # All devices in one vector (m, c₁ … c_n), one table.
     grid = np.exp(np.linspace(-5.5, 2.5, 60))
     whole = np.zeros((sum(map(len, ys)), k * (count + 1)))
@@ -55,7 +57,7 @@ def test_a_population_is_the_joint_fit_of_one_table() -> None:
     joint, tau = w @ np.array(means), w @ np.array(spreads)
     sd = np.sqrt(np.diagonal(pooled.covariance, axis1=1, axis2=2))
     np.testing.assert_allclose((pooled.mean - joint[k:].reshape(count, k)) / sd, 0, atol=0.03)
-    found = pooled.population.table
+    found = learned.population.table
     np.testing.assert_allclose(
         found["mean"], joint[:k], atol=0.05 * np.min(found["mean_sd"].to_numpy())
     )

@@ -195,7 +195,7 @@ def test_correlated_noise_does_not_take_the_place_of_a_constant(missing) -> None
 def test_a_wander_between_readings_is_that_of_the_dense_process(rng) -> None:
     time = np.sort(rng.uniform(0, 200, 30))
     time[5], at = time[4], np.append(rng.uniform(time[0], time[-1], 9), time[7])
-    left, white = rng.normal(size=30), rng.uniform(0.02, 0.2, 30)
+    left, white = rng.normal(size=(30, 2)), rng.uniform(0.02, 0.2, 30)
 
     def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         size = 0.5 * AT["noise.diffusion"] ** 2 * AT["noise.correlated.time"]

@@ -226,7 +226,7 @@ def test_the_slow_part_between_and_beyond_readings_is_that_of_the_dense_process(
     time = np.sort(rng.uniform(0, 100, 30))
     time[5] = time[4]
     at = np.concatenate([rng.uniform(-10, 130, 9), time[7:9], time[4:5]])
-    left, white = rng.normal(size=30), rng.uniform(0.02, 0.2, 30)
+    left, white = rng.normal(size=(30, 2)), rng.uniform(0.02, 0.2, 30)
     law = law_of(terms)
     values = {name: VALUES[name] for name in law.parameters()}
     across = slow_covariance(law.terms, at[:, None] - time)

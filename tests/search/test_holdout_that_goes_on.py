@@ -10,6 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._data.time_in_runs import going_on
+from bayescal._inference.noise_on_record import Whitening
 from bayescal_models import still_sensor
 
 SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)
@@ -125,3 +126,41 @@ def test_correlated_noise_goes_on_from_the_last_readings() -> None:
     first = found.residual[0]
     assert abs(first) < 4 * found.sd[0] < 0.5 * 4 * 20  # the next reading is known better than any
     assert np.all(np.diff(found.sd) > 0)  # and those after it less and less
+
+
+@pytest.mark.parametrize("terms", [("walk",), ("correlated", "smooth")], ids="+".join)
+def test_a_level_that_noise_and_coefficients_share_is_uncertain_once(terms) -> None:
+    """A prediction between readings and beyond them is that of the dense process, coefficients integrated out."""
+    random = np.random.default_rng(5)
+    time = STEP * np.arange(400)
+    temperature = 30 + 5 * np.sin(time / 900)
+    walk = np.cumsum(0.5 * random.standard_normal(400))
+    output = 4 * temperature + walk + NOISE * random.standard_normal(400)
+    columns = {"time": time, "temperature": temperature, "output": output}
+    held = (np.arange(400) // 40 % 3 == 1) | (np.arange(400) >= 360)
+    early, late = readings(columns, np.flatnonzero(~held)), readings(columns, np.flatnonzero(held))
+    law = bc.SummedNoise(STEP, time[-1], terms, bc.HalfCauchy(10.0), bc.HalfCauchy(100.0))
+    calibration = bc.fit(SENSOR.for_readings(early).baseline().with_noise(law), early, QUICK)
+    found = bc.predict(calibration, late)
+    values = calibration.assembly.hyper(calibration.mode.v)
+    inside, spread = law.slow_part(
+        values,
+        time[~held],
+        np.eye(np.sum(~held)),
+        np.full(np.sum(~held), values["noise.white"] ** 2),
+        time[held],
+    )
+    design = np.column_stack([np.ones(400), temperature - 30])
+    # Universal kriging: N. Cressie, Statistics for Spatial Data (1993), section 3.4.
+    known, left = design[~held], design[held] - inside @ design[~held]
+    record = calibration.assembly.record
+    half = Whitening(law, values, record)(np.eye(record.size))
+    precise = half.T @ half
+    covariance = np.linalg.inv(known.T @ precise @ known)
+    x = covariance @ known.T @ precise @ output[~held]
+    expected = design[held] @ x + inside @ (output[~held] - known @ x)
+    sd = np.sqrt(
+        np.einsum("ij,jk,ik->i", left, covariance, left) + spread + values["noise.white"] ** 2
+    )
+    np.testing.assert_allclose(found.sd, sd, rtol=0.15)
+    assert np.max(np.abs(found.mean - expected) / sd) < 0.3

@@ -94,6 +94,14 @@ def test_a_second_thermometer_that_is_a_cause_takes_nothing_over() -> None:
     assert [one.measured for one in found] == [True]
 
 
+def test_a_description_that_moves_a_coefficient_beyond_chance_leaves_it_unmeasured() -> None:
+    """A cause with a name may; which of both values is right, what has none does not tell."""
+    (found,) = taken_over(*fits(spoilt(1, noisy), "unknown(elapsed)"))
+    for moved, left, measured in ((3.0, 0.9, True), (8.0, 0.9, False), (8.0, 0.2, True)):
+        one = found._replace(moved=moved, left=left, kept=0.9)
+        assert (one.unnamed, one.measured) == (True, measured)
+
+
 @pytest.mark.parametrize("change", [lambda t: t + 3.0, lambda t: 1.1 * t], ids=["offset", "gain"])
 def test_a_run_with_a_thermometer_of_its_own_is_no_surprise_to_none(change) -> None:
     first, _ = fits(spoilt(2, change))
@@ -113,11 +121,12 @@ def test_runs_that_are_alike_surprise_none_of_the_others() -> None:
 
 def test_what_a_late_thermometer_would_make_is_said_to_be_open() -> None:
     readings = still_sensor.simulate({"bias.thermal_lag": 15.0}, seed=1)
-    base, last = fits(readings, "bias.thermal_lag")
+    base, last = fits(readings, "bias.thermal_lag", "bias.warm_up")
     steps, verdict = judged([step_of(base), step_of(last)])
     (said,) = (n for n in steps[-1].calibration.verdict.notes if n.startswith("Not decidable"))
-    assert "whether bias.thermal_lag is of the sensor, or the thermometer (temperature)" in said
-    assert verdict.ok
+    named = "bias.thermal_lag and bias.warm_up is of the sensor, or the thermometer (temperature)"
+    assert named in said
+    assert "decidable" not in verdict.reason
     steps, _ = judged([step_of(base)])
     assert not any("Not decidable" in n for n in steps[-1].calibration.verdict.notes)
 

@@ -7,20 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.support.browser import chromium
-from tests.support.command_line import GYRO, needs_installation
-from tests.workbench.real_page import Bench, Seen, bench, opened, write_campaign
+from tests.support.command_line import needs_installation
+from tests.workbench.real_page import Bench, Seen, opened
 
 pytestmark = [needs_installation, pytest.mark.slow]
-
-
-@pytest.fixture(scope="module")
-def begun(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    chromium()
-    folder = tmp_path_factory.mktemp("workbench")
-    test, later = write_campaign(folder)
-    with bench(test, *GYRO, "--holdout", later, "--out", folder / "kept") as running:
-        yield running
 
 
 @pytest.fixture

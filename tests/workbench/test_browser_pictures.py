@@ -6,14 +6,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.support.browser import chromium
-from tests.support.command_line import GYRO, needs_installation
-from tests.workbench.real_page import Bench, Seen, bench, opened, write_campaign
+from tests.support.command_line import needs_installation
+from tests.workbench.real_page import Bench, Seen, opened
 
 pytestmark = [needs_installation, pytest.mark.slow]
 TABS = ("Next experiment", "Allan deviation", "Report", "Export", "Python", "File", "Describe")
@@ -34,16 +32,6 @@ CUT = """() => {
   walk(document.body);
   return cut;
 }"""
-
-
-@pytest.fixture(scope="module")
-def begun(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    chromium()
-    pytest.importorskip("playwright.sync_api", reason="Playwright for Python is not here")
-    folder = tmp_path_factory.mktemp("workbench")
-    test, later = write_campaign(folder)
-    with bench(test, *GYRO, "--holdout", later, "--out", folder / "kept") as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

@@ -11,13 +11,16 @@ from bokeh.models import PlainText
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import Discovery
 from bayescal._search.posterior import Found
+from bayescal._workbench.app import Workbench
 from bayescal._workbench.panes.error import in_order, path_to
 from bayescal._workbench.panes.file import safe_name
 from bayescal._workbench.panes.missing import candidate_rows
+from bayescal._workbench.panes.tabs import ERROR
 from bayescal._workbench.parts.decimate import MANY, PIXELS, drawn_rows, sentence
 from bayescal._workbench.parts.pieces import words
 from bayescal._workbench.parts.rows import Rows
 from bayescal._workbench.parts.style import new_figure
+from bayescal._workbench.session import Session
 
 COUNT = 100_000
 
@@ -125,3 +128,26 @@ def test_substitutes_stand_together_and_what_cannot_be_tested_last() -> None:
     assert rows[0]["group"] == rows[1]["group"]
     assert rows[0]["group"].startswith("One of these")
     assert not rows[-1]["actions"] and rows[-1]["note"] == "needs the column rate"
+
+
+def test_every_pane_is_made_without_a_browser(session: Session) -> None:
+    """Of each state, on either ground; a dropped file gets a form for its columns."""
+    bench = Workbench(session)
+    session.look()
+    bench.refresh()
+    for name in (*bench.tabs.which.options, ERROR):
+        bench.tabs.open(name)
+        assert bench.view.get_root()
+    session.add(bench.missing.rows.rows[0]["id"])
+    bench.refresh()
+    bench.ground.param.update(dark=True, wide=True, seen=True)
+    bench.fails.when.value = "both"
+    bench.fails.select(np.arange(30))
+    assert "30 readings selected" in bench.tabs.describe.chosen.object
+    file = bench.tabs.file
+    file.receive("few.csv", b"temperature [degC],output [deg/s]\n20,1\n30,2\n40,3\n")
+    bench.work.close(wait=True)
+    assert "3 readings" in file.told.object and file.use.visible
+    file.given()
+    assert bench.view.get_root()
+    assert "dark" in bench.view.css_classes

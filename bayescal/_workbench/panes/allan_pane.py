@@ -10,8 +10,8 @@ from bokeh.models import ColumnDataSource, Whisker
 
 from bayescal._calibration.noise_in_time import AllanCheck
 from bayescal._data.unit_conversion import unit_label
-from bayescal._workbench.parts.pieces import column, words
-from bayescal._workbench.parts.style import INSIDE, LIGHT, RED, Palette, dress, new_figure
+from bayescal._workbench.parts.pieces import column, halves, plot, words
+from bayescal._workbench.parts.style import LIGHT, RED, Palette, dress, new_figure
 
 NONE = (
     "No Allan deviation: it needs a column time, and runs of 30 readings or more, evenly spaced in time "
@@ -28,14 +28,7 @@ class AllanPane:
         self.told = words("")
         self.terms = words("", "table")
         self.plot = pn.Column(sizing_mode="stretch_both", margin=0)
-        self.view = pn.Column(
-            self.plot,
-            column(self.told, self.terms, kinds=("bare", "scrolls")),
-            css_classes=["halves"],
-            stylesheets=[INSIDE],
-            sizing_mode="stretch_both",
-            margin=0,
-        )
+        self.view = halves(self.plot, column(self.told, self.terms, kinds=("bare", "scrolls")))
 
     def show(self, state: Any) -> None:
         """Show a state's residuals."""
@@ -43,11 +36,7 @@ class AllanPane:
         self.told.object = NONE if found is None else found.sentence()
         self.terms.object = "" if found is None else found.table()
         self._figure = None if found is None else allan_figure(found, self.palette)
-        self.plot[:] = (
-            []
-            if self._figure is None
-            else [pn.pane.Bokeh(self._figure, sizing_mode="stretch_both", margin=0)]
-        )
+        self.plot[:] = [] if self._figure is None else [plot(self._figure)]
 
     def wear(self, palette: Palette) -> None:
         """Take the colours of a ground."""

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import panel as pn
 
-from bayescal._workbench.parts.pieces import button, column, row, words
-from bayescal._workbench.parts.style import INSIDE
+from bayescal._workbench.parts.pieces import button, code_field, column, field, halves, row, words
 
 RUNS = (
     "Loading runs this code on this computer, with your rights. Read it first; then tick the box."
@@ -24,38 +23,29 @@ class DescribePane:
         run: Callable[..., None],
         session: Callable[[], Any],
         select: Callable[[np.ndarray], None],
-        covariates: Callable[[], Any],
+        numbers: Callable[[], dict[str, tuple[np.ndarray, str]]],
         loaded: Callable[[Any], None],
     ) -> None:
-        """`select(rows)` brushes rows; `covariates()` are columns to select by; `loaded` follows a load."""
+        """`select(rows)` brushes rows; `numbers()` are columns to select by; `loaded` follows a load."""
         self._run, self._session, self._select = run, session, select
-        self._covariates, self._loaded = covariates, loaded
+        self._numbers, self._loaded = numbers, loaded
         self._rows = np.array([], int)
-        small: dict[str, Any] = {"stylesheets": [INSIDE], "margin": 0, "width": 110}
-        self.by = pn.widgets.Select(name="column", options=[], **small)
-        self.low = pn.widgets.FloatInput(name="from", **small)
-        self.high = pn.widgets.FloatInput(name="to", **small)
+        self.by = field(pn.widgets.Select, "column", options=[], width=110)
+        self.low = field(pn.widgets.FloatInput, "from", width=110)
+        self.high = field(pn.widgets.FloatInput, "to", width=110)
         self.region = button("Select", lambda _: self._select_region(), align="end")
         self.describe = button(
-            "Describe it", lambda _: self._describe(), button_type="primary", disabled=True
+            "Describe it", lambda _: self._describe(), color="primary", disabled=True
         )
         self.chosen = words("", "small")
         self.told = words("")
-        self.code = pn.widgets.TextAreaInput(
-            name="Draft of an effect, to be edited",
-            sizing_mode="stretch_both",
-            margin=0,
-            css_classes=["code"],
-            stylesheets=[INSIDE],
-            max_length=100_000,
-            min_height=110,
+        self.code = code_field(
+            "Draft of an effect, to be edited", max_length=100_000, min_height=110
         )
-        self.sure = pn.widgets.Checkbox(
-            name="I have read it: run it", margin=0, stylesheets=[INSIDE], align="center"
-        )
+        self.sure = field(pn.widgets.Checkbox, "I have read it: run it", align="center")
         self.load = button("Load the effect", lambda _: self._load(), disabled=True)
-        for one, what in ((self.sure, "value"), (self.code, "value")):
-            one.param.watch(lambda _: self._open(), what)
+        for one in (self.sure, self.code):
+            one.param.watch(lambda _: self._open(), "value")
         self.code.param.watch(lambda _: setattr(self.sure, "value", False), "value")
         self.by.param.watch(lambda _: self._ends(), "value")
         left = column(
@@ -67,19 +57,12 @@ class DescribePane:
             kinds=("bare", "scrolls"),
         )
         right = column(self.code, row(words(RUNS, "small")), row(self.sure, self.load))
-        self.view = pn.Column(
-            left,
-            right,
-            css_classes=["halves", "even"],
-            stylesheets=[INSIDE],
-            sizing_mode="stretch_both",
-            margin=0,
-        )
+        self.view = halves(left, right, even=True)
 
     def show(self, _: Any) -> None:
         """Another state: the region stays, the draft does not."""
-        self._found = self._covariates()
-        names = [n for n, (_, _, levels) in self._found.items() if not levels]
+        self._columns = self._numbers()
+        names = list(self._columns)
         self.by.param.update(
             options=names, value=self.by.value if self.by.value in names else names[0]
         )
@@ -94,12 +77,12 @@ class DescribePane:
         self.chosen.object = count
 
     def _ends(self) -> None:
-        values, unit, _ = self._found.get(self.by.value, (np.array([0.0, 1.0]), "", ()))
-        self.low.name, self.high.name = f"from [{unit or '1'}]", f"to [{unit or '1'}]"
+        values, unit = self._columns.get(self.by.value, (np.array([0.0, 1.0]), ""))
+        self.low.label, self.high.label = f"from [{unit or '1'}]", f"to [{unit or '1'}]"
         self.low.value, self.high.value = float(np.min(values)), float(np.max(values))
 
     def _select_region(self) -> None:
-        values, _, _ = self._found[self.by.value]
+        values, _ = self._columns[self.by.value]
         if self.low.value is not None and self.high.value is not None:
             self._select(np.flatnonzero((values >= self.low.value) & (values <= self.high.value)))
 
@@ -108,7 +91,7 @@ class DescribePane:
         self._run("Describing the region …", lambda: self._session().describe(rows), self._drafted)
 
     def _drafted(self, draft: Any) -> None:
-        self.told.object = draft_in_words(draft)
+        self.told.object = str(draft)
         self.code.value = draft.code
 
     def _open(self) -> None:
@@ -117,11 +100,5 @@ class DescribePane:
     def _load(self) -> None:
         code = self.code.value
         if self.sure.value and code.strip():
-            self._run(
-                "Loading the effect …", lambda: self._session().load_draft(code), self._loaded
-            )
-
-
-def draft_in_words(draft: Any) -> str:
-    """A draft's sentence."""
-    return str(draft)
+            load = lambda: self._session().load_draft(code)  # noqa: E731
+            self._run("Loading the effect …", load, self._loaded)

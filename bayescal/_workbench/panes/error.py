@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import panel as pn
 from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormatter, Span
 
 from bayescal._core.formatting import number, probability
 from bayescal._data.unit_conversion import unit_label
 from bayescal._search.search_path import RISES
-from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.pieces import button, column, halves, plot, row, words
 from bayescal._workbench.parts.rows import Rows
 from bayescal._workbench.parts.style import (
     GREEN,
-    INSIDE,
     LIGHT,
     ORANGE,
     RED,
@@ -48,11 +46,8 @@ class ErrorPane:
             table=True,
             kind="table",
             label="Steps",
-            margin=0,
-            sizing_mode="stretch_both",
-            styles={"min-height": "0"},
         )
-        self.find = button("Find all", lambda _: find_all(), button_type="primary")
+        self.find = button("Find all", lambda _: find_all(), color="primary")
         self.halt = button("Stop", lambda _: stop(), disabled=True)
         self.progress = words("", "small")
         empty: dict[str, Any] = {name: [] for name in (*(s[0] for s in SERIES), "step", "floor")}
@@ -60,14 +55,7 @@ class ErrorPane:
         self.figure = self._figure()
         self.view = column(
             row(self.find, self.halt, self.progress),
-            pn.Column(
-                pn.pane.Bokeh(self.figure, sizing_mode="stretch_both", margin=0),
-                self.rows,
-                css_classes=["halves"],
-                stylesheets=[INSIDE],
-                sizing_mode="stretch_both",
-                margin=0,
-            ),
+            halves(plot(self.figure), self.rows),
         )
 
     def _figure(self) -> Any:
@@ -81,22 +69,10 @@ class ErrorPane:
         made.xaxis.formatter = NumeralTickFormatter(format="0")
         items = []
         for name, marker, colour in SERIES:
+            own = {"source": self.source, "color": colour or self.palette.blue}
             drawn = [
-                made.line(
-                    "step",
-                    name,
-                    source=self.source,
-                    line_width=2,
-                    color=colour or self.palette.blue,
-                ),
-                made.scatter(
-                    "step",
-                    name,
-                    source=self.source,
-                    size=8,
-                    marker=marker,
-                    color=colour or self.palette.blue,
-                ),
+                made.line("step", name, line_width=2, **own),
+                made.scatter("step", name, size=8, marker=marker, **own),
             ]
             items.append(LegendItem(label=name, renderers=drawn))
         self._blue = items[0].renderers

@@ -19,15 +19,13 @@ class ExperimentPane:
     def __init__(self, run: Callable[..., None]) -> None:
         """`run(words, job, then)` does work beside the page."""
         self._run, self._state = run, None
-        self.rank = button("Rank the experiments", lambda _: self._begin(), button_type="primary")
+        self.rank = button("Rank the experiments", lambda _: self._begin(), color="primary")
         self.told = words("", "small")
         self.rows = Rows(
             table=True,
             kind="table",
             head=HEAD,
             label="Experiments",
-            margin=0,
-            sizing_mode="stretch_both",
             visible=False,
         )
         self.view = column(row(self.rank, self.told), self.rows)

@@ -13,8 +13,8 @@ from bokeh.models import ColumnDataSource, Range1d
 from bayescal._workbench.panes.fails_data import AGAINST, ResidualsOfState
 from bayescal._workbench.panes.fails_panel import AT, dress_panel, residual_panel, show_curve
 from bayescal._workbench.parts.decimate import drawn_rows, sentence
-from bayescal._workbench.parts.pieces import choice, column, row, several, words
-from bayescal._workbench.parts.style import INSIDE, LIGHT, Palette, fixed_range, span
+from bayescal._workbench.parts.pieces import choice, column, plot, row, several, words
+from bayescal._workbench.parts.style import LIGHT, Palette, fixed_range, span
 
 AFTER, BEFORE, BOTH = "after", "before", "both"
 MOST = 4  # panels side by side, at most
@@ -48,9 +48,7 @@ class Fails:
         self.drawn = words("", "small")
         self.brushed = words("", "small")
         self.legend = row(kinds=("tight",))
-        self.panels = pn.Column(
-            sizing_mode="stretch_both", css_classes=["panels"], stylesheets=[INSIDE], margin=0
-        )
+        self.panels = column(kinds=("panels",))
         self.view = column(
             row(words("Where it fails", "title"), self.when, kinds=("spread",)),
             self.choice,
@@ -120,15 +118,6 @@ class Fails:
         else:
             self._lay_out()
 
-    def columns(self) -> dict[str, tuple[np.ndarray, str, tuple[str, ...]]]:
-        """Values (n,), unit and, of a group, members of every column that a region can be given in."""
-        shown = self.shown
-        if shown is None:
-            return {}
-        return {
-            n: (v, shown.units[n], shown.levels.get(n, ())) for n, v in shown.covariates.items()
-        }
-
     def _begin(self) -> None:
         """A source and panels of another state: those that go keep theirs."""
         assert self.shown is not None
@@ -149,8 +138,7 @@ class Fails:
         for name in names:
             if name not in self._panes:
                 dress_panel(self._figures[name], self.palette)
-                made = {"sizing_mode": "stretch_both", "margin": 0, "min_height": 0}
-                self._panes[name] = pn.pane.Bokeh(self._figures[name], **made)
+                self._panes[name] = plot(self._figures[name])
         self._panes = {name: self._panes[name] for name in names}
         self.panels.css_classes = ["panels", f"of{len(names)}"]
         self.panels[:] = list(self._panes.values())

@@ -21,7 +21,7 @@ from bayescal._data.read_options import expected_columns
 from bayescal._tables.mapping_file import save_mapping
 from bayescal._tables.open_table import TEXT, open_table
 from bayescal._tables.raw_table import bytes_text
-from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.pieces import button, column, download, field, halves, row, words
 from bayescal._workbench.parts.style import INSIDE
 
 MOST = 200_000_000  # bytes of one file; larger ones are given on the command line
@@ -75,38 +75,20 @@ class FilePane:
         self.use = button(
             "Begin with these readings",
             lambda _: self._go_on(),
-            button_type="primary",
+            color="primary",
             visible=False,
         )
         self.again = button("Read again", lambda _: self._read(), visible=False)
-        self.mapping = pn.widgets.FileDownload(
-            callback=self._mapping,
-            filename="mapping.toml",
-            label="Save the mapping",
-            visible=False,
-            margin=0,
-            embed=False,
-            auto=True,
-            stylesheets=[INSIDE],
-            align="center",
+        self.mapping = download(
+            "Save the mapping", callback=self._mapping, filename="mapping.toml", visible=False
         )
         self.form = pn.GridBox(ncols=3, margin=0, sizing_mode="stretch_width", visible=False)
         self._fields: dict[str, tuple[Any, Any]] = {}
         intro = f"Drop a file of readings of {instrument.name}, up to {bytes_text(MOST)}; nothing leaves this computer."
-        self.view = pn.Column(
-            column(
-                words(intro, "small"),
-                self.drop,
-                row(self.use, self.again, self.mapping),
-                self.form,
-                kinds=("bare", "scrolls"),
-            ),
-            self.told,
-            css_classes=["halves", "even"],
-            stylesheets=[INSIDE],
-            sizing_mode="stretch_both",
-            margin=0,
-        )
+        buttons = row(self.use, self.again, self.mapping)
+        kinds = ("bare", "scrolls")
+        left = column(words(intro, "small"), self.drop, buttons, self.form, kinds=kinds)
+        self.view = halves(left, self.told, even=True)
 
     def _dropped(self, event: Any) -> None:
         if not event.new:
@@ -157,30 +139,15 @@ class FilePane:
     def _make_form(self, headers: tuple[str, ...]) -> None:
         """A line a column that the instrument reads: which of the file's it is, and in which unit."""
         cells: list[Any] = []
-        some = [AS_FOUND, *headers[:OFFERED]]
+        room, text = {"margin": (0, 8, 2, 0)}, pn.widgets.TextInput
         for name, known in expected_columns(self._instrument).items():
-            which: Any = pn.widgets.Select(
-                name=f"{name} is",
-                options=some,
-                stylesheets=[INSIDE],
-                margin=(0, 8, 2, 0),
-                width=150,
-            )
+            kind, how = pn.widgets.Select, {"options": [AS_FOUND, *headers]}
             if len(headers) > OFFERED:
-                which = pn.widgets.TextInput(
-                    name=f"{name} is",
-                    placeholder="as found",
-                    stylesheets=[INSIDE],
-                    margin=(0, 8, 2, 0),
-                    width=150,
-                )
-            unit = pn.widgets.TextInput(
-                name="in",
-                placeholder="as in the header",
-                stylesheets=[INSIDE],
-                margin=(0, 8, 2, 0),
-                width=110,
-                disabled=known.unit is None,
+                kind, how = text, {"placeholder": AS_FOUND}
+            which = field(kind, f"{name} is", width=150, **room, **how)
+            place = "as in the header"
+            unit = field(
+                text, "in", placeholder=place, width=110, disabled=known.unit is None, **room
             )
             self._fields[name] = (which, unit)
             cells += [which, unit, pn.Spacer(width=1)]

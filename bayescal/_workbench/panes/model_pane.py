@@ -10,9 +10,8 @@ import panel as pn
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.formatting import probability, with_error
 from bayescal._data.unit_conversion import unit_label
-from bayescal._workbench.parts.pieces import button, column, row, words
+from bayescal._workbench.parts.pieces import button, column, field, row, words
 from bayescal._workbench.parts.rows import Rows
-from bayescal._workbench.parts.style import INSIDE
 
 MOST = 6  # coefficients of one effect that stand in its row
 
@@ -26,14 +25,16 @@ class ModelPane:
         self._calibration: Any = None
         self._chosen, self._shut = "", False
         self.equation = words("", "small")
-        self.effects = Rows(self._choose, kind="pair", label="Effects of the model", **_ROWS)
-        self.noise = Rows(self._take_law, kind="pair", label="Noise law", **_ROWS)
+        high: dict[str, Any] = {"sizing_mode": "stretch_width", "styles": {}}  # as all their rows
+        self.effects = Rows(self._choose, kind="pair", label="Effects of the model", **high)
+        self.noise = Rows(self._take_law, kind="pair", label="Noise law", **high)
         self.verdict = words("", "small")
         self.title = words("", "title")
         self.consequences = words("", "small")
-        self.coefficient = pn.widgets.Select(name="unknown", **_FIELD)
-        self.value = pn.widgets.FloatInput(name="held at", **_FIELD)
-        self.size = pn.widgets.FloatInput(name="plausible size", start=0.0, **_FIELD)
+        wide: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90}
+        self.coefficient = field(pn.widgets.Select, "unknown", **wide)
+        self.value = field(pn.widgets.FloatInput, "held at", **wide)
+        self.size = field(pn.widgets.FloatInput, "plausible size", start=0.0, **wide)
         self.form = self._form()
         self.view = column(
             words("The model", "title"),
@@ -56,18 +57,16 @@ class ModelPane:
             button("Close", lambda _: self._open("")),
         ]
         out, fix, free, resize, close = self.buttons
-        return pn.Column(
+        return column(
             self.title,
             self.consequences,
             row(out, close),
             row(self.coefficient),
             row(self.value, fix, free),
             row(self.size, resize),
+            kinds=("form",),
             visible=False,
-            css_classes=["form"],
-            stylesheets=[INSIDE],
             sizing_mode="stretch_width",
-            margin=0,
         )
 
     def show(self, state: Any) -> None:
@@ -98,7 +97,7 @@ class ModelPane:
             self._calibration.model.fixed
         )
         for one in self.buttons[:-1]:
-            one.disabled = self._shut or (one.name == "Free" and not held)
+            one.disabled = self._shut or (one.label == "Free" and not held)
 
     def _choose(self, effect: str, _: str) -> None:
         self._open(effect)
@@ -116,7 +115,7 @@ class ModelPane:
         self.coefficient.options = names
         self.coefficient.value = names[0]
         first = own.coefficients[0]
-        self.size.name = f"plausible size [{unit_label(first.unit) or '1'}]"
+        self.size.label = f"plausible size [{unit_label(first.unit) or '1'}]"
         self.size.value = None if first.flat else float(first.size)
         self._other_coefficient()
         self._ask(self._say_consequences, "take_out", effect)
@@ -131,7 +130,7 @@ class ModelPane:
         mean = dict(self._calibration.model.fixed).get(self.coefficient.value, mean)
         self._open_buttons()
         self.value.value = None if mean is None else float(f"{mean:.6g}")
-        self.value.name = f"held at [{unit_label(unit) or '1'}]"
+        self.value.label = f"held at [{unit_label(unit) or '1'}]"
 
     def _do(self, action: str, *arguments: Any) -> None:
         if None not in arguments:
@@ -139,15 +138,6 @@ class ModelPane:
 
     def _take_law(self, law: str, _: str) -> None:
         self._act("noise", law)
-
-
-_ROWS: dict[str, Any] = {"margin": 0, "sizing_mode": "stretch_width"}
-_FIELD: dict[str, Any] = {
-    "stylesheets": [INSIDE],
-    "margin": 0,
-    "sizing_mode": "stretch_width",
-    "min_width": 90,
-}
 
 
 def equation_in_words(model: Any) -> str:
@@ -185,12 +175,7 @@ def effect_rows(model: Any, told: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 {
                     "text": f"{short} {value}".strip(),
                     "kind": "value number",
-                    "bar": t["contraction"]
-                    if t["contraction"] is None
-                    else max(0.0, t["contraction"]),
-                    "title": "no contraction: flat or learned prior"
-                    if t["contraction"] is None
-                    else f"contraction {t['contraction']:.3f}: how much narrower than the prior",
+                    **_contraction(t["contraction"]),
                 }
             )
         if len(own) > MOST:
@@ -201,6 +186,14 @@ def effect_rows(model: Any, told: list[dict[str, Any]]) -> list[dict[str, Any]]:
         change = {"id": "change", "label": "Change …", "title": "take out, fix or resize"}
         rows.append({"id": effect.name, "cells": cells, "actions": [change]})
     return rows
+
+
+def _contraction(share: float | None) -> dict[str, Any]:
+    """By how much the posterior is narrower than the prior, as a bar."""
+    if share is None:
+        return {"bar": None, "title": "no contraction: flat or learned prior"}
+    title = f"contraction {share:.3f}: how much narrower than the prior"
+    return {"bar": max(0.0, share), "title": title}
 
 
 def noise_rows(state: Any) -> list[dict[str, Any]]:

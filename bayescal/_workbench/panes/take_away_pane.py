@@ -7,10 +7,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import panel as pn
-
-from bayescal._workbench.parts.pieces import button, column, row, words
-from bayescal._workbench.parts.style import INSIDE
+from bayescal._workbench.parts.pieces import button, code_field, column, download, row, words
 
 EXPORTS = {
     "C header": ("c", "Compensation as a C99 header."),
@@ -27,18 +24,7 @@ class Written:
     def __init__(self, label: str, begin: Callable[["Written"], None]) -> None:
         self.label = label
         self.make = button(label, lambda _: begin(self))
-        self.link = pn.widgets.FileDownload(
-            name="",
-            filename="none",
-            file=BytesIO(),
-            visible=False,
-            button_type="primary",
-            margin=0,
-            stylesheets=[INSIDE],
-            embed=False,
-            auto=True,
-            align="center",
-        )
+        self.link = download("", filename="none", file=BytesIO(), visible=False, color="primary")
 
     def done(self, path: Path) -> None:
         """Offer the file."""
@@ -101,24 +87,16 @@ class PythonPane:
 
     def __init__(self, session: Callable[[], Any]) -> None:
         self._session = session
-        self.code = pn.widgets.TextAreaInput(
-            name="What was clicked on the way to this step, as Python; it gives the same numbers",
+        self.code = code_field(
+            "What was clicked on the way to this step, as Python; it gives the same numbers",
             disabled=True,
-            sizing_mode="stretch_both",
-            margin=0,
-            css_classes=["code"],
-            stylesheets=[INSIDE],
             max_length=10**6,
         )
-        self.link = pn.widgets.FileDownload(
+        self.link = download(
+            "Download workbench.py",
             callback=lambda: BytesIO(self.code.value.encode()),
             filename="workbench.py",
-            label="Download workbench.py",
-            button_type="primary",
-            stylesheets=[INSIDE],
-            margin=0,
-            embed=False,
-            auto=True,
+            color="primary",
             align="start",
         )
         self.view = column(self.code, row(self.link))

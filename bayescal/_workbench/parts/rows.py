@@ -47,7 +47,8 @@ class Rows(JSComponent):
 
     def __init__(self, on_press: Callable[[str, str], None] | None = None, **settings: Any) -> None:
         """As `JSComponent`; `on_press(row, action)` is called when a row's button is pressed."""
-        super().__init__(**settings)
+        room = {"margin": 0, "sizing_mode": "stretch_both", "styles": {"min-height": "0"}}
+        super().__init__(**{**room, **settings})
         self._on_press = on_press
 
     def _handle_msg(self, data: Any) -> None:

@@ -6,7 +6,7 @@ Colours that carry a meaning: Okabe and Ito, "Color universal design" (2008).
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bokeh.models import Legend, PlainText, Range1d
 from bokeh.plotting import figure
@@ -19,15 +19,14 @@ CSS = (HERE / "page.css").read_text("utf-8")  # the grid and the colours, of the
 INSIDE = (HERE / "inside.css").read_text("utf-8")  # Panel's own widgets within it
 
 
-class Palette:
+class Palette(NamedTuple):
     """Colours of what Bokeh draws, for one of the two grounds."""
 
-    def __init__(self, **colours: Any) -> None:
-        self.ink: str = colours["ink"]
-        self.quiet: str = colours["quiet"]
-        self.line: str = colours["line"]
-        self.cycle: tuple[str, ...] = colours["cycle"]
-        self.blue: str = colours["blue"]
+    ink: str
+    quiet: str
+    line: str
+    cycle: tuple[str, ...]
+    blue: str
 
 
 LIGHT = Palette(ink="#1c2126", quiet="#5a636b", line="#d9dde1", cycle=CYCLE, blue=BLUE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from threading import Lock
 from typing import Any
 
@@ -23,6 +24,9 @@ class Work:
         """`tell(words, refused)` says what is being done, "" when it is done, or why it could not be."""
         self._tell = tell
         self._document = pn.state.curdoc
+        self._context = (
+            copy_context()
+        )  # settings in force where the page was made hold for its work
         self._jobs = ThreadPoolExecutor(1, thread_name_prefix="workbench job")
         self._looks = ThreadPoolExecutor(1, thread_name_prefix="workbench look")
         self._previews = ThreadPoolExecutor(1, thread_name_prefix="workbench preview")
@@ -57,22 +61,12 @@ class Work:
             else:
                 failed()
 
-        def run() -> None:
-            result, error = _outcome(job)
-            self.on_page(lambda: done(result, error))
-
-        self._jobs.submit(run)
+        self._submit(self._jobs, job, done)
 
     def look(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Look for something beside everything else; what is pressed meanwhile is not refused."""
 
-        def run() -> None:
-            result, error = _outcome(job)
-            self.on_page(
-                lambda: then(result) if error is None else self._tell(_in_words(error), True)
-            )
-
-        self._looks.submit(run)
+        self._submit(self._looks, job, lambda *outcome: self._ended(then, *outcome))
 
     def preview(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Compute a preview; one that another has overtaken is dropped."""
@@ -80,29 +74,44 @@ class Work:
             self._wanted += 1
             ticket = self._wanted
 
-        def run() -> None:
-            if ticket != self._wanted:
-                return
-            result, error = _outcome(job)
-            if ticket != self._wanted:
-                return
-            if error is not None:
-                self.on_page(lambda: self._tell(_in_words(error), True))
-            else:
-                self.on_page(lambda: then(result))
+        def wanted() -> bool:
+            return ticket == self._wanted
 
-        self._previews.submit(run)
+        self._submit(self._previews, job, lambda *outcome: self._ended(then, *outcome), wanted)
 
     def forget_preview(self) -> None:
         """Drop the preview that is under way."""
         with self._lock:
             self._wanted += 1
 
-    def close(self) -> None:
-        """Take no further work."""
-        self._jobs.shutdown(wait=False, cancel_futures=True)
-        self._looks.shutdown(wait=False, cancel_futures=True)
-        self._previews.shutdown(wait=False, cancel_futures=True)
+    def close(self, wait: bool = False) -> None:
+        """Take no further work; what has not begun is dropped, unless it is waited for."""
+        for pool in (self._jobs, self._looks, self._previews):
+            pool.shutdown(wait=wait, cancel_futures=not wait)
+
+    def _submit(
+        self,
+        pool: ThreadPoolExecutor,
+        job: Callable[[], Any],
+        done: Callable[[Any, BaseException | None], None],
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Have a pool do a job; `done(result, error)` follows on the page, both only if it is still wanted."""
+
+        def run() -> None:
+            if not wanted():
+                return
+            outcome = _outcome(job)
+            if wanted():
+                self.on_page(lambda: done(*outcome))
+
+        pool.submit(self._context.copy().run, run)
+
+    def _ended(self, then: Callable[[Any], None], result: Any, error: BaseException | None) -> None:
+        if error is None:
+            then(result)
+        else:
+            self._tell(_in_words(error), True)
 
     def _count(self, more: int) -> None:
         before, self._under_way = self._under_way, self._under_way + more

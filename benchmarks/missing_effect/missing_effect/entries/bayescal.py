@@ -98,7 +98,9 @@ def _effect(term: Term, task: Task, columns: dict[str, tuple[np.ndarray, np.ndar
     """A term as an effect; its columns are added to the others."""
     prior = bc.Normal(0.0, term.size)
     if term.group:
-        coefficient = bc.Coefficient(NUMBER, prior, per=term.group, group_sd=bc.HalfNormal(term.size))
+        coefficient = bc.Coefficient(
+            NUMBER, prior, per=term.group, group_sd=bc.HalfNormal(term.size)
+        )
         made = [term.columns(f).sum(axis=1)[:, None] for f in (task.train, task.holdout)]
         if not made[1].any():
             made[1] = np.ones_like(made[1])
