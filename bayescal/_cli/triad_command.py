@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -17,20 +16,32 @@ commands = typer.Typer()
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 
-@commands.command(epilog="Example: bayescal triad log.csv --columns output_x=ax,output_y=ay,output_z=az --out result")
+@commands.command(
+    epilog="Example: bayescal triad log.csv --columns output_x=ax,output_y=ay,output_z=az --out result"
+)
 @with_groups
 def triad(
     files: options.Files,
     columns: ColumnOptions,
     instrument: Annotated[
-        str, typer.Option("--instrument", "-i", help="Of three axes: accelerometer_triad, magnetometer_triad.")
+        str,
+        typer.Option(
+            "--instrument", "-i", help="Of three axes: accelerometer_triad, magnetometer_triad."
+        ),
     ] = "accelerometer_triad",
     raw: Annotated[
-        bool, typer.Option("--raw/--poses", help="A log whose still stretches are the poses, or a row for each pose.")
+        bool,
+        typer.Option(
+            "--raw/--poses",
+            help="A log whose still stretches are the poses, or a row for each pose.",
+        ),
     ] = True,
     shortest: Annotated[float, typer.Option(help="Shortest pose in a raw log, s.")] = 2.0,
     search: Annotated[
-        bool, typer.Option("--search/--baseline", help="Look for effects beside bias, scale and misalignment.")
+        bool,
+        typer.Option(
+            "--search/--baseline", help="Look for effects beside bias, scale and misalignment."
+        ),
     ] = True,
     seed: options.Seed = 0,
     out: options.Folder = None,
@@ -43,7 +54,9 @@ def triad(
 
     chosen, model, readings = open_request(ReadRequest(instrument, files, columns, ModelOptions()))
     if chosen.vector is None:
-        raise InputError(f"--instrument {instrument}: it has one output; `bayescal calibrate` is for it")
+        raise InputError(
+            f"--instrument {instrument}: it has one output; `bayescal calibrate` is for it"
+        )
     print_notes(readings.flags)
     with result_folder(out) as folder:
         if raw:
@@ -64,7 +77,10 @@ def triad(
             print(calibration)
         if folder is not None:
             written = [bc.export_vector(correction, folder / name) for name in FILES]
-            written += [calibration.save(folder / "calibration.nc"), readings.write(folder / "poses.csv")]
+            written += [
+                calibration.save(folder / "calibration.nc"),
+                readings.write(folder / "poses.csv"),
+            ]
             if not json_:
                 print(f"written: {', '.join(map(str, written))}")
     exit_unless(calibration.verdict.ok, "; ".join(calibration.verdict.reasons))

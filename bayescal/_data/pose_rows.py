@@ -1,4 +1,4 @@
-"""Poses of three outputs as scalar readings: the magnitude of each and, where its direction is known, two projections."""
+"""Poses of three outputs as scalar readings: the magnitude and, where the direction is known, two projections."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 A log is cut into blocks of a quarter of a second. The quietest blocks say how much an output scatters at rest; a block
 is still where none of its outputs scatters by six times as much or stands that far from the block before. Samples
-that follow each other are correlated (filters, vibration), so that the uncertainty of a mean is that of the means of its
-blocks, pooled over all poses: often 3 to 4 times that of independent samples.
+that follow each other are correlated (filters, vibration), so that the uncertainty of a mean is that of the means of
+its blocks, pooled over all poses: often 3 to 4 times that of independent samples.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ def still_stretches(
         InputError: samples too far apart, or no stretch is still for so long.
     """
     step = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
-    size = int(round(BLOCK / step)) if step > 0 else 0
+    size = round(BLOCK / step) if step > 0 else 0
     if size < FEWEST:
         raise InputError(
-            f"samples {step:.3g} s apart: still stretches are found in blocks of {BLOCK:g} s, which need {FEWEST} samples "
-            "each. If each row is a pose already, calibrate them as they are"
+            f"samples {step:.3g} s apart: still stretches are found in blocks of {BLOCK:g} s, which need {FEWEST} "
+            "samples each. If each row is a pose already, calibrate them as they are"
         )
     count = len(time) // size
     blocks = outputs[: count * size].reshape(count, size, -1)

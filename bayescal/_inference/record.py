@@ -26,7 +26,7 @@ from bayescal._model.noise_law import Noise
 KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 TOGETHER = 48  # draws in one call of a program, or half of that,
-NUMBERS = 16_384  # and more of a short record: draws times readings, below which a call costs more than what it computes
+NUMBERS = 16_384  # and more of a short record: draws times readings, up to which the call itself is what costs
 INTERPOLATED = (
     1e-9  # as good as this part of the largest number in a column, tried between some nodes
 )

@@ -1,8 +1,8 @@
 """Instruments that installed packages offer, through the entry-point group `bayescal.instruments`.
 
 Light until an instrument is asked for. The module that an entry point names may hold beside its `INSTRUMENT` the
-`COLUMNS` of its files and, where it has them, its `NOMINAL_SCALE` and `OUTPUTS` (of three axes): if they are there before anything heavy is
-imported, a file is refused at once.
+`COLUMNS` of its files and, where it has them, its `NOMINAL_SCALE` and `OUTPUTS` (of three axes): if they are there
+before anything heavy is imported, a file is refused at once.
 """
 
 from __future__ import annotations

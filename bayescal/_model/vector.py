@@ -34,7 +34,7 @@ from bayescal._data.pose_rows import ACROSS, DIRECTION, MAGNITUDE
 from bayescal._model.frame import Frame
 from bayescal._model.static import static
 
-INVERSIONS = 1  # Newton steps before the one that is differentiated: with terms of second order of a tenth, 1e-7 at the end
+INVERSIONS = 1  # Newton steps before the one that is differentiated: 1e-7 in the end for a nonlinearity of a tenth
 
 Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
 
@@ -51,9 +51,7 @@ class Vector:
     outputs: tuple[str, str, str]
     equation: Callable[[Mapping[str, Any], Frame], Outputs]
 
-    def response(
-        self, slots: Mapping[str, Float[Array, "n"]], frame: Frame
-    ) -> Float[Array, "n"]:
+    def response(self, slots: Mapping[str, Float[Array, "n"]], frame: Frame) -> Float[Array, "n"]:
         """The expected output of each reading, magnitude or projection, output unit."""
         y = jnp.stack([frame[name] for name in self.outputs], axis=1)
         size = frame[MAGNITUDE]

@@ -13,9 +13,7 @@ from bayescal._data.still_stretches import SHORTEST, still_stretches
 from bayescal._model.instrument import Instrument
 
 
-def poses(
-    log: Measurements, instrument: Instrument, *, shortest: float = SHORTEST
-) -> Measurements:
+def poses(log: Measurements, instrument: Instrument, *, shortest: float = SHORTEST) -> Measurements:
     """Still stretches of a log, averaged, a row each; other numeric columns are averaged beside them.
 
     Args:
@@ -49,7 +47,9 @@ def poses(
     columns = {name: np.concatenate(parts) for name, parts in rows.items()}
     known = {c.name for c in instrument.columns} | {UNCERTAINTY}
     units = {name: str(log.unit(name)) for name in columns if name not in known and log.unit(name)}
-    made = Measurements.from_arrays(instrument, units=units, allow_one_temperature=True, **columns)
+    made = Measurements.from_arrays(
+        instrument, units=units, allow_one_temperature=True, **columns  # pyright: ignore[reportArgumentType]
+    )
     said = (
         f"{len(made['output'])} readings of {len(columns[UNCERTAINTY])} poses found in {log.file}; means of blocks "
         f"scatter {np.mean(ratios):.1f} times as much as those of independent samples would"

@@ -26,7 +26,14 @@ from bayescal._inference.joint import slots_of
 
 EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
 ORDERS = 3  # of the temperature
-PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of inputs, that terms of second order multiply
+PAIRS = (
+    (0, 0),
+    (1, 1),
+    (2, 2),
+    (0, 1),
+    (0, 2),
+    (1, 2),
+)  # of inputs, that terms of second order multiply
 USED = ("temperature", "run")  # columns that an effect may need to act in use
 NEWTON = 4  # steps of the inverse: each squares the error
 
@@ -115,7 +122,9 @@ class VectorCorrection:
     def at(self, temperature: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
         k, p = self.terms.shape
-        powers = (np.atleast_1d(np.asarray(temperature, float)) - self.reference)[:, None] ** np.arange(k)
+        powers = (np.atleast_1d(np.asarray(temperature, float)) - self.reference)[
+            :, None
+        ] ** np.arange(k)
         blocks = self.covariance.reshape(k, p, k, p)
         return powers @ self.terms, np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
 
@@ -154,14 +163,22 @@ class VectorCorrection:
             InputError: not three outputs, or a temperature for each is missing where the model needs it.
         """
         if isinstance(outputs, Measurements):
-            temperature = outputs["temperature"] if temperature is None and outputs.has("temperature") else temperature
+            temperature = (
+                outputs["temperature"]
+                if temperature is None and outputs.has("temperature")
+                else temperature
+            )
             outputs = np.stack([outputs[name] for name in self.outputs], axis=1)
         y = np.atleast_2d(np.asarray(outputs, dtype=float))
         if y.ndim != 2 or y.shape[1] != 3:
-            raise InputError(f"three outputs a reading are needed, (n, 3); these have the shape {y.shape}")
+            raise InputError(
+                f"three outputs a reading are needed, (n, 3); these have the shape {y.shape}"
+            )
         if temperature is None and len(self.terms) > 1:
             raise InputError("the correction depends on the temperature: give temperature=… in °C")
-        warm = np.broadcast_to(self.reference if temperature is None else np.asarray(temperature, float), len(y))
+        warm = np.broadcast_to(
+            self.reference if temperature is None else np.asarray(temperature, float), len(y)
+        )
         terms, own = self.at(warm)
         force = y.copy()
         for _ in range(NEWTON):
@@ -172,8 +189,14 @@ class VectorCorrection:
         by_terms += [_by_rows(_products(force))] if terms.shape[1] > 12 else []
         slope = inverse @ np.concatenate(by_terms, axis=2)
         sd = self.noise if noise is None else noise
-        covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(0, 2, 1)
-        outside = (warm < self.low) | (warm > self.high) if len(self.terms) > 1 else np.zeros(len(y), bool)
+        covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
+            0, 2, 1
+        )
+        outside = (
+            (warm < self.low) | (warm > self.high)
+            if len(self.terms) > 1
+            else np.zeros(len(y), bool)
+        )
         return CorrectedVector(force, covariance, self.unit, outside)
 
 
@@ -208,7 +231,9 @@ def _outputs(
     return there, slopes
 
 
-def vector_correction(calibration: Calibration, *, draws: int = 2000, seed: int = 0) -> VectorCorrection:
+def vector_correction(
+    calibration: Calibration, *, draws: int = 2000, seed: int = 0
+) -> VectorCorrection:
     """The correction of a calibrated instrument of three axes.
 
     A deviation of each run is drawn anew from its estimated standard deviation: what leaves is for a run to come.
@@ -242,7 +267,9 @@ def vector_correction(calibration: Calibration, *, draws: int = 2000, seed: int 
     powers = (grid - reference)[:, None] ** np.arange(ORDERS + 1)
     for order in range(min(ORDERS, len(grid) - 1) + 1):
         own = powers[:, : order + 1]
-        fitted = np.linalg.lstsq(own, np.moveaxis(taylor, 1, 0).reshape(len(grid), -1), rcond=None)[0]
+        fitted = np.linalg.lstsq(own, np.moveaxis(taylor, 1, 0).reshape(len(grid), -1), rcond=None)[
+            0
+        ]
         left = own @ fitted - np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
         if np.max(np.abs(left)) <= EXACT * np.max(np.abs(taylor)):
             break
@@ -255,7 +282,11 @@ def vector_correction(calibration: Calibration, *, draws: int = 2000, seed: int 
     if not np.any(terms[:, :, 12:]):
         terms = terms[:, :, :12]
     spread = terms.reshape(len(terms), -1)
-    white = calibration.samples("noise.white") if "noise.white" in calibration.posterior else np.zeros(1)
+    white = (
+        calibration.samples("noise.white")
+        if "noise.white" in calibration.posterior
+        else np.zeros(1)
+    )
     return VectorCorrection(
         outputs=vector.outputs,
         unit=model.instrument.unit,
@@ -283,8 +314,8 @@ def _notes(calibration: Calibration, order: int, low: float, high: float) -> tup
         notes.append("No dependence on temperature is in the model: valid where it was calibrated.")
     if len(calibration.readings.groups("run")[0]) < 2:
         notes.append(
-            "One session: what changes between sessions (often ten times the stated uncertainty) is not in it. Calibrate "
-            "in several, with a column 'run'."
+            "One session: what changes between sessions (often ten times the stated uncertainty) is not in it. "
+            "Calibrate in several, with a column 'run'."
         )
     return tuple(notes)
 
@@ -312,7 +343,10 @@ def _taylor(
         if t.known.per is not None:
             spread = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
             new = (t.known.mean + spread * random.standard_normal(len(x)))[:, None]
-            slots[t.slot] = slots[t.slot] + new * t.factor * assembly.record.columns(t.known.columns, ())[:, t.index]
+            slots[t.slot] = (
+                slots[t.slot]
+                + new * t.factor * assembly.record.columns(t.known.columns, ())[:, t.index]
+            )
 
     def terms(slots: dict[str, Any]) -> Any:
         h = vector.equation(slots, assembly.record.frame)

@@ -3,7 +3,8 @@
 Equations of what reads them, and their sources:
 
 * Kalibr (imu_models, scale-misalignment): a_measured = M·a + b + n, M lower triangular, the body's x axis that of the
-  sensor x; https://github.com/ethz-asl/kalibr/wiki/Multi-IMU-and-IMU-intrinsic-calibration. A rotation takes ours there.
+  sensor x; https://github.com/ethz-asl/kalibr/wiki/Multi-IMU-and-IMU-intrinsic-calibration. A rotation takes ours
+  there.
 * OpenVINS (kalibr_imu_chain.yaml): Tw and Ta in ω_measured = Tw·ω + …, a_measured = Ta·a + …, of any form.
 * PX4 (src/lib/sensor_calibration): corrected = (raw − OFF)·SCALE on each axis of an accelerometer, in m/s²; a symmetric
   matrix with ODIAG beside it for a magnetometer, in gauss.
@@ -60,8 +61,14 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
         terms = np.array(found["terms"], dtype=float)
         covariance = np.array(found["covariance"], dtype=float)
-        if terms.ndim != 2 or terms.shape[1] not in (12, 30) or covariance.shape != 2 * (terms.size,):
-            raise ValueError(f"terms of shape {terms.shape} with a covariance of shape {covariance.shape}")
+        if (
+            terms.ndim != 2
+            or terms.shape[1] not in (12, 30)
+            or covariance.shape != 2 * (terms.size,)
+        ):
+            raise ValueError(
+                f"terms of shape {terms.shape} with a covariance of shape {covariance.shape}"
+            )
         low, high = map(float, found["temperatures_degC"])
         return VectorCorrection(
             outputs=tuple(map(str, found["outputs"])),
@@ -115,7 +122,9 @@ def kalibr_yaml_of(correction: VectorCorrection, kind: str = "accelerometers") -
     return "\n".join(lines) + "\n"
 
 
-def autopilot_parameters(correction: VectorCorrection, autopilot: str, sensor: int = 0) -> dict[str, float]:
+def autopilot_parameters(
+    correction: VectorCorrection, autopilot: str, sensor: int = 0
+) -> dict[str, float]:
     """Parameters of PX4 ("px4-params") or ArduPilot ("ardupilot-params") at T0, by their names.
 
     Of an accelerometer misalignments are left out, for which these have no parameters.
@@ -166,14 +175,19 @@ def as_text(correction: VectorCorrection, format: str, name: str = "triad") -> s
     if format in AUTOPILOTS:
         line = AUTOPILOTS[format].line
         values = autopilot_parameters(correction, format)
-        head = [f"# Made by bayescal {__version__}, at {correction.reference:g} degC", *(f"# {h}" for h in AUTOPILOTS[format].head)]
+        head = [
+            f"# Made by bayescal {__version__}, at {correction.reference:g} degC",
+            *(f"# {h}" for h in AUTOPILOTS[format].head),
+        ]
         return "\n".join([*head, *(line(n, float(v)) for n, v in values.items())]) + "\n"
     writers: Mapping[str, Callable[[], str]] = {
         "json": lambda: json.dumps(data(correction), indent=1, ensure_ascii=False) + "\n",
-        "c": lambda: template("vector.h.jinja", {"comment": c_comment, "number": number_text}).render(
-            c=correction, name=identifier(name), newton=NEWTON
+        "c": lambda: template(
+            "vector.h.jinja", {"comment": c_comment, "number": number_text}
+        ).render(c=correction, name=identifier(name), newton=NEWTON),
+        "python": lambda: template("vector.py.jinja", {}).render(
+            data=repr(data(correction)), pairs=NEWTON
         ),
-        "python": lambda: template("vector.py.jinja", {}).render(data=repr(data(correction)), pairs=NEWTON),
         "yaml": lambda: kalibr_yaml_of(correction),
     }
     if format not in writers:
@@ -184,7 +198,9 @@ def as_text(correction: VectorCorrection, format: str, name: str = "triad") -> s
 SUFFIXES = {".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml": "yaml"}
 
 
-def export_vector(correction: VectorCorrection, path: str | Path, format: str | None = None) -> Path:
+def export_vector(
+    correction: VectorCorrection, path: str | Path, format: str | None = None
+) -> Path:
     """Write by the suffix of the path (.h, .py, .json, .yaml) or in a `format`.
 
     Raises:
@@ -193,7 +209,9 @@ def export_vector(correction: VectorCorrection, path: str | Path, format: str | 
     path = Path(path)
     chosen = format or SUFFIXES.get(path.suffix.lower())
     if chosen is None:
-        raise InputError(f"{path.name}: a correction is written as {', '.join(SUFFIXES)}, or give the format")
+        raise InputError(
+            f"{path.name}: a correction is written as {', '.join(SUFFIXES)}, or give the format"
+        )
     return write_text(as_text(correction, chosen, path.stem), path)
 
 

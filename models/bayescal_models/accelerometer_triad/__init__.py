@@ -14,16 +14,43 @@ COLUMNS = (
     bc.Column("time", "s", "one origin over all runs", required=False),
     bc.Column("temperature", "degC", "of the unit", required=False, low=-273.15, high=250.0),
     *(
-        bc.Column(f"output_{a}", "g", f"of axis {a}, averaged in a pose", also=(f"accel_{a}", f"acc_{a}", f"a{a}"))
+        bc.Column(
+            f"output_{a}",
+            "g",
+            f"of axis {a}, averaged in a pose",
+            also=(f"accel_{a}", f"acc_{a}", f"a{a}"),
+        )
         for a in "xyz"
     ),
-    bc.Column("magnitude", "g", "local gravity, in the unit of the outputs", default=1.0, low=0.9, high=1.1),
+    bc.Column(
+        "magnitude",
+        "g",
+        "local gravity, in the unit of the outputs",
+        default=1.0,
+        low=0.9,
+        high=1.1,
+    ),
     *(
-        bc.Column(f"direction_{a}", "1", f"of the specific force at rest (up), along axis {a}, where known", required=False)
+        bc.Column(
+            f"direction_{a}",
+            "1",
+            f"of the specific force at rest (up), along axis {a}, where known",
+            required=False,
+        )
         for a in "xyz"
     ),
-    bc.Column("pose_uncertainty", "rad", "standard uncertainty of that direction", required=False, low=0.0, high=1.0),
-    *(bc.Column(f"across_{a}", "1", "of a reading that is a projection", required=False) for a in "xyz"),
+    bc.Column(
+        "pose_uncertainty",
+        "rad",
+        "standard uncertainty of that direction",
+        required=False,
+        low=0.0,
+        high=1.0,
+    ),
+    *(
+        bc.Column(f"across_{a}", "1", "of a reading that is a projection", required=False)
+        for a in "xyz"
+    ),
     bc.Column("output", "g", "magnitude or projection, made of the three outputs", required=False),
 )
 

@@ -1,4 +1,4 @@
-"""Columns of a simulated campaign of three accelerometers; the world is that of any three axes (`triad/simulator.py`)."""
+"""Columns of a simulated campaign of three accelerometers; the world is that of `triad/simulator.py`."""
 
 from __future__ import annotations
 

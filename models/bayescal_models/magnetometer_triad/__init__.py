@@ -14,16 +14,30 @@ COLUMNS = (
     bc.Column("time", "s", "one origin over all runs", required=False),
     bc.Column("temperature", "degC", "of the unit", required=False, low=-273.15, high=250.0),
     *(
-        bc.Column(f"output_{a}", "uT", f"of axis {a}, averaged in a pose", also=(f"mag_{a}", f"m{a}"))
+        bc.Column(
+            f"output_{a}", "uT", f"of axis {a}, averaged in a pose", also=(f"mag_{a}", f"m{a}")
+        )
         for a in "xyz"
     ),
     bc.Column("magnitude", "uT", "of the local field", default=50.0, low=1.0, high=1000.0),
     *(
-        bc.Column(f"direction_{a}", "1", f"of the field, along axis {a}, where known", required=False)
+        bc.Column(
+            f"direction_{a}", "1", f"of the field, along axis {a}, where known", required=False
+        )
         for a in "xyz"
     ),
-    bc.Column("pose_uncertainty", "rad", "standard uncertainty of that direction", required=False, low=0.0, high=1.0),
-    *(bc.Column(f"across_{a}", "1", "of a reading that is a projection", required=False) for a in "xyz"),
+    bc.Column(
+        "pose_uncertainty",
+        "rad",
+        "standard uncertainty of that direction",
+        required=False,
+        low=0.0,
+        high=1.0,
+    ),
+    *(
+        bc.Column(f"across_{a}", "1", "of a reading that is a projection", required=False)
+        for a in "xyz"
+    ),
     bc.Column("output", "uT", "magnitude or projection, made of the three outputs", required=False),
 )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bayescal as bc
 from bayescal_models.triad.equation import BIAS, LOWER, SCALE, UPPER
 from bayescal_models.triad.families import drift, family, over_temperature, unknown_directions
 

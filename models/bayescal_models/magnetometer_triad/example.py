@@ -15,4 +15,6 @@ print(calibration)
 correct = bc.vector_correction(calibration)
 field = correct(np.array([[35.0, -20.0, -25.0]]))
 heading, uncertainty = field.heading  # of a level body
-print(f"heading {np.rad2deg(heading[0]):.2f}°, standard uncertainty {np.rad2deg(uncertainty[0]):.2f}°")
+print(
+    f"heading {np.rad2deg(heading[0]):.2f}°, standard uncertainty {np.rad2deg(uncertainty[0]):.2f}°"
+)

@@ -2,8 +2,8 @@
 
     y_a = m_a + b_a + Σ_j G_aj·m_j + e_a,     |m| = magnitude
 
-b is the hard iron with the sensor's own offset; G holds the scale factors, the sensor's misalignments and the soft iron,
-which no turning in one field tells apart. The direction of the field in the body is unknown, or known to
+b is the hard iron with the sensor's own offset; G holds the scale factors, the misalignments and the soft iron, which
+no turning in one field tells apart. The direction of the field in the body is unknown, or known to
 `pose_uncertainty`.
 
 **Gauge.** As of `accelerometer_triad`: three misalignments in place of six where directions are unknown, and z of the

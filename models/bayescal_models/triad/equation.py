@@ -18,7 +18,11 @@ import bayescal as bc
 AXES = ("x", "y", "z")
 BIAS = tuple(f"bias_{a}" for a in AXES)
 SCALE = tuple(f"scale_{a}" for a in AXES)
-UPPER = ("misalignment_xy", "misalignment_xz", "misalignment_yz")  # of the first axis toward the second
+UPPER = (
+    "misalignment_xy",
+    "misalignment_xz",
+    "misalignment_yz",
+)  # of the first axis toward the second
 LOWER = ("misalignment_yx", "misalignment_zx", "misalignment_zy")
 FIRST = tuple(f"scale_{i}" if i == j else f"misalignment_{i}{j}" for i in AXES for j in AXES)
 SQUARE = tuple(f"square_{a}" for a in AXES)
@@ -29,7 +33,10 @@ def slots(unit: str, acts: str) -> tuple[bc.Slot, ...]:
     """The slots of three axes whose outputs are in `unit`; `acts` says of what, for people."""
     return (
         *(bc.Slot(name, unit, f"output of axis {name[-1]} at no {acts}") for name in BIAS),
-        *(bc.Slot(name, "1", f"deviation of the scale factor of axis {name[-1]}") for name in SCALE),
+        *(
+            bc.Slot(name, "1", f"deviation of the scale factor of axis {name[-1]}")
+            for name in SCALE
+        ),
         *(
             bc.Slot(name, "rad", f"angle of axis {name[-2]} toward {name[-1]}")
             for name in (*UPPER, *LOWER)
@@ -40,8 +47,14 @@ def slots(unit: str, acts: str) -> tuple[bc.Slot, ...]:
 def second_order(unit: str) -> tuple[bc.Slot, ...]:
     """Further slots, of terms of second order."""
     return (
-        *(bc.Slot(name, f"1/{unit}", f"of axis {name[-1]}, times its own input squared") for name in SQUARE),
-        *(bc.Slot(name, f"1/{unit}", f"of axis {name[6]}, times {name[8]} and {name[9]}") for name in CROSS),
+        *(
+            bc.Slot(name, f"1/{unit}", f"of axis {name[-1]}, times its own input squared")
+            for name in SQUARE
+        ),
+        *(
+            bc.Slot(name, f"1/{unit}", f"of axis {name[6]}, times {name[8]} and {name[9]}")
+            for name in CROSS
+        ),
     )
 
 
@@ -59,7 +72,9 @@ def equation(given: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
         if second is None:
             return total
         square, cross = second
-        products = jnp.stack([force[:, i] * force[:, j] for i, j in ((0, 1), (0, 2), (1, 2))], axis=1)
+        products = jnp.stack(
+            [force[:, i] * force[:, j] for i, j in ((0, 1), (0, 2), (1, 2))], axis=1
+        )
         return total + square * force**2 + jnp.sum(cross * products[:, None, :], axis=2)
 
     return outputs

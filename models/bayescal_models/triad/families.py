@@ -53,7 +53,9 @@ def family(
         slots[0],
         basis=partial(basis, len(slots)),
         coefficients=tuple(
-            bc.Coefficient(unit, bc.Normal(0.0, size), part=slot.partition("_")[2], slot=slot, **learned)
+            bc.Coefficient(
+                unit, bc.Normal(0.0, size), part=slot.partition("_")[2], slot=slot, **learned
+            )
             for slot in slots
         ),
         equation=equation,
@@ -87,10 +89,22 @@ def _powered(order: int, count: int, r: bc.Frame) -> Any:
 def drift(name: str, slots: Sequence[str], size: float, unit: str, source: str) -> bc.Effect:
     """c·(t − t̄)/(tmax − tmin) for each of some slots."""
     return family(
-        name, slots, size, unit, source, basis=_progress, equation="c·progress", columns=("time",), varies=("time",)
+        name,
+        slots,
+        size,
+        unit,
+        source,
+        basis=_progress,
+        equation="c·progress",
+        columns=("time",),
+        varies=("time",),
     )
 
 
 def unknown_directions(readings: bc.Measurements) -> str | None:
     """Why a rotation of the triad moves no reading."""
-    return None if readings.has("across_x") else "needs poses of known direction (direction_x, …, pose_uncertainty)"
+    return (
+        None
+        if readings.has("across_x")
+        else "needs poses of known direction (direction_x, …, pose_uncertainty)"
+    )

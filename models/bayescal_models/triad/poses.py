@@ -24,7 +24,9 @@ def directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
     elif kind == "six":
         made = np.resize(np.concatenate([np.eye(3), -np.eye(3)]), (count, 3))
     elif kind == "twelve":
-        pairs = [(i, j, s, t) for i, j in ((0, 1), (0, 2), (1, 2)) for s in (1, -1) for t in (1, -1)]
+        pairs = [
+            (i, j, s, t) for i, j in ((0, 1), (0, 2), (1, 2)) for s in (1, -1) for t in (1, -1)
+        ]
         made = np.zeros((12, 3))
         for row, (i, j, s, t) in zip(made, pairs, strict=True):
             row[i], row[j] = s, t
@@ -33,8 +35,13 @@ def directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
         angle = rng.uniform(0, 2 * np.pi, count)
         made = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
     elif kind == "level":
-        tilt, way = np.deg2rad(10) * np.sqrt(rng.uniform(size=count)), rng.uniform(0, 2 * np.pi, count)
-        made = np.column_stack([np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), np.cos(tilt)])
+        tilt, way = (
+            np.deg2rad(10) * np.sqrt(rng.uniform(size=count)),
+            rng.uniform(0, 2 * np.pi, count),
+        )
+        made = np.column_stack(
+            [np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), np.cos(tilt)]
+        )
     else:
         raise ValueError(f"poses {kind!r} are not one of {', '.join(KINDS)}")
     return made / np.linalg.norm(made, axis=1)[:, None]
