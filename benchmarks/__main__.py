@@ -10,6 +10,7 @@ from benchmarks.speed import page
 MODULES = {  # each name's module, with `main()`, in the order in which all are run
     "certified": "accuracy.certified",
     "thermal_ramp": "real_records.thermal_ramp",
+    "records_of_others": "real_records.records_of_others",
     "false_discoveries": "hidden_effects.false_discoveries",
     "coverage": "accuracy.coverage",
     "compensation": "instruments.compensation",

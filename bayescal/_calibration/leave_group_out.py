@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import fdtrc
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.part import Part
@@ -37,6 +39,7 @@ class LeaveOneGroupOut:
         surprise: of each group, rms of its whitened residuals over what the other groups expect of it, their
             uncertainty of the model and of a new group's deviations included (g,); about 1 if the model is right, NaN
             for groups of fewer than 5 readings.
+        by_chance: probability of so large a surprise in a group, if the model is right (g,); NaN where that is.
     """
 
     group: str
@@ -44,6 +47,7 @@ class LeaveOneGroupOut:
     log_score: np.ndarray
     residual: np.ndarray
     surprise: np.ndarray
+    by_chance: np.ndarray
 
     @property
     def rmse(self) -> float:
@@ -82,40 +86,82 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
     mode, whole = calibration.mode, calibration.assembly
     # Products of all readings, once: a part's are these less the others'.
     _ = Density(whole, mode.point, mode.flat, mode.v).products
-    scores, surprise = np.full((2, len(members)), np.nan)
+    scores, surprise, by_chance = np.full((3, len(members)), np.nan)
     residual = np.full(len(codes), np.nan)
     for i in range(len(members)):
         out = np.flatnonzero(codes == i)
         found = _fold(whole, mode, np.flatnonzero(codes != i), out)
-        scores[i], surprise[i], residual[out] = found
-    return LeaveOneGroupOut(kind, members, scores, residual, surprise)
+        if found is None:
+            continue
+        scores[i], residual[out] = found.log_score, found.residual
+        if len(out) >= FEW:
+            surprise[i] = math.sqrt(found.squares / found.spectrum.sum())
+            by_chance[i] = found.by_chance(len(codes) - len(out), len(members) - 1)
+    return LeaveOneGroupOut(kind, members, scores, residual, surprise, by_chance)
 
 
-def _fold(
-    whole: Assembly, mode: Mode, kept: np.ndarray, out: np.ndarray
-) -> tuple[float, float, np.ndarray | float]:
-    """Log density, surprise and residuals of the readings left out, given the kept; no number where these say nothing.
+class _Fold(NamedTuple):
+    """Readings left out, as the kept ones predict them.
 
-    Whitened residuals have the expected sum of squares n + tr(A·C·Aᵀ), A the whitened columns and C the covariance of x
-    given the kept readings.
+    Attributes:
+        log_score: joint log predictive density.
+        residual: output unit.
+        squares: of the whitened residuals, rᵀr.
+        spectrum: eigenvalues λ of their covariance I + A·C·Aᵀ, of which Σλ is expected of rᵀr.
     """
+
+    log_score: float
+    residual: np.ndarray
+    squares: float
+    spectrum: np.ndarray
+
+    def by_chance(self, readings: int, groups: int) -> float:
+        """Probability of squares as large, if what was learnt of so many readings and groups is right.
+
+        rᵀr/Σλ is about χ²(ν)/ν with ν = (Σλ)²/Σλ² (F. Satterthwaite, Biometrics Bull. 2 (1946) 110); Σλ was itself
+        estimated, its part of the noise from the readings kept, the rest at worst from a standard deviation between as
+        many groups less one: so an F distribution.
+        """
+        whole, noise = float(self.spectrum.sum()), float(len(self.residual))
+        own = whole**2 / float(np.sum(self.spectrum**2))
+        rest = (whole - noise) ** 2 / max(groups - 1, 1)
+        known = whole**2 / (noise**2 / readings + rest)
+        return float(fdtrc(own, known, self.squares / whole))
+
+
+def _fold(whole: Assembly, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fold | None:
+    """The readings left out, given the kept; None where these say nothing."""
     fitted, predicted = (_density(whole, mode, rows) for rows in (kept, out))
     v, _ = climb(fitted, [mode.v], mode.covariance, NOTHING_LEFT)
+    given = _given(fitted, predicted, v)
+    # What is expected of a group has the standard deviation between groups of them all: a few that are alike by chance
+    # would say that there is none.
+    between = np.array(whole.kinds) == "group_sd"
+    of_all = _given(fitted, predicted, np.where(between, np.maximum(v, mode.v), v))
+    if given is None or of_all is None:
+        return None
+    size = len(mode.point.x)
+    unit = Prior(np.zeros(size), np.ones(size), np.ones(size))
+    joint = condition(given[1], len(out), unit, np.zeros(size))
+    # I + A·C·Aᵀ, A the whitened columns and C = L·Lᵀ the covariance of x: of its n eigenvalues those of Lᵀ·Aᵀ·A·L are
+    # what it has above one.
+    spectrum = np.ones(len(out))
+    above = np.sort(np.linalg.eigvalsh(of_all[1].jtj))[::-1][: len(out)]
+    spectrum[: len(above)] += np.maximum(above, 0.0)
+    score = np.nan if joint is None else joint.log_marginal
+    return _Fold(score, given[0], of_all[1].rtr, spectrum)
+
+
+def _given(fitted: Density, predicted: Density, v: np.ndarray) -> tuple[np.ndarray, Gram] | None:
+    """Errors of the readings left out, output unit, and their products with the posterior of x from the kept readings
+    as a prior of unit normals."""
     found = fitted.at(v)[1]
     if found is None:
-        return np.nan, np.nan, np.nan
+        return None
     centred, table, logdet = predicted.whitened(v, found.mean)
-    # The posterior of x from the kept readings as a prior of unit normals.
-    size = len(mode.point.x)
     turned = table[:, :-1] @ found.root
     pull = turned.T @ table[:, -1]
-    gram = Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
-    unit = Prior(np.zeros(size), np.ones(size), np.ones(size))
-    joint = condition(gram, len(out), unit, np.zeros(size))
-    surprise = np.nan
-    if len(out) >= FEW:
-        surprise = math.sqrt(gram.rtr / (len(out) + np.trace(gram.jtj)))
-    return np.nan if joint is None else joint.log_marginal, surprise, centred
+    return centred, Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
 
 
 def _density(whole: Assembly, mode: Mode, rows: np.ndarray) -> Density:

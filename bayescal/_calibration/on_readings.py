@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,14 +84,45 @@ def pointwise(assembly: Assembly, draws: Vectors) -> Float[np.ndarray, "b n"]:
 
 @on_one_thread
 def replicate(
-    assembly: Assembly, draws: Vectors, random: np.random.Generator
+    assembly: Assembly,
+    draws: Vectors,
+    random: np.random.Generator,
+    members: Mapping[str, np.ndarray] | None = None,
 ) -> Float[np.ndarray, "b n"]:
-    """Readings simulated by the model's own equation and noise, from each draw once."""
+    """Readings simulated by the model's own equation and noise, from each draw once.
+
+    Args:
+        assembly: the model on the readings.
+        draws: joint ones.
+        random: of the noise.
+        members: by group, a code of each reading's member (n,): of those that the fit does not know, and of readings
+            with coefficients of their own, deviations are drawn from their prior. None where all are known.
+    """
     found = np.empty((len(draws.x), assembly.record.size))
     for part, some, hyper in _stretches(assembly, draws):
-        mean = expected(assembly, some.x, some.rows, hyper)
+        if members is None:
+            mean = expected(assembly, some.x, some.rows, hyper)
+        else:
+            mean = _with_new_members(assembly, some, hyper, random, members)
         found[part] = _with_noise(assembly, mean, hyper, random)
     return found
+
+
+def _with_new_members(
+    assembly: Assembly,
+    draws: Vectors,
+    hyper: Each,
+    random: np.random.Generator,
+    members: Mapping[str, np.ndarray],
+) -> Float[np.ndarray, "b n"]:
+    """Expected outputs, each unknown member's deviation drawn once for each draw."""
+    own = _of_their_own(assembly)
+    mean, slopes = expected_with_slopes(assembly, draws.x, draws.rows, hyper, own)
+    for t, slope in zip(own, slopes, strict=True):
+        codes = np.arange(mean.shape[1]) if t.place == "row" else members[str(t.known.per)]
+        normal = random.standard_normal((len(mean), int(codes.max()) + 2))[:, codes]  # −1: the last
+        mean = mean + slope * normal * _own_sd(assembly, draws, hyper, t)
+    return mean
 
 
 def _stretches(assembly: Assembly, draws: Vectors) -> Iterator[tuple[slice, Vectors, Each]]:
@@ -106,19 +137,27 @@ def _stretches(assembly: Assembly, draws: Vectors) -> Iterator[tuple[slice, Vect
 
 def _with_beside(assembly: Assembly, draws: Vectors, hyper: Each) -> tuple[np.ndarray, Any]:
     """Expected output, and its variance from per-reading coefficients and from members that are not known."""
-    own = [t for t in assembly.terms if t.place == "row" or _unseen(assembly, t).any()]
+    own = _of_their_own(assembly)
     if not own:
         return expected(assembly, draws.x, draws.rows, hyper), 0.0
     mean, slopes = expected_with_slopes(assembly, draws.x, draws.rows, hyper, own)
     beside = np.zeros_like(mean)
     for t, slope in zip(own, slopes, strict=True):
-        if t.place == "row":
-            beside += (slope * t.prior_sd) ** 2
-        else:
-            spread = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name][:, None]
-            spread = spread * _there(assembly, draws, t)[:, None]
-            beside += np.where(_unseen(assembly, t), (slope * spread) ** 2, 0.0)
+        beside += (slope * _own_sd(assembly, draws, hyper, t)) ** 2
     return mean, beside
+
+
+def _of_their_own(assembly: Assembly) -> list[Term]:
+    """Terms of single readings, and of members that are not known to some of them."""
+    return [t for t in assembly.terms if t.place == "row" or _unseen(assembly, t).any()]
+
+
+def _own_sd(assembly: Assembly, draws: Vectors, hyper: Each, term: Term) -> Any:
+    """Standard deviation of such a term's coefficient: zero at readings whose member is known."""
+    if term.place == "row":
+        return term.prior_sd
+    sd = term.prior_sd if term.group_sd_name is None else hyper[term.group_sd_name][:, None]
+    return np.where(_unseen(assembly, term), sd * _there(assembly, draws, term)[:, None], 0.0)
 
 
 def _there(assembly: Assembly, draws: Vectors, term: Term) -> Float[np.ndarray, "b"]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.mixture import with_columns
-from bayescal._calibration.on_readings import Vectors, moments
+from bayescal._calibration.on_readings import Vectors, moments, replicate
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import going_on, run_codes
 from bayescal._inference.noise_on_record import variance
@@ -97,11 +97,7 @@ def predict(
     if same_record:
         new_groups = False
     if new_groups:
-        frame = eqx.tree_at(
-            lambda f: f.codes,
-            frame,
-            {k: c if k == "axis" else -jnp.ones_like(c) for k, c in frame.codes.items()},
-        )
+        frame = _of_new_groups(frame)
     going = (
         {}
         if known or same_record or not new_groups
@@ -110,6 +106,43 @@ def predict(
     if going:
         return _continued(calibration, readings, draws)
     return _predicted(calibration, readings, frame, known and not new_groups, same_record, draws)
+
+
+def replicates(
+    calibration: Calibration, readings: Measurements, draws: int, seed: int
+) -> Float[np.ndarray, "draws n"]:
+    """Readings as a calibration expects them, simulated once from each draw: new runs, cells and devices as `predict`
+    has them, with deviations of their own; readings that go on with a fitted run have its deviation, and correlated
+    noise that is not told by its past."""
+    calibration, random = with_columns(calibration, readings.columns), np.random.default_rng(seed)
+
+    def made(some: Measurements, frame: Frame) -> np.ndarray:
+        x, rows, v = calibration.draws(draws)
+        rows = np.zeros((len(x), len(some), rows.shape[2]))
+        members = {per: some.groups(per)[1] for per in frame.codes}
+        return replicate(calibration.assembly_on(some, frame), Vectors(x, rows, v), random, members)
+
+    runs, at = going_on(calibration.readings, readings)
+    if not runs:
+        return made(readings, _of_new_groups(calibration.frame_of(readings)))
+    fitted, later = calibration.readings, np.sort(np.concatenate([*runs.values()]))
+    names, codes = run_codes(fitted)
+    past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
+    whole = fitted.select(past).followed_by(readings.with_column("time", at).select(later))
+    parts = {0: (later, made(whole, calibration.frame_of(whole))[:, len(past) :])}
+    if len(rest := np.setdiff1d(np.arange(len(readings)), later)):
+        others = readings.select(rest)
+        parts[1] = (rest, made(others, _of_new_groups(calibration.frame_of(others))))
+    found = np.empty((len(parts[0][1]), len(readings)))
+    for rows, values in parts.values():
+        found[:, rows] = values
+    return found
+
+
+def _of_new_groups(frame: Frame) -> Frame:
+    """Every run, cell and device one that the fit has not seen; an axis is part of its instrument."""
+    codes = {k: c if k == "axis" else -jnp.ones_like(c) for k, c in frame.codes.items()}
+    return eqx.tree_at(lambda f: f.codes, frame, codes)
 
 
 def _predicted(

@@ -79,9 +79,11 @@ class GuardSettings(OutcomeSettings):
         outlier: leave-one-out standard deviations, of which a thousand normal readings have none.
         same_covariate: rank correlation from which two covariates are taken for one.
         within: of the squares of a step between runs, that lie within runs where it is one between them.
-        worse: error against that of an earlier step, above which the step does harm: a twentieth, what chance alone
-            makes of an error known from 200 readings.
-        expected: times the error that a model expects of hold-out data, beyond which they are of something else.
+        worse: error against that of an earlier step, or of other coefficients, above which it matters: below a
+            twentieth no use of a result changes.
+        chance: p-value below which hold-out data contradict a result, two or three tests of it each time: of right
+            results a few in a hundred are refused (benchmarks/hidden_effects/README.md).
+        expected: times the scatter that a model expects of hold-out data, beyond which they are of something else.
         surprised: times what the other groups expect of one, beyond which it is not like them.
         conflict: prior standard deviations from the prior's mean, beyond which readings and prior contradict each
             other.
@@ -108,6 +110,7 @@ class GuardSettings(OutcomeSettings):
     same_covariate: float = 0.95
     within: float = 0.05
     worse: float = 1.05
+    chance: float = 0.01
     expected: float = 2.0
     surprised: float = 3.0
     conflict: float = 4.0

@@ -52,6 +52,7 @@ def calibrate(
     seed: options.Seed = 0,
     out: options.Folder = None,
     verbose: options.Verbose = False,
+    output_unit: options.OutputUnit = None,
     json_: options.Json = False,
 ) -> None:
     """The whole loop: fit, see where it fails, find what is missing, add it, see the error fall.
@@ -72,7 +73,9 @@ def calibrate(
     of_search = SearchSettings(finer_noise=finer_noise)
     with use_settings(of_search), deadline.until(time_limit, apart=True):
         if channels is None:
-            _one(asked, holdout, method, out, json_, settings, verbose)
+            _one(asked, holdout, method, out, json_, settings, verbose, output_unit)
+        elif output_unit is not None:
+            raise InputError("--output-unit is of one output: leave it out, or --channels")
         else:
             _several(options.channel_names(channels), asked, holdout, method, out, json_, settings)
 
@@ -220,6 +223,7 @@ def _one(
     json_: bool,
     settings: dict[str, Any],
     verbose: bool,
+    output_unit: str | None,
 ) -> None:
     """One output."""
     from bayescal._cli import request
@@ -234,6 +238,11 @@ def _one(
     kept = request.open_kept(holdout, chosen, asked)
     print_notes(readings.flags)
     own = request.own_effects(asked.choice, model.instrument, readings)
+    if output_unit is not None:
+        from bayescal._report.in_output_unit import OutputUnit
+
+        scale = readings.scale or model.instrument.nominal_scale
+        OutputUnit.new(output_unit, readings.unit("output") or "1", scale)
     with result_folder(out) as folder:
         from bayescal._cli.output import ConsoleReporter, loop_text
         from bayescal._report.under_way import earlier
@@ -263,7 +272,9 @@ def _one(
                 trail.save(folder)
             flags = trail.final.calibration.readings.flags
             print_notes(f for f in flags if f not in readings.flags)
-            print_result(result(trail) if json_ else loop_text(trail, own, told.begun, verbose))
+            print_result(
+                result(trail) if json_ else loop_text(trail, own, told.begun, verbose, output_unit)
+            )
             if folder is not None and not json_:
                 there = files_of(folder)
                 usual = ("result.json", "calibration.nc", AVERAGED, "loop.png")

@@ -303,6 +303,7 @@ def report(
     ] = None,
     rule: options.Rule = "guarded",
     false_accept: options.FalseAccept = 0.025,
+    output_unit: options.OutputUnit = None,
     own: OwnParts,
     json_: options.Json = False,
 ) -> None:
@@ -320,7 +321,14 @@ def report(
             rule=rule,  # pyright: ignore[reportArgumentType]  refused there if it is none
             false_accept=false_accept,
         )
-    written = bc.report(given, out, title=title, certificate=stated, decisions=decided)
+    written = bc.report(
+        given,
+        out,
+        title=title,
+        certificate=stated,
+        decisions=decided,
+        output_unit=output_unit,
+    )
     reasons = [reason for c in given for reason in c.data["verdict"]["reasons"]]
     print_result({"file": str(written), "chapters": len(given)} if json_ else f"written: {written}")
     exit_unless(all(c.data["verdict"]["ok"] for c in given), " ".join(reasons))

@@ -301,6 +301,15 @@ Verbose = Annotated[
     bool,
     typer.Option("--verbose", help="With all candidates of every step, and drafts of effects."),
 ]
+OutputUnit = Annotated[
+    str | None,
+    typer.Option(
+        "--output-unit",
+        help="Errors and coefficients in this unit of the output too, such as the file's mV; raw units by the nominal "
+        "scale. JSON stays as it is.",
+        show_default=False,
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 
 

@@ -23,7 +23,9 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.unknown_effect import covariate_in
+from bayescal._report.in_output_unit import in_output_unit
 from bayescal._report.result_json import clean
+from bayescal._report.section import of_trail
 from bayescal._report.under_way import Keeper
 from bayescal._search.calibrate import SearchPath
 from bayescal._search.channels import Channels
@@ -190,6 +192,7 @@ def loop_text(
     own: Sequence[Effect] = (),
     begun: bool = False,
     verbose: bool = False,
+    output_unit: str | None = None,
 ) -> str:
     """`calibrate` from its first model to its last.
 
@@ -198,6 +201,7 @@ def loop_text(
         own: effects of the user's own.
         begun: the first table stands already.
         verbose: with all candidates of every step, and drafts of effects.
+        output_unit: in which errors and coefficients are said once more.
     """
     final = trail.final
     parts = [""] if begun else [first_text(trail)]
@@ -212,6 +216,9 @@ def loop_text(
         )
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
     parts.append(f"COEFFICIENTS\n\n{final.calibration}")
+    if output_unit is not None:
+        shown = in_output_unit(of_trail(trail), output_unit)
+        parts.append(f"IN {unit_label(output_unit)}\n\n{shown}")
     if averaged := averaged_text(trail):
         parts.append(averaged)
     if trail.ending:

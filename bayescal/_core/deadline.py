@@ -9,21 +9,21 @@ call behind.
 from __future__ import annotations
 
 import math
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import dataclass, field, replace
+from types import FrameType
 from typing import Any, TypeVar
 
 from bayescal._core.errors import TimeIsUp
 
 TICK = 0.02  # s between looks at the clock
 LATE = 0.2  # s beyond the deadline, in which work may end by itself;
-OUTERMOST = (
-    0.8  # at the door of all, of the 2 s that Ctrl-C may take: the rest is for writing the result;
-)
+OUTERMOST = 0.4  # more at the door of all, of the 2 s that Ctrl-C may take: writing takes the rest
 FIRST = 4.0  # where a time limit has passed and nothing stands yet, of the 5 s that it may be exceeded by
 T = TypeVar("T")
 
@@ -95,15 +95,50 @@ def until(
     outer = current()
     ends_at = math.inf if limit is None else time.monotonic() + limit
     sooner = ends_at < outer.ends_at
-    with _holding(
-        Deadline(
-            ends_at if sooner else outer.ends_at,
-            words.format(limit) if sooner else outer.limit,
-            apart or sooner or outer.apart,
-            threading.Event() if outer is _NONE else outer.ended,
-        )
-    ) as made:
+    made = Deadline(
+        ends_at if sooner else outer.ends_at,
+        words.format(limit) if sooner else outer.limit,
+        apart or sooner or outer.apart,
+        threading.Event() if outer is _NONE else outer.ended,
+    )
+    with _holding(made), _ended_by_ctrl_c(made):
         yield made
+
+
+@contextmanager
+def _ended_by_ctrl_c(end: Deadline) -> Iterator[None]:
+    """Ctrl-C sets `ended` of a deadline whose work is apart, and raises KeyboardInterrupt too where none has begun.
+
+    By itself Python raises it wherever the main thread stands. In a callback that cannot raise, such as JAX's at each
+    collection of garbage, it is printed and lost; while JAX is loaded it ends the process by a signal. So it waits
+    until the thread is out of JAX.
+    """
+    own = threading.current_thread() is threading.main_thread()
+    if not (end.apart and own and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
+        yield
+        return
+
+    def pressed(_: int, frame: FrameType | None) -> None:
+        if not _begun.is_set() and _in_jax(frame):
+            threading.Timer(TICK, signal.raise_signal, (signal.SIGINT,)).start()
+            return
+        again = end.interrupted
+        end.ended.set()
+        if again or not _begun.is_set():
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, pressed)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        _begun.clear()
+
+
+def _in_jax(frame: FrameType | None) -> bool:
+    while frame is not None and not str(frame.f_globals.get("__name__")).startswith("jax"):
+        frame = frame.f_back
+    return frame is not None
 
 
 @contextmanager
@@ -166,6 +201,7 @@ class Handover:
 
 _DOOR: ContextVar[Handover | None] = ContextVar("door", default=None)
 _threads: list[threading.Thread] = []
+_begun = threading.Event()  # work apart: Ctrl-C need not be raised, for its end is waited for
 
 
 def door() -> Handover:
@@ -235,6 +271,8 @@ def _apart(work: Callable[[], T], give_up: Callable[[float], bool]) -> T:
 
     thread = threading.Thread(target=copy_context().run, args=(run,), name="bayescal")
     _threads[:] = [t for t in _threads if t.is_alive()] + [thread]
+    if threading.current_thread() is threading.main_thread():
+        _begun.set()
     thread.start()
     since = math.inf  # when the time was found to be up
     while not done.is_set():
@@ -243,7 +281,7 @@ def _apart(work: Callable[[], T], give_up: Callable[[float], bool]) -> T:
                 since = min(since, time.monotonic()) if end.over else math.inf
                 if give_up(time.monotonic() - since):
                     raise TimeIsUp(end.why)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt:  # a second one, or a first where another has the signal
             if end.interrupted:
                 raise
             end.ended.set()

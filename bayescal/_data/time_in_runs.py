@@ -82,6 +82,12 @@ def going_on(fitted: Measurements, later: Measurements) -> tuple[dict[str, np.nd
     return found, at
 
 
+def rate_window(step: np.ndarray) -> float:
+    """The time, s, whose slope a rate is: a minute, or the usual step between readings, if longer."""
+    steps = step[step > 0]
+    return max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0)
+
+
 def causal_slope(
     time: np.ndarray, values: np.ndarray, order: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
@@ -91,8 +97,7 @@ def causal_slope(
     soak before a tumble, for the change over hours says nothing of the rate now. Linear in the readings.
     """
     t, y, here = time[order], values[order], np.arange(time.size)
-    steps = step[step > 0]
-    window = max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0) * (1 + 1e-9)
+    window = rate_window(step) * (1 + 1e-9)
     begins = np.flatnonzero(step < 0)
     first = np.empty(t.size, dtype=int)  # reading of each window, one of an earlier time at least
     for low, high in itertools.pairwise([*begins, t.size]):

@@ -53,7 +53,7 @@ class BatchPart:
         devices: their places in the batch.
         names, units: of the unknowns.
         mean: (b, q), in these units.
-        covariance: (b, q, q); NaN for what is held at its estimate (noise and spreads, by least squares).
+        covariance: (b, q, q); NaN for what is held at its estimate (standard deviations, by least squares).
     """
 
     devices: np.ndarray

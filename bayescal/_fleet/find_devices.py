@@ -88,7 +88,7 @@ def search_device(
     structure = DeviceStructure(
         sorted(chosen.effects),
         chosen.noise,
-        posterior.nothing,
+        posterior.nothing(),
         {n: p for n, p in inclusion.items() if p > LEAST},
         [list(finding.effects) for finding in posterior.findings],
         {n: float(expit(odds)) for n, odds in structures.log_odds.items()},

@@ -98,7 +98,8 @@ def fit_batch(
         readings: `split_devices(…)`, paths of files with a column `device`, or measurements, one a device (a mapping
             names them). With `out`: paths, of folders too.
         method: `LeastSquares()` if not given; or `Marginal()`, by importance sampling alone.
-        population: True for all coefficients that a device has one of, or names, or names with priors of their spreads.
+        population: True for all coefficients that a device has one of, or names, or names with priors of their standard
+            deviations between devices.
         seed: of every random number.
         chunk: devices fitted at once at most, which bounds memory.
         reference: constants of the bases, in place of each device's own; a population sets T0 to that of all readings.

@@ -55,10 +55,10 @@ STARTS = (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)  # of log(τ/scale), where its mode 
 STEPS = 3  # of Newton at the mode
 NUDGE, SIDES = 1e-5, np.array([-1.0, 1.0])  # of v, for the slopes of priors
 
-Spread = HalfNormal | HalfCauchy | Flat  # prior of a standard deviation between devices
-Named = Mapping[str, tuple[Coefficient, Spread]]  # a population's coefficients by name
+GroupSdPrior = HalfNormal | HalfCauchy | Flat  # prior of a standard deviation between devices
+Named = Mapping[str, tuple[Coefficient, GroupSdPrior]]  # a population's coefficients by name
 AskedPopulation = (
-    bool | Sequence[str] | Mapping[str, Spread]
+    bool | Sequence[str] | Mapping[str, GroupSdPrior]
 )  # which those are: all, or some, or with priors
 COLUMNS = ("coefficient", "mean", "mean_sd", "spread", "spread_sd", "unit")
 
@@ -96,8 +96,8 @@ class Population:
         return f"{head}{'' if self.ok else ': ' + self.reason}\n{self.table.to_string(index=False)}"
 
 
-def chosen(model: Model, asked: AskedPopulation) -> dict[str, tuple[Coefficient, Spread]]:
-    """The coefficients of a population, each with the prior of its spread.
+def chosen(model: Model, asked: AskedPopulation) -> dict[str, tuple[Coefficient, GroupSdPrior]]:
+    """The coefficients of a population, each with the prior of its standard deviation between devices.
 
     Raises:
         ModelError: a name is none of the model's single coefficients.

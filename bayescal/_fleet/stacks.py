@@ -24,6 +24,7 @@ from bayescal._model.frame import (
     build_frame,
     reference_name,
     reference_of,
+    rounded_means,
 )
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, Levels, bind
@@ -192,10 +193,11 @@ def _matrices(
     columns = {name: block.values[name][rows] for name in numbers}
     scalars = {}
     for name in numbers:
+        low, high = columns[name].min(axis=1), columns[name].max(axis=1)
         if block.units[name] == "degC":
             mean = np.sum(columns[name] * real, axis=1) / counts
-            scalars[reference_name(name)] = np.round(mean)
+            sd = np.sqrt(np.sum((columns[name] - mean[:, None]) ** 2 * real, axis=1) / counts)
+            scalars[reference_name(name)] = rounded_means(mean, sd, low, high)
         if name not in ("output", UNCERTAINTY):
-            scalars[f"{name}_low"] = columns[name].min(axis=1)
-            scalars[f"{name}_high"] = columns[name].max(axis=1)
+            scalars |= {f"{name}_low": low, f"{name}_high": high}
     return columns, real, scalars

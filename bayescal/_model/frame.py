@@ -241,12 +241,26 @@ def reference_of(readings: Measurements) -> Reference:
 
 
 def _round_middle(values: np.ndarray) -> float:
-    """The mean, to the fewest decimal places that keep it in the record and within a tenth of its spread."""
-    mean, low, high = float(np.mean(values)), float(np.min(values)), float(np.max(values))
-    near = 0.1 * float(np.std(values))
-    rounded = (round(mean, places) for places in range(16))
-    kept = (r for r in rounded if abs(r - mean) <= near and low <= r <= high)
-    return next(kept, min(max(mean, low), high))
+    row = values[None]
+    return float(rounded_means(row.mean(1), row.std(1), row.min(1), row.max(1))[0])
+
+
+def rounded_means(
+    mean: np.ndarray, sd: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> Float[np.ndarray, "d"]:
+    """Means of records, each to the fewest decimal places that keep it in the record and within 0.1 sd.
+
+    Args:
+        mean, sd, low, high: of the values of each record, (d,).
+    """
+    rounded, left = np.clip(mean, low, high), np.ones(len(mean), dtype=bool)
+    for places in range(16):
+        near = np.round(mean, places)
+        kept = left & (abs(near - mean) <= 0.1 * sd) & (low <= near) & (near <= high)
+        rounded[kept], left = near[kept], left & ~kept
+        if not left.any():
+            break
+    return rounded
 
 
 def build_frame(

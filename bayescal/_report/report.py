@@ -20,6 +20,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._report import figures, sentences, tables
 from bayescal._report.certificate import Certificate, read_certificate
+from bayescal._report.in_output_unit import rows_in_output_unit
 from bayescal._report.plot_search import is_quiet
 from bayescal._report.section import Chapter, chapters, taken
 from bayescal._report.under_way import RESULT
@@ -38,6 +39,7 @@ def report(
     effects: Iterable[Effect] = (),
     certificate: str | Path | Certificate | None = None,
     decisions: Decisions | None = None,
+    output_unit: str | None = None,
 ) -> Path:
     """Write the report for sign-off.
 
@@ -52,13 +54,15 @@ def report(
         certificate: TOML file of what a certificate states beside the numbers: device, serial number, place,
             operator, ambient conditions, standards, dates.
         decisions: about limits, as `bc.decide` made them: they stand before everything else, with their rule.
+        output_unit: in which errors and coefficients are said once more, such as the file's mV; of the raw output by
+            the nominal scale.
 
     Returns:
         The path.
 
     Raises:
         InputError: nothing to report of, another suffix, a place that cannot be written to, or a certificate that
-            states something unknown; a folder's result that is not as it was written.
+            states something unknown; a folder's result that is not as it was written; an output in no such unit.
     """
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
@@ -74,7 +78,7 @@ def report(
         stated = read_certificate(stated)
     found = chapters(taken(given), effects)
     try:
-        text = page(found, title, stated, decisions)
+        text = page(found, title, stated, decisions, output_unit)
     except (
         TemplateError,
         LookupError,
@@ -98,6 +102,7 @@ def page(
     title: str = "",
     certificate: Certificate | None = None,
     decisions: Decisions | None = None,
+    output_unit: str | None = None,
 ) -> str:
     """The report as HTML."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # only a report needs it
@@ -125,6 +130,8 @@ def page(
         k=tables.K,
         certificate=certificate.rows() if certificate else [],
         decisions=decisions,
+        output_unit=output_unit,
+        in_output_unit=[rows_in_output_unit(c, output_unit) if output_unit else [] for c in found],
         decided=[] if decisions is None else [decision_cells(d) for d in decisions.decisions],
     )
 

@@ -133,8 +133,8 @@ def unexplained(chapter: Chapter) -> list[str]:
         said.append("What is missing was not asked: the last fit did not converge.")
     else:
         said.append(
-            "Probability that the model is complete, that is, that no candidate is missing: "
-            f"{last.get('unstated') or probability(last['nothing_missing_probability'])}."
+            "Probability that the model is complete, that is, that no candidate that these readings can show is "
+            f"missing: {last.get('unstated') or probability(last['nothing_missing_probability'])}."
         )
         for kind in ("finding", "lead"):
             names = [c["effect"] for c in last["candidates"] if c["kind"] == kind]

@@ -15,6 +15,7 @@ from bayescal._calibration.check import check
 from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.fit import fit
 from bayescal._calibration.guards import contradictions
+from bayescal._calibration.holdout_test import HoldoutTest
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
@@ -419,7 +420,9 @@ def step_of(
         rmse=predict(calibration).rmse,
         rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
         holdout_rmse=None if kept is None else kept.rmse,
-        holdout_sd=None if kept is None else float(np.sqrt(np.mean(kept.sd**2))),
+        holdout_test=None
+        if kept is None or holdout is None
+        else HoldoutTest(calibration, holdout, kept),
         left_out=leave_one_group_out(calibration),
         noise_floor=floor,
         check=checked,

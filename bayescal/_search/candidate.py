@@ -62,6 +62,11 @@ class Candidate:
         """Whether it is an unknown function of a covariate rather than an effect with a name."""
         return covariate_in(self.effect) is not None
 
+    @property
+    def unseen(self) -> bool:
+        """Whether these readings say nothing of it, so that it may well be there."""
+        return self.kind in ("not visible", "not testable")
+
 
 def judge(
     library: Library, points: Sequence[ScoredPoint], at: Weighed, with_it: Weighed | None

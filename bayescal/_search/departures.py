@@ -2,18 +2,21 @@
 
 With enough readings a free curve would imitate such a law better than its formula does, and be found in its place. A
 departure is a hundredth to a third of what the effect contributes beyond what the rest of the model can take up: too
-small to stand in for another effect. An effect has one or not with the same prior probability.
+small to stand in for another effect. An effect has one or not with the same prior probability, and
+none where it could be a candidate of another covariate.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
 
+from bayescal._calibration.settings import searching
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.unit_conversion import unit_label
@@ -25,6 +28,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.instrument import slot_of
 from bayescal._model.unknown_effect import LENGTHS, process_weights
 
+SEEN = 1e-10  # of the curves' largest square, below which a direction of them is rounding
 LEAST_LEFT = 1e-4  # of a curve's squares, below which nothing of it could be seen
 LEVELS = ndtri([1 / 6, 1 / 2, 5 / 6])  # of its amplitude and length, at which a departure is scored
 _MIDDLE = math.sqrt(LENGTHS[0] * LENGTHS[1])  # of a process's plausible lengths
@@ -69,11 +73,8 @@ def may_depart(effect: Effect, record: Record, correlated: bool) -> bool:
 @on_one_thread
 def form_of(base: LinearModel, effect: Effect) -> Form | None:
     """How an effect's departure runs beside a base model; None where this takes up the effect itself."""
-    record, slope = base.assembly.record, base.slopes[effect.slot][:, None]
-    of = ColumnsOf.of(effect)
-    at = tuple((s.name, rounded(float(s.prior.value(0.0)))) for s in effect.column_shapes)
-    white = base.whiten(slope * record.columns(of, tuple(v for _, v in at)))
-    curves = base.whiten(slope * record.columns(ColumnsOf(curves_along(effect), (), ()), ()))
+    at = _usual_shapes(effect)
+    white, curves = _white_columns(base, effect), _white_curves(base, effect)
     taken, of_curves = base.projected(white), base.projected(curves)
     inner = white.T @ white - taken.T @ taken
     cross = white.T @ curves - taken.T @ of_curves
@@ -84,6 +85,50 @@ def form_of(base: LinearModel, effect: Effect) -> Form | None:
     left = np.sum(curves**2, axis=0) - np.sum(of_curves**2, axis=0) - np.sum(shares * cross, axis=0)
     kept = tuple(tuple(rounded(float(v)) for v in row) for row in shares)
     return Form(effect, at, kept, float(weight @ left / (weight @ np.sum(curves**2, axis=0))))
+
+
+@on_one_thread
+def could_be_another(base: LinearModel, effect: Effect, others: Iterable[Effect]) -> bool:
+    """Whether a departure could stand for an effect of another covariate, of which it is a function in this record.
+
+    Where every run has one temperature profile, all that is thermal is a function of the time within a run.
+    """
+    curves = _white_curves(base, effect)
+    of_curves = base.projected(curves)
+    # (I − P)-products, P the projection on the base model's columns: G of the curves, g of these with a column c.
+    gram = np.linalg.pinv(curves.T @ curves - of_curves.T @ of_curves, SEEN, hermitian=True)
+    for other in others:
+        if other.is_placeholder or other.coefficients[0].per is not None:
+            continue
+        if other.departs_along == effect.departs_along:
+            continue
+        column = _white_columns(base, other)[:, :1]
+        taken = base.projected(column)
+        squares = float(np.sum(column**2) - np.sum(taken**2))
+        cross = curves.T @ column - of_curves.T @ taken
+        # gᵀG⁻¹g is the squared length of c's projection on the curves: their cosine, squared, times c's.
+        visible = squares > LEAST_LEFT * np.sum(column**2)
+        if visible and (cross.T @ gram @ cross).item() > searching().alike ** 2 * squares:
+            return True
+    return False
+
+
+def _usual_shapes(effect: Effect) -> tuple[tuple[str, float], ...]:
+    """Medians of the shapes that an effect's columns have."""
+    return tuple((s.name, rounded(float(s.prior.value(0.0)))) for s in effect.column_shapes)
+
+
+def _white_columns(base: LinearModel, effect: Effect) -> np.ndarray:
+    """An effect's columns at its usual shapes, whitened (n, terms)."""
+    values = tuple(v for _, v in _usual_shapes(effect))
+    columns = base.assembly.record.columns(ColumnsOf.of(effect), values)
+    return base.whiten(base.slopes[effect.slot][:, None] * columns)
+
+
+def _white_curves(base: LinearModel, effect: Effect) -> np.ndarray:
+    """The process along an effect's covariate, whitened (n, p)."""
+    curves = base.assembly.record.columns(ColumnsOf(curves_along(effect), (), ()), ())
+    return base.whiten(base.slopes[effect.slot][:, None] * curves)
 
 
 @on_one_thread

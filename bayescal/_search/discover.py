@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import textwrap
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -61,7 +61,8 @@ class Discovery(Printed):
     """The answer to "which effect is missing?".
 
     Attributes:
-        nothing_missing: probability that none of the candidates is; None where the search cannot say.
+        nothing_missing: probability that none of the candidates that these readings can show is missing; None where the
+            search cannot say.
         sets: findings, the most probable first.
         candidates: every candidate, the most probable first.
         best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
@@ -88,6 +89,19 @@ class Discovery(Printed):
     def not_stated(self, why: str) -> Discovery:
         """The same without a probability that the model is complete."""
         return replace(self, nothing_missing=None, unstated=why)
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Named candidates that may be missing for all that these readings tell."""
+        return tuple(c.effect for c in self.candidates if c.unseen and not c.unknown)
+
+    @property
+    def complete_in_words(self) -> str:
+        """Probability that the model is complete, and how many effects it says nothing of."""
+        said = self.unstated or probability(self.nothing_missing)
+        if self.unstated or not self.unseen:
+            return said
+        return f"{said}, as far as this experiment can see; effects that it cannot see: {len(self.unseen)}"
 
     @property
     def correlated_noise(self) -> float | None:
@@ -193,6 +207,7 @@ def structures_over(
     for effect in placeholders(model, readings):
         known.setdefault(effect.name, effect)
     own = {e.name for e in effects}  # who gives an effect says what it depends on
+    known, cases = _general(known, {*own, *model.names})
     gone = {
         n: f"the column {', '.join(columns)} is left out"
         for n, e in known.items()
@@ -204,8 +219,8 @@ def structures_over(
     open_ = {n: known[n] for n, reason in reasons.items() if reason is None}
     shut = [
         Candidate(n, kind="not testable", reason=reason)
-        for n, reason in reasons.items()
-        if reason is not None and not known[n].is_placeholder
+        for n, reason in (*reasons.items(), *cases.items())
+        if reason is not None and (n in cases or not known[n].is_placeholder)
     ]
     frame = build_frame(readings, reference)
     model = sized(model, readings, frame)
@@ -216,6 +231,26 @@ def structures_over(
     record = Record(instrument, frame, np.asarray(readings["output"]), library)
     laws = laws_over(model, frame) if widen_noise else {}
     return Structures(model, bind(model, readings, open_.values())[0], record, open_, laws), shut
+
+
+def _general(
+    known: Mapping[str, Effect], kept: Collection[str]
+) -> tuple[dict[str, Effect], dict[str, str]]:
+    """Effects without those that are a case of another one among them, whose shapes then cover theirs; and why.
+
+    Two names of one function would share its probability, stand in a model together, and be told apart by nothing but
+    their priors. c·(T̃ − T) with a time τ and k·(T − T̃)/w differ in name and sign alone.
+    """
+    left, why = dict(known), dict[str, str]()
+    for name, case in known.items():
+        general = left.get(case.case_of)
+        if general is None or {name, general.name} & set(kept) or general.columns != case.columns:
+            continue
+        (shape,), (own,) = general.column_shapes, case.column_shapes
+        left[general.name] = general.ranging({shape.name: (min(own.low, shape.low), shape.high)})
+        del left[name]
+        why[name] = f"one function with {general.name} ({shape.name} as short as its {own.name})"
+    return left, why
 
 
 def with_causes(
@@ -285,7 +320,7 @@ def told(
     departures = _departures(structures, posterior.chosen, here)
     leads = [c.effect for c in ranked if c.kind == "lead"]
     return Discovery(
-        nothing_missing=posterior.nothing,
+        nothing_missing=posterior.nothing(c.effect for c in judged if c.unseen),
         sets=found,
         candidates=(*ranked, *shut),
         best=tuple(dict.fromkeys((*best, *departures))),
@@ -349,8 +384,7 @@ def discovery_text(found: Discovery) -> str:
 
 
 def _findings(found: Discovery) -> list[str]:
-    complete = found.unstated or probability(found.nothing_missing)
-    lines = [f"probability that the model is complete: {complete}"]
+    lines = [f"probability that the model is complete: {found.complete_in_words}"]
     for s in found.sets:
         names = " or ".join(s.effects)
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from itertools import pairwise
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from bayescal._calibration.evidence_scale import VERY_STRONG
 from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.settings import guarding
+from bayescal._core.formatting import number
 from bayescal._data.covariate_checks import oddities
 from bayescal._data.record_settings import recording
 from bayescal._data.rounding import rounding_step
@@ -87,12 +87,15 @@ def wrong_question(
 def _surprising(step: Step) -> list[str]:
     """A group that the others do not expect, although their uncertainty counts: something in it was different.
 
-    What is missing from a model is missing in every group, and counts as their noise.
+    What is missing from a model is missing in every group, and counts as their noise. There is a test for each group.
     """
     out = step.left_out
-    if out is None or not np.any(out.surprise > guarding().surprised):
+    if out is None or not np.isfinite(out.by_chance).any():
         return []
-    worst = int(np.nanargmax(out.surprise))
+    worst = int(np.nanargmin(out.by_chance))
+    beyond = out.by_chance[worst] * out.count < guarding().chance
+    if not (beyond and out.surprise[worst] > guarding().surprised):
+        return []
     return [
         f"{out.group.capitalize()} {out.members[worst]} is not like the others: predicted from these, its errors are "
         f"{out.surprise[worst]:.1f} times what they should be ({scheme(out.group)}). Its thermometer or a setting was "
@@ -293,14 +296,15 @@ def _of_scatter(step: Step) -> list[str]:
 def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
     """What an added effect made worse: the error as fitted, leave-one-group-out, of the hold-out data."""
     reasons, unit = [], unit_label(steps[-1].calibration.unit)
-    for before, after in pairwise(steps):
-        # Under another noise law readings weigh differently: their plain error may well be larger.
-        if after.added is not None and after.rmse_fitted > guarding().worse * before.rmse_fitted:
-            reasons.append(
-                f"Step {after.title!r} raises the error as fitted, {before.rmse_fitted:.3g} → "
-                f"{after.rmse_fitted:.3g} {unit}: do not use it."
-            )
     *earlier, last = steps
+    # Under another noise law readings weigh differently: their plain error may well be larger.
+    alike = [s for s in earlier if s.calibration.model.noise == last.calibration.model.noise]
+    before = min((s.rmse_fitted for s in alike), default=math.inf)
+    if last.added is not None and last.rmse_fitted > guarding().worse * before:
+        reasons.append(
+            f"Step {last.title!r} raises the error as fitted, {before:.3g} → {last.rmse_fitted:.3g} {unit}: do not use "
+            "it."
+        )
     if last.left_out and (best := left_out_better(last, earlier)) and best.left_out:
         what = f"each {last.left_out.group} from the others ({scheme(last.left_out.group)})"
         reasons.append(_worse(what, best, best.left_out.rmse, last.left_out.rmse, unit))
@@ -308,44 +312,57 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
         reasons.append(
             _worse("the hold-out data", best, best.holdout_rmse, last.holdout_rmse, unit)
         )
-    reasons += _surprising(last)
-    expected = last.holdout_sd
-    if expected is not None and (last.holdout_rmse or 0.0) > guarding().expected * expected:
-        reasons.append(
-            "The last model predicts the hold-out data worse than it claims: "
-            f"{last.holdout_rmse:.3g} against {expected:.3g} {unit} expected. They are of another device or "
-            "condition, or the model is wrong."
-        )
-    return reasons
+    return [*reasons, *_surprising(last), *_contradicted(last)]
 
 
 def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
-    """The one of some steps that predicted groups from the others best, if it did so better than the last.
+    """The one of some steps that predicted groups from the others best, if better than the last beyond chance.
 
-    By the error, of which a twentieth is no rise. Neighbouring errors under correlated noise are about one error: there
-    a step is not worse whose joint log predictive density of the groups is as high.
+    By the error, of which a twentieth is no rise, and by the joint predictive density of the groups: if the last model
+    is right, another's is k times as high with probability 1/k at most (Markov's inequality; the ratio's mean is one).
     """
     known = [(s.left_out.rmse, s) for s in earlier if s.left_out]
     if last.left_out is None or not known:
         return None
     error, best = min(known, key=lambda one: one[0])
-    if last.left_out.rmse <= guarding().worse * error:
+    if last.left_out.rmse <= guarding().worse * error or best.left_out is None:
         return None
-    if last.calibration.model.noise.independent or best.left_out is None:
-        return best
-    return best if not last.left_out.log_score.sum() >= best.left_out.log_score.sum() else None
+    ratio = float(np.sum(best.left_out.log_score - last.left_out.log_score))
+    return None if ratio <= -math.log(guarding().chance) else best
 
 
 def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
-    """The same of the hold-out data: under correlated noise an error that the model expects there is no rise."""
+    """The same of the hold-out data, by a paired test against what the last model expects of its errors there."""
     known = [(s.holdout_rmse, s) for s in earlier if s.holdout_rmse is not None]
     if last.holdout_rmse is None or not known:
         return None
     error, best = min(known, key=lambda one: one[0])
     if last.holdout_rmse <= guarding().worse * error:
         return None
-    expected = last.holdout_sd is not None and last.holdout_rmse <= last.holdout_sd
-    return None if expected and not last.calibration.model.noise.independent else best
+    if last.holdout_test is None or best.holdout_test is None:
+        return best
+    return best if last.holdout_test.worse_than(best.holdout_test) < guarding().chance else None
+
+
+def _contradicted(step: Step) -> list[str]:
+    """What hold-out data say against the last model itself, whatever came before."""
+    error = step.holdout_rmse
+    if step.holdout_test is None or error is None:
+        return []
+    found, unit = step.holdout_test.against, unit_label(step.calibration.unit)
+    other = "They are of another device or condition, or the model is wrong."
+    if found.p < guarding().chance and found.share > guarding().worse:
+        return [
+            f"The hold-out data contradict the last model: its error there, {number(error)} {unit}, would be "
+            f"{number(error / found.share)} with other coefficients, and a right model is so far off with probability "
+            f"{found.p:.2g}. {other}"
+        ]
+    if found.scatter > guarding().expected:
+        return [
+            "The last model predicts the hold-out data worse than it claims: they scatter "
+            f"{found.scatter:.1f} times as much as expected. {other}"
+        ]
+    return []
 
 
 def _worse(what: str, best: Step, then: float, now: float, unit: str) -> str:

@@ -62,10 +62,14 @@ class Posterior:
         """The most probable of those refitted."""
         return next(s for s in self.structures if s in self.refitted)
 
-    @property
-    def nothing(self) -> float:
-        """Probability that nothing beyond the given is missing, under either noise law."""
-        return self.of_any(lambda s: s.effects == self.given)
+    def nothing(self, unseen: Iterable[str] = ()) -> float:
+        """Probability that nothing beyond the given is missing, under any noise law.
+
+        Args:
+            unseen: effects of which the readings say nothing: of these it is not asked.
+        """
+        rest = self.given.union(unseen)
+        return self.of_any(lambda s: s.effects <= rest)
 
     def noise(self, name: str) -> float:
         """Probability of a noise law."""

@@ -70,8 +70,7 @@ class View:
     def __init__(self, library: Library, at: Weighed):
         line = linear_model(at.assembly, at.mode)
         self.library, self.at, self.line = library, at, line
-        of = {d.name: d.of for d in at.departures}
-        self.owners = [of.get(owner, owner) for owner in line.owners]
+        self.departs = {d.of: d.name for d in at.departures}
         self.columns = line.whiten(library.columns(line.slopes))
         nuisance = line.white_nuisance
         self.inner = nuisance.T @ nuisance
@@ -81,9 +80,9 @@ class View:
         self.volume = self.without().volume
 
     def without(self, *names: str) -> WithoutNuisances:
-        """What is left where some of its effects are dropped, φ held."""
-        line = self.line
-        kept = np.array([owner not in names for owner in self.owners], dtype=bool)
+        """What is left where some of its effects are dropped, with their departures, or departures alone; φ held."""
+        line, gone = self.line, {*names, *(self.departs[n] for n in names if n in self.departs)}
+        kept = np.array([owner not in gone for owner in line.owners], dtype=bool)
         # r₀: all coefficients at their prior's mean. Without its coefficients a dropped effect's shapes move nothing.
         z = np.where(kept | (np.arange(kept.size) < line.line.jacobian.shape[1]), line.z, 0.0)
         of_start = self.inner @ z + line.weight * line.z

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.guards import doubts_of_the_mode
+from bayescal._calibration.holdout_test import HoldoutTest
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._calibration.settings import guarding, searching
 from bayescal._core.formatting import Printed, number, probability, table
@@ -37,7 +38,7 @@ class Step:
         rmse: of the fitted readings, group deviations at zero (what an unseen group would see).
         rmse_fitted: the same with group deviations as fitted.
         holdout_rmse: of the hold-out data; None without them.
-        holdout_sd: that the model expects there, rms.
+        holdout_test: what they say against this model.
         against: why nothing can be learnt from this model, in words; empty for most.
         left_out: each group predicted from the others.
         noise_floor: from neighbouring readings alone, whatever the model.
@@ -55,7 +56,7 @@ class Step:
     check: Check
     discovery: Discovery | None
     changed: str = ""
-    holdout_sd: float | None = None
+    holdout_test: HoldoutTest | None = None
     against: tuple[str, ...] = ()
 
     def judged(self, against: Sequence[str]) -> Step:

@@ -26,7 +26,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import Layout
-from bayescal._search.departures import Form, form_of, may_depart, scored
+from bayescal._search.departures import Form, could_be_another, form_of, may_depart, scored
 from bayescal._search.noise_laws import log_prior
 from bayescal._search.plausible_sizes import STILL, averaged, has_size
 from bayescal._search.starts import carried, starts
@@ -198,7 +198,10 @@ class Structures:
         if not may_depart(self.candidates[name], self.record, correlated):
             return None
         if name not in self.forms:
-            self.forms[name] = form_of(self._base_line, self.candidates[name])
+            effect, line = self.candidates[name], self._base_line
+            others = [e for n, e in self.candidates.items() if n != name]
+            another = could_be_another(line, effect, others)
+            self.forms[name] = None if another else form_of(line, effect)
         return self.forms[name]
 
     @cached_property

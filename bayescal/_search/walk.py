@@ -182,15 +182,20 @@ def _moves(view: View, max_effects: int) -> Iterator[Move]:
     here, odds = at.structure, structures.log_odds
     open_ = structures.open_to(here)
     room = max_effects - len(here.effects)
-    rest = view.without()
-    if room > 0 and open_:
+    # A departure is a rival of what it could imitate: effects, and two of them, are tried in its place too. A refit
+    # without it has no half of the prior to share with it, log 2 more.
+    rests = [(view.without(), 0.0)]
+    rests += [(view.without(d.name), math.log(2)) for d in at.departures]
+    for rest, freed in rests:
+        if room <= 0 or not open_:
+            break
         found = rest.scores(open_)
         for name, points in found.items():
-            yield _addition(here.plus(name), at.total + odds[name], points)
+            yield _addition(here.plus(name), at.total + freed + odds[name], points)
         if room > 1:
             named = {n: p for n, p in found.items() if not structures.candidates[n].is_placeholder}
             for gain, a, b in rest.pairs(named)[: searching().pairs]:
-                total = at.total + gain + odds[a.effect] + odds[b.effect]
+                total = at.total + freed + gain + odds[a.effect] + odds[b.effect]
                 yield Move(here.plus(a.effect, b.effect), total, ({**a.hint, **b.hint},))
     for name in sorted(here.effects):
         left = view.without(name)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
 from bayescal._core.quoting import identifier, number_text, python_string
+from bayescal._data.record_settings import recording
+from bayescal._data.time_in_runs import RATE_WINDOW
 from bayescal._use.answering_page import page
 from bayescal._use.compensation_program import (
     STEPS,
@@ -18,6 +21,7 @@ from bayescal._use.compensation_program import (
     CompensationProgram,
     from_data,
 )
+from bayescal._use.inputs import PAST
 from bayescal._use.languages import LANGUAGES, Language, statements, template
 
 FORMATS = {".json": "json", ".h": "c", ".py": "python", ".html": "html"}
@@ -64,7 +68,7 @@ def as_text(program: CompensationProgram, format: str) -> str:
 
 
 # Names that the templates give themselves.
-_WORDS = "reading stimulus inputs expected slope gradient square total values outside math j"
+_WORDS = "reading stimulus inputs expected slope gradient square total values outside math j dt self state now"
 _OWN_WORDS = frozenset(_WORDS.split())
 
 
@@ -76,12 +80,14 @@ def _from_template(program: CompensationProgram, language: Language) -> str:
         fields[i.name] = f"{name}_" if re.fullmatch(r"t\d+", name) else name
     names = {**{k: language.input.format(v) for k, v in fields.items()}, STIMULUS: "stimulus"}
     factor = program.factor
+    record = _record(program, fields)
     words = language.words
     return template(language.template, {"comment": words, "quoted": python_string}).render(
         p=program,
         about=program.about,
         name=identifier(program.about.instrument),
         fields=fields,
+        record=record,
         expected=statements(program, (program.expected, program.slope), names, language),
         gradient=statements(program, program.gradient, names, language),
         factor=[number_text(factor[i, j]) for i in range(len(factor)) for j in range(i + 1)],
@@ -95,6 +101,40 @@ def _from_template(program: CompensationProgram, language: Language) -> str:
             _uses_inputs(program, program.gradient),
         ],
     )
+
+
+def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
+    """What a record is corrected by, reading by reading: its columns, and what is made of their past.
+
+    Empty where nothing is made of the past. Rates, lags and slopes of lags come as (column's field, own field, τ);
+    the slope of a lag with the field of the lag besides.
+    """
+    past = [i for i in program.inputs if i.kind != "column"]
+    columns = {i.column: fields[i.name] for i in program.inputs if i.kind == "column"}
+    units = {i.column: i.unit for i in program.inputs if i.kind == "column"}
+    for i in past:
+        if i.kind in PAST and i.column not in columns:
+            taken = {*_OWN_WORDS, *fields.values(), *columns.values()}
+            columns[i.column], units[i.column] = identifier(i.column, taken), "degC"
+    lags = {(i.column, i.tau): fields[i.name] for i in past if i.kind == "lag"}
+    rates = [i for i in past if i.kind == "rate"]
+    window = max((i.tau or RATE_WINDOW for i in rates), default=0.0)
+    return {
+        "past": bool(past),
+        "columns": [(columns[name], units[name]) for name in columns],
+        "same": [(columns[i.column], fields[i.name]) for i in program.inputs if i.kind == "column"],
+        "lags": [(columns[i.column], fields[i.name], i.tau) for i in past if i.kind == "lag"],
+        "slopes": [
+            (columns[i.column], fields[i.name], i.tau, lags[i.column, i.tau])
+            for i in past
+            if i.kind == "lag slope"
+        ],
+        "last": sorted({columns[i.column] for i in past if i.kind.startswith("lag")}),
+        "rates": [(columns[i.column], fields[i.name]) for i in rates],
+        "elapsed": [fields[i.name] for i in past if i.kind == "elapsed"],
+        "window": window * (1 + 1e-9),  # as the rate of a record has it
+        "silence": recording().silence * window,
+    }
 
 
 def _uses(program: CompensationProgram, outputs: Sequence[int]) -> bool:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import RATE_WINDOW
+from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._model.frame import Frame, build_frame
 from bayescal._tables.raw_table import ROW
 from bayescal._use.operating_equation import OperatingEquation
@@ -38,7 +38,7 @@ class Input:
         kind: "column"; or what is made of a record: "rate", "lag", "lag slope" (its change by its time constant,
             which carries the uncertainty of that; 0 leaves it out), "elapsed".
         column: the column that it is, or is made of.
-        tau: time constant of a lag, s.
+        tau: time constant of a lag, s; of a rate, the time whose slope it is.
         low, high: range in the calibration, in `unit`.
     """
 
@@ -85,7 +85,9 @@ def input_of(
             f"rate of {column}: least-squares slope over the last {RATE_WINDOW:g} s (or the last two "
             "readings, if these are further apart), 0 at the start"
         )
-        return described(unit="degC/s", meaning=meaning, kind="rate", column=column)
+        steps = np.asarray(calibration.frame.step)
+        window = rate_window(steps)
+        return described(unit="degC/s", meaning=meaning, kind="rate", column=column, tau=window)
     if name == "elapsed":
         meaning = "time since the start (of the run, of power)"
         return described(unit="s", meaning=meaning, kind="elapsed", column="time")

@@ -13,6 +13,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.json_shape import ANY, OneOf
 from bayescal._data.measurements import Measurements
 from bayescal._data.read import read
+from bayescal._data.read_options import ReadOptions
 from bayescal._data.set_aside import set_aside
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
@@ -22,13 +23,11 @@ from bayescal._model.instrument import Instrument
 from bayescal._search.calibrate import Loop
 from bayescal._search.own_files import in_a_file, instrument_named, user_effects
 
-USUAL = {"columns": {}, "units": {}, "local_gravity": 9.80665, "missing": "refuse", "decimal": ""}
-
 METHODS = ("LeastSquares", "Marginal", "NUTS")
 READ = {
-    "columns?": {str: str},
-    "units?": {str: str},
-    **{"local_gravity?": float, "missing?": str, "decimal?": str},
+    **{"columns?": {str: str}, "units?": {str: str}, "ignore?": [str]},
+    **{"local_gravity?": float, "nominal_scale?": str, "nominal_zero?": str},
+    **{"missing?": str, "decimal?": str, "date_order?": str},
 }
 SHAPE = {  # of `Origin.data`
     "instrument": str,
@@ -82,7 +81,9 @@ class Origin:
             file, _, name = instrument.rpartition(":")
             instrument = f"{Path(file).resolve()}:{name}"
         full = [tuple(str(Path(p).resolve()) for p in some) for some in (files, holdout or ())]
-        given = {k: v for k, v in (read or {}).items() if v != USUAL.get(k)}
+        usual = vars(ReadOptions())
+        given = {k: v for k, v in (read or {}).items() if v != usual.get(k)}
+        given = {k: list(v) if isinstance(v, tuple) else v for k, v in given.items()}  # as JSON
         own = tuple(str(Path(p).resolve()) for p in effect_files)
         return cls(instrument, *full, read=given, effect_files=own, **more)
 

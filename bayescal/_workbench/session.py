@@ -18,6 +18,7 @@ from bayescal._data.set_aside import set_aside
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
+from bayescal._report.save_search import save_search
 from bayescal._search.calibrate import Loop
 from bayescal._search.describe import Draft, describe
 from bayescal._search.discover import Discovery, discover
@@ -303,7 +304,10 @@ class Session:
         return self.tree.append(replace(step, added=wanted.added, changed=wanted.in_words), parent)
 
     def _result(self) -> tuple[Path, SearchPath]:
-        """The current state's folder of results, made anew, and the trail in it."""
+        """The current state's folder of results as `bayescal calibrate --out` leaves it, made anew; the trail in it."""
         path = self.path()
         trail = take_away.trail_of(path, self._loop)
-        return take_away.saved(self.folder / f"result_{path[-1].number:03d}", trail), trail
+        folder = self.folder / f"result_{path[-1].number:03d}"
+        folder.mkdir(exist_ok=True)
+        save_search(trail, folder)
+        return folder, trail

@@ -12,7 +12,6 @@ from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._model.effect import Effect
 from bayescal._report.dcc import dcc_text
 from bayescal._report.report import report
-from bayescal._report.save_search import save_search
 from bayescal._report.section import of_folder
 from bayescal._search.calibrate import Loop
 from bayescal._search.gate import judged
@@ -84,10 +83,3 @@ def write_export(
             f"calibration with bayescal export --format {what} --axis gyro_x=FILE"
         )
     return firmware_parameters({axis: made}, what).write(folder / f"{what}.txt")
-
-
-def saved(folder: Path, trail: SearchPath) -> Path:
-    """The trail in a folder, as `bayescal calibrate --out` leaves it."""
-    folder.mkdir(exist_ok=True)
-    save_search(trail, folder)
-    return folder

@@ -98,7 +98,7 @@ def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
         "kind": case.kind,
         "hidden": hidden,
         "wanders": wanders,
-        "nothing": found.posterior.nothing,
+        "nothing": found.posterior.nothing(),
         "stated_wanders": found.posterior.noise(WANDER),
         "probabilities": found.probabilities,
         "sets": [[list(s.effects), s.probability] for s in found.sets],
@@ -116,7 +116,7 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
     found = Searched.of(model, readings)
     final, sets, probabilities = found.chosen, found.sets, found.probabilities
     taken = time.perf_counter() - begun
-    nothing, structures = found.posterior.nothing, found.structures
+    nothing, structures = found.posterior.nothing(), found.structures
     other = _other_path(structures)
     missing = [OUTSIDE[case.shape]] if case.kind == "outside" else list(case.hidden)
     truth = Structure(frozenset(missing))

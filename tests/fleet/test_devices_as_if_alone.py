@@ -54,6 +54,17 @@ def test_the_quick_way_is_least_squares(readings, monkeypatch) -> None:
         np.testing.assert_allclose(one.covariance[:2, :2], other.covariance[:2, :2], rtol=5e-4)
 
 
+def test_offsets_of_a_narrow_record_are_at_the_temperature_of_its_fit() -> None:
+    """A batch rounded the mean temperature to a degree, a fit to a tenth of the record's standard deviation."""
+    rng = np.random.default_rng(5)
+    temperature = 25.34 + 0.5 * rng.standard_normal(60)
+    output = 3.0 + 0.1 * (temperature - 25.0) + 0.01 * rng.standard_normal(60)
+    one = bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, temperature=temperature, output=output)
+    constant, sd = bc.fit_batch(MODEL, {"narrow": one})["narrow"]["bias.constant"]
+    alone = bc.fit(MODEL, one, bc.LeastSquares()).samples("bias.constant")
+    assert constant == pytest.approx(alone.mean(), abs=sd)
+
+
 def test_flat_priors_give_ordinary_least_squares(readings) -> None:
     flat = [
         bc.Effect(e.name, e.slot, e.basis, (bc.Coefficient(e.coefficients[0].unit, bc.Flat()),))

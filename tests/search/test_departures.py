@@ -92,7 +92,7 @@ def test_effects_without_a_covariate_of_their_own_do_not_depart() -> None:
     can = {n for n, e in made.candidates.items() if may_depart(e, made.record, correlated=False)}
     named = {n for n in can if not n.startswith("unknown")}
     assert can == named and "bias.run" not in can and "bias.thermal_lag" not in can
-    assert {"bias.temperature_quadratic", "bias.rate", "bias.drift"} <= can
+    assert {"bias.temperature_quadratic", "bias.drift"} <= can
     beside_a_wander = {n for n, e in made.candidates.items() if may_depart(e, made.record, True)}
     assert can - beside_a_wander == {"bias.drift"}
 

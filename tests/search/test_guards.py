@@ -97,6 +97,18 @@ def test_a_time_beyond_ten_records(runs, monkeypatch) -> None:
     assert reason.startswith("x is longer than 10 records")
 
 
+def groups_left_out(rmse: float, log_score: float) -> SimpleNamespace:
+    """Three runs, each predicted from the others with this error and density."""
+    return SimpleNamespace(
+        rmse=rmse,
+        group="run",
+        count=3,
+        surprise=np.ones(3),
+        by_chance=np.ones(3),
+        log_score=np.full(3, log_score),
+    )
+
+
 def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> list[Any]:
     """Two steps of a trail with these errors."""
     check = SimpleNamespace(
@@ -112,7 +124,7 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
     )
     plain = {
         **{"rmse_fitted": 1.0, "left_out": None, "holdout_rmse": None, "title": "+ bias.x"},
-        **{"holdout_sd": None, "noise_floor": 1.0, "discovery": None},
+        **{"holdout_test": None, "noise_floor": 1.0, "discovery": None},
         **{"against": (), "doubts": (), "added": "bias.x"},
     }
     return [
@@ -145,8 +157,8 @@ def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
         ({}, {"rmse_fitted": 1.06}, "Step '+ bias.x' raises the error as fitted, 1 → 1.06 °/s"),
         ({"holdout_rmse": 1.0}, {"holdout_rmse": 1.06}, "predicts the hold-out data worse"),
         (
-            {"left_out": SimpleNamespace(rmse=1.0, group="run", surprise=np.ones(3))},
-            {"left_out": SimpleNamespace(rmse=1.06, group="run", surprise=np.ones(3))},
+            {"left_out": groups_left_out(1.0, 0.0)},
+            {"left_out": groups_left_out(1.06, -9.0)},
             "predicts each run from the others (leave-one-run-out) worse than step",
         ),
     ],
@@ -156,9 +168,7 @@ def test_a_step_that_does_harm_shuts_the_gate(line, first, last, said) -> None:
     assert not found.ok
     assert said in found.reason
     nearly = {
-        k: 1.04
-        if not isinstance(v, SimpleNamespace)
-        else SimpleNamespace(rmse=1.04, group="run", surprise=np.ones(3))
+        k: 1.04 if not isinstance(v, SimpleNamespace) else groups_left_out(1.04, -9.0)
         for k, v in last.items()
     }
     assert gate(steps(line, first, nearly)).ok
@@ -201,10 +211,15 @@ def test_the_gate_asks_what_the_check_knows(line, what: dict[str, Any], said: st
 
 
 def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line) -> None:
-    kept = {"holdout_rmse": 0.3, "holdout_sd": 0.1}
-    found = gate(steps(line, kept, kept))
-    assert not found.ok
-    assert "worse than it claims: 0.3 against 0.1 °/s expected" in found.reason
+    found = SimpleNamespace(p=0.5, share=1.0, scatter=2.5)
+    kept = {"holdout_rmse": 0.3, "holdout_test": SimpleNamespace(against=found)}
+    (_, step) = steps(line, {}, kept)
+    shut = gate([step])
+    assert not shut.ok and "scatter 2.5 times as much as expected" in shut.reason
+    found.p, found.share, found.scatter = 0.005, 3.0, 1.0
+    assert "its error there, 0.3 °/s, would be 0.1 with other coefficients" in gate([step]).reason
+    found.p = 0.02
+    assert gate([step]).ok
 
 
 def test_nothing_is_said_that_so_few_readings_cannot_show(line: bc.Calibration) -> None:

@@ -40,7 +40,8 @@ def test_below_the_limit_it_is() -> None:
 def test_no_model_is_called_complete_whose_left_out_error_has_risen(late: float, said: str) -> None:
     def step(rmse: float, added: str | None) -> SimpleNamespace:
         discovery = SimpleNamespace(candidates=())
-        left_out = SimpleNamespace(rmse=rmse, group="run")
+        score = np.array([-50.0 * rmse])
+        left_out = SimpleNamespace(rmse=rmse, group="run", log_score=score)
         calibration = SimpleNamespace(model=SimpleNamespace(noise=bc.White()))
         return SimpleNamespace(
             left_out=left_out, added=added, discovery=discovery, calibration=calibration

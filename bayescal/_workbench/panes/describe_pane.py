@@ -23,12 +23,12 @@ class DescribePane:
         run: Callable[..., None],
         session: Callable[[], Any],
         select: Callable[[np.ndarray], None],
-        covariates: Callable[[], Any],
+        numbers: Callable[[], dict[str, tuple[np.ndarray, str]]],
         loaded: Callable[[Any], None],
     ) -> None:
-        """`select(rows)` brushes rows; `covariates()` are columns to select by; `loaded` follows a load."""
+        """`select(rows)` brushes rows; `numbers()` are columns to select by; `loaded` follows a load."""
         self._run, self._session, self._select = run, session, select
-        self._covariates, self._loaded = covariates, loaded
+        self._numbers, self._loaded = numbers, loaded
         self._rows = np.array([], int)
         self.by = field(pn.widgets.Select, "column", options=[], width=110)
         self.low = field(pn.widgets.FloatInput, "from", width=110)
@@ -61,8 +61,8 @@ class DescribePane:
 
     def show(self, _: Any) -> None:
         """Another state: the region stays, the draft does not."""
-        self._found = self._covariates()
-        names = [n for n, (_, _, levels) in self._found.items() if not levels]
+        self._columns = self._numbers()
+        names = list(self._columns)
         self.by.param.update(
             options=names, value=self.by.value if self.by.value in names else names[0]
         )
@@ -77,12 +77,12 @@ class DescribePane:
         self.chosen.object = count
 
     def _ends(self) -> None:
-        values, unit, _ = self._found.get(self.by.value, (np.array([0.0, 1.0]), "", ()))
+        values, unit = self._columns.get(self.by.value, (np.array([0.0, 1.0]), ""))
         self.low.label, self.high.label = f"from [{unit or '1'}]", f"to [{unit or '1'}]"
         self.low.value, self.high.value = float(np.min(values)), float(np.max(values))
 
     def _select_region(self) -> None:
-        values, _, _ = self._found[self.by.value]
+        values, _ = self._columns[self.by.value]
         if self.low.value is not None and self.high.value is not None:
             self._select(np.flatnonzero((values >= self.low.value) & (values <= self.high.value)))
 

@@ -118,15 +118,6 @@ class Fails:
         else:
             self._lay_out()
 
-    def columns(self) -> dict[str, tuple[np.ndarray, str, tuple[str, ...]]]:
-        """Values (n,), unit and, of a group, members of every column that a region can be given in."""
-        shown = self.shown
-        if shown is None:
-            return {}
-        return {
-            n: (v, shown.units[n], shown.levels.get(n, ())) for n, v in shown.covariates.items()
-        }
-
     def _begin(self) -> None:
         """A source and panels of another state: those that go keep theirs."""
         assert self.shown is not None

@@ -47,20 +47,28 @@ class ResidualsOfState:
         return np.asarray(readings[readings.output], float)
 
     @cached_property
+    def _columns(self) -> list[Any]:
+        return covariates_of(self.step.calibration)
+
+    @cached_property
     def covariates(self) -> Mapping[str, np.ndarray]:
         """(n,) each, by name; a group's members as numbers 0, 1, …; at last what the model predicts."""
-        found = {c.name: np.asarray(c.values, float) for c in covariates_of(self.step.calibration)}
-        return {**found, AGAINST: self.measured - self.residual}
+        columns = {c.name: np.asarray(c.values, float) for c in self._columns}
+        return {**columns, AGAINST: self.measured - self.residual}
 
     @cached_property
     def units(self) -> Mapping[str, str]:
-        found = {c.name: unit_label(c.unit or "") for c in covariates_of(self.step.calibration)}
-        return {**found, AGAINST: self.unit}
+        return {**{c.name: unit_label(c.unit or "") for c in self._columns}, AGAINST: self.unit}
 
     @cached_property
     def levels(self) -> Mapping[str, tuple[str, ...]]:
         """Members of the groups among them."""
-        return {c.name: c.levels for c in covariates_of(self.step.calibration) if c.levels}
+        return {c.name: c.levels for c in self._columns if c.levels}
+
+    @property
+    def numbers(self) -> dict[str, tuple[np.ndarray, str]]:
+        """Values (n,) and unit of every column that a region can be given in."""
+        return {n: (v, self.units[n]) for n, v in self.covariates.items() if n not in self.levels}
 
     def entry(self, name: str) -> Entry | None:
         return next((e for e in self.check.entries if e.against == name), None)

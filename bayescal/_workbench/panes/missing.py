@@ -54,7 +54,7 @@ class Missing:
             self.rows.rows = []
             return
         self.complete.object = (
-            f"Probability that the model is complete: {found.unstated or probability(found.nothing_missing)}"
+            f"Probability that the model is complete: {found.complete_in_words}"
             + (f"\n{found.stopped}" if found.stopped else "")
         )
         self.rows.rows = candidate_rows(found)

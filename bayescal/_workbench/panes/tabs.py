@@ -30,9 +30,8 @@ class Tabs:
         self.python = PythonPane(session)
         instrument = bench.session.current.step.calibration.model.instrument
         self.file = FilePane(bench.run, instrument, bench.begin_with)
-        self.describe = DescribePane(
-            bench.run, session, bench.fails.select, bench.fails.columns, bench.done
-        )
+        numbers = lambda: bench.fails.shown.numbers  # noqa: E731
+        self.describe = DescribePane(bench.run, session, bench.fails.select, numbers, bench.done)
         self._panes: dict[str, Any] = {
             "Next experiment": self.experiment,
             "Allan deviation": self.allan,

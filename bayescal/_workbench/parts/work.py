@@ -61,22 +61,12 @@ class Work:
             else:
                 failed()
 
-        def run() -> None:
-            result, error = _outcome(job)
-            self.on_page(lambda: done(result, error))
-
-        self._jobs.submit(self._context.copy().run, run)
+        self._submit(self._jobs, job, done)
 
     def look(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Look for something beside everything else; what is pressed meanwhile is not refused."""
 
-        def run() -> None:
-            result, error = _outcome(job)
-            self.on_page(
-                lambda: then(result) if error is None else self._tell(_in_words(error), True)
-            )
-
-        self._looks.submit(self._context.copy().run, run)
+        self._submit(self._looks, job, lambda *outcome: self._ended(then, *outcome))
 
     def preview(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Compute a preview; one that another has overtaken is dropped."""
@@ -84,18 +74,10 @@ class Work:
             self._wanted += 1
             ticket = self._wanted
 
-        def run() -> None:
-            if ticket != self._wanted:
-                return
-            result, error = _outcome(job)
-            if ticket != self._wanted:
-                return
-            if error is not None:
-                self.on_page(lambda: self._tell(_in_words(error), True))
-            else:
-                self.on_page(lambda: then(result))
+        def wanted() -> bool:
+            return ticket == self._wanted
 
-        self._previews.submit(self._context.copy().run, run)
+        self._submit(self._previews, job, lambda *outcome: self._ended(then, *outcome), wanted)
 
     def forget_preview(self) -> None:
         """Drop the preview that is under way."""
@@ -106,6 +88,30 @@ class Work:
         """Take no further work; what has not begun is dropped, unless it is waited for."""
         for pool in (self._jobs, self._looks, self._previews):
             pool.shutdown(wait=wait, cancel_futures=not wait)
+
+    def _submit(
+        self,
+        pool: ThreadPoolExecutor,
+        job: Callable[[], Any],
+        done: Callable[[Any, BaseException | None], None],
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Have a pool do a job; `done(result, error)` follows on the page, both only if it is still wanted."""
+
+        def run() -> None:
+            if not wanted():
+                return
+            outcome = _outcome(job)
+            if wanted():
+                self.on_page(lambda: done(*outcome))
+
+        pool.submit(self._context.copy().run, run)
+
+    def _ended(self, then: Callable[[Any], None], result: Any, error: BaseException | None) -> None:
+        if error is None:
+            then(result)
+        else:
+            self._tell(_in_words(error), True)
 
     def _count(self, more: int) -> None:
         before, self._under_way = self._under_way, self._under_way + more

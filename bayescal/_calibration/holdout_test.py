@@ -1,0 +1,143 @@
+"""Do hold-out data contradict a fit beyond chance? Tests against readings replicated as the fit expects them.
+
+A replicate has its own draw of the coefficients, deviations of its own for runs that the fit has not seen, and noise:
+whatever makes hold-out errors large by right is in its errors too (posterior predictive p-values: A. Gelman, X.-L. Meng
+and H. Stern, Statistica Sinica 6 (1996) 733).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.mixture import with_columns
+from bayescal._calibration.predict import Prediction, replicates
+from bayescal._core.parallel import on_one_thread
+from bayescal._data.measurements import Measurements
+from bayescal._inference.joint import expected_with_slopes
+
+DRAWS = 1000  # replicates, fewer of many readings: p-values to a thousandth
+CELLS = 10_000_000  # replicates × readings, held together
+TINY = 1e-300  # squares of an error that is none
+SEEN = 1e-8  # of the longest direction's length, below which a direction is rounding
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """What hold-out data say against a fit.
+
+    Attributes:
+        p: probability of coefficients that the data pull as far, if the fit is right.
+        share: the hold-out error over what it would be, did coefficients and groups' deviations suit these data.
+        scatter: of what neither explains, the rms over its expected one.
+    """
+
+    p: float
+    share: float
+    scatter: float
+
+
+@dataclass(frozen=True, eq=False)
+class HoldoutTest:
+    """A fit's prediction of hold-out data, and what these say against it.
+
+    Attributes:
+        calibration: the fit.
+        readings: the hold-out data.
+        prediction: of them.
+    """
+
+    calibration: Calibration
+    readings: Measurements
+    prediction: Prediction
+
+    @cached_property
+    def against(self) -> Contradiction:
+        """Whether the data contradict the fit: the score test of its coefficients, and the scatter beside them.
+
+        With e the errors over the noise and Q a basis of the coefficients' columns, t = Qᵀe has mean zero and the
+        covariance C of the replicates' own Qᵀe; tᵀC⁻¹t is compared with theirs (C. R. Rao, Proc. Camb. Phil. Soc. 44
+        (1948) 50). A free number for each direction is what another device or condition differs in.
+        """
+        errors, expected = self._errors
+        basis, whole = self._bases
+        pulled, by_right = basis.T @ errors, expected @ basis
+        covariance = np.atleast_2d(np.cov(by_right.T)) if basis.shape[1] else np.zeros((0, 0))
+        inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
+        far = np.einsum("bi,ij,bj->b", by_right, inverse, by_right)
+        p = _share(far >= pulled @ inverse @ pulled)
+        left = max(_squares(errors - whole @ (whole.T @ errors)), TINY)
+        usual = np.median(_squares(expected - (expected @ whole) @ whole.T))
+        scatter = math.sqrt(left / max(float(usual), TINY))
+        return Contradiction(p, math.sqrt(float(_squares(errors)) / left), scatter)
+
+    def worse_than(self, other: HoldoutTest) -> float:
+        """Probability that hold-out errors stand as much for another fit as they do, if this fit is right.
+
+        A paired test: with δ = μ₁ − μ₀ the difference of the two predictions, the other's squared errors over the noise
+        exceed this one's by δᵀδ + 2δᵀe, whose only part of chance is δᵀe.
+        """
+        errors, expected = self._errors
+        moved = (self.prediction.mean - other.prediction.mean) / self._noise
+        return _share(expected @ moved <= errors @ moved)
+
+    @cached_property
+    def _noise(self) -> Float[np.ndarray, "n"]:
+        """Standard deviation of the noise, or of what stands for it, output unit."""
+        found = self.prediction
+        return np.sqrt(np.maximum(found.sd**2 - found.model_sd**2, 1e-12 * found.sd**2))
+
+    @cached_property
+    def _errors(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "draws n"]]:
+        """Errors over the noise, and those of replicates."""
+        count = max(100, min(DRAWS, CELLS // max(len(self.readings), 1)))
+        made = replicates(self.calibration, self.readings, count, self.calibration.seed)
+        made -= made.mean(axis=0)
+        return self.prediction.residual / self._noise, made / self._noise
+
+    @cached_property
+    @on_one_thread
+    def _bases(self) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n m"]]:
+        """Orthonormal columns over the noise, at the mean of the draws: of the coefficients that all readings share,
+        and of these with the deviations of each group."""
+        calibration, readings = with_columns(self.calibration, self.readings.columns), self.readings
+        assembly = calibration.assembly_on(readings, calibration.frame_of(readings))
+        x, rows, v = calibration.draws()
+        none = np.zeros((1, len(readings), rows.shape[2]))
+        terms = [t for t in assembly.terms if t.place == "x"]
+        hyper = assembly.hyper(v.mean(axis=0))
+        slopes = expected_with_slopes(assembly, x.mean(axis=0)[None], none, hyper, terms)[1]
+        shared, own = [], []
+        for t, slope in zip(terms, slopes, strict=True):
+            column = np.broadcast_to(slope, (1, len(readings)))[0] / self._noise
+            if t.known.per is None:
+                shared.append(column)
+            else:
+                codes = readings.groups(t.known.per)[1]
+                own += [np.where(codes == code, column, 0.0) for code in np.unique(codes)]
+        return _orthonormal(shared, len(readings)), _orthonormal([*shared, *own], len(readings))
+
+
+def _orthonormal(columns: Sequence[np.ndarray], size: int) -> Float[np.ndarray, "n k"]:
+    """A basis of what columns span."""
+    each = [c / length for c in columns if (length := float(np.linalg.norm(c))) > 0]
+    if not each:
+        return np.zeros((size, 0))
+    left, values, _ = np.linalg.svd(np.array(each).T, full_matrices=False)
+    return left[:, values > SEEN * values[0]]
+
+
+def _squares(rows: np.ndarray) -> np.ndarray:
+    """Sum of squares of each row."""
+    return np.sum(rows**2, axis=-1)
+
+
+def _share(hits: np.ndarray) -> float:
+    """Of replicates, itself among them: no p-value is zero."""
+    return float((1 + np.count_nonzero(hits)) / (1 + len(hits)))

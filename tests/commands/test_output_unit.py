@@ -1,0 +1,62 @@
+"""`--output-unit`: errors and coefficients once more in the file's own unit."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import bayescal as bc
+from bayescal._core.errors import InputError
+from bayescal._data.column import NominalScale
+from bayescal._report.in_output_unit import OutputUnit
+from bayescal._tables.write import write
+from bayescal_models import mems_gyro
+from tests.support.command_line import QUICK, needs_installation, run
+
+pytestmark = needs_installation
+GAIN = 2.44  # mV/(deg/s)
+
+
+def cell(text: str, row: str) -> tuple[float, str]:
+    """Value and unit of a row of a table on the screen, uncertainty aside."""
+    found = re.search(rf"^{re.escape(row)}\s+(\S+)(?: ± \S+)?\s+(\S+)", text, re.MULTILINE)
+    assert found, text
+    return float(found[1].replace("−", "-")), found[2]
+
+
+def test_a_gyroscope_in_millivolts_reads_the_same_numbers_in_both_units(tmp_path: Path) -> None:
+    readings = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=300, runs=2))
+    raw = readings.data.assign(output=readings.data["output"] * GAIN)
+    raw["output"].attrs["units"] = "mV"
+    table = write(raw, tmp_path / "raw.csv")
+    asked = ("--instrument", "mems_gyro", "--nominal-scale", f"{GAIN} mV/(deg/s)", *QUICK)
+    done = run("calibrate", table, *asked, "--nominal-zero", "0 mV", "--output-unit", "uV")
+    assert done.status in (0, 1), done.err
+    plain, own = done.out.split("COEFFICIENTS", 1)[1].split("IN µV", 1)
+    for name, unit in (("bias.constant", "µV"), ("bias.temperature", "µV/°C")):
+        value, kept = cell(plain, name)
+        shown, found = cell(own, name)
+        assert kept == unit.replace("µV", "°/s")
+        assert found == unit
+        assert shown == pytest.approx(
+            1000 * GAIN * value, rel=0.05
+        )  # both are rounded for a reader
+    refused = run("calibrate", table, *asked, "--output-unit", "hPa")
+    assert refused.status == 2
+    assert "the output is in deg/s, made of readings in mV" in refused.err
+    page = bc.report(
+        bc.fit(mems_gyro.INSTRUMENT.baseline(), readings), tmp_path / "r.html", output_unit="mdeg/s"
+    )
+    assert "The same in m°/s" in page.read_text("utf-8") or "mdeg/s" in page.read_text("utf-8")
+
+
+def test_what_is_per_something_keeps_it_and_other_units_stay_out() -> None:
+    unit = OutputUnit.new("mV", "ug", NominalScale("V", -2.5e-4))
+    assert unit.shown(4.0, "ug/degC") == (pytest.approx(1.0), "mV/degC")
+    assert unit.shown(4.0, "ug") == (pytest.approx(1.0), "mV")
+    assert unit.shown(4.0, "ppm") is None
+    assert unit.shown(4.0, "ug2") is None
+    with pytest.raises(InputError, match="--output-unit mV: the output is in ug"):
+        OutputUnit.new("mV", "ug", None)

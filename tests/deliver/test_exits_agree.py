@@ -1,0 +1,192 @@
+"""Every way out of a calibration gives one number: readings as a whole, from a file, in C and in Python row by row."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._core.quoting import identifier
+from bayescal._tables.write import write
+from bayescal._use.code_writer import as_text
+from bayescal._use.compensate_file import compensate_file
+from bayescal_models import (
+    inclinometer,
+    mems_gyro,
+    ng_accelerometer,
+    quartz_beam_accelerometer,
+    still_sensor,
+)
+from tests.support.export_check import FLAGS, needs_compiler
+from tests.support.made_up import bent_sensor
+
+TIGHT = 1e-12  # of the largest value in a record
+pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCalibration")
+
+
+def of(module: Any, *effects: str, members: dict[str, str] | None = None, **campaign: Any):
+    """A compensator of an instrument with these effects, and the record that it was fitted to."""
+    instrument = module.INSTRUMENT
+    readings = module.simulate(seed=3, **campaign)
+    model = instrument.baseline()
+    model = model + [e for e in effects if e not in model.names and ":" not in e]
+    for covariate in (e.removeprefix("unknown:") for e in effects if e.startswith("unknown:")):
+        model = model + instrument.unknown(covariate)
+    fit = bc.fit(model, readings, bc.LeastSquares(draws=60), strict=False)
+    return bc.compensator(fit, members=members), readings
+
+
+def bent():
+    return bc.compensator(bent_sensor.calibration()), bent_sensor.readings(2)
+
+
+MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
+    "gyro": lambda: of(
+        *(mems_gyro, "scale.constant", "bias.rate", "bias.thermal_lag", "bias.run"),
+        "unknown:temperature",
+        campaign=mems_gyro.Campaign(average=300, runs=3, rate_input=(0.0, 100.0, -100.0)),
+    ),
+    "ng accelerometer": lambda: of(
+        ng_accelerometer, "bias.thermal_lag", "bias.rate", "bias.warm_up", "bias.run"
+    ),
+    "quartz beam": lambda: of(
+        quartz_beam_accelerometer, "bias.thermal_lag", "bias.rate_head", "bias.drift", "bias.run"
+    ),
+    "still sensor": lambda: of(
+        still_sensor, "bias.thermal_lag", "bias.thermal_lag_slow", "bias.rate", "bias.warm_up"
+    ),
+    "inclinometer": lambda: of(
+        inclinometer, "zero.temperature", "zero.cross_axis", members={"axis": "x"}
+    ),
+    "bent sensor": bent,
+}
+
+
+@pytest.fixture(scope="module", params=list(MADE))
+def case(request) -> tuple[bc.Compensator, bc.Measurements, np.ndarray]:
+    """A compensator, one of its runs in order of time, and what that is compensated to by mean and covariance."""
+    compensator, readings = MADE[request.param]()
+    readings = one_run(readings)
+    whole = compensator(readings, method="first order")
+    own = compensator(readings, method="first order", noise=False)
+    return compensator, readings, np.column_stack([whole.value, own.uncertainty, whole.uncertainty])
+
+
+def one_run(readings: bc.Measurements) -> bc.Measurements:
+    """The first record of the readings, in the order of time."""
+    rows = np.ones(len(readings), bool)
+    for group in ("run", "axis", "cell", "device"):
+        if readings.has(group):
+            rows &= readings.groups(group)[1] == 0
+    chosen = np.flatnonzero(rows)
+    if readings.has("time"):
+        chosen = chosen[np.argsort(readings["time"][chosen], kind="stable")]
+    return bc.Measurements(readings.data.isel(reading=chosen))
+
+
+def agree(found: np.ndarray, wanted: np.ndarray) -> None:
+    scale = np.abs(wanted).max(axis=0)
+    assert scale.min() > 0
+    assert np.abs(found - wanted).max(axis=0) / scale == pytest.approx(0, abs=TIGHT)
+
+
+def steps(readings: bc.Measurements) -> np.ndarray:
+    """Time since the reading before, below zero at the first."""
+    return np.diff(readings["time"], prepend=readings["time"][0] + 1.0)
+
+
+def columns(compensator: bc.Compensator) -> list[str]:
+    """Of a record as an export asks for them: those used now, then those whose past is."""
+    now = [i.column for i in compensator.inputs if i.kind == "column"]
+    past = [i.column for i in compensator.inputs if i.kind not in ("column", "elapsed")]
+    return list(dict.fromkeys([*now, *past]))
+
+
+DRIVER = """
+#include "{header}"
+#include <stdio.h>
+int main(void)
+{{
+    double row[{width}];
+    static {name}_state state;
+    while (fread(row, sizeof(double), {width}, stdin) == {width}) {{
+        {name}_columns now;
+        {name}_result out;
+        double found[3];
+        {fill}
+        if (!{name}_update(&state, &now, (BAYESCAL_REAL)row[1])) {{
+            return 1;
+        }}
+        out = {name}_correct(&state, (BAYESCAL_REAL)row[0]);
+        found[0] = out.value;
+        found[1] = out.uncertainty;
+        found[2] = out.uncertainty_reading;
+        fwrite(found, sizeof(double), 3, stdout);
+    }}
+    return 0;
+}}
+"""
+
+
+@needs_compiler
+def test_c_fed_row_by_row(case, tmp_path: Path) -> None:
+    compensator, readings, wanted = case
+    if not compensator.history:
+        pytest.skip("nothing of the past is needed: every reading by itself, as test_export has it")
+    header = compensator.export(tmp_path / "calibration.h")
+    name, fed = identifier(compensator.program.about.instrument), columns(compensator)
+    fill = " ".join(f"now.{identifier(c)} = row[{2 + k}];" for k, c in enumerate(fed))
+    source, program = tmp_path / "driver.c", tmp_path / "driver"
+    source.write_text(
+        DRIVER.format(header=header.name, width=2 + len(fed), name=name, fill=fill), "utf-8"
+    )
+    made = subprocess.run(
+        ["cc", *FLAGS, str(source), "-o", str(program), "-lm"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert made.returncode == 0, made.stderr
+    rows = np.column_stack([readings["output"], steps(readings), *(readings[c] for c in fed)])
+    twice = np.concatenate([rows, rows])  # a run after a run begins anew
+    ran = subprocess.run([str(program)], input=twice.tobytes(), capture_output=True, check=True)
+    agree(np.frombuffer(ran.stdout).reshape(-1, 3), np.concatenate([wanted, wanted]))
+
+
+def test_python_fed_row_by_row(case) -> None:
+    compensator, readings, wanted = case
+    space: dict[str, Any] = {}
+    exec(compile(as_text(compensator.program, "python"), "exported.py", "exec"), space)
+    given = [readings[c] for c in columns(compensator)]
+    found = []
+    record = space["Record"]() if compensator.history else None
+    after = steps(readings) if compensator.history else np.zeros(len(readings))
+    for output, dt, *now in zip(readings["output"], after, *given, strict=True):
+        if record is None:
+            found.append(space["compensate"](output, *now)[:3])
+        else:
+            record.update(*now, dt=dt)
+            found.append(record.correct(output)[:3])
+    agree(np.array(found), wanted)
+
+
+def test_json_read_back(case, tmp_path: Path) -> None:
+    compensator, readings, wanted = case
+    loaded = bc.load_compensator(compensator.export(tmp_path / "compensator.json"))
+    whole, own = loaded(readings), loaded(readings, noise=False)
+    agree(np.column_stack([whole.value, own.uncertainty, whole.uncertainty]), wanted)
+
+
+def test_a_file(case, tmp_path: Path) -> None:
+    compensator, readings, wanted = case
+    table = tmp_path / "readings.csv"
+    write(readings.data, table)
+    done = compensate_file(compensator, table, tmp_path / "out.csv", method="first order")
+    kept = np.genfromtxt(done.file, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    names = (kept.dtype.names or ())[-2:]
+    agree(np.column_stack([kept[n] for n in names]), wanted[:, [0, 2]])
