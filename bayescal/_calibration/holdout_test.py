@@ -29,7 +29,7 @@ SEEN = 1e-8  # of the longest direction's length, below which a direction is rou
 
 
 @dataclass(frozen=True)
-class Contradiction:
+class HoldoutContradiction:
     """What hold-out data say against a fit.
 
     Attributes:
@@ -58,7 +58,7 @@ class HoldoutTest:
     prediction: Prediction
 
     @cached_property
-    def against(self) -> Contradiction:
+    def against(self) -> HoldoutContradiction:
         """Whether the data contradict the fit: the score test of its coefficients, and the scatter beside them.
 
         With e the errors over the noise and Q a basis of the coefficients' columns, t = Qᵀe has mean zero and the
@@ -75,7 +75,7 @@ class HoldoutTest:
         left = max(_squares(errors - whole @ (whole.T @ errors)), TINY)
         usual = np.median(_squares(expected - (expected @ whole) @ whole.T))
         scatter = math.sqrt(left / max(float(usual), TINY))
-        return Contradiction(p, math.sqrt(float(_squares(errors)) / left), scatter)
+        return HoldoutContradiction(p, math.sqrt(float(_squares(errors)) / left), scatter)
 
     def worse_than(self, other: HoldoutTest) -> float:
         """Probability that hold-out errors stand as much for another fit as they do, if this fit is right.

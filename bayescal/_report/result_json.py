@@ -1,4 +1,4 @@
-"""A trail as data: `result.json`, schema bayescal.result/1. Numbers that are not finite become null."""
+"""A trail as data: `result.json`, schema bayescal.result/2. Numbers that are not finite become null."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from bayescal._search.discover import Discovery
 from bayescal._search.next_experiment import NextExperiment
 from bayescal._search.search_path import SearchPath, Step
 
-SCHEMA = "bayescal.result/1"
+SCHEMA = "bayescal.result/2"
+FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
 PACKAGES = (
     "bayescal",
     "jax",

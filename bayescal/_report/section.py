@@ -16,13 +16,13 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.check_result import Check
-from bayescal._calibration.description import identity
+from bayescal._calibration.description import identity, name_of_today
 from bayescal._calibration.fit import load
 from bayescal._core.errors import InputError, NotConverged
 from bayescal._core.json_shape import read_json
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
-from bayescal._report.result_json import SCHEMA, result
+from bayescal._report.result_json import FORMER, SCHEMA, result
 from bayescal._report.under_way import RESULT, refuse_unfinished
 from bayescal._report.whole_folder import refuse_mixed
 from bayescal._search.calibrate import step_of
@@ -124,6 +124,9 @@ def _read_result(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as JSON ({error}): calibrate again") from None
     schema = data.get("schema") if isinstance(data, dict) else None
+    if schema == FORMER:
+        rows = [{**r, "name": name_of_today(r["name"])} for r in data.pop("spreads", [])]
+        schema, data = SCHEMA, {**data, "hyperparameters": rows}
     if schema != SCHEMA:
         raise InputError(
             f"{path} is no result of this version: its schema is {schema!r}, not {SCHEMA!r}"
@@ -144,7 +147,8 @@ def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibrati
             data["steps"][-1]["effects"],
             data["seed"],
             [data["readings"]["rows"], data["readings"]["sha256"]],
-            data["calibration"],
+            # An identity of 0.2.0 is of the names that were used then.
+            identity(calibration) if data["schema"] == FORMER else data["calibration"],
         )
     except (KeyError, IndexError, TypeError) as error:
         raise InputError(f"{folder / RESULT} is incomplete ({error!r}): calibrate again") from None

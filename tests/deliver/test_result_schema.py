@@ -30,7 +30,7 @@ TYPES = {
     "null": type(None),
 }
 
-# The keys of schema bayescal.result/1, which no later version may drop.
+# The keys of schema bayescal.result/2, which no later version may drop.
 KEYS = {
     "": "schema complete search calibration instrument method seed versions reference readings holdout gate steps "
     "check missing coefficients hyperparameters identifiability verdict",
@@ -190,7 +190,7 @@ def test_the_allan_deviation_of_readings_in_time_is_as_documented(tmp_path: Path
 
 
 def test_what_the_values_mean(written: dict[str, Any]) -> None:
-    assert written["schema"] == "bayescal.result/1"
+    assert written["schema"] == "bayescal.result/2"
     assert written["reference"]["T0"] == 50.0
     assert written["fixed"] == KNOWN
     assert written["readings"]["rows"] == written["holdout"]["rows"] == 18
