@@ -41,6 +41,7 @@ ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, 
 ROUNDED = (
     "quantisation"  # one more, where the Allan variance falls faster at first than white noise's
 )
+CHANCE = 2.0  # over √n: how much faster, relative; one standard deviation of white noise's
 DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
 STIRRED = 0.2  # °C, of a temperature's range, below which it is taken as constant
 NOTHING = 0.5  # prior probability that the noise is white
@@ -159,7 +160,8 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     runs = even_runs(readings)
     channel, notes = _channel(readings, runs)
     fits: dict[Terms, _Fit] = {(): _fit(channel, ())}
-    falls = len(channel.allan) > 1 and channel.allan[0] > 2 * channel.allan[1]
+    first, second = (*channel.allan[:2], math.inf)[:2]
+    falls = first / second > 2 * (1 + CHANCE / math.sqrt(sum(map(len, runs.rows))))
     alone = (*ALONE, ROUNDED) if falls else ALONE
     for term in alone:
         fits[(term,)] = _fit(channel, (term,))
