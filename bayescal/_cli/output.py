@@ -237,8 +237,7 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
     if trail.average is None:
         return ""
     added = [
-        [" + ".join(s.effects) or "nothing added", probability(s.probability)]
-        for s in trail.shares
+        [" + ".join(s.effects) or "nothing added", probability(s.probability)] for s in trail.shares
     ]
     if not verbose and len(added) > SHOWN_STRUCTURES + 1:
         more = sum(s.probability for s in trail.shares[SHOWN_STRUCTURES:])
