@@ -33,10 +33,10 @@ from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import Step
 
 Kinds = Mapping[str, Sequence[Effect]]
-SHOWN_STRUCTURES = 6  # of those averaged over, that have a line each
-SHOWN_CHECKS = (
-    4  # covariates that a first model is checked against, the worst, that have a line each
-)
+# Lines of a table without --verbose, so that a result is a screen.
+SHOWN_STRUCTURES = 2  # of those averaged over
+SHOWN_MOVED = 3  # coefficients that the average moves
+SHOWN_CHECKS = 3  # covariates that a first model is checked against, the worst
 
 
 def instruments_text(known: Mapping[str, Instrument]) -> str:
