@@ -13,6 +13,7 @@ from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
 # beside the loop: which test to run next, how often a search reports what is not there, an effect's draft
+from ._search.poses import poses as poses
 from ._search.next_experiment import next_experiment as next_experiment
 from ._search.plan_readings import plan_readings as plan_readings
 from ._search.false_reports import false_reports as false_reports
@@ -36,6 +37,9 @@ from ._data.allan_deviation import AllanDeviation as AllanDeviation
 # what leaves: the compensation, its budget, pictures, the report for sign-off
 from ._use.compensator import compensator as compensator
 from ._use.compensator import load_compensator as load_compensator
+from ._use.vector_correction import vector_correction as vector_correction
+from ._use.vector_export import export_vector as export_vector
+from ._use.vector_export import load_vector_correction as load_vector_correction
 from ._use.budget import budget as budget
 from ._use.decide import decide as decide
 from ._use.firmware_parameters import firmware_parameters as firmware_parameters
@@ -47,6 +51,7 @@ from ._workbench.start import workbench as workbench  # in a notebook; needs bay
 from ._model.model import Instrument as Instrument  # with `baseline`, which model.py attaches
 from ._model.instrument import Slot as Slot
 from ._model.instrument import Use as Use
+from ._model.vector import Vector as Vector
 from ._model.model import Model as Model
 from ._model.effect import Effect as Effect
 from ._model.formula import effect as effect
@@ -99,6 +104,7 @@ from ._search.next_experiment import NextExperiment as NextExperiment
 from ._search.plan_readings import ReadingPlan as ReadingPlan
 from ._search.false_reports import FalseReports as FalseReports
 from ._use.compensator import Compensator as Compensator
+from ._use.vector_correction import VectorCorrection as VectorCorrection
 from ._use.budget import Budget as Budget
 from ._use.decision import Decisions as Decisions
 from ._use.firmware_parameters import FirmwareParameters as FirmwareParameters

@@ -26,6 +26,7 @@ from bayescal._cli import (
     fit_and_predict,
     noise_command,
     plan_command,
+    triad_command,
 )
 from bayescal._core import deadline
 from bayescal._core.errors import BayescalError, NotConverged, TimeIsUp
@@ -50,6 +51,7 @@ for group in (
     fit_and_predict,
     noise_command,
     plan_command,
+    triad_command,
     deliverables,
     batch,
 ):

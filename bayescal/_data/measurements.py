@@ -35,6 +35,7 @@ from bayescal._data.dataset_checks import (
     row_namer,
 )
 from bayescal._data.header_matching import unused_options
+from bayescal._data.pose_rows import scalar_readings
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name
 from bayescal._data.unit_conversion import check_unit
 from bayescal._data.unit_parsing import ANY, STANDARD_GRAVITY
@@ -338,13 +339,17 @@ def assemble(
         began = date_text(converted.origin)
         converted.flags.append(f"{names}: time is in s since {began}, the first reading")
     since = converted.origin
-    values, units, repeated = converted.values, converted.units, repeated_rows(converted.values)
+    repeated = repeated_rows(converted.values)
+    values, units = converted.values, converted.units
     warm = {name for name, unit in units.items() if unit == "degC"} - {MAY_BE_EMPTY}
     where = row_namer(tables)
     odd = flags_of(values, output, where, names, repeated, converted.filled, warm)
     odd += [f"{names}: {said}" for said in odd_numbers(values, units, output)]
     kept, flags = once(values, repeated), [*converted.flags, *odd]
-    variables = {n: _variable(v[kept], units[n]) for n, v in values.items()}
+    values = {n: v[kept] for n, v in values.items()}
+    if outputs := getattr(instrument, "outputs", ()):
+        values, units = scalar_readings(outputs, values, units, names)
+    variables = {n: _variable(v, units[n]) for n, v in values.items()}
     if since is not None:
         variables["time"].attrs[SINCE] = since
     made = Measurements(xr.Dataset(variables), sources, tuple(flags), output, scale)

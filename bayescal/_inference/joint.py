@@ -134,7 +134,7 @@ def expected_with_slopes(
     record = assembly.record
     moves = _moves(assembly, x, rows, hyper)
     known: dict[str, np.ndarray] = {}
-    mean, slopes = record.responses(_slots(assembly, x, rows, hyper, moves, known), moves)
+    mean, slopes = record.responses(slots_of(assembly, x, rows, hyper, moves, known), moves)
     slopes, wanted, found = dict(slopes), {id(t) for t in terms}, {}
     made = {} if moves else {of: (columns, {}) for of, columns in known.items()}
     for t, value in zip(assembly.terms, _values(assembly, x, rows, hyper), strict=True):
@@ -172,10 +172,10 @@ def expected(
         hyper: φ by name, one value a draw.
     """
     moves = _moves(assembly, x, rows, hyper)
-    return assembly.record.several(_slots(assembly, x, rows, hyper, moves), moves)
+    return assembly.record.several(slots_of(assembly, x, rows, hyper, moves), moves)
 
 
-def _slots(
+def slots_of(
     assembly: Assembly, x, rows, hyper: Batch, moves: dict, made: dict | None = None
 ) -> dict[str, np.ndarray]:
     """What the coefficients of each slot come to, (b, n) each; `made` keeps the columns by effect."""

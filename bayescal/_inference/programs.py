@@ -159,14 +159,15 @@ def response_slopes(
         return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
 
     both = (slots, moves)
+    mean, push = jax.linearize(respond, both)
     zero = jax.tree.map(jnp.zeros_like, both)
     slopes = {}
     for part in (0, 1):
         for name in both[part]:
             along = [dict(zero[0]), dict(zero[1])]
             along[part][name] = jnp.ones(frame.size)
-            slopes[name] = jax.jvp(respond, (both,), (tuple(along),))[1]
-    return respond(both), slopes
+            slopes[name] = push(tuple(along))
+    return mean, slopes
 
 
 @program

@@ -25,7 +25,8 @@ from bayescal._model.noise_law import Noise
 
 KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
-TOGETHER = 48  # draws in one call of a program, or half of that
+TOGETHER = 48  # draws in one call of a program, or half of that,
+NUMBERS = 16_384  # and more of a short record: draws times readings, up to which the call itself is what costs
 INTERPOLATED = (
     1e-9  # as good as this part of the largest number in a column, tried between some nodes
 )
@@ -303,7 +304,8 @@ class Record:
         self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]
     ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:
         """Values for `count` draws, some at once, readings padded; the last draw stands in for missing ones."""
-        together = TOGETHER // (1 if count > TOGETHER // 2 else 2)
+        most = max(TOGETHER, NUMBERS // self.padded_size)
+        together = most // (1 if count > most // 2 else 2)
         for start in range(0, count, together):
             pick = np.minimum(start + np.arange(together), count - 1)
             yield tuple(  # pyright: ignore[reportReturnType]

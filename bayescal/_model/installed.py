@@ -1,8 +1,8 @@
 """Instruments that installed packages offer, through the entry-point group `bayescal.instruments`.
 
 Light until an instrument is asked for. The module that an entry point names may hold beside its `INSTRUMENT` the
-`COLUMNS` of its files and, where it has one, its `NOMINAL_SCALE`: if they are there before anything heavy is
-imported, a file is refused at once.
+`COLUMNS` of its files and, where it has them, its `NOMINAL_SCALE` and `OUTPUTS` (of three axes): if they are there
+before anything heavy is imported, a file is refused at once.
 """
 
 from __future__ import annotations
@@ -28,11 +28,13 @@ class FileColumns:
     name: str
     columns: tuple[Column, ...]
     nominal_scale: NominalScale | None = None
+    outputs: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, instrument: InstrumentLike) -> FileColumns:
         """As the instrument itself says."""
-        return cls(instrument.name, instrument.columns, instrument.nominal_scale)
+        outputs = getattr(instrument, "outputs", ())
+        return cls(instrument.name, instrument.columns, instrument.nominal_scale, outputs)
 
 
 def installed_names() -> list[str]:
@@ -57,7 +59,8 @@ def file_columns(name: str) -> FileColumns | None:
     """
     module = import_module(entry_points(group=GROUP)[name].module)
     columns = getattr(module, "COLUMNS", None)
-    return columns and FileColumns(name, columns, getattr(module, "NOMINAL_SCALE", None))
+    more = getattr(module, "NOMINAL_SCALE", None), getattr(module, "OUTPUTS", ())
+    return columns and FileColumns(name, columns, *more)
 
 
 def installed_instruments() -> dict[str, Instrument]:

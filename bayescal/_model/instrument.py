@@ -30,6 +30,7 @@ from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_law import Noise
 from bayescal._model.static import static
 from bayescal._model.unknown_effect import FREED, covariate_in, freed, placeholder
+from bayescal._model.vector import Vector
 
 Slots = Mapping[str, Float[Array, "n"]]
 Columns = Mapping[str, Any]  # arrays by name, as a simulator gives them
@@ -87,6 +88,8 @@ class Instrument:
             makes readings of them.
         experiments: feasible changes of the campaign, in words, and the columns that each would record:
             `next_experiment` ranks them.
+        vector: of an instrument of three axes: its three outputs and their equation. Its files hold these, `output` is
+            made of them, and `response` is `vector.response`.
         use: which quantity the calibrated instrument measures; None where no single reading tells it.
         source: document that the equations come from.
         tailor: of an instrument whose output may be anything: `tailor(readings, **settings)` gives the
@@ -108,6 +111,7 @@ class Instrument:
     structures: tuple[tuple[str, Callable[[], Any]], ...] = ()
     simulator: Callable[..., Columns] | None = None
     experiments: tuple[tuple[str, Callable[[], Columns]], ...] = ()
+    vector: Vector | None = None
     use: Use | None = None
     source: str = ""
     tailor: Callable[..., Instrument] | None = None
@@ -200,6 +204,11 @@ class Instrument:
         """What coefficients may be given one each of: run, cell, axis, device, reading, and its columns of labels."""
         labels = (column.name for column in self.columns if column.unit is None)
         return tuple(dict.fromkeys((*GROUPS, "reading", *labels)))
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Columns that the output is made of; none where a file holds it."""
+        return () if self.vector is None else self.vector.outputs
 
     @property
     def unit(self) -> str:

@@ -10,4 +10,6 @@ INSTRUMENTS = (
     "differential_pair",
     "inclinometer",
     "still_sensor",
+    "accelerometer_triad",
+    "magnetometer_triad",
 )

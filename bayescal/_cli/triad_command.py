@@ -1,0 +1,86 @@
+"""Three axes as one command: from a raw log or a table of poses to a correction as C, Python, JSON and YAML."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+import bayescal as bc
+from bayescal._cli import options
+from bayescal._cli.column_options import ColumnOptions
+from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
+from bayescal._cli.options import ModelOptions, with_groups
+
+commands = typer.Typer()
+FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
+
+
+@commands.command(
+    epilog="Example: bayescal triad log.csv --columns output_x=ax,output_y=ay,output_z=az --out result"
+)
+@with_groups
+def triad(
+    files: options.Files,
+    columns: ColumnOptions,
+    instrument: Annotated[
+        str,
+        typer.Option(
+            "--instrument", "-i", help="Of three axes: accelerometer_triad, magnetometer_triad."
+        ),
+    ] = "accelerometer_triad",
+    raw: Annotated[
+        bool,
+        typer.Option(
+            "--raw/--poses",
+            help="A log whose still stretches are the poses, or a row for each pose.",
+        ),
+    ] = True,
+    shortest: Annotated[float, typer.Option(help="Shortest pose in a raw log, s.")] = 2.0,
+    search: Annotated[
+        bool,
+        typer.Option(
+            "--search/--baseline", help="Look for effects beside bias, scale and misalignment."
+        ),
+    ] = True,
+    seed: options.Seed = 0,
+    out: options.Folder = None,
+    json_: options.Json = False,
+) -> None:
+    """Calibrate three axes by poses at rest; corrections as C99, Python, JSON and YAML."""
+    from bayescal._cli.request import ReadRequest, open_request
+    from bayescal._core.errors import InputError
+    from bayescal._use.vector_export import data
+
+    chosen, model, readings = open_request(ReadRequest(instrument, files, columns, ModelOptions()))
+    if chosen.vector is None:
+        raise InputError(
+            f"--instrument {instrument}: it has one output; `bayescal calibrate` is for it"
+        )
+    print_notes(readings.flags)
+    with result_folder(out) as folder:
+        if raw:
+            readings = bc.poses(readings, chosen, shortest=shortest)
+            print_notes(readings.flags)
+        calibration = bc.fit(model, readings, seed=seed, strict=False)
+        if search:
+            found = bc.discover(calibration)
+            if not json_:
+                print(f"{found}\n")
+            if found.best:
+                calibration = bc.fit(model + found.best, readings, seed=seed, strict=False)
+        correction = bc.vector_correction(calibration)
+        print_notes(correction.notes)
+        if json_:
+            print_result(data(correction))
+        else:
+            print(calibration)
+        if folder is not None:
+            written = [bc.export_vector(correction, folder / name) for name in FILES]
+            written += [
+                calibration.save(folder / "calibration.nc"),
+                readings.write(folder / "poses.csv"),
+            ]
+            if not json_:
+                print(f"written: {', '.join(map(str, written))}")
+    exit_unless(calibration.verdict.ok, "; ".join(calibration.verdict.reasons))

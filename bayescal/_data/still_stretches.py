@@ -1,0 +1,91 @@
+"""Poses of a raw log: its still stretches found and averaged, with the standard uncertainty that their means have.
+
+A log is cut into blocks of a quarter of a second. The quietest blocks say how much an output scatters at rest; a block
+is still where none of its outputs scatters by six times as much or stands that far from the block before. Samples
+that follow each other are correlated (filters, vibration), so that the uncertainty of a mean is that of the means of
+its blocks, pooled over all poses: often 3 to 4 times that of independent samples.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayescal._core.errors import InputError
+
+BLOCK = 0.25  # s: of a unit in the hand or on a bench, short against a move, long against a filter of 20 Hz
+QUIET = 0.1  # quantile of the blocks' scatter, that is taken as at rest
+STILL = 6.0  # times that, up to which a block is still: means of blocks of filtered noise differ by 4 once in 10⁴
+SHORTEST = 2.0  # s, of a pose: eight blocks
+FEWEST = 4  # samples in a block, from which on their scatter says something
+
+
+class StillStretches(NamedTuple):
+    """Still stretches of a log.
+
+    Attributes:
+        first, last: their first sample and the one after the last (k,).
+        mean: of each output (k, m).
+        uncertainty: standard uncertainty of these means, one for all outputs (k,).
+        ratio: of it to that of independent samples.
+    """
+
+    first: Int[np.ndarray, "k"]
+    last: Int[np.ndarray, "k"]
+    mean: Float[np.ndarray, "k m"]
+    uncertainty: Float[np.ndarray, "k"]
+    ratio: float
+
+
+def still_stretches(
+    time: Float[np.ndarray, "n"], outputs: Float[np.ndarray, "n m"], shortest: float = SHORTEST
+) -> StillStretches:
+    """Find and average them.
+
+    Args:
+        time: s, increasing and nearly even.
+        outputs: of one unit, such as three accelerometers.
+        shortest: of a pose, s.
+
+    Raises:
+        InputError: samples too far apart, or no stretch is still for so long.
+    """
+    step = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
+    size = round(BLOCK / step) if step > 0 else 0
+    if size < FEWEST:
+        raise InputError(
+            f"samples {step:.3g} s apart: still stretches are found in blocks of {BLOCK:g} s, which need {FEWEST} "
+            "samples each. If each row is a pose already, calibrate them as they are"
+        )
+    count = len(time) // size
+    blocks = outputs[: count * size].reshape(count, size, -1)
+    mean, scatter = blocks.mean(axis=1), blocks.std(axis=1, ddof=1)
+    rest = np.quantile(scatter, QUIET, axis=0)
+    rest = np.maximum(rest, np.finfo(float).tiny)
+    still = np.all(scatter <= STILL * rest, axis=1)
+    moved = np.any(np.abs(np.diff(mean, axis=0)) > STILL * rest, axis=1)
+    label = np.cumsum(np.concatenate([[True], moved | (still[1:] != still[:-1])]))
+    first, last = [], []
+    for one in np.unique(label[still]):
+        inside = np.flatnonzero((label == one) & still)[1:-1]  # a move may reach into the ends
+        if len(inside) * size * step >= shortest:
+            first.append(int(inside[0]))
+            last.append(int(inside[-1]) + 1)
+    if not first:
+        raise InputError(
+            f"no stretch of the log is still for {shortest:g} s: hold the unit still in each pose for longer, or say a "
+            "shorter time"
+        )
+    own = [mean[a:b] for a, b in zip(first, last, strict=True)]
+    spent = sum(len(o) - 1 for o in own) * mean.shape[1]
+    between = sum(float(np.sum((o - o.mean(axis=0)) ** 2)) for o in own) / spent
+    within = float(np.mean([np.mean(scatter[a:b] ** 2) for a, b in zip(first, last, strict=True)]))
+    return StillStretches(
+        first=np.array(first) * size,
+        last=np.array(last) * size,
+        mean=np.stack([o.mean(axis=0) for o in own]),
+        uncertainty=np.sqrt(between / np.array([len(o) for o in own])),
+        ratio=float(np.sqrt(between * size / within)) if within > 0 else 1.0,
+    )

@@ -1,0 +1,60 @@
+"""A raw log of three axes as poses: readings that the instrument takes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bayescal._core.errors import InputError
+from bayescal._data.column import UNCERTAINTY
+from bayescal._data.measurements import Measurements
+from bayescal._data.still_stretches import SHORTEST, still_stretches
+from bayescal._model.instrument import Instrument
+
+
+def poses(log: Measurements, instrument: Instrument, *, shortest: float = SHORTEST) -> Measurements:
+    """Still stretches of a log, averaged, a row each; other numeric columns are averaged beside them.
+
+    Args:
+        log: samples of the three outputs, read with the instrument, with a column `time`.
+        instrument: of three axes.
+        shortest: of a pose, s.
+
+    Raises:
+        InputError: an instrument of one output, no column `time`, or no still stretch.
+    """
+    if instrument.vector is None:
+        raise InputError(f"instrument {instrument.name!r} has one output: poses are of three axes")
+    if not log.has("time"):
+        raise InputError(f"{log.file}: still stretches need the column 'time', in s")
+    _, runs = log.groups("run")
+    rows: dict[str, list[np.ndarray]] = {}
+    ratios = []
+    for run in np.unique(runs):
+        own = np.flatnonzero(runs == run)
+        outputs = np.stack([log[name][own] for name in instrument.vector.outputs], axis=1)
+        found = still_stretches(log["time"][own], outputs, shortest)
+        ratios.append(found.ratio)
+        for name in log.columns:
+            if name in ("output", UNCERTAINTY):
+                continue
+            values = log[name][own]
+            pairs = zip(found.first, found.last, strict=True)
+            made = [values[a] if log.unit(name) is None else np.mean(values[a:b]) for a, b in pairs]
+            rows.setdefault(name, []).append(np.array(made))
+        rows.setdefault(UNCERTAINTY, []).append(found.uncertainty)
+    columns = {name: np.concatenate(parts) for name, parts in rows.items()}
+    known = {c.name for c in instrument.columns} | {UNCERTAINTY}
+    units = {name: str(log.unit(name)) for name in columns if name not in known and log.unit(name)}
+    made = Measurements.from_arrays(
+        instrument,
+        units=units,
+        allow_one_temperature=True,
+        **columns,  # pyright: ignore[reportArgumentType]
+    )
+    said = (
+        f"{len(made['output'])} readings of {len(columns[UNCERTAINTY])} poses found in {log.file}; means of blocks "
+        f"scatter {np.mean(ratios):.1f} times as much as those of independent samples would"
+    )
+    return replace(made, sources=log.sources, flags=(*made.flags, said))

@@ -1,0 +1,363 @@
+"""Three axes in use: from three outputs back to what acts, with its covariance, over temperature.
+
+The calibrated equation h is taken as its Taylor series in what acts, offset, 3 × 3 matrix and (where the model has it)
+terms of second order, each a polynomial of T − T0. That is exact for terms that are polynomials of both.
+
+    f̂ = h⁻¹(y),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.description import identity
+from bayescal._core.errors import InputError, ModelError
+from bayescal._data.measurements import Measurements
+from bayescal._inference.joint import slots_of
+
+EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
+ORDERS = 3  # of the temperature
+PAIRS = (
+    (0, 0),
+    (1, 1),
+    (2, 2),
+    (0, 1),
+    (0, 2),
+    (1, 2),
+)  # of inputs, that terms of second order multiply
+USED = ("temperature", "run")  # columns that an effect may need to act in use
+NEWTON = 4  # steps of the inverse: each squares the error
+
+
+@dataclass(frozen=True)
+class CorrectedVector:
+    """What acts, by three outputs.
+
+    Attributes:
+        vector: f̂ in the body's axes (n, 3), `unit`.
+        covariance: of it (n, 3, 3), `unit` squared.
+        unit: of both.
+        outside: where the temperature is outside the calibrated range (n,).
+    """
+
+    vector: Float[np.ndarray, "n 3"]
+    covariance: Float[np.ndarray, "n 3 3"]
+    unit: str
+    outside: np.ndarray
+
+    def _along(self, slope: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        return np.sqrt(np.einsum("ni,nij,nj->n", slope, self.covariance, slope))
+
+    @property
+    def magnitude(self) -> tuple[np.ndarray, np.ndarray]:
+        """|f̂| and its standard uncertainty, `unit`."""
+        size = np.linalg.norm(self.vector, axis=1)
+        return size, self._along(self.vector / size[:, None])
+
+    @property
+    def tilt(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Roll and pitch of a body at rest by its specific force, rad, with standard uncertainties.
+
+        Roll is atan2(f_y, f_z), pitch atan2(−f_x, √(f_y² + f_z²)). Roll is not determined where x is vertical.
+        """
+        x, y, z = self.vector.T
+        across = np.hypot(y, z)
+        square = x**2 + across**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            by_roll = np.stack([0 * x, z / across**2, -y / across**2], axis=1)
+            by_pitch = np.stack([-across, x * y / across, x * z / across], axis=1) / square[:, None]
+        return {
+            "roll": (np.arctan2(y, z), self._along(by_roll)),
+            "pitch": (np.arctan2(-x, across), self._along(by_pitch)),
+        }
+
+    @property
+    def heading(self) -> tuple[np.ndarray, np.ndarray]:
+        """Heading of a level body by the magnetic field, from magnetic north, rad: atan2(−m_y, m_x)."""
+        x, y, _ = self.vector.T
+        slope = np.stack([y, -x, 0 * x], axis=1) / (x**2 + y**2)[:, None]
+        return np.arctan2(-y, x), self._along(slope)
+
+
+@dataclass(frozen=True, eq=False)
+class VectorCorrection:
+    """Offset, matrix and terms of second order over temperature, with their covariance: call it with outputs.
+
+        correct = bc.vector_correction(calibration)
+        found = correct([[0.01, 0.02, 0.99]], temperature=25.0)
+        found.vector, found.covariance, found.magnitude, found.tilt
+
+    Attributes:
+        outputs: names of the three outputs.
+        unit: of the outputs and of what acts.
+        reference: T0, °C.
+        low, high: temperatures of the calibration, °C; equal where there was one, or none was recorded.
+        terms: for each power of T − T0, offset (3), matrix by rows (9), then second order by rows (18) or none (k, p).
+        covariance: of `terms`, raveled (k·p, k·p).
+        noise: standard deviation of an output as it was calibrated, `unit`.
+        notes: what to know, each a sentence.
+        source: identity of the calibration.
+    """
+
+    outputs: tuple[str, ...]
+    unit: str
+    reference: float
+    low: float
+    high: float
+    terms: Float[np.ndarray, "k p"]
+    covariance: Float[np.ndarray, "q q"]
+    noise: float
+    notes: tuple[str, ...] = ()
+    source: str = ""
+
+    def at(self, temperature: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
+        k, p = self.terms.shape
+        powers = (np.atleast_1d(np.asarray(temperature, float)) - self.reference)[
+            :, None
+        ] ** np.arange(k)
+        blocks = self.covariance.reshape(k, p, k, p)
+        return powers @ self.terms, np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
+
+    @cached_property
+    def offset(self) -> np.ndarray:
+        """At T0 (3,)."""
+        return self.terms[0, :3]
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """At T0 (3, 3): outputs = matrix·f + offset."""
+        return self.terms[0, 3:12].reshape(3, 3)
+
+    @property
+    def uncertainty(self) -> np.ndarray:
+        """Standard uncertainty of each term, as `terms` (k, p)."""
+        return np.sqrt(np.diag(self.covariance)).reshape(self.terms.shape)
+
+    def __call__(
+        self,
+        outputs: Measurements | ArrayLike,
+        /,
+        temperature: ArrayLike | None = None,
+        *,
+        noise: float | None = None,
+    ) -> CorrectedVector:
+        """What acts, by three outputs.
+
+        Args:
+            outputs: readings of the instrument, or (n, 3) in `unit`.
+            temperature: °C, one each or one for all; T0 if not given.
+            noise: standard deviation of each output, `unit`; that of the calibration's poses if not given, 0 for the
+                uncertainty of the calibration alone.
+
+        Raises:
+            InputError: not three outputs, or a temperature for each is missing where the model needs it.
+        """
+        if isinstance(outputs, Measurements):
+            temperature = (
+                outputs["temperature"]
+                if temperature is None and outputs.has("temperature")
+                else temperature
+            )
+            outputs = np.stack([outputs[name] for name in self.outputs], axis=1)
+        y = np.atleast_2d(np.asarray(outputs, dtype=float))
+        if y.ndim != 2 or y.shape[1] != 3:
+            raise InputError(
+                f"three outputs a reading are needed, (n, 3); these have the shape {y.shape}"
+            )
+        if temperature is None and len(self.terms) > 1:
+            raise InputError("the correction depends on the temperature: give temperature=… in °C")
+        warm = np.broadcast_to(
+            self.reference if temperature is None else np.asarray(temperature, float), len(y)
+        )
+        terms, own = self.at(warm)
+        force = y.copy()
+        for _ in range(NEWTON):
+            there, slopes = _outputs(terms, force)
+            force = force - np.linalg.solve(slopes, (there - y)[..., None])[..., 0]
+        inverse = np.linalg.inv(_outputs(terms, force)[1])
+        by_terms = [np.broadcast_to(np.eye(3), (len(y), 3, 3)), _by_rows(force)]
+        by_terms += [_by_rows(_products(force))] if terms.shape[1] > 12 else []
+        slope = inverse @ np.concatenate(by_terms, axis=2)
+        sd = self.noise if noise is None else noise
+        covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
+            0, 2, 1
+        )
+        outside = (
+            (warm < self.low) | (warm > self.high)
+            if len(self.terms) > 1
+            else np.zeros(len(y), bool)
+        )
+        return CorrectedVector(force, covariance, self.unit, outside)
+
+
+def _products(force: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 6"]:
+    return np.stack([force[:, i] * force[:, j] for i, j in PAIRS], axis=1)
+
+
+def _by_rows(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n 3 m3"]:
+    """Slopes of three outputs by a matrix's entries, row by row, that multiply these values."""
+    return np.einsum("ij,nm->nijm", np.eye(3), values).reshape(len(values), 3, -1)
+
+
+def _outputs(
+    terms: Float[np.ndarray, "n p"], force: Float[np.ndarray, "n 3"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """h and H, by the terms of each reading."""
+    matrix = terms[:, 3:12].reshape(-1, 3, 3)
+    there, slopes = terms[:, :3] + np.einsum("nij,nj->ni", matrix, force), matrix
+    if terms.shape[1] > 12:
+        second = terms[:, 12:].reshape(-1, 3, 6)
+        there = there + np.einsum("nim,nm->ni", second, _products(force))
+        slopes = slopes + np.stack(
+            [
+                sum(
+                    second[:, :, m] * ((i == a) * force[:, [j]] + (j == a) * force[:, [i]])
+                    for m, (i, j) in enumerate(PAIRS)
+                )
+                for a in range(3)
+            ],
+            axis=2,
+        )
+    return there, slopes
+
+
+def vector_correction(
+    calibration: Calibration, *, draws: int = 2000, seed: int = 0
+) -> VectorCorrection:
+    """The correction of a calibrated instrument of three axes.
+
+    A deviation of each run is drawn anew from its estimated standard deviation: what leaves is for a run to come.
+
+    Args:
+        calibration: of an instrument with `vector`.
+        draws: of the posterior, at most, that mean and covariance are of.
+        seed: of the deviations of a new run.
+
+    Raises:
+        ModelError: an instrument of one output; an effect that needs more than the temperature, or that is no
+            polynomial of it up to the third order.
+    """
+    model, readings = calibration.model, calibration.readings
+    vector = model.instrument.vector
+    if vector is None:
+        raise ModelError(
+            f"instrument {model.instrument.name!r} has one output: bayescal.compensator corrects it"
+        )
+    for effect in model.effects:
+        if other := sorted(set(effect.columns) - set(USED)):
+            raise ModelError(
+                f"effect {effect.name!r} needs {', '.join(other)}, which a correction by the temperature alone has "
+                f"not: fit the model without it, model - {effect.name!r}, and its part is noise"
+            )
+    warm = readings["temperature"] if readings.has("temperature") else np.zeros(1)
+    low, high, reference = float(np.min(warm)), float(np.max(warm)), float(np.round(np.mean(warm)))
+    reference = float(calibration.reference.get("T0", reference))  # pyright: ignore[reportArgumentType]
+    grid = np.linspace(low, high, 2 * ORDERS + 1) if high > low else np.array([low])
+    taylor = _taylor(calibration, grid, draws, seed)  # (draws, grid, p)
+    powers = (grid - reference)[:, None] ** np.arange(ORDERS + 1)
+    for order in range(min(ORDERS, len(grid) - 1) + 1):
+        own = powers[:, : order + 1]
+        fitted = np.linalg.lstsq(own, np.moveaxis(taylor, 1, 0).reshape(len(grid), -1), rcond=None)[
+            0
+        ]
+        left = own @ fitted - np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
+        if np.max(np.abs(left)) <= EXACT * np.max(np.abs(taylor)):
+            break
+    else:
+        raise ModelError(
+            f"the model of {', '.join(model.names)} is no polynomial of the temperature up to the order {ORDERS}: it "
+            "cannot be written as an offset and a matrix over temperature"
+        )
+    terms = np.moveaxis(fitted.reshape(order + 1, len(taylor), -1), 1, 0)  # (draws, k, p)
+    if not np.any(terms[:, :, 12:]):
+        terms = terms[:, :, :12]
+    spread = terms.reshape(len(terms), -1)
+    white = (
+        calibration.samples("noise.white")
+        if "noise.white" in calibration.posterior
+        else np.zeros(1)
+    )
+    return VectorCorrection(
+        outputs=vector.outputs,
+        unit=model.instrument.unit,
+        reference=reference,
+        low=low,
+        high=high,
+        terms=np.mean(terms, axis=0),
+        covariance=np.atleast_2d(np.cov(spread.T)),
+        noise=float(np.sqrt(np.mean(white**2))),
+        notes=_notes(calibration, order, low, high),
+        source=identity(calibration),
+    )
+
+
+def _notes(calibration: Calibration, order: int, low: float, high: float) -> tuple[str, ...]:
+    notes = []
+    if not calibration.readings.has("across_x"):
+        notes.append(
+            "Directions were unknown: a rotation of the triad is a convention (body z is sensor z, body y in the plane "
+            "of sensors y and z), and its uncertainty is none."
+        )
+    if order:
+        notes.append(f"Valid from {low:.4g} to {high:.4g} °C.")
+    else:
+        notes.append("No dependence on temperature is in the model: valid where it was calibrated.")
+    if len(calibration.readings.groups("run")[0]) < 2:
+        notes.append(
+            "One session: what changes between sessions (often ten times the stated uncertainty) is not in it. "
+            "Calibrate in several, with a column 'run'."
+        )
+    return tuple(notes)
+
+
+def _taylor(
+    calibration: Calibration, grid: np.ndarray, draws: int, seed: int
+) -> Float[np.ndarray, "s g p"]:
+    """Offset, matrix and second order of the equation at temperatures, of draws."""
+    readings, vector = calibration.readings, calibration.model.instrument.vector
+    assert vector is not None
+    like = readings.select(np.zeros(len(grid), dtype=int))
+    if readings.has("temperature"):
+        like = like.with_column("temperature", grid)
+    x, rows, v = calibration.draws(draws)
+    rows = np.zeros((len(x), len(grid), rows.shape[2]))
+    assembly = calibration.assembly_on(like, calibration.frame_of(like))
+    hyper = {k: np.broadcast_to(value, len(x)) for k, value in assembly.hyper(v.T).items()}
+    for t in assembly.in_x:  # a new run: its deviation is not known
+        if t.known.per is not None:
+            x = x.copy()
+            x[:, t.at] = 0.0
+    slots = slots_of(assembly, x, rows, hyper, {})
+    random = np.random.default_rng(seed)
+    for t in assembly.in_x:
+        if t.known.per is not None:
+            spread = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
+            new = (t.known.mean + spread * random.standard_normal(len(x)))[:, None]
+            slots[t.slot] = (
+                slots[t.slot]
+                + new * t.factor * assembly.record.columns(t.known.columns, ())[:, t.index]
+            )
+
+    def terms(slots: dict[str, Any]) -> Any:
+        h = vector.equation(slots, assembly.record.frame)
+        zero, unit = jnp.zeros((len(grid), 3)), jnp.eye(3)[:, None, :] * jnp.ones((len(grid), 1))
+
+        def slope(at: Any) -> Any:
+            return jnp.stack([jax.jvp(h, (at,), (e,))[1] for e in unit], axis=2)
+
+        second = jnp.stack([jax.jvp(slope, (zero,), (e,))[1] for e in unit], axis=3)
+        own = jnp.stack([second[:, :, i, j] * (0.5 if i == j else 1.0) for i, j in PAIRS], axis=2)
+        parts = h(zero), slope(zero).reshape(len(grid), 9), own.reshape(len(grid), 18)
+        return jnp.concatenate(parts, axis=1)
+
+    return np.asarray(jax.jit(jax.vmap(terms))({n: jnp.asarray(s) for n, s in slots.items()}))

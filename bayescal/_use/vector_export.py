@@ -1,0 +1,230 @@
+"""A correction of three axes as a file: C99, JSON and Python, YAML for Kalibr and OpenVINS, autopilot parameters.
+
+Equations of what reads them, and their sources:
+
+* Kalibr (imu_models, scale-misalignment): a_measured = M·a + b + n, M lower triangular, the body's x axis that of the
+  sensor x; https://github.com/ethz-asl/kalibr/wiki/Multi-IMU-and-IMU-intrinsic-calibration. A rotation takes ours
+  there.
+* OpenVINS (kalibr_imu_chain.yaml): Tw and Ta in ω_measured = Tw·ω + …, a_measured = Ta·a + …, of any form.
+* PX4 (src/lib/sensor_calibration): corrected = (raw − OFF)·SCALE on each axis of an accelerometer, in m/s²; a symmetric
+  matrix with ODIAG beside it for a magnetometer, in gauss.
+* ArduPilot (AP_InertialSensor_Backend, AP_Compass_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s²; for a compass
+  DIA/ODI·(raw + OFS), symmetric, in mG.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayescal._core.atomic_file import write_text
+from bayescal._core.errors import InputError
+from bayescal._core.quoting import c_comment, identifier, number_text
+from bayescal._core.version import __version__
+from bayescal._data.unit_conversion import convert, same_dimension
+from bayescal._use.autopilots import AUTOPILOTS
+from bayescal._use.languages import template
+from bayescal._use.vector_correction import NEWTON, VectorCorrection
+
+AXES = "xyz"
+
+
+def data(correction: VectorCorrection) -> dict[str, Any]:
+    """What the JSON file holds."""
+    return {
+        "made_by": f"bayescal {__version__}",
+        "calibration": correction.source,
+        "outputs": list(correction.outputs),
+        "unit": correction.unit,
+        "equation": "outputs = offset + matrix·f (+ second order), each a polynomial of T − reference",
+        "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows",
+        "reference_degC": correction.reference,
+        "temperatures_degC": [correction.low, correction.high],
+        "terms": correction.terms.tolist(),
+        "covariance": correction.covariance.tolist(),
+        "noise": correction.noise,
+        "notes": list(correction.notes),
+    }
+
+
+def load_vector_correction(path: str | Path) -> VectorCorrection:
+    """A correction from its JSON file.
+
+    Raises:
+        InputError: there is no such file, or it is none.
+    """
+    try:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+        terms = np.array(found["terms"], dtype=float)
+        covariance = np.array(found["covariance"], dtype=float)
+        if (
+            terms.ndim != 2
+            or terms.shape[1] not in (12, 30)
+            or covariance.shape != 2 * (terms.size,)
+        ):
+            raise ValueError(
+                f"terms of shape {terms.shape} with a covariance of shape {covariance.shape}"
+            )
+        low, high = map(float, found["temperatures_degC"])
+        return VectorCorrection(
+            outputs=tuple(map(str, found["outputs"])),
+            unit=str(found["unit"]),
+            reference=float(found["reference_degC"]),
+            low=low,
+            high=high,
+            terms=terms,
+            covariance=covariance,
+            noise=float(found["noise"]),
+            notes=tuple(map(str, found["notes"])),
+            source=str(found["calibration"]),
+        )
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{Path(path).name} is no correction of three axes ({error}): give a JSON file that `export` wrote"
+        ) from None
+
+
+def kalibr_yaml_of(correction: VectorCorrection, kind: str = "accelerometers") -> str:
+    """The intrinsics as Kalibr and OpenVINS state them, in m/s² or rad/s where the unit is one of these.
+
+    Args:
+        correction: at T0.
+        kind: "accelerometers" or "gyroscopes".
+    """
+    m, sd = correction.matrix, correction.uncertainty[0, 3:12].reshape(3, 3)
+    lower = np.linalg.cholesky(m @ m.T)
+    turn = np.linalg.solve(lower, m)
+    factor, unit = _si(correction.unit)
+    lines = [
+        f"# Intrinsics of three axes at {correction.reference:g} degC, made by bayescal {__version__}",
+        *(f"# {c_comment(note)}" for note in correction.notes),
+        "imu0:",
+        f"  {kind}:",
+        "    # Kalibr, scale-misalignment: measured = M*f + bias, M lower triangular, x axis of the body = sensor x",
+        "    M:",
+        *_rows(lower),
+        "    # from the body axes of this calibration (z = sensor z) to those: f_kalibr = R*f",
+        "    R:",
+        *_rows(turn),
+        f"    # bias, {unit}, and its standard uncertainty",
+        f"    bias: {_list(correction.offset * factor)}",
+        f"    bias_uncertainty: {_list(correction.uncertainty[0, :3] * factor)}",
+        "  # OpenVINS: measured = T*f + bias, in the body axes of this calibration; standard uncertainty below",
+        f"  {'Ta' if kind == 'accelerometers' else 'Tw'}:",
+        *_rows(m),
+        "  # standard uncertainty of its entries",
+        *(f"  #   {_list(row)}" for row in sd),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def autopilot_parameters(
+    correction: VectorCorrection, autopilot: str, sensor: int = 0
+) -> dict[str, float]:
+    """Parameters of PX4 ("px4-params") or ArduPilot ("ardupilot-params") at T0, by their names.
+
+    Of an accelerometer misalignments are left out, for which these have no parameters.
+
+    Raises:
+        InputError: another autopilot, or a quantity that it has no such parameters for.
+    """
+    if autopilot not in AUTOPILOTS:
+        raise InputError(f"format {autopilot!r} is not one of {', '.join(AUTOPILOTS)}")
+    px4 = autopilot == "px4-params"
+    back = np.linalg.inv(correction.matrix)
+    if same_dimension(correction.unit, "g") or same_dimension(correction.unit, "m/s^2"):
+        factor, _ = _si(correction.unit)
+        number = "" if sensor == 0 else str(sensor + 1)
+        off, scale = (
+            (f"CAL_ACC{sensor}_{{}}OFF", f"CAL_ACC{sensor}_{{}}SCALE")
+            if px4
+            else (f"INS_ACC{number}OFFS_{{}}", f"INS_ACC{number}SCAL_{{}}")
+        )
+        found = {off.format(a): correction.offset[i] * factor for i, a in enumerate("XYZ")}
+        return found | {scale.format(a): back[i, i] for i, a in enumerate("XYZ")}
+    if same_dimension(correction.unit, "uT"):
+        values, vectors = np.linalg.eigh(back.T @ back)
+        symmetric = (vectors * np.sqrt(values)) @ vectors.T
+        gauss = np.asarray(convert(correction.offset, correction.unit, "gauss"))
+        beside = dict(zip("XYZ", (symmetric[0, 1], symmetric[0, 2], symmetric[1, 2]), strict=True))
+        if px4:
+            name = f"CAL_MAG{sensor}_"
+            found = {f"{name}{a}OFF": gauss[i] for i, a in enumerate("XYZ")}
+            found |= {f"{name}{a}SCALE": symmetric[i, i] for i, a in enumerate("XYZ")}
+            return found | {f"{name}{a}ODIAG": v for a, v in beside.items()}
+        number = "" if sensor == 0 else str(sensor + 1)
+        found = {f"COMPASS_OFS{number}_{a}": -1e3 * gauss[i] for i, a in enumerate("XYZ")}
+        found |= {f"COMPASS_DIA{number}_{a}": symmetric[i, i] for i, a in enumerate("XYZ")}
+        return found | {f"COMPASS_ODI{number}_{a}": v for a, v in beside.items()}
+    raise InputError(
+        f"{autopilot}: there are parameters for accelerometers and magnetometers, and these outputs are in "
+        f"[{correction.unit}]"
+    )
+
+
+def as_text(correction: VectorCorrection, format: str, name: str = "triad") -> str:
+    """The correction as "json", "c", "python", "yaml", "px4-params" or "ardupilot-params".
+
+    Raises:
+        InputError: another format, or one that has no place for this quantity.
+    """
+    if format in AUTOPILOTS:
+        line = AUTOPILOTS[format].line
+        values = autopilot_parameters(correction, format)
+        head = [
+            f"# Made by bayescal {__version__}, at {correction.reference:g} degC",
+            *(f"# {h}" for h in AUTOPILOTS[format].head),
+        ]
+        return "\n".join([*head, *(line(n, float(v)) for n, v in values.items())]) + "\n"
+    writers: Mapping[str, Callable[[], str]] = {
+        "json": lambda: json.dumps(data(correction), indent=1, ensure_ascii=False) + "\n",
+        "c": lambda: template(
+            "vector.h.jinja", {"comment": c_comment, "number": number_text}
+        ).render(c=correction, name=identifier(name), newton=NEWTON),
+        "python": lambda: template("vector.py.jinja", {}).render(
+            data=repr(data(correction)), pairs=NEWTON
+        ),
+        "yaml": lambda: kalibr_yaml_of(correction),
+    }
+    if format not in writers:
+        raise InputError(f"format {format!r} is not one of {', '.join([*writers, *AUTOPILOTS])}")
+    return writers[format]()
+
+
+SUFFIXES = {".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml": "yaml"}
+
+
+def export_vector(
+    correction: VectorCorrection, path: str | Path, format: str | None = None
+) -> Path:
+    """Write by the suffix of the path (.h, .py, .json, .yaml) or in a `format`.
+
+    Raises:
+        InputError: another suffix or format, or a place that cannot be written to.
+    """
+    path = Path(path)
+    chosen = format or SUFFIXES.get(path.suffix.lower())
+    if chosen is None:
+        raise InputError(
+            f"{path.name}: a correction is written as {', '.join(SUFFIXES)}, or give the format"
+        )
+    return write_text(as_text(correction, chosen, path.stem), path)
+
+
+def _si(unit: str) -> tuple[float, str]:
+    for target in ("m/s^2", "rad/s"):
+        if same_dimension(unit, target) or (target == "m/s^2" and same_dimension(unit, "g")):
+            return float(np.asarray(convert(np.ones(1), unit, target))[0]), target
+    return 1.0, unit
+
+
+def _list(values: np.ndarray) -> str:
+    return f"[{', '.join(f'{v:.9g}' for v in values)}]"
+
+
+def _rows(matrix: np.ndarray) -> list[str]:
+    return [f"    - {_list(row)}" for row in matrix]

@@ -1,0 +1,57 @@
+"""Three accelerometers in poses at rest: bias, scale factors and misalignments over temperature.
+
+What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
+on first use.
+"""
+
+import lazy_loader
+
+import bayescal as bc
+
+OUTPUTS = ("output_x", "output_y", "output_z")
+COLUMNS = (
+    bc.Column("run", None, "label of the session", required=False),
+    bc.Column("time", "s", "one origin over all runs", required=False),
+    bc.Column("temperature", "degC", "of the unit", required=False, low=-273.15, high=250.0),
+    *(
+        bc.Column(
+            f"output_{a}",
+            "g",
+            f"of axis {a}, averaged in a pose",
+            also=(f"accel_{a}", f"acc_{a}", f"a{a}"),
+        )
+        for a in "xyz"
+    ),
+    bc.Column(
+        "magnitude",
+        "g",
+        "local gravity, in the unit of the outputs",
+        default=1.0,
+        low=0.9,
+        high=1.1,
+    ),
+    *(
+        bc.Column(
+            f"direction_{a}",
+            "1",
+            f"of the specific force at rest (up), along axis {a}, where known",
+            required=False,
+        )
+        for a in "xyz"
+    ),
+    bc.Column(
+        "pose_uncertainty",
+        "rad",
+        "standard uncertainty of that direction",
+        required=False,
+        low=0.0,
+        high=1.0,
+    ),
+    *(
+        bc.Column(f"across_{a}", "1", "of a reading that is a projection", required=False)
+        for a in "xyz"
+    ),
+    bc.Column("output", "g", "magnitude or projection, made of the three outputs", required=False),
+)
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,44 @@
+"""A plan of poses, and the triad that is put into them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bayescal_models.triad.poses import KINDS
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Poses at rest, at one temperature after the other.
+
+    Attributes:
+        poses: at each temperature.
+        kind: which: "random", "six", "twelve", "planar" or "level" (within 10°).
+        temperatures: °C.
+        noise: standard deviation of an averaged output, in the output's unit.
+        magnitude: of what acts, in that unit.
+        pose_uncertainty: standard uncertainty of a known direction about each cross axis, rad; None where directions
+            are unknown.
+        interval: between poses, s.
+        runs: sessions, through all of it each.
+
+    Raises:
+        ValueError: an option is out of its range.
+    """
+
+    poses: int = 24
+    kind: str = "random"
+    temperatures: tuple[float, ...] = (25.0,)
+    noise: float = 5e-4
+    magnitude: float = 1.0
+    pose_uncertainty: float | None = None
+    interval: float = 20.0
+    runs: int = 1
+
+    def __post_init__(self) -> None:
+        if self.poses < 1 or self.runs < 1 or not self.temperatures:
+            raise ValueError("Campaign: give at least one pose, one run and one temperature.")
+        if self.kind not in KINDS:
+            raise ValueError(f"Campaign(kind={self.kind!r}): choose among {', '.join(KINDS)}.")
+        if not self.noise >= 0 or not self.interval > 0 or not self.magnitude > 0:
+            raise ValueError("Campaign: noise must be 0 or more, interval and magnitude above 0.")

@@ -1,0 +1,80 @@
+"""The output of three axes, each a polynomial of what acts.
+
+    y_a = f_a + b_a + Σ_j G_aj·f_j + Q_a·f_a² + Σ_{i<j} C_aij·f_i·f_j
+
+b is the bias, the diagonal of G the deviations of the scale factors, the others misalignments (IEEE Std 1293-2018,
+model equation: K0, K1, the angles of the input axis, K2 and the cross-coupling coefficients).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+
+import bayescal as bc
+
+AXES = ("x", "y", "z")
+BIAS = tuple(f"bias_{a}" for a in AXES)
+SCALE = tuple(f"scale_{a}" for a in AXES)
+UPPER = (
+    "misalignment_xy",
+    "misalignment_xz",
+    "misalignment_yz",
+)  # of the first axis toward the second
+LOWER = ("misalignment_yx", "misalignment_zx", "misalignment_zy")
+FIRST = tuple(f"scale_{i}" if i == j else f"misalignment_{i}{j}" for i in AXES for j in AXES)
+SQUARE = tuple(f"square_{a}" for a in AXES)
+CROSS = tuple(f"cross_{a}_{p}" for a in AXES for p in ("xy", "xz", "yz"))
+
+
+def slots(unit: str, acts: str) -> tuple[bc.Slot, ...]:
+    """The slots of three axes whose outputs are in `unit`; `acts` says of what, for people."""
+    return (
+        *(bc.Slot(name, unit, f"output of axis {name[-1]} at no {acts}") for name in BIAS),
+        *(
+            bc.Slot(name, "1", f"deviation of the scale factor of axis {name[-1]}")
+            for name in SCALE
+        ),
+        *(
+            bc.Slot(name, "rad", f"angle of axis {name[-2]} toward {name[-1]}")
+            for name in (*UPPER, *LOWER)
+        ),
+    )
+
+
+def second_order(unit: str) -> tuple[bc.Slot, ...]:
+    """Further slots, of terms of second order."""
+    return (
+        *(
+            bc.Slot(name, f"1/{unit}", f"of axis {name[-1]}, times its own input squared")
+            for name in SQUARE
+        ),
+        *(
+            bc.Slot(name, f"1/{unit}", f"of axis {name[6]}, times {name[8]} and {name[9]}")
+            for name in CROSS
+        ),
+    )
+
+
+def equation(given: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
+    """The three outputs (n, 3), output unit, as a function of what acts (n, 3); second order where there are slots."""
+
+    def stacked(names: Sequence[str]) -> Any:
+        return jnp.stack([given[name] for name in names], axis=1).reshape(r.size, 3, -1)
+
+    bias, first = stacked(BIAS)[:, :, 0], stacked(FIRST)
+    second = (stacked(SQUARE)[:, :, 0], stacked(CROSS)) if SQUARE[0] in given else None
+
+    def outputs(force: Any) -> Any:
+        total = force + bias + jnp.sum(first * force[:, None, :], axis=2)
+        if second is None:
+            return total
+        square, cross = second
+        products = jnp.stack(
+            [force[:, i] * force[:, j] for i, j in ((0, 1), (0, 2), (1, 2))], axis=1
+        )
+        return total + square * force**2 + jnp.sum(cross * products[:, None, :], axis=2)
+
+    return outputs

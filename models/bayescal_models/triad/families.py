@@ -1,0 +1,110 @@
+"""One effect on a family of slots: a coefficient for each axis or pair of axes, found or dropped together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import jax.numpy as jnp
+
+import bayescal as bc
+
+
+def _constant(count: int, r: bc.Frame) -> Any:
+    return jnp.ones((r.size, count))
+
+
+def _departure(count: int, order: int, r: bc.Frame) -> Any:
+    return jnp.broadcast_to(r.centred("temperature")[:, None] ** order, (r.size, count))
+
+
+def _progress(count: int, r: bc.Frame) -> Any:
+    return jnp.broadcast_to(r.progress[:, None], (r.size, count))
+
+
+def family(
+    name: str,
+    slots: Sequence[str],
+    size: float,
+    unit: str,
+    source: str,
+    *,
+    basis: Callable[[int, bc.Frame], Any] = _constant,
+    equation: str = "c",
+    per: str | None = None,
+    **more: Any,
+) -> bc.Effect:
+    """An effect with one coefficient for each of some slots.
+
+    Args:
+        name: canonical name, such as "bias.temperature".
+        slots: of the family; a coefficient's part is what stands after the first underscore.
+        size: prior standard deviation of each, in `unit`; with `per` scale of the prior of the group's.
+        unit: of each.
+        source: where the size comes from.
+        basis: function of the number of coefficients and of the readings.
+        equation: for people.
+        per: a group, for one value for each member, their standard deviation estimated.
+    """
+    learned = {"per": per, "group_sd": bc.HalfNormal(size)} if per else {}
+    return bc.Effect(
+        name,
+        slots[0],
+        basis=partial(basis, len(slots)),
+        coefficients=tuple(
+            bc.Coefficient(
+                unit, bc.Normal(0.0, size), part=slot.partition("_")[2], slot=slot, **learned
+            )
+            for slot in slots
+        ),
+        equation=equation,
+        source=source,
+        **more,
+    )
+
+
+def over_temperature(
+    name: str, slots: Sequence[str], size: float, unit: str, source: str, order: int = 1
+) -> bc.Effect:
+    """c·(T − T0) for each of some slots, or a power of it."""
+    power = {1: "", 2: "²", 3: "³"}[order]
+    return family(
+        name,
+        slots,
+        size,
+        unit,
+        source,
+        basis=partial(_powered, order),
+        equation=f"c·(T − T0){power}",
+        columns=("temperature",),
+        varies=("temperature",),
+    )
+
+
+def _powered(order: int, count: int, r: bc.Frame) -> Any:
+    return _departure(count, order, r)
+
+
+def drift(name: str, slots: Sequence[str], size: float, unit: str, source: str) -> bc.Effect:
+    """c·(t − t̄)/(tmax − tmin) for each of some slots."""
+    return family(
+        name,
+        slots,
+        size,
+        unit,
+        source,
+        basis=_progress,
+        equation="c·progress",
+        columns=("time",),
+        varies=("time",),
+    )
+
+
+def unknown_directions(readings: bc.Measurements) -> str | None:
+    """Why a rotation of the triad moves no reading."""
+    return (
+        None
+        if readings.has("across_x")
+        else "needs poses of known direction (direction_x, …, pose_uncertainty)"
+    )

@@ -1,0 +1,108 @@
+"""Poses of a simulated campaign: three dies, each with its own input axis, in poses at rest.
+
+An axis feels the specific force along its own direction, a row of the sensor's matrix; quadratic terms are those of its
+own equation. All of it is computed pose by pose in NumPy, independently of the instrument's equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayescal_models.triad.campaign import Campaign
+from bayescal_models.triad.poses import beside, directions
+
+REFERENCE = 25.0  # °C, where bias, scale and misalignment are those
+# A hidden effect of size c comes at these multiples of it on the members of its family.
+SHARES = np.array([1.0, -0.6, 0.8, -1.0, 0.5, 0.9, -0.7, 1.0, -0.4])
+PAIRS = ((0, 1), (0, 2), (1, 2))
+# Laws, and how many coefficients each has.
+COUNTS = {
+    "bias.constant": 3,
+    "bias.temperature": 3,
+    "bias.temperature_quadratic": 3,
+    "bias.drift": 3,
+    "bias.run": 3,
+    "scale.constant": 3,
+    "scale.temperature": 3,
+    "misalignment.constant": 3,
+    "misalignment.temperature": 3,
+    "misalignment.frame": 3,
+    "square.constant": 3,
+    "cross.constant": 9,
+}
+
+
+def poses_of(
+    baseline: Mapping[str, Any],
+    known: Sequence[str],
+    small: float,
+    effects: Mapping[str, float] | None,
+    seed: int,
+    campaign: Campaign,
+) -> dict[str, Any]:
+    """Columns of poses with these effects hidden in them, by name.
+
+    Args:
+        baseline: what is there unless effects say otherwise, by its canonical name: sizes of its three members.
+        known: effects of the instrument.
+        small: output units in the unit of biases and terms of second order, such as 10⁻³ for mg.
+        effects: canonical name → size.
+        seed: of every random number.
+        campaign: the poses.
+
+    Raises:
+        ValueError: an unknown effect, or a size that is no number.
+    """
+    given = dict(effects or {})
+    if unknown := sorted(set(given) - {*known}):
+        raise ValueError(f"no law for {', '.join(unknown)}: choose among {', '.join(known)}")
+    for name, size in given.items():
+        if not np.isfinite(size):
+            raise ValueError(f"{name}: its size {size!r} is no number")
+    rng = np.random.default_rng(seed)
+    each = len(campaign.temperatures) * campaign.poses
+    count = campaign.runs * each
+    nominal = np.concatenate(
+        [
+            directions(campaign.kind, campaign.poses, rng)
+            for _ in range(campaign.runs * len(campaign.temperatures))
+        ]
+    )
+    angle = campaign.pose_uncertainty or 0.0
+    force = campaign.magnitude * beside(nominal, angle, rng)
+    temperature = np.tile(np.repeat(campaign.temperatures, campaign.poses), campaign.runs)
+    run = np.repeat(np.arange(campaign.runs), each)
+    time = campaign.interval * np.arange(count) + 3600.0 * run
+    of_run, noise = rng.standard_normal((campaign.runs, 3)), rng.standard_normal((count, 3))
+    sizes = {name: np.zeros(members) for name, members in COUNTS.items()}
+    sizes |= {name: np.asarray(members, float) for name, members in baseline.items()}
+    for name, size in given.items():
+        sizes[name] = size * SHARES[: len(sizes[name])]
+    warm = (temperature - REFERENCE)[:, None]
+    progress = ((time - time.mean()) / max(float(np.ptp(time)), 1.0))[:, None]
+    bias = sizes["bias.constant"] + sizes["bias.temperature"] * warm
+    bias = bias + sizes["bias.temperature_quadratic"] * warm**2 + sizes["bias.drift"] * progress
+    bias = small * (bias + sizes["bias.run"] * of_run[run])
+    scale = 1e-6 * (sizes["scale.constant"] + sizes["scale.temperature"] * warm)
+    upper = 1e-3 * (sizes["misalignment.constant"] + sizes["misalignment.temperature"] * warm)
+    lower = 1e-3 * sizes["misalignment.frame"]
+    output = np.empty((count, 3))
+    for i in range(count):
+        matrix = np.eye(3) + np.diag(scale[i])
+        matrix[0, 1], matrix[0, 2], matrix[1, 2] = upper[i]
+        matrix[1, 0], matrix[2, 0], matrix[2, 1] = lower
+        products = np.array([force[i, a] * force[i, b] for a, b in PAIRS])
+        second = sizes["square.constant"] * force[i] ** 2
+        second = second + sizes["cross.constant"].reshape(3, 3) @ products
+        output[i] = matrix @ force[i] + bias[i] + small * second
+    output += campaign.noise * noise
+    made: dict[str, Any] = {"run": (run + 1).astype(str), "time": time, "temperature": temperature}
+    made["magnitude"] = np.full(count, campaign.magnitude)
+    made |= {f"output_{a}": output[:, i] for i, a in enumerate("xyz")}
+    if campaign.pose_uncertainty is not None:
+        made |= {f"direction_{a}": nominal[:, i] for i, a in enumerate("xyz")}
+        made["pose_uncertainty"] = np.full(count, angle)
+    return made

@@ -1,0 +1,350 @@
+"""Three axes by poses: what they measure and what not, against other methods, and what leaves."""
+
+from __future__ import annotations
+
+import subprocess
+from functools import cache
+from pathlib import Path
+from shutil import which
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+import bayescal as bc
+from bayescal._data.still_stretches import still_stretches
+from bayescal._model.vector import inverted
+from bayescal_models import accelerometer_triad, magnetometer_triad
+from bayescal_models.accelerometer_triad.simulator import BASELINE
+
+Campaign = accelerometer_triad.Campaign
+MODEL = accelerometer_triad.INSTRUMENT.baseline()
+NAMES = [f"{n}[{p}]" for n in BASELINE for p in (("xy", "xz", "yz") if n[0] == "m" else "xyz")]
+TRUE = np.concatenate([np.asarray(v) for v in BASELINE.values()])
+THERMAL = Campaign(poses=14, temperatures=(-20.0, 0.0, 25.0, 50.0, 70.0))
+
+
+def estimates(calibration: bc.Calibration) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard uncertainty of the nine coefficients."""
+    draws = np.stack([calibration.samples(name) for name in NAMES], axis=1)
+    return draws.mean(axis=0), draws.std(axis=0)
+
+
+@cache
+def thermal() -> bc.Calibration:
+    readings = accelerometer_triad.simulate(
+        {"bias.temperature": 0.3, "square.constant": 1.0}, seed=3, campaign=THERMAL
+    )
+    return bc.fit(MODEL + ["bias.temperature", "square.constant"], readings)
+
+
+def outputs(readings: bc.Measurements) -> np.ndarray:
+    return np.stack([readings[f"output_{a}"] for a in "xyz"], axis=1)
+
+
+# the equation ---------------------------------------------------------------------------------------------------
+
+
+def test_the_inverse_undoes_terms_of_second_order() -> None:
+    random = np.random.default_rng(1)
+    matrix, square = np.eye(3) + 0.02 * random.standard_normal((3, 3)), 2e-3
+    force = random.standard_normal((50, 3))
+    force /= np.linalg.norm(force, axis=1)[:, None]
+
+    def h(f):
+        return f @ matrix.T + 0.03 + square * f**2
+
+    found, inverse = inverted(h, jnp.asarray(h(force)))
+    assert np.max(np.abs(found - force)) < 1e-12
+    slopes = matrix + 2 * square * force[:, :, None] * np.eye(3)
+    assert np.max(np.abs(inverse @ slopes - np.eye(3))) < 1e-5
+
+
+def test_the_estimating_equation_is_unbiased_where_poses_are_noisy() -> None:
+    """Residual times its slope has the mean zero at the truth, over noise of 30 mg; not so for |f̂| − 1."""
+    random = np.random.default_rng(2)
+    count, sd = 2_000_000, 0.03
+    force = np.array([0.6, 0.0, 0.8])
+    length = np.linalg.norm(y := force + sd * random.standard_normal((count, 3)), axis=1)
+    along = y[:, 0] ** 2 / length**2  # −∂ log|f̂| and −∂ log s by the scale factor of x
+
+    def score(power: float) -> tuple[float, float]:
+        residual = (length**power - 1) / power
+        each = residual * (length**power - residual) * along / sd**2
+        return float(each.mean()), float(each.std() / np.sqrt(count))
+
+    third, error = score(1 / 3)
+    assert abs(third) < 4 * error + 5 * sd**2
+    assert score(1.0)[0] > 0.2
+
+
+# what is measured -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+def test_agrees_with_the_poses_by_hand(noise: float) -> None:
+    """imu_tk's estimate: f̂ = T·K·(y − b) with |f̂| = 1, by least squares (Tedaldi, Pretto and Menegatti 2014)."""
+    readings = accelerometer_triad.simulate(seed=4, campaign=Campaign(poses=40, noise=noise))
+    y = outputs(readings)
+
+    def left(p: np.ndarray) -> np.ndarray:
+        turn = np.array([[1.0, p[0], p[1]], [0.0, 1.0, p[2]], [0.0, 0.0, 1.0]])
+        return np.linalg.norm((p[3:6] * (y - p[6:9])) @ turn.T, axis=1) - 1
+
+    p = least_squares(left, np.concatenate([np.zeros(3), np.ones(3), np.zeros(3)])).x
+    own = np.array([[1.0, p[0], p[1]], [0.0, 1.0, p[2]], [0.0, 0.0, 1.0]]) * p[3:6]
+    matrix = np.linalg.inv(own)
+    theirs = np.concatenate(
+        [1e3 * p[6:9], 1e6 * (np.diag(matrix) - 1), 1e3 * matrix[[0, 0, 1], [1, 2, 2]]]
+    )
+    mean, sd = estimates(bc.fit(MODEL, readings))
+    assert np.max(np.abs(theirs - mean) / sd) < 0.15  # of the mean over 4,000 draws too
+    assert np.max(np.abs(mean - TRUE) / sd) < 4
+
+
+def test_agrees_with_an_ellipsoid() -> None:
+    """Ten coefficients of a quadric through the readings, by its smallest singular vector (Li and Griffiths 2004)."""
+    readings = magnetometer_triad.simulate(seed=5)
+    y = outputs(readings) / 50.0
+    x, yy, z = y.T
+    table = np.stack(
+        [x**2, yy**2, z**2, 2 * x * yy, 2 * x * z, 2 * yy * z, x, yy, z, 1 + 0 * x], axis=1
+    )
+    q = np.linalg.svd(table)[2][-1]
+    form = np.array([[q[0], q[3], q[4]], [q[3], q[1], q[5]], [q[4], q[5], q[2]]])
+    centre = np.linalg.solve(form, -0.5 * q[6:9])
+    calibration = bc.fit(magnetometer_triad.INSTRUMENT.baseline(), readings)
+    found = np.stack([calibration.samples(f"bias.constant[{a}]") for a in "xyz"], axis=1)
+    # An algebraic fit weighs readings otherwise: it agrees within what its own scatter allows.
+    assert np.max(np.abs(50.0 * centre - found.mean(axis=0)) / found.std(axis=0)) < 1.0
+
+
+def test_known_directions_measure_the_frame_too() -> None:
+    hidden = {"misalignment.frame": 5.0}
+    campaign = Campaign(poses=16, noise=1e-3, pose_uncertainty=5e-4)
+    readings = accelerometer_triad.simulate(hidden, seed=6, campaign=campaign)
+    calibration = bc.fit(MODEL + "misalignment.frame", readings)
+    for part, share in zip(("yx", "zx", "zy"), (1.0, -0.6, 0.8), strict=True):
+        draws = calibration.samples(f"misalignment.frame[{part}]")
+        assert draws.std() < 1.0
+        assert abs(draws.mean() - 5.0 * share) < 4 * draws.std()
+
+
+@pytest.mark.parametrize(
+    ("kind", "told", "not_told"),
+    [
+        ("six", ["bias.constant[x]", "scale.constant[z]"], ["misalignment.constant[xy]"]),
+        ("twelve", NAMES, []),
+        (
+            "planar",
+            ["bias.constant[x]", "misalignment.constant[xz]"],
+            ["scale.constant[y]", "misalignment.constant[xy]"],
+        ),
+        ("level", [], ["misalignment.constant[yz]"]),
+    ],
+)
+def test_what_poses_do_not_tell_keeps_the_width_of_its_prior(
+    kind: str, told: list[str], not_told: list[str]
+) -> None:
+    readings = accelerometer_triad.simulate(seed=1, campaign=Campaign(kind=kind))
+    calibration = bc.fit(MODEL, readings)
+    sizes = {"bias.constant": 50.0, "scale.constant": 30000.0, "misalignment.constant": 20.0}
+    shares = {n: calibration.samples(n).std() / sizes[n.partition("[")[0]] for n in NAMES}
+    assert all(shares[name] < 0.1 for name in told)
+    assert all(0.8 < shares[name] < 1.2 for name in not_told)
+    if kind == "planar":
+        assert "not measured: scale.constant[y]" in str(calibration)
+
+
+def test_a_family_is_found_as_one_effect() -> None:
+    readings = accelerometer_triad.simulate({"bias.temperature": 0.3}, seed=7, campaign=THERMAL)
+    found = bc.discover(bc.fit(MODEL, readings))
+    assert "bias.temperature" in [effect.name for effect in found.best]
+    nothing = bc.discover(bc.fit(MODEL, accelerometer_triad.simulate(seed=8, campaign=THERMAL)))
+    assert not nothing.best
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "campaign",
+    [
+        Campaign(poses=20, noise=1e-3),
+        Campaign(poses=20, noise=1e-4),
+        Campaign(poses=200, noise=30e-3),
+    ],
+)
+def test_intervals_cover(campaign: Campaign) -> None:
+    covered = []
+    for seed in range(100):
+        readings = accelerometer_triad.simulate(seed=2000 + seed, campaign=campaign)
+        calibration = bc.fit(MODEL, readings, bc.Marginal(proposals=2048), seed=seed)
+        for name, true in zip(NAMES, TRUE, strict=True):
+            low, high = np.quantile(calibration.samples(name), [0.025, 0.975])
+            covered.append(low <= true <= high)
+    each = np.mean(np.reshape(covered, (-1, len(NAMES))), axis=1)
+    error = each.std() / np.sqrt(len(each))
+    assert abs(each.mean() - 0.95) < 4 * error
+
+
+# what leaves ----------------------------------------------------------------------------------------------------
+
+
+def test_a_corrected_vector_is_what_acts_within_its_uncertainty() -> None:
+    correct = bc.vector_correction(thermal())
+    random = np.random.default_rng(3)
+    force = random.standard_normal((200, 3))
+    force /= np.linalg.norm(force, axis=1)[:, None]
+    bias = 1e-3 * (np.array([12.0, -20.0, 35.0]) + 0.3 * 15.0 * np.array([1.0, -0.6, 0.8]))
+    matrix = np.eye(3) + np.diag([8e-3, -5e-3, 12e-3])
+    matrix[0, 1], matrix[0, 2], matrix[1, 2] = 4e-3, -6e-3, 3e-3
+    y = force @ matrix.T + bias + 1e-3 * np.array([1.0, -0.6, 0.8]) * force**2
+    found = correct(y, temperature=40.0, noise=0.0)
+    apart = found.vector - force
+    chi = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(found.covariance), apart)
+    assert np.mean(chi) < 9  # three expected, of errors that all vectors share
+    assert not found.outside.any()
+    assert correct(y[:1], temperature=90.0).outside.all()
+    size, uncertainty = found.magnitude
+    assert np.max(np.abs(size - 1) / uncertainty) < 5
+    roll, sd = found.tilt["roll"]
+    assert np.max(np.abs(np.sin(roll - np.arctan2(force[:, 1], force[:, 2]))) / sd) < 5
+
+
+def test_slopes_of_tilt_and_heading() -> None:
+    """Standard uncertainties of angles are those of vectors drawn about the mean."""
+    random = np.random.default_rng(4)
+    root = 1e-3 * random.standard_normal((3, 3))
+    made = bc.vector_correction(thermal())(np.array([[0.3, -0.4, 0.8]]), 25.0)
+    one = type(made)(made.vector, (root @ root.T)[None], made.unit, made.outside)
+    drawn = made.vector + random.standard_normal((20_000, 3)) @ root.T
+    many = type(made)(drawn, np.zeros((20_000, 3, 3)), made.unit, made.outside)
+    for name in ("roll", "pitch"):
+        assert one.tilt[name][1][0] == pytest.approx(many.tilt[name][0].std(), rel=0.03)
+    assert one.heading[1][0] == pytest.approx(many.heading[0].std(), rel=0.03)
+    assert one.magnitude[1][0] == pytest.approx(many.magnitude[0].std(), rel=0.03)
+
+
+def test_exports_compute_the_same(tmp_path: Path) -> None:
+    correct = bc.vector_correction(thermal())
+    y = np.array([0.3, -0.5, 0.8])
+    found = correct(y, temperature=40.0)
+    for name in ("sensor.h", "sensor.py", "sensor.json", "sensor.yaml"):
+        bc.export_vector(correct, tmp_path / name)
+    again = bc.load_vector_correction(tmp_path / "sensor.json")(y, temperature=40.0)
+    assert np.array_equal(again.vector, found.vector)
+    space: dict = {}
+    exec((tmp_path / "sensor.py").read_text("utf-8"), space)
+    force, covariance = space["correct"](y, 40.0)
+    assert force == pytest.approx(found.vector[0], abs=1e-14)
+    assert covariance == pytest.approx(found.covariance[0], rel=1e-9)
+    if (compiler := which("cc")) is None:
+        pytest.skip("no C compiler")
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include "sensor.h"\nint main(void) {\n'
+        "    double y[3] = {0.3, -0.5, 0.8}, f[3], c[3][3];\n"
+        f"    int outside = sensor_correct(y, 40.0, {correct.noise!r}, f, c), i;\n"
+        '    printf("%d", outside);\n    for (i = 0; i < 3; i++) printf(" %.17g", f[i]);\n'
+        '    for (i = 0; i < 9; i++) printf(" %.17g", c[i / 3][i % 3]);\n    return 0;\n}\n'
+    )
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror"]
+    subprocess.run([compiler, *flags, "main.c", "-o", "main"], cwd=tmp_path, check=True)
+    made = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout
+    numbers = np.array(made.split(), dtype=float)
+    assert numbers[0] == 0
+    assert numbers[1:4] == pytest.approx(found.vector[0], abs=1e-14)
+    assert numbers[4:].reshape(3, 3) == pytest.approx(found.covariance[0], rel=1e-9)
+
+
+def test_kalibrs_matrix_and_ours_give_one_magnitude() -> None:
+    correct = bc.vector_correction(thermal())
+    yaml = pytest.importorskip("yaml")
+    from bayescal._use.vector_export import as_text, autopilot_parameters
+
+    found = yaml.safe_load(as_text(correct, "yaml"))["imu0"]
+    m, turn = (np.array(found["accelerometers"][n]) for n in ("M", "R"))
+    assert np.allclose(m, np.tril(m))
+    assert np.allclose(m @ turn, correct.matrix, atol=1e-8)
+    assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-8)
+    values = autopilot_parameters(correct, "ardupilot-params")
+    assert values["INS_ACCOFFS_X"] == pytest.approx(9.80665 * correct.offset[0])
+
+
+def test_a_compass_of_an_autopilot_is_symmetric_and_keeps_the_magnitude() -> None:
+    from bayescal._use.vector_export import autopilot_parameters
+
+    readings = magnetometer_triad.simulate(seed=5)
+    correct = bc.vector_correction(bc.fit(magnetometer_triad.INSTRUMENT.baseline(), readings))
+    p = autopilot_parameters(correct, "ardupilot-params")
+    offset = np.array([p[f"COMPASS_OFS_{a}"] for a in "XYZ"])
+    d, o = ([p[f"COMPASS_{n}_{a}"] for a in "XYZ"] for n in ("DIA", "ODI"))
+    matrix = np.array([[d[0], o[0], o[1]], [o[0], d[1], o[2]], [o[1], o[2], d[2]]])
+    field = (10 * outputs(readings) + offset) @ matrix.T  # mG: 10 a µT
+    size = correct(outputs(readings)).magnitude[0]
+    assert np.allclose(np.linalg.norm(field, axis=1), 10 * size, rtol=1e-9)
+
+
+# from a log to poses --------------------------------------------------------------------------------------------
+
+
+def raw_log(poses: int = 24, seed: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, three outputs of a unit that is turned by hand from pose to pose, noise filtered; and the poses' forces."""
+    random = np.random.default_rng(seed)
+    force = random.standard_normal((poses, 3))
+    force /= np.linalg.norm(force, axis=1)[:, None]
+    parts = []
+    for here, there in zip(force, [*force[1:], force[-1]], strict=True):
+        parts.append(np.repeat(here[None], 400, axis=0))
+        a = np.linspace(0, 1, 100)[:, None]
+        parts.append((1 - a) * here + a * there + 0.05 * np.sin(40 * a))
+    f = np.concatenate(parts[:-1])
+    noise, kicks = np.zeros_like(f), 1.2e-3 * random.standard_normal(f.shape)
+    for i in range(1, len(f)):
+        noise[i] = 0.8 * noise[i - 1] + kicks[i]
+    matrix = np.eye(3) + np.diag([8e-3, -5e-3, 12e-3])
+    return np.arange(len(f)) / 100.0, f @ matrix.T + [0.012, -0.020, 0.035] + noise, force
+
+
+def test_still_stretches_and_the_uncertainty_of_their_means() -> None:
+    time, y, force = raw_log()
+    found = still_stretches(time, y)
+    assert len(found.mean) == len(force)
+    matrix = np.eye(3) + np.diag([8e-3, -5e-3, 12e-3])
+    apart = (found.mean - force @ matrix.T - [0.012, -0.020, 0.035]) / found.uncertainty[:, None]
+    assert 0.75 < apart.std() < 1.25
+    assert 2.0 < found.ratio < 4.0  # √((1 + 0.8)/(1 − 0.8)) = 3
+    with pytest.raises(bc.InputError, match="no stretch of the log is still"):
+        still_stretches(time, y, shortest=10.0)
+    with pytest.raises(bc.InputError, match="each row is a pose already"):
+        still_stretches(time[::50], y[::50])
+
+
+def test_a_log_is_read_as_poses() -> None:
+    time, y, force = raw_log()
+    columns = {f"output_{a}": y[:, i] for i, a in enumerate("xyz")}
+    log = bc.Measurements.from_arrays(accelerometer_triad.INSTRUMENT, time=time, **columns)
+    readings = bc.poses(log, accelerometer_triad.INSTRUMENT)
+    assert len(readings) == len(force)
+    mean, sd = estimates(bc.fit(MODEL, readings))
+    true = np.array([12.0, -20.0, 35.0, 8000.0, -5000.0, 12000.0, 0.0, 0.0, 0.0])
+    assert np.max(np.abs(mean - true) / sd) < 4
+
+
+# what is refused ------------------------------------------------------------------------------------------------
+
+
+def test_refusals_say_what_to_do() -> None:
+    given = {f"output_{a}": np.ones(4) for a in "xyz"}
+    instrument = accelerometer_triad.INSTRUMENT
+    with pytest.raises(bc.InputError, match="pose_uncertainty"):
+        bc.Measurements.from_arrays(instrument, **given, direction_x=np.ones(4))
+    with pytest.raises(bc.InputError, match="row 3, columns output_x, output_y, output_z"):
+        bc.Measurements.from_arrays(
+            instrument, **{name: np.array([1.0, 1.0, 0.0, 1.0]) for name in given}
+        )
+    model = MODEL + "bias.drift"
+    drifting = bc.fit(model, accelerometer_triad.simulate(seed=1), bc.LeastSquares())
+    with pytest.raises(bc.ModelError, match=r"bias\.drift"):
+        bc.vector_correction(drifting)
+    with pytest.raises(bc.InputError, match="temperature"):
+        bc.vector_correction(thermal())(np.ones(3))
