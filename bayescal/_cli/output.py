@@ -33,10 +33,10 @@ from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import Step
 
 Kinds = Mapping[str, Sequence[Effect]]
-SHOWN_STRUCTURES = 6  # of those averaged over, that have a line each
-SHOWN_CHECKS = (
-    4  # covariates that a first model is checked against, the worst, that have a line each
-)
+# Lines of a table without --verbose, so that a result is a screen.
+SHOWN_STRUCTURES = 2  # of those averaged over
+SHOWN_MOVED = 3  # coefficients that the average moves
+SHOWN_CHECKS = 3  # covariates that a first model is checked against, the worst
 
 
 def instruments_text(known: Mapping[str, Instrument]) -> str:
@@ -223,7 +223,7 @@ def loop_text(
     if output_unit is not None:
         shown = in_output_unit(of_trail(trail), output_unit)
         parts.append(f"IN {unit_label(output_unit)}\n\n{shown}")
-    if averaged := averaged_text(trail):
+    if averaged := averaged_text(trail, verbose):
         parts.append(averaged)
     if trail.ending:
         parts.append(textwrap.fill(f"end: {trail.ending}", WIDTH))
@@ -232,16 +232,17 @@ def loop_text(
     return "\n\n".join(parts).removeprefix("\n")
 
 
-def averaged_text(trail: SearchPath) -> str:
+def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
     """The structures that are averaged over, and the coefficients that this changes; empty where one has it all."""
     if trail.average is None:
         return ""
     added = [
-        [" + ".join(s.effects) or "nothing added", probability(s.probability)]
-        for s in trail.shares[:SHOWN_STRUCTURES]
+        [" + ".join(s.effects) or "nothing added", probability(s.probability)] for s in trail.shares
     ]
-    if more := trail.shares[SHOWN_STRUCTURES:]:
-        added.append([f"{len(more)} others", probability(sum(s.probability for s in more))])
+    if not verbose and len(added) > SHOWN_STRUCTURES + 1:
+        more = sum(s.probability for s in trail.shares[SHOWN_STRUCTURES:])
+        others = f"{len(added) - SHOWN_STRUCTURES} others (--verbose)"
+        added[SHOWN_STRUCTURES:] = [[others, probability(more)]]
     said = (
         "Predictions, compensation and exports are averaged over these structures; "
         "--structure best uses the one above."
@@ -259,6 +260,8 @@ def averaged_text(trail: SearchPath) -> str:
         ]
         for m in moved(trail.final.calibration, trail.average)
     ]
+    if not verbose and len(rows) > SHOWN_MOVED + 1:
+        rows[SHOWN_MOVED:] = [[f"{len(rows) - SHOWN_MOVED} others (--verbose)", "", "", ""]]
     if rows:
         parts.append(table(["coefficient", "in this structure", "over structures", "unit"], rows))
     return "\n".join(parts)

@@ -122,7 +122,8 @@ def _does(c: Calibration, effect: Effect) -> str:
     if cause == "drift":
         return f"drifts by {size} over the test"
     if cause == "hysteresis":
-        return f"depends on which way {column} went before, by {size}"
+        way = "direction of approach" if column == "direction" else f"way that {column} went before"
+        return f"depends on the {way}, by {size}"
     if cause == "constant":
         return f"is off by {size}"
     if cause.startswith("temperature") and len(effect.columns) == 1:
@@ -222,7 +223,8 @@ def _not_looked_at(chapter: Chapter) -> Iterator[str]:
     last = chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
     by_reason: dict[str, list[str]] = {}
     for candidate in last:
-        if candidate["kind"] == "not testable":
+        same = candidate["reason"].startswith("one function with")  # tested under the other's name
+        if candidate["kind"] == "not testable" and not same:
             by_reason.setdefault(candidate["reason"], []).append(candidate["effect"])
     if by_reason:
         told = "; ".join(f"{_and(names)} ({reason})" for reason, names in by_reason.items())
@@ -244,7 +246,8 @@ def _not_decided(chapter: Chapter) -> Iterator[str]:
     if open_:
         yield f"Not decided: {'; '.join(dict.fromkeys(open_))}."
     if chapter.data["other_path"] is not None:
-        yield f"Undecided: {chapter.data['other_path']['in_words']}".rstrip(".") + "."
+        rival = chapter.data["other_path"]["in_words"].partition(". ")[0].rstrip(".")
+        yield f"Undecided: {rival[0].lower()}{rival[1:]}."
 
 
 def _and(words: list[str]) -> str:
