@@ -48,7 +48,10 @@ def poses(log: Measurements, instrument: Instrument, *, shortest: float = SHORTE
     known = {c.name for c in instrument.columns} | {UNCERTAINTY}
     units = {name: str(log.unit(name)) for name in columns if name not in known and log.unit(name)}
     made = Measurements.from_arrays(
-        instrument, units=units, allow_one_temperature=True, **columns  # pyright: ignore[reportArgumentType]
+        instrument,
+        units=units,
+        allow_one_temperature=True,
+        **columns,  # pyright: ignore[reportArgumentType]
     )
     said = (
         f"{len(made['output'])} readings of {len(columns[UNCERTAINTY])} poses found in {log.file}; means of blocks "
