@@ -124,8 +124,8 @@ class Check(Printed):
         }
 
 
-def check_text(check: Check) -> str:
-    """Where a model fails, the worst covariate first."""
+def check_text(check: Check, most: int | None = None) -> str:
+    """Where a model fails, the worst covariate first: of so many covariates at most, the others by name."""
     unit = unit_label(check.unit)
     rows = [
         [
@@ -135,7 +135,7 @@ def check_text(check: Check) -> str:
             f"{e.worst.z:+.1f}",
             place_in_words(e),
         ]
-        for e in check.entries
+        for e in check.entries[:most]
     ]
     head = ["residuals against", "log Bayes factor", "worst mean", "z", "where"]
     noise = f"judged against noise of {check.noise:.3g} {unit}"
@@ -143,6 +143,9 @@ def check_text(check: Check) -> str:
     if check.fixed:
         lines += [_fixed_text(check), ""]
     lines.append(table(head, rows, fold=25) if rows else "no covariate varies")
+    if others := check.entries[len(rows) :]:
+        named = ", ".join(e.against for e in others)
+        lines.append(textwrap.fill(f"less against {named} (--verbose)", WIDTH))
     lines += [
         f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "
         f"{p.log_bayes_factor:.1f})"

@@ -1,4 +1,4 @@
-"""Noise of a sensor at rest: N, B and K of IEEE 952 with intervals, by the likelihood of sums of noise terms.
+"""Noise of a sensor at rest: Q, N, B and K of IEEE 952 with intervals, by the likelihood of sums of noise terms.
 
 Every sum is fitted by the Kalman filter to the readings themselves, levels of runs and a cubic over temperature
 integrated out beside it (restricted likelihood); the sums are weighed by their evidence, and the parameters of the
@@ -21,11 +21,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import minimize
+from scipy.special import ndtri
 
 from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.measurements import Measurements
+from bayescal._inference.mode import curvature
 from bayescal._inference.programs import padded_length
 from bayescal._model.noise_law import LOG_2PI, WHITE
 from bayescal._model.noise_terms import FLAT, TERMS
@@ -36,9 +38,10 @@ Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 LONG = 16_384  # readings, above which means of blocks are taken: the filter then takes a tenth of a second
 STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
 ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
-DEGREE = (
-    3  # of the polynomial over temperature: a sensor's own law of it is rarely of more in one soak
+ROUNDED = (
+    "quantisation"  # one more, where the Allan variance falls faster at first than white noise's
 )
+DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
 STIRRED = 0.2  # °C, of a temperature's range, below which it is taken as constant
 NOTHING = 0.5  # prior probability that the noise is white
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
@@ -113,6 +116,8 @@ class _AtRest(NamedTuple):
             factor = self.size
             if name.endswith((".diffusion", ".walk")):
                 factor = self.size / root
+            elif name.endswith(ROUNDED):
+                factor = self.size * self.step
             elif name.endswith(".time"):
                 factor = self.step
             elif name.endswith(".place"):
@@ -154,11 +159,13 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     runs = even_runs(readings)
     channel, notes = _channel(readings, runs)
     fits: dict[Terms, _Fit] = {(): _fit(channel, ())}
-    for term in ALONE:
+    falls = len(channel.allan) > 1 and channel.allan[0] > 2 * channel.allan[1]
+    alone = (*ALONE, ROUNDED) if falls else ALONE
+    for term in alone:
         fits[(term,)] = _fit(channel, (term,))
     best = max(fits, key=lambda t: _total(fits, t))
     if best:
-        for term in ALONE:
+        for term in alone:
             pair = _sorted((*best, term))
             if pair not in fits and (term not in best or term == "correlated"):
                 fits[pair] = _fit(channel, pair)
@@ -347,13 +354,9 @@ def _fit(channel: _AtRest, terms: tuple[str, ...]) -> _Fit:
         for i in np.argsort(-there)[:STARTS]
     ]
     best = min(tries, key=lambda t: t.fun)
-    d = len(best.x)
-    curvature = np.empty((d, d))
-    for i, shift in enumerate(SHIFT * np.eye(d)):
-        curvature[i] = (down(best.x + shift)[1] - down(best.x - shift)[1]) / (2 * SHIFT)
-    weights, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    weights, vectors = np.linalg.eigh(curvature(lambda at: -down(at)[1], best.x, SHIFT))
     weights = np.maximum(weights, LEAST)
-    evidence = -float(best.fun) + 0.5 * d * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
+    evidence = -float(best.fun) + 0.5 * len(best.x) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
     return _Fit(evidence, best.x, (vectors / weights) @ vectors.T)
 
 
@@ -363,7 +366,11 @@ def _starts(
     """Coordinates, from the Allan curve: each term as large as the curve lets it be, times in several places."""
     m, allan = channel.factors, channel.allan
     walk = math.sqrt(3 * allan[-1] / m[-1])
-    sizes = {"noise.walk": walk, "noise.flicker": math.sqrt(float(np.min(allan)) / FLAT)}
+    sizes = {
+        "noise.walk": walk,
+        "noise.flicker": math.sqrt(float(np.min(allan)) / FLAT),
+        "noise.quantisation": math.sqrt(allan[0] / 3),
+    }
     places = [0.2, 0.5, 0.8]
     alike = terms.count("correlated")
     for shares in itertools.combinations(places, alike) if alike else [()]:
@@ -375,7 +382,7 @@ def _starts(
             values[f"noise.correlated{k}.diffusion"] = math.sqrt(2 * variance / time)
             values[f"noise.correlated{k}.time"] = time
             part = math.log(time / before) / math.log(channel.longest / before)
-            values[f"noise.correlated{k}.place"] = float(np.sqrt(2) * _erfinv(2 * part - 1))
+            values[f"noise.correlated{k}.place"] = float(ndtri(np.clip(part, 5e-4, 1 - 5e-4)))
             before = time
         for factor in (1.0, 0.3):
             scaled = {
@@ -383,12 +390,6 @@ def _starts(
                 for n, v in values.items()
             }
             yield np.array([float(p.coordinate(scaled[n])) for n, p in priors.items()])
-
-
-def _erfinv(x: float) -> float:
-    from scipy.special import erfinv
-
-    return float(erfinv(np.clip(x, -0.999, 0.999)))
 
 
 def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 1.0) -> RestNoise:

@@ -218,14 +218,14 @@ class _CarriedOn(NamedTuple):
     Attributes:
         law, values: the noise law and its parameters.
         parts: of each run, which of the fitted readings are its own, their times, the variance of their own noise,
-            and of the others which, and their times.
+            of the others which, and their times; and what the law follows, at both.
         output: of the fitted readings (n,).
         count: of the others.
     """
 
     law: Noise
     values: dict[str, Any]
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+    parts: list[tuple[Any, ...]]
     output: np.ndarray
     count: int
 
@@ -247,21 +247,26 @@ class _CarriedOn(NamedTuple):
         white = np.maximum(total - law.slow_variance(values), ROUNDING * total)[past]
         (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
         time, at, parts = fitted["time"], readings["time"], []
+        frames = calibration.frame_of(fitted), calibration.frame_of(readings)
+        before, after = (law.followed(frame) for frame in frames)
         for code, name in enumerate(asked):
             if name not in names:
                 continue
             rows = np.flatnonzero(known == names.index(name))
             inside = (at >= time[rows].min()) & (at <= time[rows].max())
             others = np.flatnonzero((codes == code) & (beyond | inside))
-            parts.append((rows, time[rows], white[rows], others, at[others]))
+            both = None
+            if before is not None and after is not None:
+                both = np.asarray(before)[rows], np.asarray(after)[others]
+            parts.append((rows, time[rows], white[rows], others, at[others], both))
         return cls(law, values, parts, fitted["output"], len(readings))
 
     def found(self, left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
         """Mean (m, b) and variance (m,); NaN where nothing is said."""
         mean = np.full((self.count, left.shape[1]), np.nan)
         spread = np.full(self.count, np.nan)
-        for rows, time, white, others, at in self.parts:
-            found = self.law.slow_part(self.values, time, left[rows], white, at)
+        for rows, time, white, others, at, both in self.parts:
+            found = self.law.slow_part(self.values, time, left[rows], white, at, both)
             mean[others], spread[others] = found
         return mean, spread
 

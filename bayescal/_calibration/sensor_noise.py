@@ -1,4 +1,4 @@
-"""The noise of a sensor at rest as data sheets and filters want it: N, B, K with intervals, and the Allan deviation."""
+"""The noise of a sensor at rest as data sheets and filters want it: Q, N, B, K with intervals, and the Allan curve."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class SensorNoise(Printed):
         step: between readings, s.
         law: the most probable sum of noise terms, in words.
         probabilities: of the sums, by their words, the most probable first.
-        figures: N, B, K and what else the law has.
+        figures: Q, N, B, K and what else the law has.
         measured: Allan deviation of the record.
         expected: of the law (k,), the median of its posterior; output unit.
         low, high: 95 % posterior band of that (k,).
@@ -180,8 +180,8 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
 
         print(bc.noise(bc.read("still.csv", still_sensor.INSTRUMENT)))
 
-    Sums of white noise, a random walk, flicker noise and one or two Ornstein–Uhlenbeck processes are weighed by their
-    evidence; a level of each run and a cubic over a column `temperature` are taken out beside them.
+    Sums of white and quantisation noise, a random walk, flicker noise and one or two Ornstein–Uhlenbeck processes
+    are weighed by their evidence; levels of runs and a cubic over a column `temperature` are taken out beside them.
 
     Args:
         readings: of one channel, evenly spaced in time within runs.
@@ -230,8 +230,10 @@ def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
     densities, walks = [], []
     for one in found.drawn:
         own = one.draws[WHITE]
+        rounded = one.draws.get("noise.quantisation", 0.0) / step
+        own = np.sqrt(own**2 + 3 * rounded**2)  # falls more slowly than Q, and is as much at first
         densities.append(own * step**0.5)
-        if not one.terms:
+        if not {*one.terms} - {"quantisation"}:
             walks.append(np.resize(found.walk.draws["noise.walk"], len(own)))
             continue
         white = (own**2)[:, None] / factors
@@ -258,7 +260,10 @@ def _figures(
 
     white = over_all(WHITE)
     assert white is not None
-    made = [_figure("N", names.names[0], names.units[0], density, white * step**0.5)]
+    made = []
+    if (q := over_all("noise.quantisation")) is not None:
+        made.append(_figure("Q", "quantisation noise", names.rounded, f"{own}*s", q))
+    made.append(_figure("N", names.names[0], names.units[0], density, white * step**0.5))
     if (b := over_all("noise.flicker")) is not None:
         made.append(_figure("B", f"{names.names[1]} (flicker)", names.units[1], own, b))
     lowest = np.argmin(np.median(curve, axis=0))
@@ -310,4 +315,8 @@ def _base(unit: str) -> tuple[str, float]:
         return f"m/s^2{slash}{rest}", parse(head).factor * STANDARD_GRAVITY * 1e-6
     if powers == {"rad": 1, "s": -1}:
         return f"rad/s{slash}{rest}", parse(head).factor
+    if powers == {"rad": 1}:
+        return "rad", parse(head).factor
+    if powers == {"ug": 1, "s": 1}:
+        return "m/s", parse(head).factor * STANDARD_GRAVITY * 1e-6
     return unit, 1.0

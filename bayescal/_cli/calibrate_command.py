@@ -248,7 +248,7 @@ def _one(
         from bayescal._report.under_way import earlier
 
         told, seeds = (
-            ConsoleReporter(folder, json_),
+            ConsoleReporter(folder, json_, verbose),
             earlier(folder, model, readings) if folder else (),
         )
         if seeds:

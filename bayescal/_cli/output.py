@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check
+from bayescal._calibration.check_result import Check, check_text
 from bayescal._calibration.compare import Comparison
 from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.mixture import moved
@@ -34,6 +34,9 @@ from bayescal._search.search_path import Step
 
 Kinds = Mapping[str, Sequence[Effect]]
 SHOWN_STRUCTURES = 6  # of those averaged over, that have a line each
+SHOWN_CHECKS = (
+    4  # covariates that a first model is checked against, the worst, that have a line each
+)
 
 
 def instruments_text(known: Mapping[str, Instrument]) -> str:
@@ -146,9 +149,10 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
     return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
 
 
-def first_text(trail: SearchPath) -> str:
+def first_text(trail: SearchPath, verbose: bool = False) -> str:
     """`calibrate` as soon as the first model stands."""
-    return f"WHERE THE FIRST MODEL FAILS\n\n{trail.steps[0].check}"
+    shown = check_text(trail.steps[0].check, None if verbose else SHOWN_CHECKS)
+    return f"WHERE THE FIRST MODEL FAILS\n\n{shown}"
 
 
 def progress_text(trail: SearchPath) -> str:
@@ -173,13 +177,13 @@ class ConsoleReporter:
         begun: whether the first table is printed.
     """
 
-    def __init__(self, folder: Path | None, json_: bool) -> None:
+    def __init__(self, folder: Path | None, json_: bool, verbose: bool = False) -> None:
         self.keep = None if folder is None else Keeper(folder)
-        self.begun = json_
+        self.begun, self.verbose = json_, verbose
 
     def __call__(self, trail: SearchPath) -> None:
         if not self.begun:
-            print(first_text(trail), flush=True)
+            print(first_text(trail, self.verbose), flush=True)
             self.begun = True
         if line := progress_text(trail):
             tell(line)
@@ -204,7 +208,7 @@ def loop_text(
         output_unit: in which errors and coefficients are said once more.
     """
     final = trail.final
-    parts = [""] if begun else [first_text(trail)]
+    parts = [""] if begun else [first_text(trail, verbose)]
     parts += _candidates_of_steps(trail) if verbose else [_findings_text(trail)]
     unexplained = unexplained_text(final.calibration, final.check, own)
     parts += [unexplained] if unexplained else []

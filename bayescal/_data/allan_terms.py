@@ -16,10 +16,11 @@ SYMBOLS = "NBK"
 
 
 class Habit(NamedTuple):
-    """How the terms of one kind of output are called and given on data sheets: names and units of N, B and K."""
+    """How the terms of one kind of output are called and given on data sheets: N, B, K; `rounded` is the unit of Q."""
 
     names: tuple[str, str, str]
     units: tuple[str, str, str]
+    rounded: str
 
 
 @dataclass(frozen=True)
@@ -55,15 +56,15 @@ def habit(unit: str) -> Habit:
     powers = dict(parse(unit or "1").powers)
     if powers == {"rad": 1, "s": -1}:
         names = ("angle random walk", "bias instability", "rate random walk")
-        return Habit(names, ("deg/h^0.5", "deg/h", "deg/h/h^0.5"))
+        return Habit(names, ("deg/h^0.5", "deg/h", "deg/h/h^0.5"), "arcsec")
     walks = ("velocity random walk", "bias instability", "acceleration random walk")
     if powers == {"ug": 1}:
-        return Habit(walks, ("ug/Hz^0.5", "ug", "ug/h^0.5"))
+        return Habit(walks, ("ug/Hz^0.5", "ug", "ug/h^0.5"), "ug*s")
     if powers == {"m": 1, "s": -2}:
-        return Habit(walks, ("m/s/h^0.5", "m/s^2", "m/s^2/h^0.5"))
+        return Habit(walks, ("m/s/h^0.5", "m/s^2", "m/s^2/h^0.5"), "m/s")
     own = unit or "1"
     names = ("white noise", "bias instability", "random walk")
-    return Habit(names, (f"{own}/Hz^0.5", own, f"{own}/s^0.5"))
+    return Habit(names, (f"{own}/Hz^0.5", own, f"{own}/s^0.5"), f"{own}*s")
 
 
 def term(symbol: str, unit: str, value: float | None, uncertainty: float | None) -> AllanTerm:

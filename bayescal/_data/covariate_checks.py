@@ -171,8 +171,10 @@ def _jumps(
     still = np.concatenate([one[:-2] & one[2:] for one in flat])
     jump = _unexplained(values, time, own)
     usual = float(np.quantile(np.abs(np.concatenate(changes)), 0.9))  # a rounded corner leaves less
+    parts = np.split(jump, np.cumsum([len(change) for change in changes])[:-1])
+    noise = np.concatenate([np.full(len(part), _usual(part)) for part in parts])  # of each stretch
     least = max(given.unlike_least, given.held_step * rounding_step(values), _usual(jump), usual)
-    chosen = (jump > least) & ~still
+    chosen = (jump > np.maximum(least, noise)) & ~still
     if chosen.any():
         others = {
             n: v for n, v in columns.items() if n not in (name, "time") and v.dtype.kind == "f"

@@ -6,7 +6,7 @@ The joint mode of coefficients and spreads would run to a spread of zero; the mo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -26,6 +26,7 @@ STARTS = 64  # prior draws of φ among which the start is chosen,
 AHEAD = np.arange(-3.5, 3.5, 0.02)  # where along a shape of many maxima a higher one may be
 HALVINGS = 8  # of a step that makes things worse
 CURVED, LEAST_CURVATURE = 1e-3, 0.05  # step for the curvature; the least that counts as one
+NEAR, FINEST = 0.1, 1e-5  # of a step's square over the variance there, at most; of a step
 CLIMB, LONGEST = 100, 1.5  # steps uphill at most; the longest, in prior standard deviations
 NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found
 
@@ -312,17 +313,44 @@ def gaussian_fit(
     density: Density, v: np.ndarray, quick: bool = False
 ) -> tuple[np.ndarray, float, bool]:
     """Covariance of the Gaussian fit at a mode, its log volume, and whether the curvature had to be mended."""
-    precision, here = np.zeros((len(v), len(v))), density.slope(v)[1] if quick else None
-    for i, shift in enumerate(CURVED * np.eye(len(v))):
-        before = density.slope(v - shift)[1] if here is None else here
-        precision[i] = before - density.slope(v + shift)[1]
-    precision /= CURVED if quick else 2 * CURVED
-    weights, vectors = np.linalg.eigh(0.5 * (precision + precision.T))
+    here = density.slope(v)[1] if quick else None
+    weights, vectors = np.linalg.eigh(curvature(lambda at: density.slope(at)[1], v, CURVED, here))
     mended = np.maximum(weights, LEAST_CURVATURE)
     covariance = (vectors / mended) @ vectors.T
     covariance = 0.5 * (covariance + covariance.T)
     volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(mended)))
     return covariance, volume, bool(np.any(weights < LEAST_CURVATURE))
+
+
+def curvature(
+    slope: Callable[[np.ndarray], np.ndarray],
+    v: Float[np.ndarray, "d"],
+    step: float,
+    here: Float[np.ndarray, "d"] | None = None,
+) -> Float[np.ndarray, "d d"]:
+    """Negative curvature of a log density, from slopes on both sides of a point.
+
+    Prior and readings may know a coordinate to a millionth of each other: a step is small against what the density
+    lets it be moved by, or made smaller.
+
+    Args:
+        slope: of the log density.
+        v: the point.
+        step: of a coordinate, at most.
+        here: the slope there, if it and one side will do.
+    """
+    rows = []
+    for unit in np.eye(len(v)):
+        size = step
+        while True:
+            before = slope(v - size * unit) if here is None else here
+            row = (before - slope(v + size * unit)) / (size if here is not None else 2 * size)
+            if abs(float(row @ unit)) * size**2 < NEAR or size < step * FINEST:
+                break
+            size *= 0.1
+        rows.append(row)
+    found = np.array(rows)
+    return 0.5 * (found + found.T)
 
 
 def _lost(point: Point, v: np.ndarray, flat: np.ndarray) -> Mode:

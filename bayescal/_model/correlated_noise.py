@@ -158,6 +158,7 @@ class OrnsteinUhlenbeck(Noise):
         left: Float[np.ndarray, "n b"],
         white: Float[np.ndarray, "n"],
         at: Float[np.ndarray, "m"],
+        along: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
         """Its precision over sorted times has three diagonals.
 

@@ -177,6 +177,19 @@ class Noise(abc.ABC):
         """What the expected output leaves of readings, as independent standard normal numbers if the law is right."""
         return self.whiten(left[:, None], 0.0, parameters, frame)[0][:, 0]
 
+    def followed(self, frame: Frame) -> Float[Array, "n"] | None:
+        """The column that its correlated part follows, −1 to 1 over the readings of the fit; None if it does none."""
+        return None
+
+    def starts(self, frame: Frame, left: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
+        """Values at which a maximum may lie, given what a model leaves of readings; those not named may be anything.
+
+        Args:
+            frame: of the readings, in the order that the law takes them in.
+            left: of them, in this order.
+        """
+        return [{}]
+
     # what it says of a record -----------------------------------------------------------------------------------
 
     def allan_variance(
@@ -208,6 +221,7 @@ class Noise(abc.ABC):
         left: Float[np.ndarray, "n b"],
         white: Float[np.ndarray, "n"],
         at: Float[np.ndarray, "m"],
+        along: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
         """Mean and variance of the correlated part at some times of a run, given what a model leaves of its readings.
 
@@ -217,6 +231,7 @@ class Noise(abc.ABC):
             left: of the readings, output unit; a column for each set of coefficients. The mean is linear in it.
             white: variance of each reading's own noise.
             at: where it is asked for, s.
+            along: what it follows, at these times and at those.
         """
         return np.zeros((len(at), left.shape[1])), np.zeros(len(at))
 

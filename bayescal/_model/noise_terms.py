@@ -7,6 +7,7 @@ stationary, so that any of them may begin a run. IEEE Std 952-1997, Annex C, has
 from __future__ import annotations
 
 import abc
+import itertools
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
@@ -19,6 +20,7 @@ from jaxtyping import Array, Float
 from scipy import special as on_host
 
 from bayescal._model.correlated_noise import allan_of_exponential
+from bayescal._model.noise_law import WHITE
 from bayescal._model.prior import LogUniform, Normal, Positive, multiplied
 from bayescal._model.static import static
 
@@ -28,6 +30,13 @@ RUNGS = 8.0  # from one time of a ladder to the next: its spectrum within 3.5 % 
 FASTEST = 0.25  # steps, the shortest of these times: below a period of two steps, the shortest there is, over 2π
 SMOOTH = 1e-3  # times λ·h, below which a smooth process is told by the first terms of its series
 REACH = 0.1  # λ·h, below which a small difference of exponentials is summed as a series
+MOVING = ("noise.tone.slope", "noise.tone.bend")  # of a tone's frequency along a column
+WINDOW = 32  # readings of a spectrum, in which a line that moves stays in its place
+FINE = 2  # places of a spectrum to each that its readings tell apart
+FEWEST_WINDOWS = 8
+GRID = 16  # slopes of a frequency, from none to twice the Nyquist frequency over half the column's range
+LOUDEST = 20.0  # times the usual, as much as a window counts: a spike is no line
+UNEVEN = 0.05  # of the usual step
 FLAT = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
 
 
@@ -37,11 +46,13 @@ class Bounds(NamedTuple):
     Attributes:
         shortest, longest: of correlation times, s: the usual step and the longest run.
         correlated: prior of a correlated part's standard deviation, output unit.
+        column: that the frequency of a tone follows; none if empty.
     """
 
     shortest: float
     longest: float
     correlated: Positive
+    column: str = ""
 
     @property
     def middle(self) -> float:
@@ -92,7 +103,7 @@ class NoiseTerm(abc.ABC):
 
     @abc.abstractmethod
     def block(self, values: Values, bounds: Bounds, h: Float[Array, "n"]) -> Block:
-        """Its states over steps h, s."""
+        """Its states over steps h, s; `values` has the column that is followed too, by its name, from −1 to 1 (n,)."""
 
     @abc.abstractmethod
     def variance(self, values: Values, bounds: Bounds) -> Any:
@@ -105,6 +116,15 @@ class NoiseTerm(abc.ABC):
     @abc.abstractmethod
     def allan(self, values: Values, bounds: Bounds, m: Float[np.ndarray, "k"], step: float) -> Any:
         """Allan variance of means of m evenly spaced readings; values with a last axis of one."""
+
+    def starts(
+        self,
+        step: Float[np.ndarray, "n"],
+        left: Float[np.ndarray, "n"],
+        z: Float[np.ndarray, "n"] | None,
+    ) -> list[dict[str, float]]:
+        """Values at which a maximum may lie; further unknowns anywhere."""
+        return [{}]
 
     def derived(self, values: Values, bounds: Bounds) -> dict[str, Any]:
         """Further numbers that its unknowns come to."""
@@ -304,26 +324,37 @@ class SmoothTerm(NoiseTerm):
 
 
 class ToneTerm(NoiseTerm):
-    """A narrow line: a pair of states that turns with a frequency and forgets its phase within a time."""
+    """A narrow line: a pair of states that turns with a frequency and forgets its phase within a time.
+
+    Where a column z is followed the frequency is f + a·z + b·z², z from −1 to 1 over the readings of the fit. Readings
+    show a line above their Nyquist frequency folded; the pair turns by as much between them.
+    """
 
     words: ClassVar[str] = "tone"
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         slowest, fastest = 1 / bounds.longest, 0.5 / bounds.shortest
+        moving = dict.fromkeys(MOVING, Normal(0.0, fastest)) if bounds.column else {}
         return {
             "noise.tone": bounds.correlated,
             "noise.tone.frequency": LogUniform(min(slowest, 0.5 * fastest), fastest),
             "noise.tone.time": LogUniform(bounds.shortest, bounds.longest),
+            **moving,
         }
 
     def unit(self, name: str, output: str) -> str:
-        return {"noise.tone.frequency": "Hz", "noise.tone.time": "s"}.get(name, output)
+        return {"noise.tone": output, "noise.tone.time": "s"}.get(name, "Hz")
 
     def variance(self, values, bounds):
         return values["noise.tone"] ** 2
 
+    def _frequency(self, values: Values, bounds: Bounds, z: Any) -> Any:
+        slope, bend = (values[name] if bounds.column else 0.0 for name in MOVING)
+        return values["noise.tone.frequency"] + slope * z + bend * z**2
+
     def block(self, values, bounds, h):
-        turn = 2 * math.pi * values["noise.tone.frequency"] * h
+        z = values[bounds.column] if bounds.column else 0.0
+        turn = 2 * math.pi * self._frequency(values, bounds, z) * h
         c, s = jnp.cos(turn), jnp.sin(turn)
         plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
         turned = jnp.stack([jnp.stack([c, s], -1), jnp.stack([-s, c], -1)], -2)
@@ -331,8 +362,86 @@ class ToneTerm(NoiseTerm):
         return Block(plain.carry[:, :, None] * turned, root, plain.start * jnp.eye(2))
 
     def allan(self, values, bounds, m, step):
-        a = step / values["noise.tone.time"] - 2j * math.pi * step * values["noise.tone.frequency"]
-        return values["noise.tone"] ** 2 * _exponential_complex(m, a).real
+        """Of a frequency that moves: the mean over the column's range."""
+        places = np.linspace(-1, 1, 33) if bounds.column else [0.0]
+        found = [
+            _exponential_complex(
+                m,
+                step / values["noise.tone.time"]
+                - 2j * math.pi * step * self._frequency(values, bounds, z),
+            ).real
+            for z in places
+        ]
+        return values["noise.tone"] ** 2 * np.mean(found, axis=0)
+
+    def starts(
+        self,
+        step: Float[np.ndarray, "n"],
+        left: Float[np.ndarray, "n"],
+        z: Float[np.ndarray, "n"] | None,
+    ) -> list[dict[str, float]]:
+        """Values at the strongest line of a spectrogram, its frequency a quadratic of the column; none of few.
+
+        Each window's spectrum counts in parts of the median of all windows at its frequency: what is there in all of
+        them is no line that moves, and of one that stays the neighbours are the measure.
+
+        Args:
+            step: since the reading before, s; −1 at a run's first.
+            left: of the readings in the order of time, output unit.
+            z: the column, from −1 to 1.
+        """
+        usual = float(np.median(step[step > 0]))
+        even = np.abs(step / usual - 1) < UNEVEN
+        within = np.convolve(even, np.ones(WINDOW - 1), "valid")[1:] == WINDOW - 1
+        begins = np.arange(0, len(left) - WINDOW + 1, WINDOW // 2)
+        rows = begins[within[begins]][:, None] + np.arange(WINDOW)
+        if len(rows) < FEWEST_WINDOWS:
+            return []
+        window = np.hanning(WINDOW + 2)[1:-1]
+        excess = _excess(left[rows], window, moves=z is not None)
+        place = np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
+        slopes = np.linspace(-1, 1, 4 * GRID + 1) if z is not None else np.zeros(1)
+        count, each, best = FINE * WINDOW, np.arange(len(rows)), (-math.inf, 0.0, 0.0, 0.0)
+        middles = np.arange(1, count // 2) / count
+        for a, b in itertools.product(slopes, slopes[::2] / 2):
+            turns = (middles[:, None] + a * place + b * place**2) % 1.0
+            bins = np.rint(np.minimum(turns, 1 - turns) * count).astype(int)
+            totals = np.mean(np.minimum(excess[each, bins], LOUDEST), axis=1)
+            best = max(best, (float(totals.max()), float(middles[np.argmax(totals)]), a, b))
+        level, middle, a, b = best
+        noise = float(np.median(np.abs(np.diff(left)[even[1:]]))) / (0.6745 * math.sqrt(2))
+        # A line of variance s² beside white noise w² has (Σh)²·s²/(2·w²·Σh²) times the noise's power under a window h.
+        ratio = max(level - 1, 0.1) * 2 * float(np.sum(window**2) / np.sum(window) ** 2)
+        share = ratio / (1 + ratio)
+        found = {
+            WHITE: noise * math.sqrt(1 - share),
+            "noise.tone": noise * math.sqrt(share),
+            "noise.tone.frequency": middle / usual,
+            "noise.tone.time": WINDOW * usual,
+        }
+        if z is not None:
+            found |= dict(zip(MOVING, (float(a) / usual, float(b) / usual), strict=True))
+        return [found]
+
+
+def _excess(
+    left: Float[np.ndarray, "w r"], window: Float[np.ndarray, "r"], moves: bool
+) -> Float[np.ndarray, "w f"]:
+    """Power of windows at each frequency, in parts of what is usual there in all of them; straight lines taken out.
+
+    Args:
+        left: of the readings of each window.
+        window: weights.
+        moves: whether a line does; else what is usual at its frequency is that of the neighbours.
+    """
+    ramp = np.vander(np.linspace(-1, 1, len(window)), 2)
+    flat = left - left @ ramp @ np.linalg.pinv(ramp)
+    power = np.abs(np.fft.rfft(flat * window, FINE * len(window), axis=1)) ** 2
+    usual = np.median(power, axis=0) / math.log(2)  # the mean of an exponential distribution
+    if not moves:
+        some = [slice(max(0, k - WINDOW), k + WINDOW) for k in range(usual.size)]
+        usual = np.array([np.median(usual[one]) for one in some])
+    return power / usual
 
 
 class RoundedAngleTerm(NoiseTerm):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from dataclasses import replace
@@ -64,6 +65,7 @@ class SummedNoise(Noise):
         terms: which, beside white noise.
         scale: prior of the white part's standard deviation, output unit.
         correlated: prior of a correlated part's.
+        column: that the frequency of a tone follows, as "temperature"; none if empty.
 
     Raises:
         ValueError: unknown terms, one twice that is there once, or bounds that are not in order.
@@ -76,6 +78,7 @@ class SummedNoise(Noise):
     terms: tuple[str, ...]
     scale: Positive = HalfCauchy(1.0)
     correlated: Positive = HalfCauchy(1.0)
+    column: str = ""
     gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "sum"
     looks_like: ClassVar[str] = "noise that is correlated in time, over more than one time"
@@ -93,6 +96,8 @@ class SummedNoise(Noise):
             raise ValueError(
                 f"no noise term is called {unknown[0]!r}: there are {', '.join(TERMS)}"
             )
+        if self.column and "tone" not in self.terms:
+            raise ValueError(f"a tone follows the column {self.column!r}, and the sum has no tone")
         set_once(self, terms=tuple(sorted(self.terms, key=list(TERMS).index)))
         for name, count in Counter(self.terms).items():
             if count > (MOST_ALIKE if name == "correlated" else 1):
@@ -107,11 +112,28 @@ class SummedNoise(Noise):
 
     @property
     def bounds(self) -> Bounds:
-        return Bounds(self.shortest, self.longest, self.correlated)
+        return Bounds(self.shortest, self.longest, self.correlated, self.column)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("time", self.column) if self.column else ("time",)
+
+    def followed(self, frame):
+        return 2 * frame.position(self.column) - 1 if self.column else None
+
+    def starts(self, frame, left):
+        z = self.followed(frame)
+        z = None if z is None else np.asarray(z)
+        found = [part.starts(np.asarray(frame.step), left, z) for part in self.parts]
+        return [
+            {name: value for some in chosen for name, value in some.items()}
+            for chosen in itertools.product(*found)
+        ]
 
     @property
     def name(self) -> str:
-        return f"{self.law}({', '.join(self.terms)})"
+        along = f"; {self.column}" if self.column else ""
+        return f"{self.law}({', '.join(self.terms)}{along})"
 
     @property
     def in_words(self) -> str:
@@ -164,14 +186,18 @@ class SummedNoise(Noise):
     def fresh_variance(self, values, step):
         return values[WHITE] ** 2 + sum(p.fresh(values, self.bounds, step) for p in self.parts)
 
-    def states(self, parameters: Parameters, step: Float[Array, "n"]) -> States:
-        """Its states over steps, s; −1 where they begin."""
-        carry, root, shown = self._roots(parameters, step)
+    def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
+        """Its states over steps, s; −1 where they begin. With the column that is followed, from −1 to 1."""
+        carry, root, shown = self._roots(parameters, step, z)
         fresh = root**2 if root.ndim == 2 else root @ jnp.swapaxes(root, 1, 2)
         return States(carry, fresh, shown)
 
-    def _roots(self, parameters: Parameters, step: Float[Array, "n"]) -> tuple[Any, Any, Any]:
+    def _roots(
+        self, parameters: Parameters, step: Float[Array, "n"], z: Any
+    ) -> tuple[Any, Any, Any]:
         """What is kept of the states; what is new in them, per independent standard normal number; which are shown."""
+        if z is not None:
+            parameters = {**parameters, self.column: z}
         first = step < 0
         h = jnp.where(first, 0.0, step)
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
@@ -188,11 +214,11 @@ class SummedNoise(Noise):
     def whiten(self, columns, extra, parameters, frame):
         white = parameters[WHITE] ** 2 + known_variance(frame) + extra
         white = jnp.broadcast_to(white, (frame.size,))
-        return filtered(self.states(parameters, frame.step), white, columns)
+        return filtered(self.states(parameters, frame.step, self.followed(frame)), white, columns)
 
     def sample(self, key: Array, mean, parameters, frame):
         of_white, of_states = jax.random.split(key)
-        carry, root, shown = self._roots(parameters, frame.step)
+        carry, root, shown = self._roots(parameters, frame.step, self.followed(frame))
         drawn = jax.random.normal(of_states, (frame.size, len(shown)))
         push = root * drawn if root.ndim == 2 else jnp.einsum("nij,nj->ni", root, drawn)
 
@@ -221,13 +247,15 @@ class SummedNoise(Noise):
         left: Float[np.ndarray, "n b"],
         white: Float[np.ndarray, "n"],
         at: Float[np.ndarray, "m"],
+        along: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
         """The Kalman filter over all these times, and the smoother back.
 
         Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
         """
-        grid = np.union1d(time, at)
-        states = self.states(values, jnp.asarray(np.diff(grid, prepend=grid[0] + 1.0)))
+        grid, first = np.unique(np.concatenate([time, at]), return_index=True)
+        z = None if along is None else np.concatenate(along)[first]
+        states = self.states(values, jnp.asarray(np.diff(grid, prepend=grid[0] + 1.0)), z)
         h, size = states.shown, len(states.shown)
         carry, fresh = (
             np.asarray(a if a.ndim == 3 else jax.vmap(jnp.diag)(a))
@@ -375,7 +403,9 @@ def _diagonal(blocks: list[Array]) -> Float[Array, "n p p"]:
     return made
 
 
-def over_octaves(scale: Positive, step: float, span: float, terms: tuple[str, ...]) -> SummedNoise:
+def over_octaves(
+    scale: Positive, step: float, span: float, terms: tuple[str, ...], column: str = ""
+) -> SummedNoise:
     """A sum whose times a record can tell. Bounds are whole octaves of a second: alike records share programs.
 
     Args:
@@ -383,9 +413,10 @@ def over_octaves(scale: Positive, step: float, span: float, terms: tuple[str, ..
         step: usual time between neighbours, s.
         span: of the longest run, s.
         terms: beside white noise.
+        column: that a tone follows.
     """
     shortest, longest = 2.0 ** math.floor(math.log2(step)), 2.0 ** math.ceil(math.log2(span))
-    return SummedNoise(shortest, longest, terms, scale, scale)
+    return SummedNoise(shortest, longest, terms, scale, scale, column)
 
 
 @offered
@@ -396,7 +427,9 @@ def _of_two_or_more(scale: Positive, frame: Frame) -> list[Noise]:
     if longest < FEWEST or not (steps > 0).any():
         return []
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
-    return [over_octaves(scale, step, span, terms) for terms in OFFERED]
+    found = [over_octaves(scale, step, span, terms) for terms in OFFERED]
+    column = "temperature" if "temperature" in frame.columns else ""
+    return [*found, over_octaves(scale, step, span, ("correlated", "tone"), column)]
 
 
 def _times(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:

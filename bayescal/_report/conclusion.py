@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.settings import searching
@@ -17,7 +19,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.section import Chapter
 
-RIVAL = 0.05  # probability from which another set of effects is named beside what was found
+NAMED = 4  # effects of the first model that are named
 _SUBJECTS = {"bias": "the output", "scale": "the scale factor", "zero": "the zero"}
 _IGNORED = re.compile(
     r"ignored, because they have no unit: (.*?) \((?:to|the)|column '(.*?)' ignored"
@@ -36,12 +38,12 @@ def conclusion(chapter: Chapter) -> str:
 
 
 def _against(chapter: Chapter) -> Iterator[str]:
-    reasons = [
-        *chapter.data["verdict"]["reasons"],
-        *[chapter.data["gate"]["reason"]] * (not chapter.data["gate"]["ok"]),
-    ]
+    gate = chapter.data["gate"]
+    reasons = [*chapter.data["verdict"]["reasons"], *[gate["reason"]] * (not gate["ok"])]
     if reasons:
-        yield f"Not to be used as it is: {reasons[0]}"
+        ended = chapter.data["search"] and chapter.data["search"]["stopped"] and not gate["ok"]
+        first = re.split(r"(?<=[.?]) ", reasons[0])[0]  # the rest stands at the gate
+        yield first if ended else f"Not to be used as it is: {first}"
 
 
 def _found(chapter: Chapter) -> str:
@@ -55,7 +57,9 @@ def _found(chapter: Chapter) -> str:
             if chapter.data["missing"]
             else "Nothing was looked for beside"
         )
-        return f"{weighed} the first model ({', '.join(c.model.names) or 'no effect'})."
+        names = c.model.names
+        model = f"{len(names)} effects" if len(names) > NAMED else ", ".join(names) or "no effect"
+        return f"{weighed} the first model ({model})."
     by_subject: dict[str, list[str]] = {}
     for effect in added:
         likely = _probability(chapter, effect)
@@ -77,8 +81,8 @@ def _probability(chapter: Chapter, effect: Effect) -> float | None:
 
 
 def _subject(effect: Effect) -> str:
-    slot = effect.slot
-    return _SUBJECTS.get(slot, f"the {slot.replace('_', ' ')}")
+    kind, slot = effect.name.partition(".")[0], effect.slot
+    return _SUBJECTS.get(slot) or _SUBJECTS.get(kind) or f"the {slot.replace('_', ' ')}"
 
 
 def _does(c: Calibration, effect: Effect) -> str:
@@ -104,7 +108,8 @@ def _does(c: Calibration, effect: Effect) -> str:
     if group is not None and effect.coefficients[0].group_sd is not None:
         between = _GROUPS.get(group, f"{group} to {group}")
         return f"differs from {between} by {size} (standard deviation)"
-    column = effect.columns[0].replace("_", " ") if effect.columns else "time"
+    columns = [n.replace("_", " ") for n in effect.columns if n != "time"]
+    column = columns[0] if columns else "time"
     for ending, words in (
         ("_quadratic", f"bends with {column} by {size}"),
         ("_cubic", f"has a cubic term in {column} of {size}"),
@@ -122,7 +127,7 @@ def _does(c: Calibration, effect: Effect) -> str:
         return f"is off by {size}"
     if cause.startswith("temperature") and len(effect.columns) == 1:
         return f"changes with {column} by {size}"
-    return f"has {effect.name} ({effect.equation or column}) of {size}"
+    return f"shows {effect.name} ({effect.equation or column}), {size}"
 
 
 def _extent(c: Calibration, effect: Effect) -> str:
@@ -131,18 +136,25 @@ def _extent(c: Calibration, effect: Effect) -> str:
 
 
 def _size(c: Calibration, effect: Effect) -> str:
-    first = effect.coefficients[0]
-    name = effect.coefficient_name(0)
-    spread = f"{name}.group_sd"
-    draws = c.samples(spread if first.per is not None and spread in c.posterior.data_vars else name)
-    if draws.ndim > 1:
-        low, high = (
-            number(float(v), 2) for v in (draws.mean(axis=0).min(), draws.mean(axis=0).max())
-        )
-        return f"{low} to {high} {unit_label(first.unit)}".rstrip()
-    return (
-        f"{with_error(float(draws.mean()), float(draws.std()))} {unit_label(first.unit)}".rstrip()
-    )
+    """Of the largest coefficient, where there are several; of one for each member, from the least to the largest."""
+    found = []
+    for i, one in enumerate(effect.coefficients):
+        name, unit = effect.coefficient_name(i), unit_label(one.unit)
+        between = f"{name}.group_sd"
+        draws = c.samples(between if one.per and between in c.posterior.data_vars else name)
+        mean, sd = draws.mean(axis=0), draws.std(axis=0)
+        if draws.ndim > 1:
+            ends = (number(float(v), 2) for v in (mean.min(), mean.max()))
+            found.append((float(np.abs(mean).max()), f"{' to '.join(ends)} {unit}".rstrip()))
+        else:
+            found.append(
+                (abs(float(mean)), f"{with_error(float(mean), float(sd))} {unit}".rstrip())
+            )
+    largest = max(found)[1]
+    same = len({one.unit for one in effect.coefficients}) == 1
+    if len(found) == 1 or not same:
+        return found[0][1]
+    return f"{largest} (the largest of {len(found)} coefficients)"
 
 
 def _shape(c: Calibration, effect: Effect, name: str) -> str:
@@ -166,14 +178,19 @@ def _error(chapter: Chapter) -> str:
         if step["holdout_rmse"] is not None:
             return "on the hold-out data", step["holdout_rmse"]
         if left_out is not None:
-            return f"of each {left_out['group'].replace('_', ' ')} left out", left_out["rmse"]
+            group = left_out["group"].replace("_", " ")
+            return f"of each {group}, predicted from the others,", left_out["rmse"]
         return "as fitted", step["rmse_fitted"]
 
     (where, before), (_, after) = of(first), of(last)
     if len(steps) == 1 or before is None or after is None:
         return f"The rms error {where} is {number(after or last['rmse_fitted'], 2)} {unit}."
-    verb = "fell" if after < before else "rose"
-    return f"The rms error {where} {verb} from {number(before, 2)} to {number(after, 2)} {unit}."
+    then, now = number(before, 2), number(after, 2)
+    if then == now:
+        return f"The rms error {where} stayed at {now} {unit}."
+    return (
+        f"The rms error {where} {'fell' if after < before else 'rose'} from {then} to {now} {unit}."
+    )
 
 
 def _left(chapter: Chapter) -> str:
@@ -188,8 +205,11 @@ def _left(chapter: Chapter) -> str:
         return f"The residuals still depend on {_and(depends[:3])}."
     law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
     noise = f"{number(step['rmse_fitted'], 2)} {unit}"
-    if not chapter.data["gate"]["ok"]:
+    gate = chapter.data["gate"]
+    if gate["reason"].startswith("Noise model inadequate"):
         return f"What is left, {noise} rms, is not the noise that the model takes it for."
+    if not gate["ok"]:
+        return f"What is left is {noise} rms."
     return f"What is left, {noise} rms, looks like {law}."
 
 

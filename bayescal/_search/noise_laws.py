@@ -17,6 +17,7 @@ from scipy.optimize import minimize
 from bayescal._calibration.settings import searching
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.gaussian import LOG_2PI
+from bayescal._inference.mode import curvature
 from bayescal._inference.noise_on_record import Whitening, total_log_density
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
@@ -102,17 +103,26 @@ def on_residuals_in_time(law: Noise, record: Record, left: Float[np.ndarray, "n"
     narrow = float(np.median(np.abs(jumps))) or float(np.sqrt(np.mean(left**2)))
     if not narrow > 0:
         return OnResiduals(-math.inf, {})
-    first = priors[names[0]].coordinate(narrow)
-    starts = np.array(list(itertools.product([first], *[LEVELS] * (len(names) - 1))))
+    stated = law.starts(record.frame.in_time(), left[record.in_time[0]])
+    starts = np.array(
+        [
+            one
+            for values in ({WHITE: narrow, **some} for some in stated)
+            for one in itertools.product(
+                *([p.coordinate(values[n])] if n in values else LEVELS for n, p in priors.items())
+            )
+        ]
+    )
+    if not len(starts):
+        return OnResiduals(-math.inf, {})
     hyper = {name: p.value(starts[:, i]) for i, (name, p) in enumerate(priors.items())}
     there = total_log_density(law, record, left[None], hyper) + of_priors(starts)
     found = minimize(
         down, starts[int(np.argmax(there))], jac=True, method="L-BFGS-B", tol=TOLERANCE
     )
-    v, curvature = found.x, np.empty((len(names), len(names)))
-    for i, shift in enumerate(CURVED * np.eye(len(names))):
-        curvature[i] = (down(v + shift)[1] - down(v - shift)[1]) / (2 * CURVED)
-    weights = np.maximum(np.linalg.eigvalsh(0.5 * (curvature + curvature.T)), FLAT)
+    v = found.x
+    weights = np.linalg.eigvalsh(curvature(lambda at: -down(at)[1], v, CURVED))
+    weights = np.maximum(weights, FLAT)
     volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
     return OnResiduals(-float(found.fun) + volume, dict(zip(priors, v.tolist(), strict=True)))
 
@@ -140,9 +150,9 @@ def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> On
         return OnResiduals(-math.inf, {})
     starts = np.array(list(itertools.product(scales, *[LEVELS] * (len(priors) - 1))))
     v = starts[int(np.argmax(values(starts)))]
-    value, slope, curvature = _quadratic(values, v)
+    value, slope, bent = _quadratic(values, v)
     for _ in range(STEPS):
-        weights, vectors = np.linalg.eigh(curvature)
+        weights, vectors = np.linalg.eigh(bent)
         step = vectors @ (vectors.T @ slope / np.maximum(np.abs(weights), FLAT))
         step *= min(1.0, LONGEST / max(float(np.max(np.abs(step))), 1e-300))
         trials = v + step * np.array([[1.0], [0.3], [0.1]])
@@ -150,8 +160,8 @@ def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> On
         if not there.max() > value + 1e-4:
             break
         v = trials[int(np.argmax(there))]
-        value, slope, curvature = _quadratic(values, v)
-    weights = np.maximum(np.linalg.eigvalsh(curvature), FLAT)
+        value, slope, bent = _quadratic(values, v)
+    weights = np.maximum(np.linalg.eigvalsh(bent), FLAT)
     volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
     return OnResiduals(value + volume, dict(zip(priors, v.tolist(), strict=True)))
 

@@ -13,6 +13,7 @@ from bayescal._core.errors import InputError
 from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
+ROUNDED = " + quantisation"  # in the words of a law
 EVEN = 0.05  # of the step, by which those of channels of one unit may differ
 
 
@@ -58,14 +59,16 @@ def kalibr_yaml(
 
 
 def _left_out(noise: SensorNoise) -> str:
-    horizon = f"{noise.horizon:.3g} s"
-    if noise.law == "white":
-        return f"No random walk is seen in averages up to {horizon}: the one given is a bound."
-    if noise.law == "white + random walk":
-        return "Nothing is left out."
+    horizon, law = f"{noise.horizon:.3g} s", noise.law.replace(ROUNDED, "")
+    rounded = "White noise stands for quantisation too. " if law != noise.law else ""
+    if law == "white":
+        said = f"No random walk is seen in averages up to {horizon}: the one given is a bound."
+        return rounded + said
+    if law == "white + random walk":
+        return rounded.strip() or "Nothing is left out."
     return (
-        "A random walk takes the place of the correlated terms: with the density it reaches 95 % of the law's Allan "
-        f"deviation up to {horizon}; beyond, it grows where this law does not."
+        f"{rounded}A random walk takes the place of the correlated terms: with the density it reaches 95 % of the "
+        f"law's Allan deviation up to {horizon}; beyond, it grows where this law does not."
     )
 
 

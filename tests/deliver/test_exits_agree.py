@@ -31,8 +31,8 @@ pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCal
 
 def of(module: Any, *effects: str, members: dict[str, str] | None = None, **campaign: Any):
     """A compensator of an instrument with these effects, and the record that it was fitted to."""
-    instrument = module.INSTRUMENT
     readings = module.simulate(seed=3, **campaign)
+    instrument = module.INSTRUMENT.for_readings(readings)
     model = instrument.baseline()
     model = model + [e for e in effects if e not in model.names and ":" not in e]
     for covariate in (e.removeprefix("unknown:") for e in effects if e.startswith("unknown:")):

@@ -1,4 +1,4 @@
-"""Noise of a sensor at rest: N, B and K hold the truth, and a filter's file has them in its units."""
+"""Noise of a sensor at rest: Q, N, B and K hold the truth, and a filter's file has them in its units."""
 
 from __future__ import annotations
 
@@ -49,6 +49,22 @@ def test_density_and_random_walk_hold_the_truth_in_either_unit(walking) -> None:
     )
     assert inside.mean() >= 0.8
     assert (walking.low <= walking.expected).all() and (walking.expected <= walking.high).all()
+
+
+@pytest.mark.slow
+def test_rounding_of_an_angle_is_quantisation_noise() -> None:
+    """Readings that are differences of an angle known to a grid L have Q = L/√12 (IEEE Std 952-1997, C.1.1)."""
+    grid = 0.005  # degrees
+    errors = grid * np.random.default_rng(10).uniform(-0.5, 0.5, 3001)
+    readings = still(9, n=3000, walk=0.0)
+    found = bc.noise(readings.with_column("output", readings["output"] + np.diff(errors) / STEP))
+    assert found.law == "white + quantisation"
+    n, q = symbol(found, "N"), symbol(found, "Q")
+    assert q.unit == "arcsec" and q.si_unit == "rad"
+    assert q.low < 3600 * grid / math.sqrt(12) < q.high < 1.1 * q.low
+    assert n.low < 60 * N < n.high
+    white, _ = found.for_filter()
+    assert white**2 > STEP * found.measured.deviation[0] ** 2
 
 
 @pytest.mark.slow

@@ -239,6 +239,50 @@ def test_the_slow_part_between_and_beyond_readings_is_that_of_the_dense_process(
     np.testing.assert_allclose(variance, np.diag(own - share @ across.T), rtol=1e-7)
 
 
+def steered() -> tuple[bc.SummedNoise, dict[str, float], Frame, np.ndarray]:
+    """A tone whose frequency follows the temperature; its phase at each of the readings of two runs."""
+    law = bc.SummedNoise(STEP, SPAN, ("correlated", "tone"), column="temperature")
+    values = {**VALUES, "noise.tone.slope": 0.2, "noise.tone.bend": -0.05}
+    frame, time, _ = two_runs()
+    z = np.linspace(-1, 1, 60)
+    turns = (0.07 + 0.2 * z - 0.05 * z**2)[1:] * np.diff(time)
+    own = {name: values[name] for name in law.parameters()}
+    return law, own, frame, 2 * math.pi * np.cumsum(np.append(0.0, turns))
+
+
+def steered_covariance(time: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    lag = time[:, None] - time
+    fading = exponential(VALUES["noise.tone"] ** 2, VALUES["noise.tone.time"])(lag)
+    return covariance_of("correlated")(lag) + fading * np.cos(phase[:, None] - phase)
+
+
+def test_a_tone_turns_by_the_frequency_that_its_column_has(rng) -> None:
+    law, own, frame, phase = steered()
+    time, codes = np.asarray(frame["time"]), np.asarray(frame.codes["run"])
+    dense = (codes[:, None] == codes) * steered_covariance(time, phase)
+    dense += VALUES["noise.white"] ** 2 * np.eye(60)
+    columns = rng.standard_normal((60, 3))
+    white, log_sd = law.whiten(jnp.asarray(columns), 0.0, own, frame)
+    np.testing.assert_allclose(white, np.linalg.solve(np.linalg.cholesky(dense), columns), 1e-8)
+    assert 2 * float(log_sd.sum()) == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-9)
+
+
+def test_a_tone_between_readings_is_where_its_column_puts_it(rng) -> None:
+    law, own, frame, phase = steered()
+    time, z = np.asarray(frame["time"])[:40], np.linspace(-1, 1, 60)[:40]
+    known = np.arange(40) % 4 != 2
+    dense = steered_covariance(time, phase[:40])
+    left, white = rng.normal(size=(30, 2)), rng.uniform(0.02, 0.2, 30)
+    inside = dense[np.ix_(known, known)] + np.diag(white)
+    share = dense[np.ix_(~known, known)] @ np.linalg.inv(inside)
+    mean, variance = law.slow_part(
+        own, time[known], left, white, time[~known], (z[known], z[~known])
+    )
+    np.testing.assert_allclose(mean, share @ left, rtol=1e-8, atol=1e-10)
+    expected = np.diag(dense[np.ix_(~known, ~known)] - share @ dense[np.ix_(known, ~known)])
+    np.testing.assert_allclose(variance, expected, rtol=1e-7)
+
+
 # What it says of itself.
 
 
