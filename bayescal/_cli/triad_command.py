@@ -29,20 +29,15 @@ def triad(
             "--instrument", "-i", help="Of three axes: accelerometer_triad, magnetometer_triad."
         ),
     ] = "accelerometer_triad",
-    raw: Annotated[
+    poses: Annotated[
         bool,
-        typer.Option(
-            "--raw/--poses",
-            help="A log whose still stretches are the poses, or a row for each pose.",
-        ),
-    ] = True,
-    shortest: Annotated[float, typer.Option(help="Shortest pose in a raw log, s.")] = 2.0,
-    search: Annotated[
+        typer.Option("--poses", help="Each row is a pose; else the still stretches of a log are."),
+    ] = False,
+    shortest: Annotated[float, typer.Option(help="Shortest pose in a log, s.")] = 2.0,
+    baseline: Annotated[
         bool,
-        typer.Option(
-            "--search/--baseline", help="Look for effects beside bias, scale and misalignment."
-        ),
-    ] = True,
+        typer.Option("--baseline", help="Look for no effect beside bias, scale, misalignment."),
+    ] = False,
     seed: options.Seed = 0,
     out: options.Folder = None,
     json_: options.Json = False,
@@ -59,11 +54,11 @@ def triad(
         )
     print_notes(readings.flags)
     with result_folder(out) as folder:
-        if raw:
+        if not poses:
             readings = bc.poses(readings, chosen, shortest=shortest)
             print_notes(readings.flags)
         calibration = bc.fit(model, readings, seed=seed, strict=False)
-        if search:
+        if not baseline:
             found = bc.discover(calibration)
             if not json_:
                 print(f"{found}\n")

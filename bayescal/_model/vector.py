@@ -74,23 +74,24 @@ def inverted(
     outputs: Outputs, y: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
     """f̂ = h⁻¹(y) and H⁻¹ there. The last step of Newton alone is differentiated: that is the derivative of h⁻¹."""
-    force, inverse = y, y[:, :, None]
+    force = y
     for step in range(INVERSIONS + 1):
         force = jax.lax.stop_gradient(force) if step == INVERSIONS else force
-        along = jnp.broadcast_to(jnp.eye(3)[:, None, :], (3, *force.shape))
-        there, push = jax.linearize(outputs, force)
-        inverse = _inverse(*jax.vmap(push)(along))
+        there, inverse = _with_inverse(outputs, force)
         force = force - jnp.sum(inverse * (there - y)[:, None, :], axis=2)
-    return force, inverse
+    return force, _with_inverse(outputs, force)[1]
+
+
+def _with_inverse(
+    outputs: Outputs, force: Float[Array, "n 3"]
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
+    """h, and the inverse of its derivative: cross products over the determinant."""
+    along = jnp.broadcast_to(jnp.eye(3)[:, None, :], (3, *force.shape))
+    there, push = jax.linearize(outputs, force)
+    a, b, c = jax.vmap(push)(along)
+    rows = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
+    return there, rows / jnp.sum(a * rows[:, 0], axis=1)[:, None, None]
 
 
 def _norm(vectors: Float[Array, "n 3"]) -> Float[Array, "n"]:
     return jnp.sqrt(jnp.sum(vectors**2, axis=1))
-
-
-def _inverse(
-    a: Float[Array, "n 3"], b: Float[Array, "n 3"], c: Float[Array, "n 3"]
-) -> Float[Array, "n 3 3"]:
-    """Of matrices given by their columns: cross products over the determinant."""
-    rows = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
-    return rows / jnp.sum(a * rows[:, 0], axis=1)[:, None, None]

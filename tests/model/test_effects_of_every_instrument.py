@@ -43,6 +43,7 @@ def made_up(instrument: bc.Instrument, rows: int = 12) -> bc.Measurements:
             low, high = (20.0, 50.0) if column.unit == "degC" else (0.05, 0.2)
             low = low if column.low is None else max(low, column.low)
             high = high if column.high is None else min(high, column.high)
+            high = high if low < high else column.high or 2 * low
             columns[column.name] = rng.uniform(low, high, rows)
     free = {c.name: "ug" for c in instrument.columns if c.unit == "any"}  # the file's to say
     return bc.Measurements.from_arrays(instrument, units=free, **columns)

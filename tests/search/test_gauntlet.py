@@ -74,6 +74,7 @@ def test_there_are_forty_kinds_and_each_says_what_is_true() -> None:
 def test_every_instrument_has_most_kinds() -> None:
     from bayescal_models import INSTRUMENTS
 
-    assert set(SUBJECTS) == set(INSTRUMENTS)
+    # Its ways of spoiling a record are those of one output.
+    assert set(SUBJECTS) == {name for name in INSTRUMENTS if not name.endswith("_triad")}
     for name in SUBJECTS:
         assert len({kind.name for kind, _ in plan(name)}) > 35, name

@@ -7,6 +7,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import bayescal as bc
 from bayescal_models.accelerometer_triad.campaign import Campaign
 from bayescal_models.accelerometer_triad.model import INSTRUMENT, simulate
@@ -22,3 +24,16 @@ def model() -> bc.Model:
 def readings(seed: int = 0) -> bc.Measurements:
     """24 poses at 0.5 mg, in unknown directions, in which nothing else is hidden."""
     return simulate(seed=seed, campaign=CAMPAIGN)
+
+
+def hidden(effects: Mapping[str, float], seed: int) -> bc.Measurements:
+    """Two sessions over temperature with effects hidden in them, directions known to 0.5 mrad.
+
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficients.
+        seed: of every random number.
+    """
+    campaign = Campaign(
+        poses=14, temperatures=(-20.0, 0.0, 25.0, 50.0, 70.0), runs=2, pose_uncertainty=5e-4
+    )
+    return simulate(effects, seed=seed, campaign=campaign)
