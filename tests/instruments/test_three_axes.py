@@ -6,6 +6,7 @@ import subprocess
 from functools import cache
 from pathlib import Path
 from shutil import which
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -321,7 +322,7 @@ def test_still_stretches_and_the_uncertainty_of_their_means() -> None:
 
 def test_a_log_is_read_as_poses() -> None:
     time, y, force = raw_log()
-    columns = {f"output_{a}": y[:, i] for i, a in enumerate("xyz")}
+    columns: dict[str, Any] = {f"output_{a}": y[:, i] for i, a in enumerate("xyz")}
     log = bc.Measurements.from_arrays(accelerometer_triad.INSTRUMENT, time=time, **columns)
     readings = bc.poses(log, accelerometer_triad.INSTRUMENT)
     assert len(readings) == len(force)
@@ -334,14 +335,13 @@ def test_a_log_is_read_as_poses() -> None:
 
 
 def test_refusals_say_what_to_do() -> None:
-    given = {f"output_{a}": np.ones(4) for a in "xyz"}
+    given: dict[str, Any] = {f"output_{a}": np.ones(4) for a in "xyz"}
+    zero_in_row_3: dict[str, Any] = dict.fromkeys(given, np.array([1.0, 1.0, 0.0, 1.0]))
     instrument = accelerometer_triad.INSTRUMENT
     with pytest.raises(bc.InputError, match="pose_uncertainty"):
         bc.Measurements.from_arrays(instrument, **given, direction_x=np.ones(4))
     with pytest.raises(bc.InputError, match="row 3, columns output_x, output_y, output_z"):
-        bc.Measurements.from_arrays(
-            instrument, **{name: np.array([1.0, 1.0, 0.0, 1.0]) for name in given}
-        )
+        bc.Measurements.from_arrays(instrument, **zero_in_row_3)
     model = MODEL + "bias.drift"
     drifting = bc.fit(model, accelerometer_triad.simulate(seed=1), bc.LeastSquares())
     with pytest.raises(bc.ModelError, match=r"bias\.drift"):
