@@ -15,7 +15,7 @@ from bayescal._calibration.check import check
 from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.fit import fit
 from bayescal._calibration.guards import contradictions
-from bayescal._calibration.holdout_test import HoldoutTest
+from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.guards import doubts_of_the_mode
-from bayescal._calibration.holdout_test import HoldoutTest
+from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._calibration.settings import guarding, searching
 from bayescal._core.formatting import Printed, number, probability, table

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._calibration.holdout_test import HoldoutTest
+from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._search.gate import gate
 from bayescal._search.search_path import Step
 from bayescal_models import mems_gyro
