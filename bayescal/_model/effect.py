@@ -175,8 +175,6 @@ class Effect:
         untestable: why readings that have all this still cannot test the effect, or None where they can.
         along: covariate along which a real law may depart smoothly from this form: a numeric column, "elapsed", or a
             rate such as "temperature rate". None stands for the one column that it needs; "" for no such covariate.
-        case_of: canonical name of a more general effect of which this one is a limit; a search that may add the general
-            one takes the two for one candidate, under its name.
     """
 
     name: str
@@ -192,7 +190,6 @@ class Effect:
     measure: str | None = None
     untestable: Callable[[Measurements], str | None] | None = None
     along: str | None = None
-    case_of: str = ""
 
     def __post_init__(self) -> None:
         set_once(

@@ -223,8 +223,7 @@ def _not_looked_at(chapter: Chapter) -> Iterator[str]:
     last = chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
     by_reason: dict[str, list[str]] = {}
     for candidate in last:
-        same = candidate["reason"].startswith("one function with")  # tested under the other's name
-        if candidate["kind"] == "not testable" and not same:
+        if candidate["kind"] == "not testable":
             by_reason.setdefault(candidate["reason"], []).append(candidate["effect"])
     if by_reason:
         told = "; ".join(f"{_and(names)} ({reason})" for reason, names in by_reason.items())

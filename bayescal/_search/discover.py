@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import textwrap
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -207,7 +207,6 @@ def structures_over(
     for effect in placeholders(model, readings):
         known.setdefault(effect.name, effect)
     own = {e.name for e in effects}  # who gives an effect says what it depends on
-    known, cases = _general(known, {*own, *model.names})
     gone = {
         n: f"the column {', '.join(columns)} is left out"
         for n, e in known.items()
@@ -219,8 +218,8 @@ def structures_over(
     open_ = {n: known[n] for n, reason in reasons.items() if reason is None}
     shut = [
         Candidate(n, kind="not testable", reason=reason)
-        for n, reason in (*reasons.items(), *cases.items())
-        if reason is not None and (n in cases or not known[n].is_placeholder)
+        for n, reason in reasons.items()
+        if reason is not None and not known[n].is_placeholder
     ]
     frame = build_frame(readings, reference)
     model = sized(model, readings, frame)
@@ -231,26 +230,6 @@ def structures_over(
     record = Record(instrument, frame, np.asarray(readings["output"]), library)
     laws = laws_over(model, frame) if widen_noise else {}
     return Structures(model, bind(model, readings, open_.values())[0], record, open_, laws), shut
-
-
-def _general(
-    known: Mapping[str, Effect], kept: Collection[str]
-) -> tuple[dict[str, Effect], dict[str, str]]:
-    """Effects without those that are a case of another one among them, whose shapes then cover theirs; and why.
-
-    Two names of one function would share its probability, stand in a model together, and be told apart by nothing but
-    their priors. c·(T̃ − T) with a time τ and k·(T − T̃)/w differ in name and sign alone.
-    """
-    left, why = dict(known), dict[str, str]()
-    for name, case in known.items():
-        general = left.get(case.case_of)
-        if general is None or {name, general.name} & set(kept) or general.columns != case.columns:
-            continue
-        (shape,), (own,) = general.column_shapes, case.column_shapes
-        left[general.name] = general.ranging({shape.name: (min(own.low, shape.low), shape.high)})
-        del left[name]
-        why[name] = f"one function with {general.name} ({shape.name} as short as its {own.name})"
-    return left, why
 
 
 def with_causes(

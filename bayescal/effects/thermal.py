@@ -28,8 +28,7 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
     """c·dT/dt, over a window that the readings tell.
 
     The rate is that of a body close behind the thermometer, (T − T̃)/w: noise of the thermometer is smoothed over the
-    window w, and what changes within seconds is not blurred to a minute. It is a thermal lag of short time, −lag/w;
-    where a search has both, it looks for the lag, with times from those of w on.
+    window w, and what changes within seconds is not blurred to a minute.
     """
     return Effect(
         f"{slot}.rate",
@@ -42,7 +41,6 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
         equation="c·(T − T̃)/w,  w·dT̃/dt = T − T̃",
         source=source,
         along=f"{column} rate",
-        case_of=f"{slot}.thermal_lag",
     )
 
 
