@@ -119,7 +119,7 @@ def test_what_the_others_say_and_the_own_evidence_are_the_whole_posterior() -> N
 def weighed(readings: bc.Measurements) -> Structures:
     model = still_sensor.INSTRUMENT.for_readings(readings).baseline()
     made, _ = structures_over(model, readings, reference_of(readings))
-    names = (LAG, "bias.temperature_quadratic", "bias.drift")
+    names = (LAG, "bias.temperature_quadratic", "bias.rate", "bias.drift")
     made.candidates = {n: made.candidates[n] for n in names}
     walk(Library(made), 3)
     return made
@@ -135,7 +135,7 @@ def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
     prior = effect.shared_shape.prior
     peak = v[int(np.argmax(log_ratio))]
     held = []
-    for value in map(float, prior.value(np.array([peak - 0.15, peak, peak + 0.15]))):
+    for value in map(float, prior.value(np.array([peak - 0.3, peak, peak + 0.3]))):
         narrow = effect.ranging({"tau": (0.999 * value, 1.001 * value)})
         fixed = Structures(
             made.base, made.layout, made.record, {**made.candidates, LAG: narrow}, made.laws
@@ -144,6 +144,6 @@ def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
         without = [fixed.weigh(s) for s in made.visited if LAG not in s.effects]
         totals = [np.logaddexp.reduce([w.total for w in ws]) for ws in (with_it, without)]
         held.append(totals[0] - fixed.log_odds[LAG] - totals[1])
-    found = np.interp([peak - 0.15, peak, peak + 0.15], v, log_ratio)
+    found = np.interp([peak - 0.3, peak, peak + 0.3], v, log_ratio)
     np.testing.assert_allclose(found, held, atol=0.7)
     assert found[1] > found[0] + 1 and found[1] > found[2] + 1  # it tells the shape
