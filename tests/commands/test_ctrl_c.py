@@ -20,7 +20,9 @@ def _as_at_a_terminal() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
-    while deadline.unfinished():  # a command in this process would leave it, and these tests with it
+    while (
+        deadline.unfinished()
+    ):  # a command in this process would leave it, and these tests with it
         time.sleep(0.05)
 
 
