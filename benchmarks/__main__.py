@@ -22,6 +22,8 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "samplers": "speed.samplers.rows",
     "hidden_effects": "hidden_effects.measurement",
     "units": "hidden_effects.units",
+    "holdout": "wrong_model.holdout",
+    "one_profile": "wrong_model.one_profile",
     "gauntlet": "spoilt_records.measurement",
     "start_up": "speed.start_up",
     "scaling": "speed.scaling.rows",

@@ -81,8 +81,8 @@ class GuardSettings(OutcomeSettings):
         within: of the squares of a step between runs, that lie within runs where it is one between them.
         worse: error against that of an earlier step, or of other coefficients, above which it matters: below a
             twentieth no use of a result changes.
-        chance: p-value below which hold-out data contradict a result, two or three tests of it each time: of right
-            results a few in a hundred are refused (benchmarks/hidden_effects/README.md).
+        chance: p-value below which hold-out data contradict a result, two or three tests of it each time, so that
+            chance refuses a few right results in a hundred; `python -m benchmarks holdout` counts them.
         expected: times the scatter that a model expects of hold-out data, beyond which they are of something else.
         surprised: times what the other groups expect of one, beyond which it is not like them.
         conflict: prior standard deviations from the prior's mean, beyond which readings and prior contradict each

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayescal_models.triad.equation import BIAS, CROSS, LOWER, SCALE, SQUARE, UPPER
-from bayescal_models.triad.families import drift, family, over_temperature, unknown_directions
+from bayescal_models.triad.families import drift, family, over_temperature, run, unknown_directions
 
 SHEETS = "data sheets of ADXL355, BMI088 and ICM-20948, zero-g offset, sensitivity and cross axis; size ours"
 TEMPCO = "the same data sheets, change with temperature; size ours"
@@ -35,13 +35,9 @@ BIAS_QUADRATIC = over_temperature(
 SQUARES = family("square.constant", SQUARE, 1.0, "mg/g^2", SECOND, equation="K2·f²")
 PRODUCTS = family("cross.constant", CROSS, 1.0, "mg/g^2", SECOND, equation="K·f_i·f_j")
 DRIFT = drift("bias.drift", BIAS, 1.0, "mg", "ours")
-RUN = family(
-    "bias.run",
+RUN = run(
     BIAS,
     1.0,
     "mg",
     "ours; 72 public calibrations of eight units scatter by 0.6 to 3.7 mg between sessions",
-    equation="d[run],  d ~ N(0, s²)",
-    per="run",
-    columns=("run",),
 )

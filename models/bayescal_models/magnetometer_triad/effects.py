@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayescal_models.triad.equation import BIAS, LOWER, SCALE, UPPER
-from bayescal_models.triad.families import drift, family, over_temperature, unknown_directions
+from bayescal_models.triad.families import drift, family, over_temperature, run, unknown_directions
 
 IRON = "ours: hard and soft iron of a small vehicle, and a field known to a third"
 TEMPCO = "data sheets of RM3100, LIS3MDL and BMM150, change with temperature; size ours"
@@ -21,13 +21,9 @@ BIAS_QUADRATIC = over_temperature(
     "bias.temperature_quadratic", BIAS, 0.001, "uT/degC^2", TEMPCO, order=2
 )
 DRIFT = drift("bias.drift", BIAS, 1.0, "uT", "ours: a battery's or a motor's field that changes")
-RUN = family(
-    "bias.run",
+RUN = run(
     BIAS,
     1.0,
     "uT",
     "ours: hard iron from one session to the next",
-    equation="d[run],  d ~ N(0, s²)",
-    per="run",
-    columns=("run",),
 )

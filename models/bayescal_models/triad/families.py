@@ -15,7 +15,7 @@ def _constant(count: int, r: bc.Frame) -> Any:
     return jnp.ones((r.size, count))
 
 
-def _departure(count: int, order: int, r: bc.Frame) -> Any:
+def _departure(order: int, count: int, r: bc.Frame) -> Any:
     return jnp.broadcast_to(r.centred("temperature")[:, None] ** order, (r.size, count))
 
 
@@ -75,15 +75,11 @@ def over_temperature(
         size,
         unit,
         source,
-        basis=partial(_powered, order),
+        basis=partial(_departure, order),
         equation=f"c·(T − T0){power}",
         columns=("temperature",),
         varies=("temperature",),
     )
-
-
-def _powered(order: int, count: int, r: bc.Frame) -> Any:
-    return _departure(count, order, r)
 
 
 def drift(name: str, slots: Sequence[str], size: float, unit: str, source: str) -> bc.Effect:
@@ -98,6 +94,20 @@ def drift(name: str, slots: Sequence[str], size: float, unit: str, source: str) 
         equation="c·progress",
         columns=("time",),
         varies=("time",),
+    )
+
+
+def run(slots: Sequence[str], size: float, unit: str, source: str) -> bc.Effect:
+    """A deviation of each run for each of some slots, their standard deviation estimated."""
+    return family(
+        "bias.run",
+        slots,
+        size,
+        unit,
+        source,
+        equation="d[run],  d ~ N(0, s²)",
+        per="run",
+        columns=("run",),
     )
 
 
