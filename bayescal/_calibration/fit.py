@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from bayescal._inference.checkpoint import fingerprint, keeping
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, Outcome
+from bayescal._inference.mode import NOTHING_KNOWN
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of
@@ -37,6 +38,7 @@ def fit(
     reference: Reference | None = None,
     checkpoint: str | Path | None = None,
     time_limit: float | None = None,
+    start: Mapping[str, float] = NOTHING_KNOWN,
 ) -> Calibration:
     """Fit a model to readings.
 
@@ -51,6 +53,8 @@ def fit(
             the same draws, bit for bit; those that had ended are not run again.
         time_limit: seconds, after which what there is is taken: the draws so far, or the Gaussian approximation about
             the mode; the verdict says so. Ctrl-C does the same.
+        start: values of shapes, noise parameters and between-group standard deviations, by name and in the units of
+            `calibration.samples(name)`, where their mode is looked for beside draws of their priors.
 
     Raises:
         InputError: `reference` names what is no constant of these readings; the checkpoint is none, or one of another
@@ -75,7 +79,7 @@ def fit(
     layout, levels = bind(model, readings)
 
     def run() -> Outcome:
-        return method.run(layout, frame, frame["output"], seed)
+        return method.run(layout, frame, frame["output"], seed, start)
 
     with (
         keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)),

@@ -7,6 +7,7 @@ divided by the degrees of freedom that the coefficients leave.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from bayescal._core.progress import stage
 from bayescal._inference import refinement, trust
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict, by_chain
-from bayescal._inference.mode import find_mode
+from bayescal._inference.mode import NOTHING_KNOWN, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.refinement import Solution
 from bayescal._model.frame import Frame
@@ -36,9 +37,16 @@ class LeastSquares(Method):
     draws: int = 4000
     name: ClassVar[str] = "least-squares"
 
-    def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
+    def run(
+        self,
+        layout: Layout,
+        frame: Frame,
+        y: Float[Array, "n"],
+        seed: int,
+        start: Mapping[str, float] = NOTHING_KNOWN,
+    ) -> Outcome:
         with stage("least squares"):
-            found = self._solution(layout, frame, y)
+            found = self._solution(layout, frame, y, start)
         return self.outcome(layout, found, seed)
 
     def outcome(self, layout: Layout, found: Solution, seed: int) -> Outcome:
@@ -63,14 +71,18 @@ class LeastSquares(Method):
             log_evidence=None if layout.improper else (float(found.mode.log_evidence), None),
         )
 
-    def _solution(self, layout: Layout, frame: Frame, y: Float[Array, "n"]) -> Solution:
+    def _solution(
+        self, layout: Layout, frame: Frame, y: Float[Array, "n"], start: Mapping[str, float]
+    ) -> Solution:
         assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
-        return solution_on(assembly, self.curvature == "hessian")
+        return solution_on(assembly, self.curvature == "hessian", start)
 
 
-def solution_on(assembly: Assembly, hessian: bool = False) -> Solution:
+def solution_on(
+    assembly: Assembly, hessian: bool = False, start: Mapping[str, float] = NOTHING_KNOWN
+) -> Solution:
     """The fit of a structure whose noise the engine whitens by, on a record that others may share."""
-    return refinement.refine(assembly, find_mode(assembly), hessian)
+    return refinement.refine(assembly, find_mode(assembly, start=start), hessian)
 
 
 def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:

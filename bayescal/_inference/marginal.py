@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import ClassVar, Literal, NamedTuple
@@ -23,7 +23,7 @@ from bayescal._inference import (
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, by_chain
-from bayescal._inference.mode import Mode, find_mode
+from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.nuts_chains import Chains
 from bayescal._inference.record import Record
 from bayescal._inference.refinement import refine
@@ -53,7 +53,8 @@ class Marginal(Method):
         draws: joint draws returned.
         proposals: importance proposals of the final round; None for 8192, fewer where each costs a pass over many
             readings.
-        rounds: of adaptation at most; none follows one whose weights are even.
+        rounds: of adaptation at most; none follows one whose weights are even, nor the third or a later one whose
+            weights are sound.
         sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7 (if the model is nonlinear,
             above 0.5 coefficients are first proposed anew with heavier tails), for five minutes at most where no time
             limit says otherwise; "nuts" for NUTS on all unknowns, coefficients whitened.
@@ -63,16 +64,23 @@ class Marginal(Method):
 
     draws: int = 4000
     proposals: int | None = None
-    rounds: int = 3
+    rounds: int = 12
     sampler: Literal["importance", "nuts"] = "importance"
     promote: tuple[str, ...] | None = None
     name: ClassVar[str] = "marginal"
 
-    def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
+    def run(
+        self,
+        layout: Layout,
+        frame: Frame,
+        y: Float[Array, "n"],
+        seed: int,
+        start: Mapping[str, float] = NOTHING_KNOWN,
+    ) -> Outcome:
         record = Record(layout.model.instrument, frame, np.asarray(y))
         with stage("finding the mode"):
-            layout, notes = sampled_products.choose_on(layout, record, self.promote)
-            mode = find_mode(Assembly(layout, record))
+            layout, notes = sampled_products.choose_on(layout, record, self.promote, start)
+            mode = find_mode(Assembly(layout, record), start=start)
         noise, assembly = layout.model.noise, Assembly(layout, record)
         deadline.offer(lambda why: self.about_the_mode(assembly, mode, seed, notes, why))
         if not noise.gaussian and layout.row_blocks:
@@ -123,8 +131,9 @@ class Marginal(Method):
         proposals, most = self.proposals, MOST
         if width := len(assembly.row_sd):
             most = min(MOST, NUMBERS // (assembly.record.size * width))
+        found = None
         while True:
-            found = weighted_draws(assembly, mode, seed, proposals, self.rounds, heavy)
+            found = weighted_draws(assembly, mode, seed, proposals, self.rounds, heavy, found)
             judged = _judged(found, heavy)
             tried = len(judged.weights)
             limit = PROPOSALS if self.proposals is None else 0

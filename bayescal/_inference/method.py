@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
@@ -11,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from bayescal._inference.mode import Mode
+from bayescal._inference.mode import NOTHING_KNOWN, Mode
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
@@ -103,5 +104,20 @@ class Method(eqx.Module):
     name: ClassVar[str]
 
     @abc.abstractmethod
-    def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
-        """Fit. Never raises for lack of convergence: the verdict says it."""
+    def run(
+        self,
+        layout: Layout,
+        frame: Frame,
+        y: Float[Array, "n"],
+        seed: int,
+        start: Mapping[str, float] = NOTHING_KNOWN,
+    ) -> Outcome:
+        """Fit. Never raises for lack of convergence: the verdict says it.
+
+        Args:
+            layout: the model's unknowns.
+            frame: the readings.
+            y: their outputs.
+            seed: of every random number.
+            start: φ by name where its mode may be.
+        """

@@ -6,9 +6,10 @@ The joint mode of coefficients and spreads would run to a spread of zero; the mo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ HALVINGS = 8  # of a step that makes things worse
 CURVED, LEAST_CURVATURE = 1e-3, 0.05  # step for the curvature; the least that counts as one
 NEAR, FINEST = 0.1, 1e-5  # of a step's square over the variance there, at most; of a step
 CLIMB, LONGEST = 100, 1.5  # steps uphill at most; the longest, in prior standard deviations
+NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found
 
 
@@ -52,6 +54,7 @@ def find_mode(
     point: Point | None = None,
     still: float = STILL,
     curved: bool = True,
+    start: Mapping[str, float] = NOTHING_KNOWN,
 ) -> Mode:
     """The mode, from the best of some coordinates of φ. Deterministic.
 
@@ -63,12 +66,20 @@ def find_mode(
         still: standard deviations that a round moves anything by, below which the mode is found. The log evidence is
             off by about half their square.
         curved: whether the Gaussian fit there is asked for too; without, its covariance is the climb's guess.
+        start: φ by name where the mode may be, a start beside the prior draws; what it does not name is at its prior's
+            middle.
     """
     point, dim = assembly.start if point is None else point, len(assembly.hypers)
     flat = flat_scales(assembly, point, np.zeros(dim))
     wanted = prior_draws(assembly) if starts is None else list(starts)
     if starts is None and assembly.kinds == ["noise"]:  # one hill
         wanted = wanted[:5]
+    if start:
+        known = [
+            float(h.prior.coordinate(start[h.name])) if h.name in start else 0.0
+            for h in assembly.hypers
+        ]
+        wanted = [np.array(known), *wanted]
 
     def climbed(starts: Sequence[np.ndarray], point: Point) -> _Summit:
         return _climbed(assembly, starts, covariance, point, flat, still)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import jax
@@ -18,7 +18,7 @@ from bayescal._inference.assembly import Assembly
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
-from bayescal._inference.mode import find_mode
+from bayescal._inference.mode import NOTHING_KNOWN, find_mode
 from bayescal._inference.record import Record
 from bayescal._model import forward
 from bayescal._model.frame import Frame, build_frame, reference_of
@@ -50,10 +50,17 @@ class NUTS(Method):
     dense: bool = True
     name: ClassVar[str] = "nuts"
 
-    def run(self, layout: Layout, frame: Frame, y: Float[Array, "n"], seed: int) -> Outcome:
+    def run(
+        self,
+        layout: Layout,
+        frame: Frame,
+        y: Float[Array, "n"],
+        seed: int,
+        start: Mapping[str, float] = NOTHING_KNOWN,
+    ) -> Outcome:
         layout = Layout(layout.model, layout.counts)
         assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
-        mode = find_mode(assembly)
+        mode = find_mode(assembly, start=start)
         deadline.offer(lambda why: Marginal().about_the_mode(assembly, mode, seed, (), why))
         found, sites = sampled(
             program(layout, frame),

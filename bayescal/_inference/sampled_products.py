@@ -8,6 +8,8 @@ the posterior of the others, in units of the noise.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -16,7 +18,7 @@ from bayescal._core.errors import ModelError
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
 from bayescal._inference.joint import expected
-from bayescal._inference.mode import Mode, find_mode
+from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import CoefficientBlock, Layout
@@ -36,9 +38,18 @@ def choose(
 
 
 def choose_on(
-    layout: Layout, record: Record, asked: tuple[str, ...] | None
+    layout: Layout,
+    record: Record,
+    asked: tuple[str, ...] | None,
+    start: Mapping[str, float] = NOTHING_KNOWN,
 ) -> tuple[Layout, tuple[str, ...]]:
     """The layout with what must be promoted, and what to say about it.
+
+    Args:
+        layout: of the model.
+        record: the readings.
+        asked: what to promote, where somebody said it.
+        start: φ by name where its mode may be.
 
     Raises:
         ModelError: a name that was asked for is no coefficient of the model.
@@ -58,7 +69,7 @@ def choose_on(
         candidates = [b for b in candidates if b.size <= free]
         if not candidates:
             return layout, notes
-        sizes = _second_order(assembly, find_mode(assembly))
+        sizes = _second_order(assembly, find_mode(assembly, start=start))
         strength = [
             float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in candidates
         ]

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from scipy.special import gammaln, logsumexp, softmax
 
 from bayescal._core import deadline
-from bayescal._core.importance_weights import Corrections, effective_size
+from bayescal._core.importance_weights import Corrections, effective_size, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density, about
@@ -27,8 +27,10 @@ from bayescal._inference.gaussian import Drawn, Gram, Prior, draw
 from bayescal._inference.joint import FREEDOM, Batch, draw_joint, linearise_draws, normal_numbers
 from bayescal._inference.mode import Mode
 from bayescal._inference.noise_on_record import grams
+from bayescal._inference.trust import sampling
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 
+USUAL = 3  # rounds of adaptation; more only where the last one's weights are unsound
 KERNELS = 256  # draws of the round before, around each of which the next one proposes;
 FEW = 128  # in a few dimensions
 KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
@@ -219,8 +221,13 @@ def explore(
     random: np.random.Generator,
     proposals: int,
     rounds: int,
+    earlier: WeightedDraws | None = None,
 ) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"]]:
     """Adapt to a density, then propose.
+
+    Draws of a round are weighed with those of the rounds before, each by what all rounds together propose there:
+    of a density that bends away from its Laplace fit every round sees a further part.
+    Source: J.-M. Cornuet et al., Scand. J. Statist. 39 (2012) 798 (adaptive multiple importance sampling).
 
     Args:
         mode: anything with the density's mode `v` and the `covariance` of its Gaussian fit there.
@@ -228,19 +235,54 @@ def explore(
         prior: None where it is improper or cannot be drawn from.
         random: of every random number.
         proposals: of the final round, half as many in each round of adaptation.
-        rounds: of adaptation at most; none follows one whose weights are even.
+        rounds: of adaptation at most; none follows one whose weights are even, nor a later than the `USUAL` whose
+            weights are sound.
+        earlier: draws of this density that were too few: adapted to as they are.
 
     Returns:
         The proposals, and the log density that they are drawn from.
     """
-    mixture = _around_mode(mode)
-    for _ in range(rounds if len(mode.v) else 0):
+    if earlier is not None:
+        mixture, rounds = _match(mode, earlier.v, earlier.log_weight_phi), 0
+    else:
+        mixture = _around_mode(mode)
+    tried = _Rounds(prior)
+    for k in range(rounds if len(mode.v) else 0):
         v, log_proposal = _propose(mixture, prior, random, proposals // 2)
-        log_weight = values(v) - log_proposal
+        there = values(v)
+        log_weight = there - log_proposal
         if effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
-        mixture = _match(mode, v, log_weight)
+        tried.add(mixture, v, there)
+        mixture = _match(mode, tried.v, tried.log_weight)
+        if k + 1 >= USUAL and smoothed(log_weight)[1] <= sampling().k_hat:
+            break
     return _propose(mixture, prior, random, proposals)
+
+
+class _Rounds:
+    """Draws of all rounds, each weighed by the mixture of what was drawn from."""
+
+    def __init__(self, prior: PriorShare | None) -> None:
+        self.prior, self.mixtures = prior, list[_Mixture]()
+        self.v, self.there, self.proposed = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
+
+    def add(self, mixture: _Mixture, v: Float[np.ndarray, "s d"], there: np.ndarray) -> None:
+        """A round's draws, and the log density there."""
+        old = self.v.reshape(-1, v.shape[1])
+        self.mixtures.append(mixture)
+        here = np.array([_log_proposal(m, self.prior, v) for m in self.mixtures])
+        before = (
+            np.vstack([self.proposed, _log_proposal(mixture, self.prior, old)])
+            if len(old)
+            else here[:, :0]
+        )
+        self.v, self.there = np.concatenate([old, v]), np.concatenate([self.there, there])
+        self.proposed = np.concatenate([before, here], axis=1)
+
+    @property
+    def log_weight(self) -> Float[np.ndarray, "s"]:
+        return self.there - logsumexp(self.proposed, axis=0) + math.log(len(self.mixtures))
 
 
 @on_one_thread
@@ -251,6 +293,7 @@ def weighted_draws(
     proposals: int | None,
     rounds: int,
     heavy: bool = False,
+    earlier: WeightedDraws | None = None,
 ) -> WeightedDraws:
     """Adapt, then sample. The same numbers for the same seed.
 
@@ -261,6 +304,7 @@ def weighted_draws(
         proposals: of the final round, half as many in each round of adaptation; by their cost if not given.
         rounds: of adaptation at most.
         heavy: whether coefficients are proposed with the tails of Student-t; always where the noise is not Gaussian.
+        earlier: draws that were too few: no further round of adaptation then.
 
     Raises:
         TimeIsUp: the deadline came first.
@@ -270,7 +314,7 @@ def weighted_draws(
     if proposals is None:
         proposals = proposals_of(density)
     share = _prior_share(assembly)
-    v, log_proposal = explore(mode, density.values, share, random, proposals, rounds)
+    v, log_proposal = explore(mode, density.values, share, random, proposals, rounds, earlier)
     heavy = heavy or not assembly.noise.gaussian
     return _placed(density, v, log_proposal, heavy, random)
 
@@ -351,12 +395,20 @@ def _propose(
     mixture: _Mixture, prior: PriorShare | None, random: np.random.Generator, count: int
 ) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"]]:
     """Coordinates of φ with the log density that they are drawn from: near the mode and, where proper, the prior."""
-    near = mixture.draw(random, count)
+    v = mixture.draw(random, count)
+    if prior is not None:
+        v = np.where(random.random((count, 1)) < PRIOR, prior.draw(random, count), v)
+    return v, _log_proposal(mixture, prior, v)
+
+
+def _log_proposal(
+    mixture: _Mixture, prior: PriorShare | None, v: Float[np.ndarray, "s d"]
+) -> Float[np.ndarray, "s"]:
+    """Log density of what `_propose` draws."""
     if prior is None:
-        return near, mixture.log_density(near)
-    v = np.where(random.random((count, 1)) < PRIOR, prior.draw(random, count), near)
+        return mixture.log_density(v)
     parts = math.log1p(-PRIOR) + mixture.log_density(v), math.log(PRIOR) + prior.log_density(v)
-    return v, np.logaddexp(*parts)
+    return np.logaddexp(*parts)
 
 
 def _prior_share(assembly: Assembly) -> PriorShare | None:

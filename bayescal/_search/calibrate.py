@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -30,6 +30,7 @@ from bayescal._data.time_in_runs import going_on
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import NOT_SAMPLED
 from bayescal._inference.method import Method
+from bayescal._inference.mode import NOTHING_KNOWN
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
@@ -241,13 +242,14 @@ class Loop:
         twice = deadline.current().apart and not isinstance(self.method, LeastSquares)
         try:
             for before, at in pairwise(way):
-                model = structures.weigh(at).sized_model
+                weighed = structures.weigh(at)
+                model = weighed.sized_model
                 once = at == way[-1] and not twice
                 method = self.method if once else self.quick(model)
-                steps.append(self.step(model, before, at, method=method))
+                steps.append(self.step(model, before, at, method=method, start=weighed.phi))
                 self.tell(steps, structures, to, follow)
             if self.method != QUICK and (len(way) == 1 or twice):
-                steps[-1] = self.sampled(steps[-1])
+                steps[-1] = self.sampled(steps[-1], structures.weigh(way[-1]).phi)
                 self.tell(steps, structures, to)
         except KeyboardInterrupt:
             if stopped:
@@ -274,12 +276,12 @@ class Loop:
             return trail
         return replace(trail, average=None if average is last else average, shares=shares)
 
-    def sampled(self, step: Step) -> Step:
+    def sampled(self, step: Step, start: Mapping[str, float] = NOTHING_KNOWN) -> Step:
         """A step with its posterior sampled, as far as there is time for that and for checking it anew."""
         with deadline.share(keep=self.step_takes) as end:
             try:
                 end.ask()
-                found = self.step(step.calibration.model, method=self.method)
+                found = self.step(step.calibration.model, method=self.method, start=start)
             except TimeIsUp as early:
                 notes = (NOT_SAMPLED.format(early.why), *step.calibration.verdict.notes)
                 return replace(step, calibration=step.calibration.with_verdict(notes=notes))
@@ -365,8 +367,9 @@ class Loop:
         at: Structure | None = None,
         *,
         method: Method | None,
+        start: Mapping[str, float] = NOTHING_KNOWN,
     ) -> Step:
-        """Fit a model and check it."""
+        """Fit a model and check it, looking for its mode at `start` first."""
         calibration = fit(
             model,
             self.readings,
@@ -374,6 +377,7 @@ class Loop:
             seed=self.seed,
             strict=False,
             reference=self.reference,
+            start=start,
         )
         added, changed = None, ""
         if before is not None and at is not None:

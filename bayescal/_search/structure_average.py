@@ -32,7 +32,8 @@ from bayescal._search.posterior import Posterior
 from bayescal._search.structures import Structure, Structures, Weighed
 
 COUNT = 4000  # draws in all
-PROPOSALS = 512, 4096  # for each structure's, at least and at most
+PROPOSALS = 128, 4096  # for each structure's, at least and at most
+ROUNDS = 12  # of adaptation at most
 ABSENT = (
     -30.0
 )  # coordinate of a between-group standard deviation that is not there, 1e-13 of its scale
@@ -104,7 +105,7 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
 def _drawn(weighed: Weighed, count: int, seed: int) -> _Values:
     """Draws of a structure about its mode, by importance sampling."""
     proposals = int(np.clip(4 * count, *PROPOSALS))
-    found = weighted_draws(weighed.assembly, weighed.mode, seed, proposals, 2)
+    found = weighted_draws(weighed.assembly, weighed.mode, seed, proposals, ROUNDS)
     weights, _ = smoothed(found.log_weight)
     pick = resample(weights, count, seed)
     return _by_name(weighed.assembly.layout, found.x[pick], found.rows[pick], found.v[pick])

@@ -79,6 +79,11 @@ class Weighed:
         return self.assembly.layout.model
 
     @property
+    def phi(self) -> dict[str, float]:
+        """Shapes, noise parameters and spreads at the mode, by name."""
+        return {name: float(value) for name, value in self.assembly.hyper(self.mode.v).items()}
+
+    @property
     def sized_model(self) -> Model:
         """The model with the plausible sizes of the instrument's own effects at the likeliest."""
         found, own = self.model, {e.name for e in self.model.instrument.candidates}

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 import bayescal as bc
-from bayescal_models import mems_gyro
+from bayescal_models import mems_gyro, quartz_beam_accelerometer
 
 SIZES = (0.05, 5.0)  # of the plausible one, log-uniform
 OF_DEVICES = 10.0  # how much more devices differ in their zero than one from run to run
+EVERY = 1e4  # s between the beginnings of runs
+SPAN = 5 * EVERY + 2400.0  # s of the runs that are fitted
+LATER = 11  # label of the first hold-out run
 COUNTS = (0, 0, 1, 1, 2)  # hidden effects, one of these at random
 
 
@@ -21,11 +24,11 @@ class World:
 
     Attributes:
         readings: to fit.
-        truth: expected output of the readings without noise and without their runs' own offsets, output unit.
+        truth: expected output of the readings without noise, with their runs' own offsets, output unit.
         later: hold-out readings: runs of their own.
         later_truth: of these.
         hidden: size over the plausible one, by name.
-        baseline: true coefficients of the baseline, by name, reported units.
+        static: each slot as a function of temperature alone, °C, at the middle of the record, reported units.
     """
 
     readings: bc.Measurements
@@ -33,7 +36,13 @@ class World:
     later: bc.Measurements
     later_truth: np.ndarray
     hidden: dict[str, float]
-    baseline: dict[str, float]
+    static: dict[str, Callable[[np.ndarray], np.ndarray]]
+
+    def about(self, slot: str, reference: float, count: int) -> np.ndarray:
+        """The first terms of a slot's power series about a temperature, °C: what a baseline's coefficients are."""
+        step = 5.0 * np.linspace(-1.0, 1.0, 13)
+        fitted = np.polynomial.polynomial.polyfit(step, self.static[slot](reference + step), 6)
+        return fitted[:count]
 
 
 def gyro(seed: int, hidden: Mapping[str, float] | None = None, *, other: bool = False) -> World:
@@ -48,22 +57,24 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None, *, other: bool = 
     hidden = _drawn(rng, _GYRO) if hidden is None else dict(hidden)
     zero, slope = rng.normal(20.0, 5.0), rng.normal(0.05, 0.02)
 
+    own = zero, slope
+
     def made(
         runs: int, first: int, zero: float, slope: float
     ) -> tuple[bc.Measurements, np.ndarray]:
-        run, time, since, temperature = _sweeps(rng, runs)
+        run, time, since, temperature = _sweeps(rng, runs, first)
         board = temperature + 4.0 - 3.0 / (1 + since / 500.0)
         at = Sweep(temperature - 55.0, since, time, run)
         truth = zero + slope * at.warmth
         for name, size in hidden.items():
             if name != "bias.run":
                 truth = truth + size * _GYRO[name](at)
-        own = 0.1 * hidden.get("bias.run", 0.0) * _uniform(rng, runs)[run]
-        output = truth + own + rng.normal(0.0, 0.05, truth.size)
+        truth = truth + 0.1 * hidden.get("bias.run", 0.0) * _uniform(rng, runs)[run]
+        output = truth + rng.normal(0.0, 0.05, truth.size)
         readings = bc.Measurements.from_arrays(
             mems_gyro.INSTRUMENT,
             run=np.array([f"{first + r}" for r in run]),
-            time=time + 1e5 * first,
+            time=time,
             temperature=temperature,
             board_temperature=board,
             output=output,
@@ -74,31 +85,116 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None, *, other: bool = 
     if other:
         zero = zero + rng.normal(0.0, OF_DEVICES * 0.1)
         slope = slope + rng.normal(0.0, 0.02)
-    later, later_truth = made(2, 11, zero, slope)
-    middle = float(np.mean(readings["temperature"]))
-    known = {"bias.constant": zero + slope * (middle - 55.0), "bias.temperature": slope}
-    return World(readings, truth, later, later_truth, hidden, known)
+    later, later_truth = made(2, LATER, zero, slope)
+
+    law = _static(_GYRO, hidden, "bias", own, readings)
+    return World(readings, truth, later, later_truth, hidden, {"bias": law})
+
+
+def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
+    """A quartz accelerometer with two thermometers: ramps at three attitudes, 5 µg of noise, a reading a minute.
+
+    Args:
+        seed: of everything.
+        hidden: sizes over the plausible ones; at random if not given.
+    """
+    rng = np.random.default_rng([38, seed])
+    hidden = _drawn(rng, _QUARTZ) if hidden is None else dict(hidden)
+    own = {"bias": _cubic(rng, 3000.0, 50.0), "scale": _cubic(rng, 800.0, 5.0)}
+
+    def made(runs: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
+        run, time, since, head = _sweeps(rng, runs, first)
+        at = Sweep(head - 55.0, since, time, run)
+        circuit = head + 4.0 * -np.expm1(-since / 600.0) - 0.2 * _behind(at, 400.0)
+        at = Sweep(at.warmth, since, time, run, circuit - head)
+        attitude = np.array([1.0, 0.0, -1.0])[(run + first) % 3]
+        bias, scale = (
+            np.polynomial.polynomial.polyval(at.warmth, own[s]) for s in ("bias", "scale")
+        )
+        square = 0.0
+        for name, size in hidden.items():
+            change = size * _QUARTZ[name](at)
+            if name.startswith("bias"):
+                bias = bias + change
+            elif name.startswith("scale"):
+                scale = scale + change
+            else:
+                square = square + change
+        bias = bias + 20.0 * hidden.get("bias.run", 0.0) * _uniform(rng, runs)[run]
+        truth = bias + (1e6 + scale) * attitude + square * attitude**2
+        readings = bc.Measurements.from_arrays(
+            quartz_beam_accelerometer.INSTRUMENT,
+            run=np.array([f"{first + r}" for r in run]),
+            time=time,
+            temperature_head=head,
+            temperature_circuit=circuit,
+            acceleration=1e6 * attitude,
+            output=truth + rng.normal(0.0, 5.0, truth.size),
+        )
+        return readings, truth
+
+    readings, truth = made(6, 1)
+    later, later_truth = made(3, LATER)
+
+    laws = {slot: _static(_QUARTZ, hidden, slot, own[slot], readings) for slot in own}
+    return World(readings, truth, later, later_truth, hidden, laws)
+
+
+def _static(
+    laws: Mapping[str, Callable[[Sweep], np.ndarray]],
+    hidden: Mapping[str, float],
+    slot: str,
+    own: tuple[float, ...],
+    readings: bc.Measurements,
+) -> Callable[[np.ndarray], np.ndarray]:
+    """A slot as a function of temperature, long after switching on, a drift at its mean over the readings."""
+    nothing, time = np.zeros(1), readings["time"]
+
+    def found(temperature: np.ndarray) -> np.ndarray:
+        value = np.polynomial.polynomial.polyval(temperature - 55.0, own)
+        for name, size in hidden.items():
+            if name.startswith(f"{slot}.temperature"):
+                value = value + size * laws[name](
+                    Sweep(temperature - 55.0, nothing, nothing, nothing)
+                )
+            elif name == f"{slot}.drift":
+                value = value + size * np.mean(laws[name](Sweep(0 * time, time, time, time)))
+        return value
+
+    return found
+
+
+def _cubic(rng: np.random.Generator, constant: float, slope: float) -> tuple[float, ...]:
+    """A polynomial of the third degree with its plausible coefficients."""
+    sizes = constant, slope, 0.01 * slope, 1e-4 * slope
+    return tuple(float(v) for v in rng.normal(0.0, sizes))
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """What an effect may depend on: °C from 55 °C, s since a run began, s since the record began, and the run."""
+    """What an effect may depend on: °C from 55 °C, s since a run began, s since the record began, the run, and °C
+    by which the circuit is warmer than the head."""
 
     warmth: np.ndarray
     since: np.ndarray
     time: np.ndarray
     run: np.ndarray
+    gradient: np.ndarray | float = 0.0
 
 
-def _sweeps(rng: np.random.Generator, runs: int) -> tuple[np.ndarray, ...]:
-    """Sweeps between 30 °C and 80 °C, each run at its own pace: run, time, time since its begin, temperature."""
+def _sweeps(rng: np.random.Generator, runs: int, first: int) -> tuple[np.ndarray, ...]:
+    """Sweeps between 30 °C and 80 °C, each run at its own pace: run, time, time since its begin, temperature.
+
+    Runs begin every `EVERY` seconds; hold-out runs lie between those that are fitted.
+    """
     step, count = 60.0, 40
     since = np.tile(step * np.arange(count), runs)
     run = np.repeat(np.arange(runs), count)
     period = rng.uniform(1200.0, 3600.0, runs)[run]
     phase = rng.uniform(0.0, 2 * np.pi, runs)[run]
     temperature = 55.0 + 25.0 * np.sin(2 * np.pi * since / period + phase)
-    return run, since + 1e4 * run, since, temperature
+    begun = EVERY * (run + 1.5 if first == LATER else run)
+    return run, since + begun, since, temperature
 
 
 def _behind(at: Sweep, tau: float) -> np.ndarray:
@@ -118,6 +214,11 @@ def _behind(at: Sweep, tau: float) -> np.ndarray:
     return found
 
 
+def _two_decays(since: np.ndarray, time: float) -> np.ndarray:
+    """A part and its case warm up: two thirds with one time, a third with twice that."""
+    return (2 * np.exp(-since / time) + np.exp(-since / (2 * time))) / 3
+
+
 _GYRO: Mapping[str, Callable[[Sweep], np.ndarray]] = {
     # 2·(cosh u − 1)/0.02² per °C² is u² to leading order and 4 % more at the ends.
     "bias.temperature_quadratic": lambda at: 3e-4 * 2 * (np.cosh(0.02 * at.warmth) - 1) / 4e-4,
@@ -125,10 +226,23 @@ _GYRO: Mapping[str, Callable[[Sweep], np.ndarray]] = {
         1e-5 * 6 * (np.sinh(0.02 * at.warmth) / 0.02 - at.warmth) / 4e-4
     ),
     "bias.thermal_lag": lambda at: 0.05 * _behind(at, 300.0),
-    "bias.warm_up": lambda at: 0.3 / (1 + at.since / 400.0) ** 2,
-    "bias.drift": lambda at: 0.3 * np.log1p(2 * at.time / at.time.max()) / np.log(3.0),
+    "bias.warm_up": lambda at: 0.3 * _two_decays(at.since, 300.0),
+    "bias.drift": lambda at: 0.3 * np.log1p(2 * at.time / SPAN) / np.log(3.0),
     "bias.run": lambda at: np.zeros_like(at.warmth),
 }
+
+_QUARTZ: Mapping[str, Callable[[Sweep], np.ndarray]] = {
+    "bias.gradient": lambda at: 20.0 * 40.0 * np.tanh(at.gradient / 40.0),
+    "bias.thermal_lag": lambda at: 20.0 * _behind(at, 600.0),
+    "bias.warm_up": lambda at: 50.0 * _two_decays(at.since, 300.0),
+    "bias.drift": lambda at: 10.0 * np.log1p(2 * at.time / SPAN) / np.log(3.0),
+    "bias.run": lambda at: np.zeros_like(at.warmth),
+    "scale.gradient": lambda at: 2.0 * 40.0 * np.tanh(at.gradient / 40.0),
+    "scale.thermal_lag": lambda at: 2.0 * _behind(at, 600.0),
+    "second_order": lambda at: np.full_like(at.warmth, 10.0),
+}
+
+HIDDEN_IN = {"mems_gyro": sorted(_GYRO), "quartz_beam_accelerometer": sorted(_QUARTZ)}
 
 
 def _uniform(rng: np.random.Generator, count: int) -> np.ndarray:

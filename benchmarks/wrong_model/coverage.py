@@ -1,0 +1,101 @@
+"""What is stated after a search where effects of every size are hidden: intervals, probabilities, completeness.
+
+    python -m benchmarks coverage_of_averages
+
+Campaigns of two instruments whose laws are none of the catalogue's, fitted by `calibrate` alone. A line a campaign in
+results/wrong_model_INSTRUMENT.jsonl.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+import bayescal as bc
+from bayescal_models import mems_gyro, quartz_beam_accelerometer
+from benchmarks.hidden_effects.resume import chosen, go_on
+from benchmarks.record import RESULTS, read_lines
+from benchmarks.wrong_model.worlds import World, gyro, quartz
+
+COUNT = 200  # campaigns of each
+WORLDS = {
+    "mems_gyro": (mems_gyro.INSTRUMENT, gyro, {"bias": ("constant", "temperature")}),
+    "quartz_beam_accelerometer": (
+        quartz_beam_accelerometer.INSTRUMENT,
+        quartz,
+        {
+            slot: ("constant_head", *(f"temperature_head{p}" for p in ("", "_quadratic", "_cubic")))
+            for slot in ("bias", "scale")
+        },
+    ),
+}
+THERMOMETER = {"mems_gyro": "T0", "quartz_beam_accelerometer": "temperature_head_0"}
+Z = 1.959964  # of a 95 % interval
+
+
+def main() -> None:
+    """Run what is missing."""
+    for name in chosen(WORLDS):
+        path = RESULTS / f"wrong_model_{name}.jsonl"
+        done = {row["seed"] for row in read_lines(path)}
+        cases = ((name, seed) for seed in range(COUNT) if seed not in done)
+        go_on(path, cases, campaign)
+
+
+def campaign(case: tuple[str, int]) -> tuple[dict[str, Any], str]:
+    """One campaign as `calibrate` leaves it."""
+    name, seed = case
+    instrument, made, powers = WORLDS[name]
+    world: World = made(seed)
+    begun = time.perf_counter()
+    path = bc.calibrate(instrument.baseline(), world.readings, method=bc.Marginal())
+    used, best = path.calibration, path.final.calibration
+    found = path.final.discovery
+    shares = {s.effects: s.probability for s in path.shares} or {
+        tuple(n for n in best.model.names if n not in instrument.baseline().names): 1.0
+    }
+    inclusion: dict[str, float] = {}
+    for effects, probability in shares.items():
+        for effect in effects:
+            inclusion[effect] = inclusion.get(effect, 0.0) + probability
+    row = {
+        "seed": seed,
+        "hidden": world.hidden,
+        "final": [n for n in best.model.names if n not in instrument.baseline().names],
+        "shares": [[list(e), p] for e, p in shares.items()],
+        "inclusion": inclusion,
+        "missing": {}
+        if found is None
+        else {c.effect: c.probability for c in found.candidates if c.probability},
+        "unseen": [] if found is None else list(found.unseen),
+        "sets": [] if found is None else [list(s.effects) for s in found.sets],
+        "complete": None if found is None else found.nothing_missing,
+        "open": path.gate.ok,
+        "reason": path.gate.reason,
+        "used": _covered(used, world, powers),
+        "best": _covered(best, world, powers),
+        "baseline": _covered(path.steps[0].calibration, world, powers),
+        "seconds": time.perf_counter() - begun,
+    }
+    return row, f"{name} {seed} {sorted(world.hidden)} {row['final']} {row['used']['later']:.2f}"
+
+
+def _covered(calibration: bc.Calibration, world: World, powers: Any) -> dict[str, Any]:
+    """Shares of readings and of coefficients whose 95 % interval holds the truth, and the widths of the intervals."""
+    row: dict[str, Any] = {}
+    for kind, readings, truth in (
+        ("fitted", None, world.truth),
+        ("later", world.later, world.later_truth),
+    ):
+        p = bc.predict(calibration, readings)
+        row[kind] = float(np.mean(np.abs(p.mean - truth) <= Z * p.model_sd))
+        row[f"{kind}_sd"] = float(np.sqrt(np.mean(p.model_sd**2)))
+        row[f"{kind}_error"] = float(np.sqrt(np.mean((p.mean - truth) ** 2)))
+    reference = calibration.reference[THERMOMETER[calibration.model.instrument.name]]
+    for slot, names in powers.items():
+        for name, truth in zip(names, world.about(slot, reference, len(names)), strict=True):
+            draws = calibration.samples(f"{slot}.{name}")
+            row[f"{slot}.{name}"] = [float(np.mean(draws)), float(np.std(draws)), float(truth)]
+    return row
