@@ -24,6 +24,8 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "units": "hidden_effects.units",
     "holdout": "wrong_model.holdout",
     "one_profile": "wrong_model.one_profile",
+    "starts": "wrong_model.starts",
+    "wrong_model": "wrong_model.coverage",
     "gauntlet": "spoilt_records.measurement",
     "start_up": "speed.start_up",
     "scaling": "speed.scaling.rows",

@@ -1,6 +1,6 @@
 """What is stated after a search where effects of every size are hidden: intervals, probabilities, completeness.
 
-    python -m benchmarks coverage_of_averages
+    python -m benchmarks wrong_model
 
 Campaigns of two instruments whose laws are none of the catalogue's, fitted by `calibrate` alone. A line a campaign in
 results/wrong_model_INSTRUMENT.jsonl.
@@ -17,6 +17,7 @@ import bayescal as bc
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 from benchmarks.hidden_effects.resume import chosen, go_on
 from benchmarks.record import RESULTS, read_lines
+from benchmarks.wrong_model import page
 from benchmarks.wrong_model.worlds import World, gyro, quartz
 
 COUNT = 200  # campaigns of each
@@ -36,12 +37,13 @@ Z = 1.959964  # of a 95 % interval
 
 
 def main() -> None:
-    """Run what is missing."""
+    """Run what is missing, and render the page."""
     for name in chosen(WORLDS):
         path = RESULTS / f"wrong_model_{name}.jsonl"
         done = {row["seed"] for row in read_lines(path)}
         cases = ((name, seed) for seed in range(COUNT) if seed not in done)
         go_on(path, cases, campaign)
+    page.write()
 
 
 def campaign(case: tuple[str, int]) -> tuple[dict[str, Any], str]:

@@ -22,6 +22,7 @@ from bayescal._search.search_path import Step
 from bayescal_models import mems_gyro
 from benchmarks.hidden_effects.resume import go_on
 from benchmarks.record import RESULTS, read_lines
+from benchmarks.wrong_model import page
 from benchmarks.wrong_model.worlds import gyro
 
 COUNT = 200  # campaigns
@@ -32,9 +33,10 @@ OWN = {"bias.constant", "bias.temperature"}
 
 
 def main() -> None:
-    """Run what is missing."""
+    """Run what is missing, and render the page."""
     done = {row["seed"] for row in read_lines(PATH)}
     go_on(PATH, (seed for seed in range(COUNT) if seed not in done), campaign)
+    page.write()
 
 
 def campaign(seed: int) -> tuple[dict[str, Any], str]:

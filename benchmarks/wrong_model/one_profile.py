@@ -14,6 +14,7 @@ import bayescal as bc
 from bayescal_models import mems_gyro
 from benchmarks.hidden_effects.resume import go_on
 from benchmarks.record import RESULTS, read_lines
+from benchmarks.wrong_model import page
 from benchmarks.wrong_model.worlds import one_profile
 
 COUNT = 20
@@ -22,9 +23,10 @@ HIDDEN = ("bias.run", "bias.thermal_lag", "bias.warm_up", "bias.temperature_quad
 
 
 def main() -> None:
-    """Run what is missing."""
+    """Run what is missing, and render the page."""
     done = {row["seed"] for row in read_lines(PATH)}
     go_on(PATH, (seed for seed in range(COUNT) if seed not in done), campaign)
+    page.write()
 
 
 def campaign(seed: int) -> tuple[dict[str, Any], str]:

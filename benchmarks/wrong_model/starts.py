@@ -17,6 +17,7 @@ import numpy as np
 import bayescal as bc
 from benchmarks.hidden_effects.resume import go_on
 from benchmarks.record import RESULTS, read_lines
+from benchmarks.wrong_model import page
 from benchmarks.wrong_model.coverage import WORLDS
 from benchmarks.wrong_model.worlds import HIDDEN_IN
 
@@ -28,9 +29,10 @@ PATH = RESULTS / "starts.jsonl"
 
 
 def main() -> None:
-    """Run what is missing."""
+    """Run what is missing, and render the page."""
     done = {row["seed"] for row in read_lines(PATH)}
     go_on(PATH, (seed for seed in range(COUNT) if seed not in done), campaign)
+    page.write()
 
 
 def campaign(seed: int) -> tuple[dict[str, Any], str]:
