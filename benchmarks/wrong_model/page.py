@@ -139,8 +139,8 @@ def _profile(rows: Rows) -> str:
     departures = sum(bool(r["departures"]) for r in rows)
     return (
         "Three runs that repeat one profile, with offsets of runs, a lag, a warm-up and a quadratic hidden. Every "
-        f"hidden effect in the final model or in a set beside it: {kept} of {len(rows)}. A departure in the place of a named "
-        f"effect: {departures}.\n"
+        f"hidden effect in the final model or in a set beside it: {kept} of {len(rows)}. A departure in the place of a "
+        f"named effect: {departures}.\n"
     )
 
 
