@@ -44,7 +44,7 @@ def calibrate(
     average: options.Average = None,
     method: options.MethodName = "marginal",
     max_effects: options.MostEffects = 5,
-    finer_noise: options.FinerNoise = False,
+    finer_noise: options.FinerNoise = True,
     time_limit: options.TimeLimit = None,
     keep_spikes: options.KeepSpikes = False,
     accept_conflict: options.AcceptConflict = None,

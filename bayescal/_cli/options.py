@@ -191,8 +191,9 @@ MostEffects = Annotated[
 FinerNoise = Annotated[
     bool,
     typer.Option(
-        "--finer-noise",
-        help="Where noise is correlated, weigh sums of terms (random walk, flicker, two or three times) too: slow.",
+        "--finer-noise/--no-finer-noise",
+        help="Where noise is correlated, weigh sums of terms (random walk, flicker, two times, a tone) too; without is "
+        "faster on long records.",
     ),
 ]
 Next = Annotated[

@@ -34,6 +34,7 @@ AXES = {
 BLOCK = 300.0  # s
 UNIT = "unit"  # all six channels together
 SPLITS = ("last fifth", "alternate blocks")
+Z = 1.959964  # of a 95 % interval
 LAST = 0.8  # share of the record that is fitted where the end is held out
 
 
@@ -71,6 +72,7 @@ def main() -> None:
         for split, found in measured.items():
             error = found["steps"][-1]["held_out_in_record"]
             results["alone"].setdefault(split, {})[axis] = error
+            results.setdefault("going_on", {}).setdefault(split, {})[axis] = found["going_on"]
         _keep(results)
 
 
@@ -198,7 +200,10 @@ def summary(trail: bc.SearchPath, whole: bc.Measurements) -> dict[str, Any]:
             }
         )
     final = trail.final.calibration
+    used = bc.predict(trail.calibration, trail.holdout)
     return {
+        "going_on": used.rmse,
+        "covered": float(np.mean(np.abs(used.residual) <= Z * used.sd)),
         "unit": final.unit,
         "rows": [len(final.readings), len(trail.holdout)],
         "effects": list(final.model.names),

@@ -44,7 +44,8 @@ The record has spikes (its first row, and one row of acc_z). They are in the fil
 subtracted, first for the baseline (a line in temperature), then for the last model. *Floor*: the
 white noise that no smooth model could remove. *Evidence*: natural logarithm gained over the
 baseline. *In the record*: the held-out readings predicted with the temperature's whole past, which
-a lag or a rate needs, rather than from a file that begins in the middle of a ramp.
+a lag or a rate needs, rather than from a file that begins in the middle of a ramp. *With the noise's state*: what
+`predict` gives for readings that go on with the record, and of how many the 95 % interval holds the reading.
 
 Where `unknown(time)` is added, no named effect describes a slow change of the record: a smooth curve in time
 does. Within the record (alternate blocks) it predicts well; beyond it (last fifth) such a curve says nothing,
@@ -90,6 +91,9 @@ def write(results: dict[str, Any]) -> Path:
 def _beside(results: dict[str, Any], split: str) -> str:
     """Held-out errors of bayescal and of each recipe, and their geometric mean over the best recipe's."""
     rows = {"bayescal, each channel alone": results["alone"].get(split, {})}
+    rows |= {
+        "the same, going on with the noise's state": results.get("going_on", {}).get(split, {})
+    }
     unit = results.get("unit", {}).get(split, {})
     rows |= {"bayescal, as one unit": unit.get("errors", {})}
     rows |= {"the same, with correlated noise predicted inside the record": unit.get("inside", {})}
@@ -138,7 +142,8 @@ def _incomplete(channels: dict[str, Any]) -> list[str]:
 def _table(channels: dict[str, Any], split: str) -> str:
     head = [
         *("channel", "added, in order", "noise", "fitted error", "held-out error"),
-        *("in the record", "floor", "evidence", "trusted", "CPU time"),
+        *("in the record", "with the noise's state", "in 95 % intervals", "floor", "evidence"),
+        *("trusted", "CPU time"),
     ]
     rows = []
     for name, splits in channels.items():
@@ -150,6 +155,8 @@ def _table(channels: dict[str, Any], split: str) -> str:
                 ", ".join(s["added"] for s in found["steps"] if s["added"]) or "nothing",
                 last["noise"].replace("_", " "),
                 *(_fall(first[key], last[key]) for key in ERRORS),
+                f"{found['going_on']:.4g}" if "going_on" in found else "–",
+                f"{100 * found['covered']:.0f} %" if "covered" in found else "–",
                 f"{last['noise_floor']:.3g}",
                 _gain(first["log_evidence"], last["log_evidence"]),
                 "yes" if found["ok"] else "no",
