@@ -39,9 +39,9 @@ class SearchSettings(OutcomeSettings):
         refitted: neighbours that are refitted of each structure looked at, at least and at most.
         pairs: of effects among them, for those that show together alone.
         other_law: nats behind the best, from which a structure under another noise law is not refitted.
-        finer_noise: whether sums of noise terms are weighed where correlated noise is probable. On the chamber ramp they
-            open gates that one Ornstein–Uhlenbeck process leaves shut; searches of thousands of readings take three to
-            five times as long, those of hundreds as long as without.
+        finer_noise: whether sums of noise terms are weighed where correlated noise is probable. On the chamber ramp
+            they open gates which one Ornstein–Uhlenbeck process leaves shut; searches of thousands of readings take
+            three to five times as long, those of hundreds as long as without.
         fewest_for_noise: readings from which a noise law can be told at all: a fourth moment is then known to a half.
     """
 
