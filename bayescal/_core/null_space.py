@@ -13,7 +13,6 @@ from scipy import linalg
 EXACT = 3e-14  # of the largest singular value of normalised columns: rounding, no information
 DUST = 1e-9  # of a direction's largest entry: rounding
 TRACE = 1e-4  # of it: may be what a nearly null direction leaves
-ALONE = 0.99  # of a coefficient's unit vector within the weak directions: it is not measured at all
 
 
 def exact(columns: np.ndarray) -> np.ndarray:
@@ -50,13 +49,14 @@ def _swept(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
     return swept
 
 
-def weak(columns: np.ndarray, exact: np.ndarray, limit: float) -> np.ndarray:
+def weak(columns: np.ndarray, exact: np.ndarray, limit: float, alone: float) -> np.ndarray:
     """Directions of information below `limit` beside the exact ones.
 
     Args:
         columns: (n, p), whitened, per prior standard deviation.
         exact: (k, p), what `exact` found of these columns.
         limit: largest information (|columns·z|² for a unit z).
+        alone: of a coefficient's unit vector within these directions, above which it is one of them by itself.
 
     Returns:
         Directions (m, p); coefficients of which nothing is known first, each a unit vector.
@@ -65,8 +65,7 @@ def weak(columns: np.ndarray, exact: np.ndarray, limit: float) -> np.ndarray:
     _, values, rows = np.linalg.svd(_small(columns), full_matrices=True)
     values = np.concatenate([values, np.zeros(count - len(values))])
     space = _without(rows[values**2 < limit], exact)
-    alone = [i for i in range(count) if np.sum(space[:, i] ** 2) > ALONE]
-    units = np.eye(count)[alone]
+    units = np.eye(count)[np.sum(space**2, axis=0) > alone]
     rest = echelon(_without(space, units))
     return np.concatenate([units, rest])
 

@@ -18,10 +18,10 @@ from bayescal._inference.density import Density
 from bayescal._inference.joint import expected
 from bayescal._inference.mode import Mode, find_mode
 from bayescal._inference.record import Record
+from bayescal._inference.trust import sampling
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import CoefficientBlock, Layout
 
-THRESHOLD = 0.3  # root-sum-square over the readings, noise standard deviations
 MOST = 6  # entries of φ that promotion may add
 AFFINE = 1e-9  # bend in parts of the change, up to which there is none
 STEP = 0.01  # standard deviations, for the change of the Jacobian
@@ -68,9 +68,9 @@ def choose_on(
             s * (b.coefficient.group_sd is None) for s, b in zip(strength, candidates, strict=True)
         ]
         best = int(np.argmax(free_of_spread))
-        if free_of_spread[best] < THRESHOLD:
+        if free_of_spread[best] < sampling().product:
             best = int(np.argmax(strength))
-        if strength[best] < THRESHOLD:
+        if strength[best] < sampling().product:
             return layout, notes
         chosen = _with_its_parts(candidates, strength, best, free)
         layout = layout.promote(*(b.name for b in chosen))
@@ -93,7 +93,8 @@ def _with_its_parts(
     parts = [
         b
         for b, s in zip(candidates, strength, strict=True)
-        if (b.effect is one.effect and b.slot == one.slot and s >= 0.1 * THRESHOLD) or b is one
+        if (b.effect is one.effect and b.slot == one.slot and s >= 0.1 * sampling().product)
+        or b is one
     ]
     return parts if sum(b.size for b in parts) <= free else [one]
 

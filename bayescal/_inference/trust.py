@@ -38,6 +38,9 @@ class SamplingSettings(OutcomeSettings):
         r_hat: of chains that agree; Vehtari et al. 2021 ask for 1.01 of long chains.
         enough_of_chains: effective draws of a coordinate, of which a standard deviation is known to 5 %.
         divergent: share of the transitions, up to which a corner of the posterior is none.
+        product: root-sum-square over the readings, in noise standard deviations, of the second-order term of a product
+            of two unknowns, from which one of them is sampled: below it the log likelihood changes by
+            less than ½·0.3² = 0.045 nats on average.
         moving: standard deviations that the mode's last round moved anything by, beyond which it was no mode.
     """
 
@@ -49,6 +52,7 @@ class SamplingSettings(OutcomeSettings):
     r_hat: float = 1.02
     enough_of_chains: int = 200
     divergent: float = 0.005
+    product: float = 0.3
     moving: float = 0.05
 
 

@@ -19,6 +19,7 @@ from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 from scipy import special as on_host
 
+from bayescal._data.record_settings import recording
 from bayescal._model.correlated_noise import allan_of_exponential
 from bayescal._model.noise_law import WHITE
 from bayescal._model.prior import LogUniform, Normal, Positive, multiplied
@@ -36,7 +37,6 @@ FINE = 2  # places of a spectrum to each that its readings tell apart
 FEWEST_WINDOWS = 8
 GRID = 16  # slopes of a frequency, from none to twice the Nyquist frequency over half the column's range
 LOUDEST = 20.0  # times the usual, as much as a window counts: a spike is no line
-UNEVEN = 0.05  # of the usual step
 FLAT = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
 
 
@@ -391,7 +391,7 @@ class ToneTerm(NoiseTerm):
             z: the column, from −1 to 1.
         """
         usual = float(np.median(step[step > 0]))
-        even = np.abs(step / usual - 1) < UNEVEN
+        even = np.abs(step / usual - 1) < recording().even
         within = np.convolve(even, np.ones(WINDOW - 1), "valid")[1:] == WINDOW - 1
         begins = np.arange(0, len(left) - WINDOW + 1, WINDOW // 2)
         rows = begins[within[begins]][:, None] + np.arange(WINDOW)

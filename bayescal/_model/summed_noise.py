@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._data import unit_conversion
+from bayescal._data.record_settings import recording
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._model.frame import Frame
 from bayescal._model.noise_law import WHITE, Noise, Parameters, known_variance, offered
@@ -22,7 +23,6 @@ from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
 from bayescal._model.prior import HalfCauchy, Positive
 from bayescal._model.static import set_once
 
-FEWEST = 200  # readings of the longest run, below which a second correlated term is not told from the first
 OFFERED = (  # what measured records show beside white noise (IEEE 952, and a unit on a temperature ramp)
     ("walk",),
     ("flicker",),
@@ -424,7 +424,7 @@ def _of_two_or_more(scale: Positive, frame: Frame) -> list[Noise]:
     """Where runs are long enough."""
     steps = np.asarray(frame.step)
     longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
-    if longest < FEWEST or not (steps > 0).any():
+    if longest < recording().second_correlated or not (steps > 0).any():
         return []
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
     found = [over_octaves(scale, step, span, terms) for terms in OFFERED]

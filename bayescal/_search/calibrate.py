@@ -12,13 +12,13 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.fit import fit
 from bayescal._calibration.guards import contradictions
 from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
+from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.deadline import Handover
 from bayescal._core.errors import TimeIsUp
@@ -35,7 +35,7 @@ from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._model.unknown_effect import freed
 from bayescal._search.candidate import Candidate
-from bayescal._search.discover import WORK, structures_over, told, walked, with_causes
+from bayescal._search.discover import WORK, discovery_at, structures_over, walked, with_causes
 from bayescal._search.gate import judged, left_out_better, wrong_question
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
@@ -255,7 +255,7 @@ class Loop:
             stopped = STOPPED.format(time.monotonic() - self.begun)
         if first.calibration.verdict.ok:
             steps = [
-                replace(s, discovery=told(library, at, shut, stopped))
+                replace(s, discovery=discovery_at(library, at, shut, stopped))
                 for s, at in zip(steps, way, strict=False)
             ]
             if (last := steps[-1].discovery) and (why := self.incomplete(steps)):
@@ -453,7 +453,11 @@ def _other_path(structures: Structures) -> OtherPath | None:
     best = structures.best
     ends = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
     other = max(ends, key=lambda w: w.total, default=None)
-    if other is None or not math.isfinite(other.total) or other.total < best.total - STRONG:
+    if (
+        other is None
+        or not math.isfinite(other.total)
+        or other.total < best.total - searching().strong
+    ):
         return None
     if other.structure.effects == best.structure.effects:
         return None

@@ -160,7 +160,7 @@ class _Channel:
             return cls(name, loop, first, shut=shut, stopped=early.why)
         return found
 
-    def hear(self, told: Mapping[str, FromOthers]) -> bool:
+    def hear(self, others: Mapping[str, FromOthers]) -> bool:
         """Take what the others say for a prior, where that leads elsewhere; whether it does.
 
         Where an effect is more or less probable by it the channel is searched again; where only a shape moves, the most
@@ -169,15 +169,15 @@ class _Channel:
         before, shapes = self.structures, self.shared
         if before is None:
             return False
-        then = {n: self.says[n].concluded(self.heard[n], shapes[n]) for n in told}
-        now = {n: self.says[n].concluded(told[n], shapes[n]) for n in told}
-        searched = any(now[n].likelier(then[n]) for n in told)
-        news = {n for n in told if now[n].likelier(then[n]) or now[n].tells(then[n])}
+        then = {n: self.says[n].concluded(self.heard[n], shapes[n]) for n in others}
+        now = {n: self.says[n].concluded(others[n], shapes[n]) for n in others}
+        searched = any(now[n].likelier(then[n]) for n in others)
+        news = {n for n in others if now[n].likelier(then[n]) or now[n].informs(then[n])}
         if not news:
             return False
         candidates, heard_before = dict(before.candidates), dict(self.heard)
         for name in news:
-            self.heard[name] = heard = told[name]
+            self.heard[name] = heard = others[name]
             range_ = {shapes[name].name: (heard.low, heard.high)}
             candidates[name] = candidates[name].ranging(range_)
         after = replace(

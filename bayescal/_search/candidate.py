@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.guards import off_scale
 from bayescal._calibration.settings import searching
 from bayescal._inference.density import Density
@@ -253,7 +252,7 @@ def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
         return replace(candidate, kind="finding")
     if (candidate.probability or 0.0) >= searching().lead:
         return replace(candidate, kind="lead")
-    if (candidate.log_bayes_factor or 0.0) > STRONG:
+    if (candidate.log_bayes_factor or 0.0) > searching().strong:
         return candidate  # to be seen well enough, and explained by what was found
     least = candidate.minimum_detectable
     hidden = (candidate.visibility or 0.0) < searching().visible

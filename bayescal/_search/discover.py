@@ -156,7 +156,7 @@ def discover(
             model, readings, calibration.reference, effects=effects, widen_noise=widen_noise
         )
         library, stopped = walked(Library(structures), max_effects)
-        return told(library, Structure(), shut, stopped)
+        return discovery_at(library, Structure(), shut, stopped)
 
     with deadline.until(time_limit), deadline.share(WORK):
         return deadline.within(run)
@@ -270,7 +270,7 @@ def placeholders(model: Model, readings: Measurements) -> list[Effect]:
     return [instrument.unknown(name) for name in (*names, *forms)]
 
 
-def told(
+def discovery_at(
     library: Library, at: Structure, shut: Sequence[Candidate], stopped: str = ""
 ) -> Discovery:
     """What the posterior over structures says is missing from one of them."""

@@ -13,12 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.settings import searching
 from bayescal._core.errors import ModelError
 from bayescal._core.quoting import identifier, python_string, python_words
 from bayescal._model.frame import derived
 from bayescal._model.unknown_effect import FORMS
 
-ENOUGH = 0.97  # share of the shape's variance from which a simple curve will do
 POINTS = 101
 PERIODS = np.geomspace(0.06, 2.0, 1000)  # of a sine, in parts of the range
 PLACES = np.linspace(-0.485, 0.485, 98)  # of a step, in parts of the range
@@ -168,7 +168,7 @@ def _closest(shape: DraftShape) -> tuple[str, str, float]:
     best = max(forms, key=lambda form: _share(shape.mean, [form[2]]))
     share = _share(shape.mean, [best[2]])
     words, basis = best[0], best[1]
-    if share < ENOUGH:
+    if share < searching().simple:
         period = max(PERIODS, key=lambda p: _share(shape.mean, _waves(x, p)))
         waves = _share(shape.mean, _waves(x, period))
         if waves > share:

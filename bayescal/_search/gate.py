@@ -8,7 +8,6 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.evidence_scale import VERY_STRONG
 from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.settings import guarding
@@ -108,11 +107,13 @@ def _freed(steps: Sequence[Step]) -> list[str]:
     free = [n for n in steps[-1].calibration.model.names if n.endswith(FREED)]
     if not free:
         return []
-    told = [said for said in steps[0].against if any(n.removesuffix(FREED) in said for n in free)]
+    concerned = [
+        said for said in steps[0].against if any(n.removesuffix(FREED) in said for n in free)
+    ]
     return [
         f"{', '.join(n.removesuffix(FREED) for n in free)}: the readings are explained with a value other than the "
         "stated one, and by no missing effect alone.",
-        *told,
+        *concerned,
     ]
 
 
@@ -233,7 +234,7 @@ def _left_over(step: Step) -> list[str]:
     rows = [(e.log_bayes_factor, e.against) for e in step.check.entries]
     rows += [(p.log_bayes_factor, " and ".join(p.against)) for p in step.check.pairs]
     factor, against = max(rows, default=(0.0, ""))
-    if factor > 2 * VERY_STRONG:
+    if factor > guarding().still_depends:
         said = f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): "
         candidates = step.discovery.candidates if step.discovery else ()
         if leads := [c for c in candidates if c.kind == "lead"]:

@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from bayescal._inference.terms import ColumnsOf
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of, slot_of
-from bayescal._search.plausible_sizes import SIZES
+from bayescal._search.plausible_sizes import factors
 from bayescal._search.structures import Structures
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
@@ -144,7 +144,7 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
             hint = {f"{effect.coefficient_name(i)}.group_sd": math.log(z) for i in learned}
             made.append(Size(sd, hint, {}, -math.log(LEVELS)))
         return made
-    return [Size(plain * factor, {}, {}, math.log(p)) for factor, p in SIZES.items()]
+    return [Size(plain * factor, {}, {}, math.log(p)) for factor, p in factors().items()]
 
 
 def _grid(shapes: Sequence[Shape]) -> np.ndarray:

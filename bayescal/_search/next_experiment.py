@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.evidence_scale import VERY_STRONG
 from bayescal._calibration.fit import fit
+from bayescal._calibration.settings import searching
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import table
 from bayescal._core.jit import compiled
@@ -82,9 +82,9 @@ def experiment_text(found: NextExperiment) -> str:
         f"to tell apart: {', '.join(found.members)}",
         table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
     ]
-    if found.experiments[0].worst < VERY_STRONG:
+    if found.experiments[0].worst < searching().very_strong:
         lines.append(
-            f"None of these is expected to tell them apart (a log Bayes factor of {VERY_STRONG:g} would)."
+            f"None of these is expected to tell them apart (a log Bayes factor of {searching().very_strong:g} would)."
         )
     return "\n".join(lines)
 

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number, table
 from bayescal._core.progress import stage
@@ -31,7 +32,6 @@ AGAIN = "the same again"
 OF_SCATTER = (
     "how much better noise or a group's standard deviation is known afterwards is not foreseen"
 )
-WORTH = 0.05  # of the standard uncertainty, that a campaign must take off to be worth it
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class ReadingPlan:
     @property
     def enough(self) -> bool:
         """Whether no campaign is worth it."""
-        return self.gain < WORTH
+        return self.gain < searching().worth
 
     def __str__(self) -> str:
         return plan_text(self)
@@ -135,7 +135,9 @@ def plan_text(plan: ReadingPlan) -> str:
     lines += [f"Note: {note}." for note in plan.notes]
     lines.append(table(head, rows, fold=30))
     if plan.enough:
-        lines.append(f"Enough: none of these is expected to take off {100 * WORTH:.0f} %.")
+        lines.append(
+            f"Enough: none of these is expected to take off {100 * searching().worth:.0f} %."
+        )
         return "\n".join(lines)
     best = plan.campaigns[0]
     if plan.picked:

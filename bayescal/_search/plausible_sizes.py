@@ -7,14 +7,19 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from bayescal._calibration.settings import searching
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import condition
 from bayescal._inference.mode import Mode, at_mode, find_mode
 from bayescal._model.effect import Effect
 
-SIZES = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}  # factors on a plausible size, and their probabilities
 STILL = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
+
+
+def factors() -> dict[float, float]:
+    """Factors on a plausible size, and their probabilities."""
+    return dict(searching().factors)
 
 
 def has_size(effect: Effect) -> bool:
@@ -58,7 +63,7 @@ def averaged(
     log_evidence = mode.log_evidence
     for name in chosen:
         gains = at_sizes.of(name, chosen)
-        here = gains[chosen[name]] - math.log(SIZES[chosen[name]])
+        here = gains[chosen[name]] - math.log(factors()[chosen[name]])
         log_evidence += float(np.logaddexp.reduce(list(gains.values()))) - here
     return assembly, mode, log_evidence
 
@@ -82,7 +87,7 @@ class _AtSizes:
     def of(self, name: str, chosen: Mapping[str, float]) -> dict[float, float]:
         """For each size of one effect, the others as chosen."""
         found = {}
-        for factor, probability in SIZES.items():
+        for factor, probability in factors().items():
             sd = self.prior.sd.copy()
             for other, places in self.places.items():
                 share = (factor if other == name else chosen[other]) / self.made_at[other]

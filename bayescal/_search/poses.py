@@ -9,11 +9,13 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
-from bayescal._data.still_stretches import SHORTEST, still_stretches
+from bayescal._data.still_stretches import still_stretches
 from bayescal._model.instrument import Instrument
 
 
-def poses(log: Measurements, instrument: Instrument, *, shortest: float = SHORTEST) -> Measurements:
+def poses(
+    log: Measurements, instrument: Instrument, *, shortest: float | None = None
+) -> Measurements:
     """Still stretches of a log, averaged, a row each; other numeric columns are averaged beside them.
 
     Args:

@@ -211,15 +211,15 @@ class Search:
     max_effects: int | None = None
 
     @classmethod
-    def of(cls, structures: Structures, *, complete: bool, **told: Any) -> Search:
-        """Of the structures weighed so far; `told` are the other fields."""
+    def of(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:
+        """Of the structures weighed so far; `counts` are the other fields."""
         weighed, shown = structures.visited.values(), ()
         if any(math.isfinite(w.total) for w in weighed):
             posterior = Posterior.of(structures)
             each = zip(posterior.structures, posterior.probability, strict=True)
             refitted = [(posterior.refitted[s], p) for s, p in each if s in posterior.refitted]
             shown = tuple(_shown(w, float(p), i == 0) for i, (w, p) in enumerate(refitted[:SHOWN]))
-        return cls(shown, len(weighed), complete, **told)
+        return cls(shown, len(weighed), complete, **counts)
 
 
 def _shown(w: Weighed, probability: float, with_error: bool) -> ShownStructure:

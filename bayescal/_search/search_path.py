@@ -225,8 +225,8 @@ def trail_text(trail: SearchPath) -> str:
                 probability(s.discovery.nothing_missing if s.discovery else None),
             ]
         )
-    told = f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
-    return table(head, rows) + (told if any(rises) else "")
+    note = f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
+    return table(head, rows) + (note if any(rises) else "")
 
 
 def ending(found: Discovery | None, added: int, most: int | None, stopped: str) -> str:

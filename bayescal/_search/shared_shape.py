@@ -69,7 +69,7 @@ class Conclusion(NamedTuple):
         """Whether the effect is more or less probable than it was, by what counts."""
         return abs(self.probability - then.probability) > LIKELIER
 
-    def tells(self, then: Conclusion) -> bool:
+    def informs(self, then: Conclusion) -> bool:
         """Whether more is known of the shape of an effect that may be there (Kullback–Leibler, both as normal)."""
         may_be = max(self.probability, then.probability) > LIKELIER
         narrower, moved = self.sd / then.sd, (self.v - then.v) / then.sd

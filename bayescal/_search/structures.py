@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.settings import searching
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
@@ -182,11 +181,11 @@ class Structures:
             line = linear_model(found.assembly, found.mode)
             scores = [s for s in (scored(line, e) for e in left.values()) if s is not None]
             best = max(scores, key=lambda s: s.gain, default=None)
-            if best is None or best.gain < STRONG:
+            if best is None or best.gain < searching().strong:
                 break
             departures = (*found.departures, best.effect)
             fuller = self._refitted(structure, departures, found, [best.hint])
-            if fuller.log_evidence < found.log_evidence + STRONG:
+            if fuller.log_evidence < found.log_evidence + searching().strong:
                 break
             del left[best.effect.of]
             total = np.logaddexp(fuller.log_evidence, found.log_evidence) - math.log(2)

@@ -85,11 +85,11 @@ class TakenOver(NamedTuple):
                 f"{name} and {by} are confounded in these readings, which tell {self.left:.1%} of it apart: their "
                 f"standard uncertainties hold both. Vary {column} otherwise in another run."
             )
-        told = f"{by} can stand for it, as the profiles are"
+        said = f"{by} can stand for it, as the profiles are"
         if self.kept < guarding().corrected:
-            told = f"{column} no longer explains the output, {by} stands for it"
+            said = f"{column} no longer explains the output, {by} stands for it"
         return (
-            f"The coefficient {name} is not measured: {told}, and these readings cannot tell which it is ({name} is "
+            f"The coefficient {name} is not measured: {said}, and these readings cannot tell which it is ({name} is "
             f"{self.kept:.2g} times what it was, {self.moved:.0f} of its standard uncertainties away). Look at the "
             f"column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a run? "
             f"Vary {column} otherwise in another run."
