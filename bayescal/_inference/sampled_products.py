@@ -112,6 +112,8 @@ def _bends(assembly: Assembly) -> bool:
     widths = assembly.row_sd
     rows = widths * random.standard_normal((assembly.record.size, len(widths)))
     sd = assembly.sizes.at_several(assembly.hyper(v.T), len(v), np.ones(assembly.size))
+    # An affine f has f(a + b) − f(0) = (f(a) − f(0)) + (f(b) − f(0)) for all a and b: tried at random ones of prior
+    # size.
     one, two = sd * random.standard_normal((2, assembly.size))
     x = assembly.mean_of_x + np.stack([0 * one, one, two, one + two])
     share = np.array([0.0, 1.0, 0.0, 1.0])[:, None, None]
@@ -139,6 +141,8 @@ def _second_order(assembly: Assembly, mode: Mode) -> Float[np.ndarray, "p"]:
             x = mode.point.x.copy()
             x[i] += sign * STEP * sd[i]
             ends.append(assembly.linearise(Point(x, mode.point.rows), hyper))
+        # What one posterior standard deviation of xᵢ changes in J, times a root of the covariance of the others: the
+        # second-order term that the linearised model leaves out of each reading, in units of its noise.
         in_x = (ends[0].jacobian - ends[1].jacobian) / (2 * STEP) @ root / noise
         in_rows = (ends[0].rows - ends[1].rows) / (2 * STEP) * assembly.row_sd / noise
         return float(np.sqrt(np.sum(in_x**2) + np.sum(in_rows**2)))

@@ -85,6 +85,8 @@ def unevenness(
 
 def largest_k_hat(correction: Float[np.ndarray, "s"], weights: Float[np.ndarray, "s"]) -> float:
     """The largest k̂ that is trusted, given what nonlinearity adds to the log weights of draws of φ."""
+    # Where nonlinearity counts, coefficients were proposed by a Gaussian: its thin tails hide from k̂ what the
+    # posterior has farther out, and the bound is tighter.
     correction = np.clip(correction, -1e3, 1e3)
     mean = weights @ correction
     nonlinear = weights @ (correction - mean) ** 2 > sampling().nonlinear ** 2
@@ -122,6 +124,7 @@ def chain_verdict(
     from arviz_stats.base.array import array_stats  # half a second that only sampling needs
 
     draws = np.moveaxis(np.asarray(ran.draws), -1, 0)
+    # The worst of all coordinates counts: split chains that agree in most of them have still not met in that one.
     r_hat = max(float(np.asarray(array_stats.rhat(d, chain_axis=0, draw_axis=1))) for d in draws)
     ess = min(float(np.asarray(array_stats.ess(d, chain_axis=0, draw_axis=1))) for d in draws)
     reasons, given = [], sampling()
