@@ -74,6 +74,7 @@ def weak(columns: np.ndarray, exact: np.ndarray, limit: float, alone: float) -> 
 
 def _small(columns: np.ndarray) -> np.ndarray:
     """A square matrix with the same singular values and right vectors."""
+    # JᵀJ = RᵀR: the triangle of a QR has J's singular values, in p rows in place of n.
     return (
         np.asarray(np.linalg.qr(columns, mode="r")) if len(columns) > columns.shape[1] else columns
     )

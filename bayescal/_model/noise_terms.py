@@ -313,7 +313,7 @@ class SmoothTerm(NoiseTerm):
         own = jnp.where(z < REACH, kept**2 * series, far)
         # beside the diagonal 2x²·e⁻²ˣ,
         cross = kept**2 * z**2 / 2
-        # and of g 1 − e⁻²ˣ·(x² + (1 − x)²). The root of these 2 × 2 is taken by hand, with the `where` of `exponential`.
+        # and of g 1 − e⁻²ˣ·(x² + (1 − x)²). Their root, 2 × 2, is taken by hand, with the `where` of `exponential`.
         slope = -jnp.expm1(-z) + kept**2 * (z - z**2 / 2)
         moves = own > 0
         first = jnp.where(moves, jnp.sqrt(jnp.where(moves, own, 1.0)), 0.0)

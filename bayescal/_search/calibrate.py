@@ -109,6 +109,8 @@ def calibrate(
         accepted = frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
         loop, first = loop.begin(model)
+        # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
+        # both.
         more = loop.freed(first)
         if first.against and not more:
             return loop.not_looked(first)
@@ -170,6 +172,8 @@ class Loop:
         named = {name: model.effect(name) for name in away}
         if any(e.shapes or e.is_placeholder or e.coefficients[0].per for e in named.values()):
             return ()
+        # As wide as the next power of ten above the distance: the width is part of the evidence, and to be stated,
+        # not tuned.
         return tuple(freed(e, 10 ** math.ceil(math.log10(away[n]))) for n, e in named.items())
 
     def quick(self, model: Model) -> Method | None:
@@ -287,6 +291,7 @@ class Loop:
 
     def _way(self, library: Library, chosen: Structure) -> list[Structure]:
         """Structures on the way to the chosen one: none between, where there is no time to fit these."""
+        # As long as the first step took, each: what further effects cost is not known before they are fitted.
         end, steps = deadline.current(), 1 + len(chosen.effects) + bool(chosen.noise)
         if steps * self.step_takes < end.left:
             return path(library, chosen)
@@ -316,6 +321,7 @@ class Loop:
     def cut(self, steps: Sequence[Step], search: Search | None, why: str) -> SearchPath:
         """A trail that was ended before its last model was found or judged."""
         best = search.structures[0] if search and search.structures else None
+        # Whether what was found most probable is what the last step holds decides what can be promised of it.
         have = set(steps[-1].calibration.model.names)
         at = "with this as the best so far"
         if best is None:
@@ -336,6 +342,8 @@ class Loop:
         tested = last.discovery is not None and any(
             c.probability is not None for c in last.discovery.candidates
         )
+        # At the bound, P(complete) is of what may be added no more: it would be high because nothing further is
+        # allowed.
         if 0 < self.max_effects <= added and tested:
             return (
                 f"not stated, as the search added the {added} effects that it may (--max-effects)"
@@ -459,6 +467,7 @@ def _other_path(structures: Structures) -> OtherPath | None:
         or other.total < best.total - searching().strong
     ):
         return None
+    # The same effects under another law are no other conclusion.
     if other.structure.effects == best.structure.effects:
         return None
     law, effects = other.assembly.noise, tuple(sorted(other.structure.effects))

@@ -152,6 +152,7 @@ class _Channel:
         if loop.max_effects > 0:
             of_all = {n: e.shared_shape for n, e in structures.candidates.items()}
             found.shared = {n: shape for n, shape in of_all.items() if shape is not None}
+        # What the instrument says of a shape is what a channel has heard before any other spoke.
         odds = structures.log_odds
         found.heard = {n: FromOthers(odds[n], s.low, s.high) for n, s in found.shared.items()}
         try:
@@ -178,6 +179,8 @@ class _Channel:
         candidates, heard_before = dict(before.candidates), dict(self.heard)
         for name in news:
             self.heard[name] = heard = others[name]
+            # A posterior range becomes the prior of the next round: from the others alone, so that no channel hears
+            # itself.
             range_ = {shapes[name].name: (heard.low, heard.high)}
             candidates[name] = candidates[name].ranging(range_)
         after = replace(
@@ -190,6 +193,8 @@ class _Channel:
             forms={},
         )
         known = before.expected | {s: w.total for s, w in before.visited.items()}
+        # Only a shape moved: totals of the former round, corrected by what the prior odds changed, are what to
+        # expect.
         for structure, total in () if searched else known.items():
             after.expect(
                 structure, total + after.log_prior(structure) - before.log_prior(structure)
@@ -247,6 +252,7 @@ def _shared(channels: Sequence[_Channel]) -> list[SharedShape]:
     for c in channels:
         for n, now in c.heard.items():
             alone[n] = max(alone.get(n, 0.0), 1 / (1 + math.exp(-now.log_odds)))
+    # Coordinate ascent on a joint posterior: each channel given what all others say now.
     for _ in range(ROUNDS):
         moved = []
         for c in (
@@ -266,6 +272,8 @@ def _said(
     """What the channels that can say something of each effect say of it."""
     found = {}
     for n, shape in shapes.items():
+        # A share that is uniform has the mean ½: a unit has the effect twice as probably as one of its channels shows
+        # it.
         says = {c.name: c.says[n] for c in channels if n in c.says}
         found[n] = SharedShape.of(n, shape, min(2 * alone[n], 0.5), says)
     return found

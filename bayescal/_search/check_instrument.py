@@ -185,6 +185,8 @@ class _CheckedInstrument:
             return i.simulate({}, seed=self.seed)
         random, rows = np.random.default_rng(self.seed), RUNS * ROWS
         run = np.repeat(np.arange(RUNS), ROWS)
+        # Runs last several of the longest time constants, and readings stand closer than these: either side of a lag
+        # or a warm-up is in the record.
         times = [
             float(s.prior.value(0.0))
             for e in (*i.effects, *i.candidates)
@@ -311,6 +313,8 @@ class _CheckedInstrument:
         if i.use is not None and i.use.equation is None and i.use.stimulus in frame.columns:
             name = i.use.stimulus
             up = frame.with_column(name, frame[name] + 1.0)
+            # Without an equation of its own the stimulus is a column of the response: the output is tried with one
+            # unit more of it.
             there = forward.mean(layout, up, jnp.zeros_like(x), rows, hyper)
             here = forward.mean(layout, frame, jnp.zeros_like(x), rows, hyper)
             if np.all(np.abs(np.asarray(there - here) - 1) < 1e-6):
@@ -353,6 +357,7 @@ class _CheckedInstrument:
         """A note, where the output departs from its linear form within the plausible sizes."""
         rows = jnp.zeros((frame.size, len(layout.row_blocks)))
         middle = forward.prior_mean(layout)
+        # Linearised where every coefficient stands one size from its mean, and compared at the means.
         exact = forward.mean(layout, frame, middle, rows, hyper)
         linear = line.mean + line.jacobian @ (middle - x)
         departs = float(np.max(np.abs(np.asarray(exact - linear)), initial=0.0))

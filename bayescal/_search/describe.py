@@ -94,6 +94,8 @@ def _where_and_how_far(calibration: Calibration, rows: Int[np.ndarray, "k"]) -> 
     residual = residuals(calibration).raw
     chosen = np.zeros((len(residual), 1))
     chosen[rows] = 1.0
+    # The mean over the selection is that of a column which is one there, after the model has been fitted to it too:
+    # its score over its information, and the square root of the latter for z.
     pull, weight = projections(calibration, residual, chosen)
     mean = float(pull[0] / weight[0, 0]) if weight[0, 0] > 0 else 0.0
     z = float(pull[0] / np.sqrt(weight[0, 0])) if weight[0, 0] > 0 else 0.0
@@ -140,6 +142,8 @@ def _explaining(
         if (one.log_bayes_factor or 0.0) > searching().strong:
             found.append((explained, one))
     most = max((explained for explained, _ in found), default=0.0)
+    # What explains the selection best by squares may be a curve that bends after it: of those nearly as good, the one
+    # with the most evidence over all readings.
     near = [
         one
         for explained, one in found

@@ -278,6 +278,7 @@ def discovery_at(
     posterior = Posterior.of(structures, at.effects)
     here = structures.weigh(at)
     names = [n for n in structures.candidates if n not in at.effects]
+    # Scores beside this model with departures taken off: these would otherwise take up what a candidate explains.
     points = View(library, here).without().scores(names) if names else {}
     same = alike(points) if points else {}
     found = posterior.findings
@@ -286,6 +287,8 @@ def discovery_at(
     for name in names:
         with_it = structures.visited.get(at.plus(name))
         candidate = judge(library, points[name], here, with_it)
+        # Confounded are those whose fitted contributions are parallel, and those that take each other's place in a
+        # finding.
         near = (same[name] | in_sets.get(name, set())) - {name}
         candidate = replace(
             candidate,

@@ -92,6 +92,7 @@ def _surprising(step: Step) -> list[str]:
     if out is None or not np.isfinite(out.by_chance).any():
         return []
     worst = int(np.nanargmin(out.by_chance))
+    # The largest of as many tests as there are groups: its p-value counts that often (C. Bonferroni).
     beyond = out.by_chance[worst] * out.count < guarding().chance
     if not (beyond and out.surprise[worst] > guarding().surprised):
         return []
@@ -259,6 +260,8 @@ def _between_runs(step: Step) -> list[str]:
             continue
         added = calibration.linear.contribution(name)
         means = np.bincount(codes, added) / np.bincount(codes)
+        # Squares about the runs' means against all squares: next to none within runs means that the function does
+        # nothing but tell runs apart.
         if np.sum((added - means[codes]) ** 2) < guarding().within * np.sum(
             (added - added.mean()) ** 2
         ):
@@ -328,6 +331,8 @@ def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     error, best = min(known, key=lambda one: one[0])
     if last.left_out.rmse <= guarding().worse * error or best.left_out is None:
         return None
+    # Of densities of whole groups, joint over their readings: correlated noise makes readings of one group no
+    # separate evidence.
     ratio = float(np.sum(best.left_out.log_score - last.left_out.log_score))
     return None if ratio <= -math.log(guarding().chance) else best
 
@@ -340,6 +345,7 @@ def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     error, best = min(known, key=lambda one: one[0])
     if last.holdout_rmse <= guarding().worse * error:
         return None
+    # No test where hold-out data continue a run whose noise goes on: then the error alone decides.
     if last.holdout_test is None or best.holdout_test is None:
         return best
     return best if last.holdout_test.worse_than(best.holdout_test) < guarding().chance else None

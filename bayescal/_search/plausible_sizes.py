@@ -45,6 +45,7 @@ def averaged(
         return assembly, mode, mode.log_evidence
     begun = {e.name: (assembly.size_factors or {}).get(e.name, 1.0) for e in sized}
     at_sizes, chosen = _AtSizes(assembly, mode, begun), dict(begun)
+    # Coordinate ascent over sizes: an effect that overlaps another may take its size back in the second pass.
     for _ in range(2):
         before = dict(chosen)
         for name in chosen:
@@ -59,6 +60,8 @@ def averaged(
         mode = at_mode(
             Density(assembly, mode.point, mode.flat, mode.v), mode.v, mode.change, quick=True
         )
+    # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
+    # where effects do not overlap; where they do, one of them mostly has its size by the other's.
     at_sizes = _AtSizes(assembly, mode, chosen)
     log_evidence = mode.log_evidence
     for name in chosen:
@@ -79,6 +82,7 @@ class _AtSizes:
             assembly.record.size,
         )
         self.prior, self.made_at = assembly.prior(hyper, mode.flat), dict(made_at)
+        # Learned spreads are no plausible sizes: φ has them, and the evidence is averaged over them already.
         self.places = {
             name: [t.at for t in assembly.in_x if t.known.of == name and t.group_sd_name is None]
             for name in made_at
@@ -93,6 +97,8 @@ class _AtSizes:
                 share = (factor if other == name else chosen[other]) / self.made_at[other]
                 for place in places:
                     sd[place] *= share
+            # A size is a prior standard deviation: the products are as they are, and only the small solve is done
+            # anew.
             got = condition(self.gram, self.size, self.prior._replace(sd=sd), self.at)
             value = NOWHERE if got is None else got.log_marginal
             found[factor] = value + math.log(probability)

@@ -43,6 +43,7 @@ def poses(
                 continue
             values = log[name][own]
             pairs = zip(found.first, found.last, strict=True)
+            # Labels do not average: the one at the stretch's beginning holds for it.
             made = [values[a] if log.unit(name) is None else np.mean(values[a:b]) for a, b in pairs]
             rows.setdefault(name, []).append(np.array(made))
         rows.setdefault(UNCERTAINTY, []).append(found.uncertainty)

@@ -246,6 +246,7 @@ def ending(found: Discovery | None, added: int, most: int | None, stopped: str) 
             f"The search has added as many effects as it may, {most} (--max-effects, in Python max_effects): "
             "with more, more may be found."
         )
+    # Of candidates that these readings can test, the nearest one says how far the search was from another end.
     tested = [c for c in found.candidates if c.probability is not None]
     if tested:
         said.append(_nearest(max(tested, key=lambda c: c.probability or 0.0), added))

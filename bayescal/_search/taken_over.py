@@ -61,6 +61,8 @@ class TakenOver(NamedTuple):
         with 1/√(what is left). What has no name is no cause but a description: one that can take up the term describes
         it too, and where it moves the coefficient beyond chance, the readings do not tell which of both values it has.
         """
+        # Estimates with and without further columns, whose effect is zero, differ by √(1/left − 1) former standard
+        # uncertainties by chance (J. Hausman, Econometrica 46 (1978) 1251): below 1/√left.
         by_chance = self.moved**2 * min(self.left, 1.0) <= guarding().moved ** 2
         if self.unnamed:
             return by_chance and not self.confounded
@@ -130,6 +132,8 @@ def _followed(
     theirs = np.isin(last.owners, [e.name for e in by])
     others = np.isin(last.owners, first.owners) & ~own
     white = last.white_nuisance
+    # Tolerance beside the first model's others over that beside these and what was added: what the addition alone
+    # took.
     without, beside = (_left(white, own, last.weight, rest) for rest in (others, others | theirs))
     (m0, s0), (m1, _) = _coefficient(first, term.name), _coefficient(last, term.name)
     kept = abs(m1) / abs(m0) if m0 else np.inf
@@ -139,6 +143,7 @@ def _followed(
 def _left(white: np.ndarray, own: np.ndarray, weight: np.ndarray, rest: np.ndarray) -> float:
     """Squares of a term's columns beyond those of the rest, whose priors count."""
     column, others = white[:, own].sum(axis=1), white[:, rest]
+    # Ridge regression by the priors' weights: c less what the others take of it, times c.
     inner = others.T @ others + np.diag(weight[rest])
     back = others @ np.linalg.lstsq(inner, others.T @ column, rcond=1e-12)[0]
     return float(column @ (column - back))
