@@ -88,6 +88,7 @@ from ._calibration.settings import GuardSettings as GuardSettings
 from ._calibration.settings import SearchSettings as SearchSettings
 from ._core.settings_in_force import use_settings as use_settings
 from ._data.record_settings import RecordSettings as RecordSettings
+from ._fleet.fleet_settings import FleetSettings as FleetSettings
 from ._inference.trust import SamplingSettings as SamplingSettings
 from ._inference.method import Verdict as Verdict
 from ._calibration.check_result import Check as Check

@@ -11,19 +11,16 @@ from scipy.special import bdtr, kolmogorov, ndtr, smirnov, stdtr
 from bayescal._calibration import covariate_evidence, efficient_score
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.fit import fit
 from bayescal._calibration.noise_in_time import allan_check
-from bayescal._calibration.settings import guarding
+from bayescal._calibration.settings import guarding, searching
 from bayescal._calibration.worst_region import worst_regions
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.least_squares import LeastSquares
 
 DUOS = 15  # pairs of covariates, at most
 MEMBERS = 64  # of a group that is looked at member by member, at most
-BOUND = 0.99  # expected autocorrelation from which neighbours are what the fit leaves, such as two about a free level
 ROUNDING = 1e-9  # share of a sum, below which it is the rounding of its terms
-FAR = 0.1  # share of the readings that stand farthest from the model
 
 
 @on_one_thread
@@ -51,7 +48,7 @@ def check(calibration: Calibration) -> Check:
     entries.sort(key=lambda e: -e.log_bayes_factor)
     loo = _leave_one_out(judged, white)
     # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
-    off = max(factors, default=0.0) >= STRONG
+    off = max(factors, default=0.0) >= searching().strong
     return Check(
         entries=tuple(entries),
         pairs=tuple(pairs),
@@ -195,7 +192,7 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
     expected, sd = _of_independent_noise(directions, first)
     product, squares = float(before @ after), 0.5 * float(before @ before + after @ after)
     found = product / size
-    if sd == 0 or abs(expected) > BOUND:
+    if sd == 0 or abs(expected) > guarding().tied:
         return 0.0, 0.0
     coefficient = float(np.clip((found - expected) / (1 - found * expected), -1, 1))
     return coefficient, (product / squares - expected) / sd
@@ -253,7 +250,7 @@ def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
 
 def _one_sided(loo: np.ndarray) -> float:
     """p-value of the sign test (binomial, two-sided) on the readings that stand farthest from the model."""
-    count = int(FAR * len(loo))
+    count = int(guarding().farthest * len(loo))
     above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
     return min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5))) if count else 1.0
 

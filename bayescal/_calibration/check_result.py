@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.noise_in_time import AllanCheck
-from bayescal._calibration.settings import guarding
+from bayescal._calibration.settings import guarding, searching
 from bayescal._calibration.worst_region import Region
 from bayescal._core.formatting import WIDTH, Printed, number, table
 from bayescal._data.unit_conversion import unit_label
@@ -150,7 +149,8 @@ def check_text(check: Check, most: int | None = None) -> str:
         f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "
         f"{p.log_bayes_factor:.1f})"
         for p in check.pairs[:2]
-        if p.log_bayes_factor > max(STRONG, *(e.log_bayes_factor for e in check.entries))
+        if p.log_bayes_factor
+        > max(searching().strong, *(e.log_bayes_factor for e in check.entries))
     ]
     coefficient, z = check.autocorrelation
     lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
@@ -176,7 +176,9 @@ def _allan_lines(check: Check) -> list[str]:
         return lines
     if found.apart is not None:
         lines.append(textwrap.fill(found.sentence(), WIDTH, subsequent_indent="  "))
-    explained = any(e.log_bayes_factor > STRONG for e in check.entries if e.against not in IN_TIME)
+    explained = any(
+        e.log_bayes_factor > searching().strong for e in check.entries if e.against not in IN_TIME
+    )
     if not explained and any(t.value is not None for t in found.measured.terms):
         lines += ["", found.table()]
     return lines

@@ -15,9 +15,9 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.evidence import pointwise_loo
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
 from bayescal._calibration.predict import predict
+from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, Printed, number, table
 from bayescal._core.importance_weights import stacking
@@ -249,7 +249,7 @@ def _by_evidence(rows: list[ComparisonRow]) -> list[str]:
     """Whether the evidence tells the first two apart, and where leave-one-group-out would choose another first."""
     best, second = rows[:2]
     said, gap = [], (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
-    if gap < STRONG:
+    if gap < searching().strong:
         said.append(
             f"{best.name!r} and {second.name!r} differ by {gap:.1f} in log evidence: it does not tell them apart."
         )
@@ -274,19 +274,19 @@ def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
 def _alike(calibrations: Mapping[str, Calibration]) -> list[str]:
     """Models whose fitted curves are one and the same against the noise, said pair by pair with the first."""
     curves = {name: predict(c) for name, c in calibrations.items()}
-    said, told = [], set()
+    said, named = [], set()
     for name, curve in curves.items():
-        if name in told:
+        if name in named:
             continue
         noise = float(np.sqrt(np.mean(curve.sd**2)))
         gaps = {
             n: float(np.max(np.abs(c.mean - curve.mean)))
             for n, c in curves.items()
-            if n not in told
+            if n not in named
         }
         same = [n for n, gap in gaps.items() if n != name and gap < SAME_CURVE * noise]
         if same:
-            told |= {name, *same}
+            named |= {name, *same}
             unit = calibrations[name].unit
             said.append(
                 f"{', '.join(map(repr, [name, *same]))} are the same curve to within "

@@ -22,7 +22,6 @@ from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._model.prior import LogUniform
 
-MOST = 2  # coefficients of an effect; more of them stand for a function
 TRIED = 3  # starts of the search for another mode
 
 
@@ -204,7 +203,7 @@ def _against_priors(
         plain = b.place in ("x", "phi") and b.effect.weights is None
         if not plain or c.flat or c.group_sd is not None or c.per == "reading":
             continue
-        if len(b.effect.coefficients) > MOST or b.effect.name in accepted:
+        if len(b.effect.coefficients) > guarding().of_a_law or b.effect.name in accepted:
             continue
         most = (
             guarding().conflict

@@ -16,13 +16,13 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.summary import curves, summary
 from bayescal._inference.assembly import Point
 from bayescal._inference.method import CHAINS, Draws, by_chain
+from bayescal._inference.trust import sampling
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 
 F = TypeVar("F", bound=Fitted)
-FEWEST = 200  # draws that must be left where some structures are left out
 A_FIFTH = (
     0.2  # of the standard uncertainty: a smaller change is lost in the digits that are printed
 )
@@ -97,7 +97,7 @@ def without(calibration: F, names: Collection[str]) -> F:
     """The average over the structures that have none of these effects; the same where these have nearly all of it."""
     x, rows, v = calibration.draws()
     kept = ~np.any([has_effect(calibration, name) for name in names], axis=0)
-    if kept.sum() < FEWEST:
+    if kept.sum() < sampling().enough_of_chains:
         return calibration
     old, count = calibration.layout, CHAINS * (int(kept.sum()) // CHAINS)
     model = calibration.model

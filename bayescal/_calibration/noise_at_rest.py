@@ -23,10 +23,12 @@ from jaxtyping import Array, Float
 from scipy.optimize import minimize
 from scipy.special import ndtri
 
+from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.measurements import Measurements
+from bayescal._data.record_settings import recording
 from bayescal._inference.mode import curvature
 from bayescal._inference.programs import padded_length
 from bayescal._model.noise_law import LOG_2PI, WHITE
@@ -41,16 +43,12 @@ ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, 
 ROUNDED = (
     "quantisation"  # one more, where the Allan variance falls faster at first than white noise's
 )
-CHANCE = 2.0  # over √n: how much faster, relative; one standard deviation of white noise's
 DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
-STIRRED = 0.2  # °C, of a temperature's range, below which it is taken as constant
-NOTHING = 0.5  # prior probability that the noise is white
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
 SHIFT = 1e-3  # of a coordinate, for curvatures from slopes
 LEAST = 0.05  # curvature of a coordinate, below which its prior has taken over
 DRAWS = 512  # of a heavy-tailed Gaussian about the mode
 KEPT = 2048  # of these, drawn anew by their weights, over all sums together
-PROBABLE = 0.1  # of the most probable sum's, from which another one has its share of the draws
 TAILS = 5.0  # its degrees of freedom
 TOGETHER = 16  # draws in one call
 
@@ -161,7 +159,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     channel, notes = _channel(readings, runs)
     fits: dict[Terms, _Fit] = {(): _fit(channel, ())}
     first, second = (*channel.allan[:2], math.inf)[:2]
-    falls = first / second > 2 * (1 + CHANCE / math.sqrt(sum(map(len, runs.rows))))
+    falls = first / second > 2 * (1 + searching().falls / math.sqrt(sum(map(len, runs.rows))))
     alone = (*ALONE, ROUNDED) if falls else ALONE
     for term in alone:
         fits[(term,)] = _fit(channel, (term,))
@@ -175,7 +173,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     totals = np.array([_total(fits, t) for t in order])
     shares = np.exp(totals - totals.max())
     probabilities = dict(zip(order, (shares / shares.sum()).tolist(), strict=True))
-    probable = [t for t in order if probabilities[t] > PROBABLE * probabilities[order[0]]]
+    probable = [t for t in order if probabilities[t] > searching().drawn * probabilities[order[0]]]
     drawn = [_drawn(channel, t, fits[t], seed, probabilities[t]) for t in probable]
     walk = drawn[0]
     if "walk" not in walk.terms:
@@ -191,8 +189,8 @@ def _sorted(terms: Terms) -> Terms:
 
 def _total(fits: dict[Terms, _Fit], terms: tuple[str, ...]) -> float:
     """Log evidence and log prior: white noise has one half of it, other sums that are weighed share the rest."""
-    others = max(1, len(fits) - 1)
-    return fits[terms].log_evidence + math.log(NOTHING if not terms else (1 - NOTHING) / others)
+    others, nothing = max(1, len(fits) - 1), searching().nothing
+    return fits[terms].log_evidence + math.log(nothing if not terms else (1 - nothing) / others)
 
 
 def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]]:
@@ -208,7 +206,7 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
     columns = np.zeros((len(output), len(rows)))
     for k, r in enumerate(rows):
         columns[r, k] = 1.0
-    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED:
+    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > recording().stirred:
         t = np.asarray(readings["temperature"], float)
         t = 2 * (t - t.min()) / np.ptp(t) - 1
         powers = np.polynomial.legendre.legvander(t, DEGREE)[:, 1:]

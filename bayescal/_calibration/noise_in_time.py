@@ -11,6 +11,7 @@ from scipy.special import chdtr, chdtrc, chdtri
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.efficient_score import residuals
+from bayescal._calibration.settings import guarding
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, table
 from bayescal._data.allan_deviation import (
@@ -28,7 +29,6 @@ from bayescal._model.noise_law import WHITE, Noise
 
 DRAWS = 100  # of a correlated law's parameters
 RANKS = 50  # of a χ², equally probable, that stand for it
-CONTRADICTED = 1e-3  # p-value of all averaging times together
 
 
 @dataclass(frozen=True)
@@ -170,11 +170,11 @@ def _apart(
         ratio = edf * measured.deviation**2 / draws
     sides = np.stack([chdtr(edf, ratio).mean(axis=0), chdtrc(edf, ratio).mean(axis=0)])
     rarity = 2 * sides.min(axis=0)
-    if not rarity.min() * len(rarity) < CONTRADICTED:
+    if not rarity.min() * len(rarity) < guarding().significant:
         return None
     # Of several that are all but impossible, the one that is the most standard deviations off.
     off = np.abs(np.log(np.median(ratio, axis=0) / edf)) * np.sqrt(edf / 2)
-    return int(np.argmax(np.where(rarity * len(rarity) < CONTRADICTED, off, -1.0)))
+    return int(np.argmax(np.where(rarity * len(rarity) < guarding().significant, off, -1.0)))
 
 
 def _law_terms(

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.noise_at_rest import WeighedNoise, weigh_noise
+from bayescal._calibration.settings import guarding, searching
 from bayescal._core.formatting import Printed, number, probability, table
 from bayescal._data.allan_deviation import (
     CONFIDENCE,
@@ -26,10 +27,7 @@ from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_terms import FLAT
 from bayescal._model.summed_noise import SummedNoise
 
-QUANTILE = 0.95  # of the posterior, that a filter is given: noise taken as too small makes it overconfident
-SHORT_OF = 0.95  # of the law's Allan deviation, that a filter's two terms must reach at every averaging time
 SHOWN = 4  # sums that are printed with their probabilities
-SEEN = 0.01  # probability below which a sum is not printed
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,7 @@ class SensorNoise(Printed):
     def __str__(self) -> str:
         rows = [figure.row() for figure in self.figures]
         terms = table(["term", "value", "95 % interval", "SI"], rows, fold=40)
-        likely = [(w, p) for w, p in self.probabilities.items() if p >= SEEN][:SHOWN]
+        likely = [(w, p) for w, p in self.probabilities.items() if p >= searching().shown][:SHOWN]
         laws = ", ".join(f"{words} {probability(p)}" for words, p in likely)
         lines = [terms, f"Noise law: {laws}."]
         unit = unit_label(self.unit)
@@ -142,15 +140,16 @@ class SensorNoise(Printed):
         names = ("name", "symbol", "value", "low", "high", "unit")
         return {name: [getattr(f, name) for f in self.figures] for name in names}
 
-    def for_filter(self, quantile: float = QUANTILE) -> tuple[float, float]:
+    def for_filter(self, quantile: float | None = None) -> tuple[float, float]:
         """N and K that a filter of white noise and a random walk is given, output unit times √s and per √s.
 
         K is so large that both together reach 95 % of the law's Allan deviation at every averaging time up to
         `horizon`: of flicker and Ornstein–Uhlenbeck noise a random walk takes the place that long.
 
         Args:
-            quantile: of the posterior.
+            quantile: of the posterior; that of the settings if None.
         """
+        quantile = guarding().filter_quantile if quantile is None else quantile
         n, k = (float(np.quantile(d, quantile)) for d in self.densities)
         return n, k
 
@@ -170,7 +169,12 @@ class SensorNoise(Printed):
             "curve": [
                 dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)
             ],
-            "for_filter": {"quantile": QUANTILE, "N": n, "K": k, "horizon": self.horizon},
+            "for_filter": {
+                "quantile": guarding().filter_quantile,
+                "N": n,
+                "K": k,
+                "horizon": self.horizon,
+            },
             "notes": list(self.notes),
         }
 
@@ -237,7 +241,9 @@ def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
             walks.append(np.resize(found.walk.draws["noise.walk"], len(own)))
             continue
         white = (own**2)[:, None] / factors
-        lacking = (SHORT_OF**2 * one.allan_variance(factors, step) - white) / of_walk
+        lacking = (
+            guarding().filter_reaches ** 2 * one.allan_variance(factors, step) - white
+        ) / of_walk
         needed = np.sqrt(np.maximum(np.max(lacking, axis=1), 0.0))
         walks.append(np.maximum(needed, one.draws.get("noise.walk", 0.0)))
     return np.concatenate(densities), np.concatenate(walks)

@@ -42,6 +42,19 @@ class SearchSettings(OutcomeSettings):
         finer_noise: whether sums of noise terms are weighed where correlated noise is probable. On the chamber ramp
             they open gates which one Ornstein–Uhlenbeck process leaves shut; searches of thousands of readings take
             three to five times as long, those of hundreds as long as without.
+        strong: nats from which a log Bayes factor is evidence: odds of twenty (Kass and Raftery, J. Am. Stat. Assoc. 90
+            (1995) 773).
+        very_strong: nats from which it settles a question: odds of a hundred and fifty (likewise).
+        factors: on a candidate's plausible size, which is known to an order of magnitude, and their prior
+            probabilities: real coefficients on the chamber ramp stood 3 to 8 such sizes out.
+        drawn: of the probability of the likeliest noise law of a sensor at rest, from which another one has its share
+            of the draws; a tenth of them would be too few for figures of its own.
+        falls: over √n, relative: how much faster than white noise's the Allan variance falls at first before rounding
+            is tried as a noise; one standard deviation of that ratio for white noise.
+        worth: of a standard uncertainty, that a campaign must take off to be worth it: no printed digit moves below.
+        simple: share of a free curve's variance, from which a simple formula will do for it.
+        narrow: of a covariate's range, below which a selection of readings is said to lie at part of it.
+        stands_for: of what the best dependence explains in a selection, that another must explain to stand for it.
         fewest_for_noise: readings from which a noise law can be told at all: a fourth moment is then known to a half.
     """
 
@@ -61,6 +74,15 @@ class SearchSettings(OutcomeSettings):
     pairs: int = 4
     other_law: float = 100.0
     finer_noise: bool = True
+    strong: float = 3.0
+    very_strong: float = 5.0
+    factors: tuple[tuple[float, float], ...] = ((1.0, 0.6), (3.0, 0.3), (10.0, 0.1))
+    drawn: float = 0.1
+    falls: float = 2.0
+    worth: float = 0.05
+    simple: float = 0.97
+    narrow: float = 0.8
+    stands_for: float = 0.5
     fewest_for_noise: int = 30
 
 
@@ -97,6 +119,25 @@ class GuardSettings(OutcomeSettings):
         left: of a term's squares that what was added leaves to it, below which its variance grows tenfold (a variance
             inflation factor of 10: D. Belsley, E. Kuh and R. Welsch, Regression Diagnostics, 1980).
         corrected: of a coefficient's former value: a correction leaves more than this while the term stays what it was.
+        still_depends: nats by which residuals may depend on a covariate, and the model still be used: twice what is
+            very strong, since the largest of many covariates counts.
+        weak: information against the prior's, below which a direction of coefficients counts as not measured: the
+            posterior's standard deviation is then 0.95 of the prior's.
+        unmeasured: of a coefficient's unit vector within such directions, above which it is not measured at all.
+        concerned: of a direction's squared length, from which a coefficient is named in it.
+        tied: expected lag-1 autocorrelation, from which neighbours are what the fit leaves, such as two about a free
+            level, and say nothing of the noise.
+        farthest: share of the readings, those farthest from the model, whose signs are tested.
+        few_in_group: readings, below which a group's error is a matter of chance: it is three times too large once in
+            10⁷ groups of 5.
+        run_region: readings that a run needs for a region of its own where a model fails.
+        of_a_law: coefficients of an effect; more of them stand for a function, whose values are not sizes of a law.
+        filter_quantile: of the posterior of N and K, that a filter is given: noise taken as too small makes it
+            overconfident.
+        filter_reaches: of the law's Allan deviation, that a filter's two terms must reach at every averaging time.
+        bent: of the noise, by which a response may depart from its linearisation at plausible sizes.
+        back: standard deviations from what was simulated, beyond which a coefficient has not come back.
+        identifiable: contraction below which a coefficient is not; two that are one have a half each.
         moved: former standard uncertainties of a coefficient, beyond which chance does not move it.
     """
 
@@ -123,6 +164,20 @@ class GuardSettings(OutcomeSettings):
     records: float = 10.0
     left: float = 0.1
     corrected: float = 0.5
+    still_depends: float = 10.0
+    weak: float = 0.1
+    unmeasured: float = 0.99
+    concerned: float = 0.1
+    tied: float = 0.99
+    farthest: float = 0.1
+    few_in_group: int = 5
+    run_region: int = 8
+    of_a_law: int = 2
+    filter_quantile: float = 0.95
+    filter_reaches: float = 0.95
+    bent: float = 0.1
+    back: float = 4.0
+    identifiable: float = 0.6
     moved: float = 4.0
 
 

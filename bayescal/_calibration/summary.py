@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.fitted import Fitted
+from bayescal._calibration.settings import guarding
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, number, table, with_error
 from bayescal._data.unit_conversion import unit_label
@@ -16,8 +17,6 @@ from bayescal._model.frame import derived
 from bayescal._model.parameters import CoefficientBlock
 from bayescal._model.prior import deviation
 
-WEAK = 0.1  # information against the prior below which a direction counts as not measured
-SHARE = 0.1  # of a direction's squared length below which a coefficient is left out of its words
 LONGEST = 8  # terms of a combination that are written out
 TRACE = 0.01  # of the largest entry, from which a coefficient is named
 
@@ -208,7 +207,7 @@ def null_directions(calibration: Fitted) -> list[dict[str, str]]:
     names = _entry_names(calibration)
     main = np.concatenate([np.full(b.size, _single(b)) for b in calibration.layout.x_blocks])
     exact = null_space.exact(white)
-    weak = null_space.weak(white, exact, WEAK)
+    weak = null_space.weak(white, exact, guarding().weak, guarding().unmeasured)
     found = [_exact_words(v * sd, names) for v in exact if _concerns(v, main)]
     found += [_weak_words(v, names) for v in weak if _concerns(v, main)]
     others = [v for v in (*exact, *weak) if not _concerns(v, main)]
@@ -222,7 +221,7 @@ def _single(block: CoefficientBlock) -> bool:
 
 def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
     """Whether a direction, in prior standard deviations, has a share of coefficients that stand for themselves."""
-    return float(np.sum(vector[main] ** 2)) > SHARE * float(np.sum(vector**2))
+    return float(np.sum(vector[main] ** 2)) > guarding().concerned * float(np.sum(vector**2))
 
 
 def _deviations_words(vectors: list[np.ndarray], calibration: Fitted) -> dict[str, str]:
@@ -265,7 +264,7 @@ def _exact_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
 def _weak_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
     """Of a direction that readings hardly tell; `vector` in prior standard deviations."""
     vector = vector / np.linalg.norm(vector)
-    order = [i for i in np.argsort(-np.abs(vector)) if vector[i] ** 2 > SHARE]
+    order = [i for i in np.argsort(-np.abs(vector)) if vector[i] ** 2 > guarding().concerned]
     order = order or [int(np.argmax(np.abs(vector)))]
     sign = np.sign(vector[order[0]])
     combination = _sum([(float(sign) * round(float(vector[i]), 2), names[i]) for i in order])

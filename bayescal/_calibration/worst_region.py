@@ -8,9 +8,9 @@ import numpy as np
 
 from bayescal._calibration import covariate_evidence, efficient_score
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.settings import guarding
 
 BINS = 12  # of a covariate
-FEWEST = 8  # readings that a run needs for a region of its own
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def worst_regions(
         cuts.append(_cut(i, block, np.ones(len(codes), bool), None))
         if len(levels) > 1 and not block.levels:
             for k, level in enumerate(levels):
-                if (codes == k).sum() >= FEWEST:
+                if (codes == k).sum() >= guarding().run_region:
                     cuts.append(_cut(i, block, codes == k, level))
     best: dict[int, tuple[float, Region]] = {}
     for cut in cuts:

@@ -12,9 +12,9 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_text
 from bayescal._calibration.compare import Comparison
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.mixture import moved
 from bayescal._calibration.predict import Prediction
+from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.formatting import WIDTH, number, probability, table, with_error
 from bayescal._core.progress import tell
@@ -138,7 +138,7 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
     lines = []
     for e in check.entries:
         open_ = e.against not in used and calibration.readings.has(e.against)
-        if open_ and e.log_bayes_factor > STRONG:
+        if open_ and e.log_bayes_factor > searching().strong:
             size = f"{abs(e.worst.size):.2g} {unit_label(check.unit)}"
             lines.append(
                 f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "

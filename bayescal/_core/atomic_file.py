@@ -32,6 +32,8 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: it cannot be written or renamed; the old file is as it was.
     """
+    # In the same folder, so that the rename stays within one file system and is atomic (POSIX rename); the process's
+    # number tells what is left behind from what another process writes now.
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     for left in left_behind(path):
         if left.is_file():
@@ -177,6 +179,8 @@ def verified(path: Path, what: str, instead: str) -> memoryview:
             f"{path.name} cannot be read: {error.strerror or error}. {instead}"
         ) from None
     content = memoryview(found)[: max(0, len(found) - LENGTH)]
+    # The trailer is looked for at the very end: HDF5 passes over what follows its own end, so that both read the same
+    # bytes.
     trailer = TRAILER.fullmatch(found[len(content) :])
     if trailer is None:
         said = (

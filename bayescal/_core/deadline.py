@@ -95,6 +95,8 @@ def until(
     outer = current()
     ends_at = math.inf if limit is None else time.monotonic() + limit
     sooner = ends_at < outer.ends_at
+    # Nested deadlines share one event: Ctrl-C ends all of them, and a deadline inside is never later than that
+    # outside.
     made = Deadline(
         ends_at if sooner else outer.ends_at,
         words.format(limit) if sooner else outer.limit,
@@ -274,6 +276,8 @@ def _apart(work: Callable[[], T], give_up: Callable[[float], bool]) -> T:
     if threading.current_thread() is threading.main_thread():
         _begun.set()
     thread.start()
+    # Counted from when the time was found to be up: Ctrl-C comes at no deadline, and work has as long to end then
+    # too.
     since = math.inf  # when the time was found to be up
     while not done.is_set():
         try:

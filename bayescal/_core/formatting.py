@@ -86,6 +86,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def _scaled(value: float, error: float) -> tuple[int, int]:
     """(power of ten to take out, decimal places that show the error to two digits)."""
+    # Two digits of the error: places from its leading one to the next (JCGM 100, 7.2.6).
     place = floor(log10(error))
     largest = max(place, floor(log10(abs(value))) if value else place)
     power = largest if largest < -3 or largest > 6 else 0

@@ -33,6 +33,7 @@ def effective_size(weights: Float[np.ndarray, "s"]) -> float:
 def resample(weights: Float[np.ndarray, "s"], count: int, seed: int) -> Int[np.ndarray, "count"]:
     """Positions of draws by systematic resampling, then shuffled so that they stand in no order."""
     random = np.random.default_rng(seed)
+    # One random number for the whole ladder: how often a draw is taken differs from count·weight by less than one.
     ladder = (np.arange(count) + random.random()) / count
     pick = np.searchsorted(np.cumsum(weights) / np.sum(weights), ladder)
     return random.permutation(np.minimum(pick, weights.size - 1))
@@ -74,6 +75,8 @@ def stacking(log_densities: np.ndarray) -> np.ndarray:
     density = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))
 
     def loss(free: np.ndarray) -> tuple[float, np.ndarray]:
+        # Weights as a softmax of free numbers f are positive and add up to one. With g the slope of the score by the
+        # weights its slope by f is w·(g − w·g).
         weight = np.exp(free - free.max())
         weight /= weight.sum()
         mixed = density @ weight

@@ -114,6 +114,8 @@ def drop_oldest(folder: Path, most: int) -> None:
             with suppress(OSError):  # another process may have deleted it
                 if entry.name.endswith("-cache") and entry.is_file():
                     found = entry.stat()
+                    # Where a file system is mounted without access times, st_atime stands still and the time of
+                    # writing decides.
                     used = max(found.st_atime, found.st_mtime)
                     kept.append((used, found.st_size, entry.path))
     excess = sum(size for _, size, _ in kept) - most

@@ -40,6 +40,7 @@ class compiled(Generic[P, R]):
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         numbers = [a for a in jax.tree.leaves((args, kwargs)) if eqx.is_array(a)]
+        # Traced within another compiled function: JAX takes options of the compiler at the outermost `jit` alone.
         if any(isinstance(a, jax.core.Tracer) for a in numbers):
             return self.function(*args, **kwargs)
         few = sum(a.size for a in numbers) < self.many

@@ -52,6 +52,8 @@ ANY = _Any()
 def mismatch(value: Any, shape: Any, where: str = "") -> str:
     """Where a value is not of a shape, and what was expected there; empty if it is."""
     if isinstance(shape, OneOf):
+        # Of several shapes, none of which fits, the longest complaint names the deepest place: the shape that was
+        # meant.
         tried = [mismatch(value, one, where) for one in shape.shapes]
         return "" if "" in tried else max(tried, key=len)
     if shape is ANY:

@@ -13,7 +13,6 @@ from scipy import linalg
 EXACT = 3e-14  # of the largest singular value of normalised columns: rounding, no information
 DUST = 1e-9  # of a direction's largest entry: rounding
 TRACE = 1e-4  # of it: may be what a nearly null direction leaves
-ALONE = 0.99  # of a coefficient's unit vector within the weak directions: it is not measured at all
 
 
 def exact(columns: np.ndarray) -> np.ndarray:
@@ -25,6 +24,7 @@ def exact(columns: np.ndarray) -> np.ndarray:
     Returns:
         A basis (k, p) of its null space, few entries in each row, the others exactly zero; k may be 0.
     """
+    # Columns of unit length: whether a direction is null must not hang on the units of its coefficients.
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
     small = _small(columns / norm)
@@ -50,29 +50,31 @@ def _swept(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
     return swept
 
 
-def weak(columns: np.ndarray, exact: np.ndarray, limit: float) -> np.ndarray:
+def weak(columns: np.ndarray, exact: np.ndarray, limit: float, alone: float) -> np.ndarray:
     """Directions of information below `limit` beside the exact ones.
 
     Args:
         columns: (n, p), whitened, per prior standard deviation.
         exact: (k, p), what `exact` found of these columns.
         limit: largest information (|columns·z|² for a unit z).
+        alone: of a coefficient's unit vector within these directions, above which it is one of them by itself.
 
     Returns:
         Directions (m, p); coefficients of which nothing is known first, each a unit vector.
     """
     count = columns.shape[1]
+    # Squared singular values of whitened columns are the information along each direction, in units of the prior's.
     _, values, rows = np.linalg.svd(_small(columns), full_matrices=True)
     values = np.concatenate([values, np.zeros(count - len(values))])
     space = _without(rows[values**2 < limit], exact)
-    alone = [i for i in range(count) if np.sum(space[:, i] ** 2) > ALONE]
-    units = np.eye(count)[alone]
+    units = np.eye(count)[np.sum(space**2, axis=0) > alone]
     rest = echelon(_without(space, units))
     return np.concatenate([units, rest])
 
 
 def _small(columns: np.ndarray) -> np.ndarray:
     """A square matrix with the same singular values and right vectors."""
+    # JᵀJ = RᵀR: the triangle of a QR has J's singular values, in p rows in place of n.
     return (
         np.asarray(np.linalg.qr(columns, mode="r")) if len(columns) > columns.shape[1] else columns
     )
@@ -83,6 +85,8 @@ def _without(space: np.ndarray, others: np.ndarray) -> np.ndarray:
     left = len(space) - len(others)
     if left <= 0 or not len(others):
         return space[: max(left, 0)]
+    # Of what is left after the projection on `others`, the right singular vectors with the largest singular values
+    # span the space: as many as it has dimensions more.
     basis, _ = np.linalg.qr(others.T)
     _, _, rows = np.linalg.svd(space - space @ basis @ basis.T, full_matrices=False)
     return rows[:left]
@@ -93,6 +97,8 @@ def echelon(rows: np.ndarray) -> np.ndarray:
     reduced = np.array(rows, dtype=float)
     free = np.ones(len(reduced), dtype=bool)
     for _ in range(len(reduced)):
+        # The largest entry that is left becomes the pivot: dividing by a small one would spread its rounding over the
+        # row.
         candidates = np.where(free[:, None], np.abs(reduced), -1.0)
         at, pivot = np.unravel_index(np.argmax(candidates), candidates.shape)
         reduced[at] /= reduced[at, pivot]
@@ -111,6 +117,8 @@ def _in_order(rows: np.ndarray) -> np.ndarray:
 
 def simple(vector: np.ndarray) -> np.ndarray:
     """The direction in small whole numbers if it has them, else with a largest entry of one; the first is positive."""
+    # Null directions of physical models are often ratios of small whole numbers, as 1 : −1 of two constants: exact
+    # words.
     entries = np.abs(vector[vector != 0])
     whole = vector / entries.min()
     near = np.abs(whole - np.rint(whole)) < 1e-5

@@ -42,6 +42,7 @@ def over(function: Callable[[Any], Any], inputs: Any, batch: int) -> Any:
     spare = loops * batch - count
 
     def fold(a):
+        # `lax.map` takes whole batches: the last input stands in for missing ones, and its results are cut off.
         padded = jnp.concatenate([a, jnp.repeat(a[-1:], spare, axis=0)]) if spare else a
         return padded.reshape(loops, batch, *a.shape[1:])
 

@@ -109,6 +109,7 @@ _TAKEN_BY_C = frozenset(_WORDS_OF_C.split())
 
 def identifier(text: Any, taken: Collection[str] = ()) -> str:
     """A name that C and Python accept: no word of theirs, no macro of C's headers, none that is taken."""
+    # A name from a column or an effect goes into C and Python alike: the stricter of the two decides.
     made = re.sub(r"\W+", "_", str(text), flags=re.ASCII).strip("_") or "x"
     made = made if not made[0].isdigit() else f"x_{made}"
     made += "_" * made.isupper()  # as macros of C are: NAN, INFINITY

@@ -17,11 +17,10 @@ from bayescal._core.formatting import number, table
 from bayescal._data.allan_fit import Curve, terms_of
 from bayescal._data.allan_terms import AllanTerm
 from bayescal._data.measurements import Measurements
+from bayescal._data.record_settings import recording
 from bayescal._data.time_in_runs import run_codes
 from bayescal._data.unit_conversion import unit_label
 
-FEWEST = 30  # readings of the longest run: below, no slope is told from another
-EVEN = 0.05  # of the usual step, by which others may differ: time stamps jitter
 SHARE = 4  # of the longest run that is averaged, at most: Riley's stop ratio of this estimator
 CONFIDENCE = 0.95
 
@@ -141,12 +140,12 @@ def even_runs(readings: Measurements) -> EvenRuns:
     levels, codes = run_codes(readings)
     order = np.lexsort((readings["time"], codes))
     rows = np.split(order, 1 + np.flatnonzero(np.diff(codes[order])))
-    if max(len(r) for r in rows) < FEWEST:
-        raise InputError(f"{need} a run of {FEWEST} readings or more")
+    if max(len(r) for r in rows) < recording().allan_readings:
+        raise InputError(f"{need} a run of {recording().allan_readings} readings or more")
     steps = [np.diff(readings["time"][r]) for r in rows]
     usual = float(np.median(np.concatenate(steps)))
     for own, r in zip(steps, rows, strict=True):
-        odd = np.flatnonzero(np.abs(own - usual) > EVEN * usual)
+        odd = np.flatnonzero(np.abs(own - usual) > recording().even * usual)
         if len(odd):
             run = f" in run {levels[codes[r[0]]]}" if len(rows) > 1 else ""
             raise InputError(

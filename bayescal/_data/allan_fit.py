@@ -15,12 +15,10 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import chdtrc
 
 from bayescal._data.allan_terms import SYMBOLS, AllanTerm, term
+from bayescal._data.record_settings import recording
 
 SLOPES = {"N": -0.5, "B": 0.0, "K": 0.5}  # of log σ over log τ
-HALFWAY = 0.25  # from the slope of one kind of noise to where that of the next begins
 FLAT = 2 * np.log(2) / np.pi  # σ² of flicker noise over B²; its root is the 0.664 of data sheets
-WIDE = 2.0  # standard uncertainties, as everywhere that an interval of 95 % is meant
-RARE = 1e-3  # p-value, as of all tests in a check
 FREQUENCIES = 4096  # of an integral over a spectrum; twice as many change no digit that is printed
 ROUNDS = 5  # of weighting anew; more change nothing to three digits
 
@@ -116,14 +114,17 @@ def _sloping(
     found = float(np.sum(centred * y / e**2)) * uncertainty**2
     bend = y - np.average(y, weights=e**-2) - found * centred
     straight = _described(float(np.sum((bend / e) ** 2)), last - first - 1)
-    if straight and abs(found - slope) + WIDE * uncertainty < HALFWAY:
+    if (
+        straight
+        and abs(found - slope) + recording().allan_coverage * uncertainty < recording().allan_slope
+    ):
         return _Stretch(first, last, uncertainty)
     return None
 
 
 def _described(misfit: float, spare: int) -> bool:
     """Whether a sum of squares is no rarer than one in a thousand for a χ² of so many degrees of freedom."""
-    return spare == 0 or bool(chdtrc(spare, misfit) > RARE)
+    return spare == 0 or bool(chdtrc(spare, misfit) > recording().allan_straight)
 
 
 def _sizes(found: dict[str, _Stretch], curve: Curve) -> dict[str, tuple[float, float]]:
@@ -140,7 +141,7 @@ def _sizes(found: dict[str, _Stretch], curve: Curve) -> dict[str, tuple[float, f
         spare = part.stop - part.start - len(left)
         if len(left) > 1 and not _described(misfit, spare):
             left.pop(max(left, key=lambda s: left[s].last))
-        elif squares[faint] <= WIDE * error[faint]:
+        elif squares[faint] <= recording().allan_coverage * error[faint]:
             left.pop(list(left)[faint])
         else:
             sizes = np.sqrt(squares)

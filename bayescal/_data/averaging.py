@@ -100,9 +100,7 @@ def average(
     row = np.lexsort((means["time"], runs))
     found = {name: values[row] for name, values in means.items()}
     own = units.get(output)
-    flag = (
-        f"{names}: {time.size} readings averaged over {seconds:g} s, to {_told(counts, noise, own)}"
-    )
+    flag = f"{names}: {time.size} readings averaged over {seconds:g} s, to {_averaging_note(counts, noise, own)}"
     return Averaged(found, {UNCERTAINTY: own, **units}, flag)
 
 
@@ -127,7 +125,7 @@ def _refuse_useless(
         )
 
 
-def _told(counts: np.ndarray, noise: float, unit: str | None) -> str:
+def _averaging_note(counts: np.ndarray, noise: float, unit: str | None) -> str:
     """How many means there are, and what noise they have."""
     low, high = int(counts.min()), int(counts.max())
     means = f"{counts.size} means of {high if low == high else f'{low} to {high}'}"

@@ -173,9 +173,9 @@ def _drop(table: Table, converted: ConvertedColumns, problems: Problems) -> None
         return
     converted.kept = np.setdiff1d(np.arange(table.rows), gone)
     converted.values = {name: v[converted.kept] for name, v in converted.values.items()}
-    told = "; ".join(f"{name} in {_rows(table, rows)}" for name, rows in missing.items())
+    places = "; ".join(f"{name} in {_rows(table, rows)}" for name, rows in missing.items())
     converted.flags.append(
-        f"{table.file}: {len(gone)} of {table.rows} rows dropped, where readings are missing: {told}"
+        f"{table.file}: {len(gone)} of {table.rows} rows dropped, where readings are missing: {places}"
     )
 
 
@@ -402,11 +402,11 @@ class ColumnReader:
             self.converted.units[self.column.name] = None
 
     def _in_order(self, cells: Cells) -> Cells:
-        """Dates whose day and month are told apart: by one above 12, or as the user says; a problem if by neither."""
+        """Dates whose day and month are dates apart: by one above 12, or as the user says; a problem if by neither."""
         if not (self._is_time and cells.orders):
             return cells
-        told, fitting = cells.in_order(self.options.date_order), cells.fitting_orders
-        if told.orders:
+        dates, fitting = cells.in_order(self.options.date_order), cells.fitting_orders
+        if dates.orders:
             came = "leave open which number is the day"
             came = came if fitting else "are not all dates in one order of month, day and year"
             orders = fitting or [n for n, v in cells.orders.items() if not np.isnan(v).all()]
@@ -419,7 +419,7 @@ class ColumnReader:
                 f"Say in which order they are: {', '.join(begin)}",
                 option=option("--date-order", orders[0]),
             )
-        return told
+        return dates
 
     def _as_numbers(self, cells: Cells) -> Cells:
         """Dates are numbers of the time alone; elsewhere they are text."""

@@ -19,7 +19,6 @@ from bayescal._data.rounding import rounding_step
 from bayescal._data.stretches import RECORD, members, record_codes, stretches
 
 BESIDE = 3  # changes on either side of one, of which the median is the rate there: one of them may be odd
-LEVELS = 3  # of fewer, each change is as large as the range
 MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
 
 Columns = Mapping[str, np.ndarray]
@@ -63,14 +62,14 @@ def leaps(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
         own: rows of each stretch without a pause, by `pieces`.
     """
     given, jumps = recording(), [np.diff(values[piece]) for piece in own]
-    if sum(map(len, jumps)) < given.few_changes or len(np.unique(values)) < LEVELS:
+    if sum(map(len, jumps)) < given.few_changes or len(np.unique(values)) < given.levels:
         return np.zeros(0, int)
     back = [_there_and_back(jump) for jump in jumps]
     size = np.abs(np.concatenate(jumps))
     usual = max(
         given.leap * float(np.ptp(values)),
         given.leap_noise * 1.4826 * float(np.median(np.concatenate(back))),
-        given.leap_excess * float(np.quantile(size, 0.9)),
+        given.leap_excess * float(np.quantile(size, given.most)),
         given.held_step * rounding_step(values),
     )
     rows = []
@@ -164,13 +163,15 @@ def _jumps(
     given, values = recording(), columns[name]
     own = [piece for piece in own if len(piece) > 2 * BESIDE + 1]
     changes = [np.diff(values[piece]) for piece in own]
-    if sum(map(len, changes)) < given.few_changes or len(np.unique(values)) < LEVELS:
+    if sum(map(len, changes)) < given.few_changes or len(np.unique(values)) < given.levels:
         return []
     time, at = columns["time"], np.concatenate([piece[1:] for piece in own])
     flat = [np.pad(change == 0, 1, constant_values=True) for change in changes]
     still = np.concatenate([one[:-2] & one[2:] for one in flat])
     jump = _unexplained(values, time, own)
-    usual = float(np.quantile(np.abs(np.concatenate(changes)), 0.9))  # a rounded corner leaves less
+    usual = float(
+        np.quantile(np.abs(np.concatenate(changes)), given.most)
+    )  # a rounded corner leaves less
     parts = np.split(jump, np.cumsum([len(change) for change in changes])[:-1])
     noise = np.concatenate([np.full(len(part), _usual(part)) for part in parts])  # of each stretch
     least = max(given.unlike_least, given.held_step * rounding_step(values), _usual(jump), usual)
@@ -220,7 +221,7 @@ def _usual(sizes: np.ndarray) -> float:
     """What noise makes of sizes, at the most."""
     given = recording()
     noise = given.leap_noise * 1.4826 * float(np.median(sizes))
-    return max(noise, given.end_excess * float(np.quantile(sizes, 0.9)))
+    return max(noise, given.end_excess * float(np.quantile(sizes, given.most)))
 
 
 def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:

@@ -138,9 +138,9 @@ def flags_of(
     if count := len(repeated):
         first = int(repeated[0])
         many, dropped = count > 1, "time" in columns
-        told = f"{count} row{'s repeat' if many else ' repeats'} an earlier one in every column"
+        said = f"{count} row{'s repeat' if many else ' repeats'} an earlier one in every column"
         end = f": {'they are' if many else 'it is'} dropped" if dropped else ""
-        flags.append(f"{told}, first at {where(first)}{end}")
+        flags.append(f"{said}, first at {where(first)}{end}")
     for end, level in clip_levels(columns[output]) if output in columns else ():
         count = int((columns[output] == level).sum())
         flags.append(

@@ -245,9 +245,9 @@ def _missing_column(
     """The problem that a file has no such column, with the headers that look like it."""
     asked = f"{column.name} [{column.example}]" if column.unit else column.name
     names = ", ".join(header.raw or "(no name)" for header in table.headers)
-    told, chosen = "", ""
+    advice, chosen = "", ""
     if alike:
-        told = f"{', '.join(h.raw for h in alike[:4])} look{'s' * (len(alike) == 1)} like it. "
+        advice = f"{', '.join(h.raw for h in alike[:4])} look{'s' * (len(alike) == 1)} like it. "
         chosen = option("--columns", f"{column.name}={alike[0].raw}")
         raw = next((r.unit for r in readings_of(alike[0]) if _raw(r.unit or "")), None)
         if (
@@ -258,10 +258,10 @@ def _missing_column(
         ):
             per = f"({column.unit})" if "/" in column.unit else column.unit
             chosen += f" {option('--nominal-scale', f'NUMBER {unit_in(raw, (ANY,))}/{per}')}"
-            told += "The nominal scale says what one unit of output is of it; --nominal-zero what it is at zero. "
+            advice += "The nominal scale says what one unit of output is of it; --nominal-zero what it is at zero. "
         if len(alike) > 1 and column.name == output:
             together = ",".join(h.name for h in alike if "," not in h.name)
-            told += (
+            advice += (
                 f"Together, as channels of one unit: calibrate {option('--channels', together)}. "
             )
     meaning = f" ({column.meaning})" if column.meaning else ""
@@ -269,14 +269,14 @@ def _missing_column(
     shown = chosen or f"--columns {column.name}=…"
     sentence = (
         f"{table.file!r} lacks the column {column.name!r}{meaning} that {instrument!r} needs; it "
-        f"has: {names}. {told}Add a column {asked!r}, or say which one it is with "
+        f"has: {names}. {advice}Add a column {asked!r}, or say which one it is with "
         f"columns={{{column.name!r}: {mapped!r}}} ({shown})"
     )
     return Problem(
         table.file,
         "no such column",
         asked,
-        f"{told}Add such a column, or say which it is",
+        f"{advice}Add such a column, or say which it is",
         option=chosen if one else "",
         column=column.name,
         sentence=sentence,

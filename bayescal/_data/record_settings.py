@@ -74,6 +74,24 @@ class RecordSettings(OutcomeSettings):
             is taken.
         set_jumps: of the readings that may be such steps, which leave ten to a mean at the least.
         placeholder: ranges of the others, beyond which a −999 or 9999 is no reading.
+        levels: different values of a thermometer, of fewer of which each change is as large as its range.
+        most: share of a thermometer's changes that are usual ones: a rounded corner of a profile is among the rest.
+        direction: share of the readings during which a temperature must rise, and fall, for a hysteresis to show.
+        stirred: °C, range of a temperature at rest, below which it is taken as constant: two steps of a thermometer
+            that is read to 0.1 °C.
+        second_correlated: readings of the longest run, below which a second correlated noise is not told from the
+            first.
+        even: of the usual step, by which others may differ where steps are to be even: time stamps jitter.
+        allan_readings: of the longest run, below which no slope of an Allan deviation is told from another.
+        allan_slope: from the slope of one kind of noise on log axes to where that of the next begins: half of ½.
+        allan_coverage: standard uncertainties, as everywhere that an interval of 95 % is meant.
+        allan_straight: p-value of a line through part of an Allan deviation, below which it is none.
+        still_block: s: of a unit in the hand or on a bench, short against a move, long against a filter of 20 Hz.
+        still_quiet: quantile of the blocks' scatter, that is taken as at rest.
+        still_scatter: times that, up to which a block is still: means of blocks of filtered noise differ by 4 once in
+            10⁴.
+        still_shortest: s, of a pose: eight blocks, whose means say how well theirs is known.
+        still_samples: in a block, from which on their scatter says something.
         resolved: unit, least and largest range of an output that any sensor resolves and measures. Least: a
             superconducting gravimeter resolves 1e-12 m/s², a large ring laser 1e-13 rad/s, an interferometer on a lever
             1e-12 rad. Most: gauges of impacts end at 2e6 m/s², rotors of any kind at 1e5 rad/s, and an angle beyond
@@ -126,6 +144,21 @@ class RecordSettings(OutcomeSettings):
     set_jump: float = 10.0
     set_jumps: float = 0.1
     placeholder: float = 3.0
+    levels: int = 3
+    most: float = 0.9
+    direction: float = 0.02
+    stirred: float = 0.2
+    second_correlated: int = 200
+    even: float = 0.05
+    allan_readings: int = 30
+    allan_slope: float = 0.25
+    allan_coverage: float = 2.0
+    allan_straight: float = 1e-3
+    still_block: float = 0.25
+    still_quiet: float = 0.1
+    still_scatter: float = 6.0
+    still_shortest: float = 2.0
+    still_samples: int = 4
     resolved: tuple[tuple[str, float, float], ...] = (
         ("m/s^2", 1e-12, 1e7),
         ("rad/s", 1e-13, 1e5),

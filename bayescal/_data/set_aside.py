@@ -44,15 +44,15 @@ def _once(readings: Measurements) -> Measurements:
 def _without_clipped(readings: Measurements) -> Measurements:
     """Without what stands exactly at an end where the output was cut off: such a reading only says "beyond"."""
     output = readings["output"]
-    clipped, told = np.zeros(len(readings), dtype=bool), []
+    clipped, notes = np.zeros(len(readings), dtype=bool), []
     for end, level in [] if rounding_step(output) else clip_levels(output):
         at = output == level
         clipped |= at
-        told.append(f"{int(at.sum())} at its {end} {level:.6g}")
-    if not told or clipped.all():
+        notes.append(f"{int(at.sum())} at its {end} {level:.6g}")
+    if not notes or clipped.all():
         return readings
     flag = (
-        f"{readings.file}: {int(clipped.sum())} clipped reading(s) of the output set aside, {' and '.join(told)}: "
+        f"{readings.file}: {int(clipped.sum())} clipped reading(s) of the output set aside, {' and '.join(notes)}: "
         "what lies beyond was not measured, and no calibration holds there"
     )
     return replace(readings.select(np.flatnonzero(~clipped)), flags=(*readings.flags, flag))
@@ -91,17 +91,17 @@ def _without_leaps(readings: Measurements) -> Measurements:
     if not readings.has("time"):
         return readings
     columns = {n: readings[n] for n in readings.columns}
-    gone, told, own = np.zeros(len(readings), bool), [], pieces(columns)
+    gone, notes, own = np.zeros(len(readings), bool), [], pieces(columns)
     for name in (n for n in columns if readings.unit(n) == "degC" and np.ptp(columns[n]) > 0):
         rows = leaps(columns[name], own)
         gone[rows] = True
         shown = ", ".join(f"{row + 1} ({columns[name][row]:.6g} °C)" for row in rows[:5])
-        told += [f"{name}: row {shown}{' …' if len(rows) > 5 else ''}"] if len(rows) else []
-    if not told or gone.all():
+        notes += [f"{name}: row {shown}{' …' if len(rows) > 5 else ''}"] if len(rows) else []
+    if not notes or gone.all():
         return readings
     flag = (
         f"{readings.file}: {int(gone.sum())} reading(s) set aside, at which a thermometer leaps faster than a body can "
-        f"follow, {'; '.join(told)}; keep_spikes keeps them"
+        f"follow, {'; '.join(notes)}; keep_spikes keeps them"
     )
     return replace(readings.select(np.flatnonzero(~gone)), flags=(*readings.flags, flag))
 

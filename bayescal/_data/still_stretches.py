@@ -14,12 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._core.errors import InputError
-
-BLOCK = 0.25  # s: of a unit in the hand or on a bench, short against a move, long against a filter of 20 Hz
-QUIET = 0.1  # quantile of the blocks' scatter, that is taken as at rest
-STILL = 6.0  # times that, up to which a block is still: means of blocks of filtered noise differ by 4 once in 10⁴
-SHORTEST = 2.0  # s, of a pose: eight blocks
-FEWEST = 4  # samples in a block, from which on their scatter says something
+from bayescal._data.record_settings import recording
 
 
 class StillStretches(NamedTuple):
@@ -40,32 +35,34 @@ class StillStretches(NamedTuple):
 
 
 def still_stretches(
-    time: Float[np.ndarray, "n"], outputs: Float[np.ndarray, "n m"], shortest: float = SHORTEST
+    time: Float[np.ndarray, "n"], outputs: Float[np.ndarray, "n m"], shortest: float | None = None
 ) -> StillStretches:
     """Find and average them.
 
     Args:
         time: s, increasing and nearly even.
         outputs: of one unit, such as three accelerometers.
-        shortest: of a pose, s.
+        shortest: of a pose, s; that of the settings if None.
 
     Raises:
         InputError: samples too far apart, or no stretch is still for so long.
     """
+    given = recording()
+    shortest = given.still_shortest if shortest is None else shortest
     step = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
-    size = round(BLOCK / step) if step > 0 else 0
-    if size < FEWEST:
+    size = round(given.still_block / step) if step > 0 else 0
+    if size < given.still_samples:
         raise InputError(
-            f"samples {step:.3g} s apart: still stretches are found in blocks of {BLOCK:g} s, which need {FEWEST} "
-            "samples each. If each row is a pose already, calibrate them as they are"
+            f"samples {step:.3g} s apart: still stretches are found in blocks of {given.still_block:g} s, which need "
+            f"{given.still_samples} samples each. If each row is a pose already, calibrate them as they are"
         )
     count = len(time) // size
     blocks = outputs[: count * size].reshape(count, size, -1)
     mean, scatter = blocks.mean(axis=1), blocks.std(axis=1, ddof=1)
-    rest = np.quantile(scatter, QUIET, axis=0)
+    rest = np.quantile(scatter, given.still_quiet, axis=0)
     rest = np.maximum(rest, np.finfo(float).tiny)
-    still = np.all(scatter <= STILL * rest, axis=1)
-    moved = np.any(np.abs(np.diff(mean, axis=0)) > STILL * rest, axis=1)
+    still = np.all(scatter <= given.still_scatter * rest, axis=1)
+    moved = np.any(np.abs(np.diff(mean, axis=0)) > given.still_scatter * rest, axis=1)
     label = np.cumsum(np.concatenate([[True], moved | (still[1:] != still[:-1])]))
     first, last = [], []
     for one in np.unique(label[still]):

@@ -17,6 +17,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._fleet.batch_result import BatchResult
 from bayescal._fleet.devices import Devices
 from bayescal._fleet.fit_devices import FitOptions, fit_together
+from bayescal._fleet.fleet_settings import fleet_settings
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, reference_of
 from bayescal._model.model import Model
@@ -25,8 +26,6 @@ from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior
 from bayescal._search.walk import walk
 
-LEAST = 0.01  # probability from which an effect of a device is kept
-FAR = 15.0  # log evidence behind the best, up to which a structure of a device is kept
 KEPT = 50  # structures of a device
 
 
@@ -89,7 +88,7 @@ def search_device(
         sorted(chosen.effects),
         chosen.noise,
         posterior.nothing(),
-        {n: p for n, p in inclusion.items() if p > LEAST},
+        {n: p for n, p in inclusion.items() if p > fleet_settings().kept},
         [list(finding.effects) for finding in posterior.findings],
         {n: float(expit(odds)) for n, odds in structures.log_odds.items()},
         _weighed(posterior, structures.log_odds),
@@ -106,7 +105,11 @@ def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[
         total[effects] = float(np.logaddexp(total.get(effects, -np.inf), own))
     best = max(total.values())
     order = sorted(total, key=lambda effects: -total[effects])[:KEPT]
-    return [(list(e), round(total[e] - best, 6)) for e in order if total[e] > best - FAR]
+    return [
+        (list(e), round(total[e] - best, 6))
+        for e in order
+        if total[e] > best - fleet_settings().behind
+    ]
 
 
 def find_and_fit(

@@ -18,6 +18,7 @@ from bayescal._core.atomic_file import replacing_for_user
 from bayescal._fleet.batch_result import BatchPart, BatchResult, load_batch
 from bayescal._fleet.device_sums import DeviceEstimates
 from bayescal._fleet.engine import Engine, every
+from bayescal._fleet.fleet_settings import fleet_settings
 from bayescal._fleet.population import (
     Learned,
     Named,
@@ -29,7 +30,6 @@ from bayescal._fleet.population import (
 )
 
 KEPT = 100  # devices that stand out most, of which the whole keeps the p
-BY_CHANCE = 0.01  # devices of so small a p, expected by chance in the whole fleet
 
 
 def pooled(result: BatchResult, named: Named, seed: int) -> BatchResult:
@@ -73,7 +73,9 @@ def learn_population(
     for place in places:
         place.unlink(missing_ok=True)
     devices = learned.population.devices
-    return learned.population, {name: p for p, name in outliers if p * devices < BY_CHANCE}
+    return learned.population, {
+        name: p for p, name in outliers if p * devices < fleet_settings().stands_out
+    }
 
 
 def write_estimates(file: Path, place: Path, named: Named) -> None:
@@ -148,7 +150,7 @@ def _standing_out(
     """
     table, size = learned.population.table, learned.size
     mean = table["mean"].to_numpy() / size
-    variance = (table["spread"].to_numpy() ** 2 + table["mean_sd"].to_numpy() ** 2) / size**2
+    variance = (table["group_sd"].to_numpy() ** 2 + table["mean_sd"].to_numpy() ** 2) / size**2
     apart = np.einsum("bij,bj->bi", own.precision, own.estimate - mean) + own.rest
     covariance = own.precision + (own.precision * variance) @ own.precision
     square = np.einsum("bi,bij,bj->b", apart, np.linalg.pinv(covariance, hermitian=True), apart)

@@ -38,6 +38,7 @@ from bayescal._core.importance_weights import smoothed
 from bayescal._fleet import device_sums
 from bayescal._fleet.device_sums import DeviceEstimates, DeviceMoments, Sums
 from bayescal._fleet.engine import Engine, LocalEngine
+from bayescal._fleet.fleet_settings import fleet_settings
 from bayescal._inference import trust
 from bayescal._inference.mode import climb, gaussian_fit
 from bayescal._inference.sampling import PriorShare, explore
@@ -45,10 +46,6 @@ from bayescal._model.effect import Coefficient
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
 
-FEWEST = 3  # devices from which a standard deviation between them can be learned
-ENOUGH = (
-    50  # effective draws of τ, from which its mean and standard deviation are known well enough
-)
 DRAWS = 2000  # of τ, fewer for many devices: their posterior is narrow
 CELLS = 1_000_000  # draws × devices at most
 STARTS = (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)  # of log(τ/scale), where its mode is looked for first
@@ -60,7 +57,8 @@ Named = Mapping[str, tuple[Coefficient, GroupSdPrior]]  # a population's coeffic
 AskedPopulation = (
     bool | Sequence[str] | Mapping[str, GroupSdPrior]
 )  # which those are: all, or some, or with priors
-COLUMNS = ("coefficient", "mean", "mean_sd", "spread", "spread_sd", "unit")
+COLUMNS = ("coefficient", "mean", "mean_sd", "group_sd", "group_sd_sd", "unit")
+FORMER = {"spread": "group_sd", "spread_sd": "group_sd_sd"}  # names of columns; the old go in 0.3.0
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,8 @@ class Population:
     """What the devices have in common.
 
     Attributes:
-        table: per coefficient: mean and its standard uncertainty, spread (standard deviation between devices) and its
-            standard uncertainty, unit.
+        table: per coefficient: mean and its standard uncertainty, standard deviation between devices (`group_sd`) and
+            its standard uncertainty, unit.
         ok: whether the weights of the between-group standard deviations are reliable.
         reason: why not.
         devices: how many it was learned from.
@@ -88,8 +86,9 @@ class Population:
 
     @classmethod
     def of_data(cls, held: Mapping[str, Any]) -> Population:
-        """From what `data` gave."""
-        return cls(**{**held, "table": pd.DataFrame(held["table"], columns=list(COLUMNS))})
+        """From what `data` gave, or gave before 0.2.0."""
+        table = pd.DataFrame(held["table"]).rename(columns=FORMER)
+        return cls(**{**held, "table": table.reindex(columns=list(COLUMNS))})
 
     def __str__(self) -> str:
         head = f"population of {self.devices} devices"
@@ -185,9 +184,9 @@ def learn(
     """
     engine = engine or LocalEngine()
     count, total = engine.total(_count, [(part,) for part in parts])
-    if count < FEWEST:
+    if count < (fewest := fleet_settings().fewest_devices):
         raise ModelError(
-            f"a population is learned from at least {FEWEST} devices that converge; here {count} did"
+            f"a population is learned from at least {fewest} devices that converge; here {count} did"
         )
     density = _Density(parts, engine, count, total / count, named)
     v, weights, k_hat, given = _draws(density, seed)
@@ -199,12 +198,12 @@ def learn(
             "coefficient": list(named),
             "mean": (weights @ mean + density.centre) * size,
             "mean_sd": np.sqrt(weights @ (variance + (mean - weights @ mean) ** 2)) * size,
-            "spread": weights @ between * size,
-            "spread_sd": np.sqrt(weights @ (between - weights @ between) ** 2) * size,
+            "group_sd": weights @ between * size,
+            "group_sd_sd": np.sqrt(weights @ (between - weights @ between) ** 2) * size,
             "unit": [c.unit for c, _ in named.values()],
         }
     )
-    why = trust.unevenness(weights, k_hat, enough=ENOUGH)
+    why = trust.unevenness(weights, k_hat, enough=fleet_settings().enough_of_population)
     reason = why and f"weights of the between-group standard deviations were uneven ({why})"
     population = Population(table, not why, reason, count, k_hat)
     return Learned(population, size, density.centre, density.scale, v, weights, mean, covariance)

@@ -17,7 +17,8 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
 
-from bayescal._fleet.find_devices import LEAST, DeviceStructure
+from bayescal._fleet.find_devices import DeviceStructure
+from bayescal._fleet.fleet_settings import fleet_settings
 
 BURN_IN, ROUNDS = 200, 1000
 NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
@@ -96,7 +97,7 @@ def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.Da
     rows = [
         [name, named[name], possible[name], one.in_fleet, one.expected, *one[1:4]]
         for name, one in shares(known, seed).items()
-        if named[name] or possible[name] or one.expected > LEAST
+        if named[name] or possible[name] or one.expected > fleet_settings().kept
     ]
     rows.sort(key=lambda row: (-row[4], -row[1]))
     return pd.DataFrame(rows, columns=COLUMNS)

@@ -98,6 +98,7 @@ class Assembly:
 
     def value_slope(self, v: np.ndarray, i: int) -> float:
         """Slope of the logarithm of one entry of φ by its coordinate."""
+        # Positive unknowns move by their logarithm: a difference of logarithms has no units to lose.
         value = self._coordinates[i][1]
         return float(np.log(value(v[i] + NUDGE) / value(v[i] - NUDGE))) / (2 * NUDGE)
 
@@ -119,6 +120,7 @@ class Assembly:
         self, v: np.ndarray, hyper: Values
     ) -> Iterator[tuple[int, Float[np.ndarray, "p"]]]:
         """Slopes of the logarithms of x's prior standard deviations, by each coordinate that moves any of them."""
+        # Sizes move with learned spreads, all members of a group alike, and with shapes that weigh coefficients.
         places = {h.name: i for i, h in enumerate(self.hypers)}
         for name, members in self.sizes.members.items():
             if (i := places.get(name)) is not None:
@@ -199,6 +201,8 @@ class Assembly:
         else:
             value = np.array([hyper[name] for name in t.members])
             if t.group_sd_name is not None:
+                # Held in units of its learned spread (non-centred), so that a spread near zero makes no funnel (O.
+                # Papaspiliopoulos, G. Roberts and M. Sköld, Stat. Sci. 22 (2007) 59).
                 value = t.known.mean + hyper[t.group_sd_name] * value
         if t.known.per is None:
             return value[0]
@@ -226,6 +230,8 @@ class Assembly:
 
     def _responding(self, point: Point, hyper: Values):
         """Expected output, its slopes by slots and by corrected columns, and each term's column."""
+        # Corrections of columns first, as every column may hang on them; then slots, the response, and back by the
+        # chain rule: what corrects a column moves the output by ∂μ/∂column + Σ ∂μ/∂slot·∂(slot)/∂column.
         values = self._values(point, hyper)
         moves: dict[str, np.ndarray] = {}
         if self.corrected:
@@ -270,6 +276,7 @@ class Assembly:
             moved = v.copy()
             moved[i] += step
             ends.append(self.hyper(moved))
+        # In general all columns may move; of an affine output only those of the effects that have the shape.
         if not self.affine or self.kinds[i] != "shape":
             up, down = (self.linearise(point, hyper) for hyper in ends)
             columns, mean = (

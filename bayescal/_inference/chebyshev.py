@@ -22,6 +22,7 @@ _EDGE = 1 - 1e-12  # of the reach, where the slope of a polynomial by its angle 
 
 def weights(v: Any) -> Float[np.ndarray, "*b s"]:
     """Of the values at the nodes in the value at a coordinate; beyond the reach, as at its end."""
+    # Σₖ cₖ·Tₖ(cos θ) with Tₖ = cos kθ, the coefficients c a discrete cosine transform of the values at the nodes.
     angle = np.arccos(np.clip(np.asarray(v) / REACH, -1.0, 1.0))
     return np.cos(angle[..., None] * _ORDERS) @ _TO_COEFFICIENTS
 

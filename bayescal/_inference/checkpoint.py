@@ -82,6 +82,8 @@ class Checkpoint:
         head = {"schema": SCHEMA, "fingerprint": self.fingerprint, "notes": self.notes}
         data = xr.Dataset(variables, attrs={"bayescal": json.dumps({**head, "arrays": counts})})
         plain = {name: {"_FillValue": None} for name in variables}
+        # First the file's bytes on the disk, then its name, then the folder that holds the name: a power cut between
+        # any two leaves the old file or the new one.
         with replacing_for_user(self.path) as partial:
             write_sealed(netcdf_bytes(data, encoding=plain), partial)
             to_disk(partial)
@@ -240,6 +242,7 @@ def _code_of(function: Any, depth: int = 0) -> str:
     bound: tuple[Any, ...] = ()
     if isinstance(function, partial):
         function, bound = function.func, (*function.args, *function.keywords.values())
+    # Byte code, not source: a comment or a blank line changes nothing, a constant does.
     code = getattr(function, "__code__", None)
     if code is None or depth > 8:
         return f"{type(function).__name__} {getattr(function, '__qualname__', shown(function))}"

@@ -47,6 +47,7 @@ class ColumnProducts:
         if not len(places):
             return
         table, residual = self._table[:, places], self._table[:, 0]
+        # Columns of unit length: `SHARED` is then of directions, not of units.
         size = np.sqrt(np.sum(table**2, axis=0))
         scale = np.where(size > 0, 1 / np.where(size > 0, size, 1.0), 0.0)
         found = scale * np.linalg.lstsq(table * scale, residual, rcond=SHARED)[0]
@@ -57,6 +58,8 @@ class ColumnProducts:
 
     def of_rows(self, kept: Int[np.ndarray, "k"]) -> ColumnProducts:
         """The same of some of the readings, without what the others add; columns that are zero there are exactly so."""
+        # Products over the rows that are kept are those of all less those of the others: cheaper where few are left
+        # out, as long as the difference keeps its digits.
         found = ColumnProducts(self._table[kept, 0])
         table = self._table[kept, : self._filled]
         others = np.delete(self._table[:, : self._filled], kept, axis=0)
@@ -77,6 +80,8 @@ class ColumnProducts:
         made = self.products[places[:, None], places]
         own = set(places.tolist())
         if missing := [i for i in self.taken if i not in own]:  # what others took is put back
+            # Residual r₀, and r₀ + Φₘ·a before columns m took their shares a: products of the latter follow from
+            # those of r₀ and Φₘ.
             amount = np.array([self.taken[i] for i in missing])
             across = amount @ self.products[np.array(missing)[:, None], places]
             inside = amount @ self.products[np.array(missing)[:, None], missing] @ amount

@@ -62,6 +62,7 @@ class Density:
     # from the readings ------------------------------------------------------------------------------------------
 
     def _line(self, v: np.ndarray, hyper: Values) -> tuple[Line, Gram | None]:
+        # Only shapes and promoted coefficients move J; what else is in φ (noise, sizes) leaves it as it is.
         key = tuple(float(v[i]) for i in self.assembly.moving)
         found = self._lines.get(key)
         if found is None:
@@ -107,6 +108,7 @@ class Density:
         """Weighted products of the readings at φ."""
         line, gram = self._line(v, hyper)
         if gram is not None:
+            # Σ = σ²·I: the products of the plain table, made once, over σ², and log|Σ| = n·log σ².
             shared, size = float(self.assembly.noise.shared_variance(hyper)), len(line.mean)
             jtj, jtr, rtr = (part / shared for part in gram[:3])
             return Gram(jtj, jtr, rtr, size * math.log(shared))
@@ -155,6 +157,8 @@ class Density:
                 break
         self._mode = x + move
         gram = products(terms, terms.curvature)
+        # The quadratic about the mode, rtr − 2·jtrᵀ(δ − m) + (δ − m)ᵀ·jtj·(δ − m), with its powers of δ collected:
+        # these are the products at the point itself, where δ = x − x̂ is zero.
         across = gram.jtj @ move
         squares = gram.rtr + float(move @ (2 * gram.jtr + across))
         return Gram(gram.jtj, gram.jtr + across, squares, gram.logdet)
@@ -164,6 +168,8 @@ class Density:
         noise, record = self.assembly.noise, self.assembly.record
         if noise.gaussian:
             return gram.rtr
+        # For a law with outliers: −2·log of the density against that of no residual at all, zero at best as squares
+        # are.
         line = self.assembly.linearise(self.point, hyper)
         return density_terms(noise, hyper, record, self.residual(line)).squares
 
@@ -204,6 +210,8 @@ class Density:
         if found is None or not math.isfinite(value):
             return NOWHERE, np.zeros(len(v))
         made = assembly.log_prior_slope(v)
+        # Fisher's identity: the slope of log p(y|φ) is the posterior mean of that of log p(y, x|φ). By log s the
+        # normal prior has the slope z² − 1, of which the mean is z̄² + var z − 1.
         excess = ((found.z**2 + found.variance_of_z - 1) * prior.weight)[: assembly.size]
         for i, log_sd in assembly.log_sd_slopes(v, hyper):
             made[i] += excess @ log_sd
@@ -229,6 +237,8 @@ class Density:
         for _, m in moved:
             output = m.mean + m.columns @ move[m.at] - np.sum(m.rows * self.point.rows, axis=1)
             beside += [m.columns, output[:, None]]
+        # By log σ²: ½·(E[eᵀΣ⁻¹e] − n) over x's posterior. The expectation is the squares at the mean plus tr C·JᵀΣ⁻¹J
+        # = p − tr W·var z, the degrees of freedom that x took.
         if self.even:
             taken = found.squares + p - float(prior.weight @ found.variance_of_z)
             for i, kind in enumerate(assembly.kinds):
@@ -244,6 +254,7 @@ class Density:
             turned = np.column_stack([line.jacobian @ found.root, table[:, -1]])
             made += noise_slopes(assembly, v, whiten, turned)
             white = whiten(np.column_stack(beside)) if moved else table
+        # −½·d(eᵀΣ⁻¹e + tr C·JᵀΣ⁻¹J) for a change dJ of the columns and −d(output) of e, all of it whitened.
         across, end = white[:, :p] @ found.covariance, p + 1
         for i, m in moved:
             by_j, output = white[:, end : end + len(m.at)], white[:, end + len(m.at)]
@@ -276,6 +287,7 @@ class Density:
             density_terms(noise, hyper, record, left),
             bends(noise, hyper, record, left),
         )
+        # hᵢ = (J·C·Jᵀ)ᵢᵢ; q carries what the mode's own move does to the volume, by the implicit function theorem.
         across = jacobian @ found.covariance
         leverage = np.sum(across * jacobian, axis=1)
         of_volume = 0.5 * leverage * further.third
@@ -341,6 +353,7 @@ def about(density: Density, v: np.ndarray, covariance: np.ndarray, close: float)
     dim = len(axes.names)
     if dim not in DEGREES or not np.all(np.isfinite(covariance)):
         return None
+    # They must hold where the importance sampler goes: draws of the Gaussian fit say how far that is along each axis.
     draws = (
         v
         + np.random.default_rng(0).standard_normal((400, len(v))) @ np.linalg.cholesky(covariance).T
@@ -348,6 +361,7 @@ def about(density: Density, v: np.ndarray, covariance: np.ndarray, close: float)
     coordinates = axes.of(assembly.hyper(draws.T), draws)
     if not np.all(np.isfinite(coordinates)):
         return None
+    # Judged by what they are for: the largest error of the log density, at draws that they were not fitted to.
     tried = draws[:TRIED]
     there = np.array([density.at(one)[0] for one in tried])
     products = Products(assembly, density.point, v, axes)

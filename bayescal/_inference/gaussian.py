@@ -45,6 +45,8 @@ class Prior(NamedTuple):
     @property
     def flat_volume(self) -> Any:
         """What flat priors, of density one, add to the log evidence: log s + ½·log 2π each."""
+        # A density of one per unit of x is one of s per unit of z = x/s, and lacks the 1/√(2π) of the standard normal
+        # density that the closed form counts for every z.
         log_sd = np.where(self.weight > 0, 0.0, np.log(np.where(self.weight > 0, 1.0, self.sd)))
         return np.sum(log_sd + 0.5 * LOG_2PI * (1 - self.weight), axis=-1)
 
@@ -75,6 +77,8 @@ class Conditional:
         """The same of the first p coefficients, where those after them have a prior of no width."""
         if p == len(self.u):
             return self
+        # The leading block of L is that of the leading block of A, and coefficients whose prior has no width leave no
+        # trace in it: their rows of A are those of the unit matrix.
         args = self.shift[:p], self.sd[:p], self.chol[:p, :p], self.u[:p], self.z[:p]
         return Conditional(self.log_marginal, *args, self.rest, self.squares)
 
@@ -109,6 +113,9 @@ def condition(
         at: x̂, where r was taken.
     """
     sd, weight = prior.sd, prior.weight
+    # With x = x̂ + offset + S·z, S = diag(s), what is left is (r − J·offset) − J·S·z. So z has the precision A =
+    # S·JᵀΣ⁻¹J·S + W (W: 1 proper, 0 flat) and the pull S·(JᵀΣ⁻¹r − JᵀΣ⁻¹J·offset). A flat prior is centred at x̂
+    # itself: its offset is zero.
     offset = weight * (prior.mean - at)
     p = len(sd)
     if not p:
@@ -118,16 +125,20 @@ def condition(
     pulled = sd * (gram.jtr - gram.jtj @ offset)
     precision = sd[:, None] * gram.jtj * sd
     precision.flat[:: p + 1] += weight
+    # LAPACK takes columns first: handed the transpose of a symmetric matrix it copies nothing.
     chol, failed = dpotrf(precision.T, lower=1, clean=1, overwrite_a=1)
     if failed:
         return None
     u = dtrtrs(chol, pulled, lower=1)[0]
     z = dtrtrs(chol, u, lower=1, trans=1)[0]
+    # Completed square: at the posterior mean rᵀΣ⁻¹r has become the square of r − J·move, and zᵀWz is the prior's
+    # share.
     move = offset + sd * z
     squares = gram.rtr - move @ (2 * gram.jtr - gram.jtj @ move)
     rest = squares + weight @ (z * z)
     if not rest > 0:  # no digits left: noise far below any residual
         return None
+    # |Σ + J·S²·Jᵀ| = |Σ|·|A| (Sylvester's determinant identity), and |A| is the squared product of L's diagonal.
     volume = gram.logdet + 2 * float(np.log(chol.diagonal()).sum())
     flat = 0.0 if weight.all() else float(prior.flat_volume)
     log_marginal = flat - 0.5 * (size * LOG_2PI + volume + rest)
@@ -180,6 +191,7 @@ def draw(
     move = offset + sd * mean
     across = np.einsum("bij,bj->bi", grams.jtj, move)
     rest = grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1) + mean**2 @ weight
+    # Half of log|A|; L⁻ᵀε below has the covariance A⁻¹ = (L·Lᵀ)⁻¹.
     halves = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
     flat = np.broadcast_to(prior.flat_volume, len(sd))
     log_marginal = flat - 0.5 * (size * LOG_2PI + grams.logdet + 2 * halves + rest)
@@ -209,6 +221,7 @@ def _factors(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]
 
 def _solve_lower(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
     """L⁻¹ times vectors."""
+    # A loop over the few coefficients, each step for all φ at once, in place of a call of LAPACK for each φ.
     z = np.empty_like(right)
     for i in range(right.shape[1]):
         known = np.einsum("bj,bj->b", chol[:, i, :i], z[:, :i])

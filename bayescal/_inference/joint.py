@@ -55,6 +55,7 @@ def draw_joint(
     if width:
         rows, volume = _draw_rows(assembly, mode, x, hyper, own)
         log_volume, squares = log_volume + volume, squares + np.sum(own**2, axis=(1, 2))
+    # x = shift + S·L⁻ᵀ·ε has the density of ε over |S·L⁻ᵀ|, the volume of the map.
     log_drawn = _log_density(squares, normal.shape[1] + size * width, heavy) - log_volume
     left = assembly.record.y - expected(assembly, x, rows, hyper)
     prior = -0.5 * (found.squares + LOG_2PI * np.sum(assembly.weight_of_x))
@@ -62,6 +63,8 @@ def draw_joint(
         spread = assembly.row_sd
         prior -= 0.5 * np.sum((rows / spread) ** 2, axis=(1, 2))
         prior -= 0.5 * size * float(np.sum(2 * np.log(spread) + LOG_2PI))
+    # The weight of φ holds p(y|φ) of the linearised model already: it is divided out, with the density that x was
+    # drawn from, and the true likelihood and prior of x put in its place.
     true = total_log_density(assembly.noise, assembly.record, left, hyper)
     return x, rows, true + prior - log_drawn - found.log_marginal
 
@@ -78,6 +81,7 @@ def _log_density(squares: Float[np.ndarray, "b"], dim: int, heavy: bool) -> np.n
     """Of the numbers that x is placed by: standard normal, or Student-t."""
     if not heavy:
         return -0.5 * (squares + dim * LOG_2PI)
+    # The multivariate t of `normal_numbers`: one χ² for all coordinates, hence the sum of all squares.
     half = 0.5 * (FREEDOM + dim)
     norm = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dim * math.log(FREEDOM * math.pi)
     return norm - half * np.log1p(squares / FREEDOM)
@@ -94,6 +98,7 @@ def _draw_rows(assembly: Assembly, mode: Mode, x, hyper: Batch, own: Float[np.nd
             known = line.mean - np.sum(line.rows * mode.point.rows, axis=1)
         left = assembly.record.y - known - line.jacobian @ (x[b] - mode.point.x)
         noise = variance(assembly.noise, one, assembly.record)
+        # As in `mode._with_rows`, a system for each reading; L⁻ᵀ of L·Lᵀ places what is drawn.
         precision = line.rows[:, :, None] * line.rows[:, None, :] / noise[:, None, None]
         precision = precision + np.diag(1 / assembly.row_sd**2)
         chol = np.linalg.cholesky(precision)

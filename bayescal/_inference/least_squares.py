@@ -119,5 +119,6 @@ def gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Dr
 
 def _exact_moments(normal: np.ndarray) -> np.ndarray:
     """Normal draws moved linearly so that their mean is exactly 0 and their covariance exactly 1."""
+    # With Z − mean = U·s·Vᵀ the matrix U·Vᵀ is the nearest to it with orthonormal columns (polar decomposition).
     own = np.linalg.svd(normal - normal.mean(axis=0), full_matrices=False)
     return own.U @ own.Vh * np.sqrt(len(normal) - 1)

@@ -38,6 +38,7 @@ def learned_size(effect: Effect, assembly: Assembly, mode: Mode) -> tuple[float,
     names = [h.name for h in assembly.hypers]
     if learned not in names:
         return None
+    # By the logarithm of the value: its standard uncertainty relative to itself, from that of its coordinate.
     i, value = names.index(learned), float(assembly.hyper(mode.v)[learned])
     return value, abs(value * assembly.value_slope(mode.v, i)) * math.sqrt(mode.covariance[i, i])
 
@@ -93,6 +94,7 @@ class LinearModel:
         """R with R·Rᵀ the inverse of AᵀA + W, A whitened and W the weights, where this has one; and A·R."""
         white = self.white_nuisance
         inner = white.T @ white + np.diag(self.weight)
+        # Scaled to a unit diagonal, so that `RANK` is of numbers without units.
         size = np.sqrt(np.diag(inner))
         size = np.where(size > 0, size, 1.0)
         weights, vectors = np.linalg.eigh(inner / size / size[:, None])
@@ -124,6 +126,7 @@ class LinearModel:
     @cached_property
     def settled(self) -> Float[np.ndarray, "n"]:
         """Residual once all of θ is fitted together, shapes too, output unit."""
+        # One Gauss–Newton step of all θ from where they stand: (AᵀA + W)⁻¹(Aᵀr − W·z).
         root, _ = self._eigen
         pull = self.white_nuisance.T @ self.white_residual - self.weight * self.z
         return self.residual - self.nuisance @ (root @ (root.T @ pull))
@@ -170,6 +173,8 @@ def taken_up(u: np.ndarray, information: np.ndarray) -> tuple[float, float]:
     """
     if not len(u):
         return 0.0, 0.0
+    # With columns of standard normal coefficients the log Bayes factor is ½·uᵀ(I + K)⁻¹u − ½·log|I + K|, K the
+    # information: these are its two parts, the second by L·Lᵀ = I + K.
     chol, failed = dpotrf(information + np.eye(len(u)), lower=1)
     if failed:
         return math.inf, 0.0
@@ -189,6 +194,8 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
     residual = assembly.record.y - line.mean + back - line.jacobian @ (x - mode.point.x)
     columns, sd = [line.jacobian * prior.sd], [prior.sd]
     there = Point(x, mode.point.rows)
+    # To first order a shape is one more unknown: the slope of the output by its coordinate is its column, of prior
+    # width one.
     for i in assembly.moving:
         up, down = mode.v.copy(), mode.v.copy()
         up[i] += STEP
@@ -196,6 +203,7 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
         ends = [assembly.linearise(there, assembly.hyper(v)).mean for v in (up, down)]
         columns.append(((ends[0] - ends[1]) / (2 * STEP))[:, None])
         sd.append(np.ones(1))
+    # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
     own = [t.known.of for t in assembly.in_x for _ in range(t.at.start, t.at.stop)]
     extra = density.extra(line)
@@ -243,6 +251,8 @@ def amplitudes(model: Model, readings: Measurements, frame: Frame) -> tuple[floa
     """Plausible amplitudes of what a model lacks, output unit: see `sized`."""
     layout, y = bind(model, readings)[0], np.asarray(readings["output"])
     left = _left(Assembly(layout, Record(model.instrument, frame, y, model.effects)))
+    # Neighbours differ by √2 of white noise's standard deviation, which is 1.4826 times its median absolute value;
+    # what the model lacks hardly changes from one reading to the next.
     change, step = np.diff(left[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
     change = change[step > 0] if np.any(step > 0) else change
     noise = 1.4826 * float(np.median(np.abs(change))) / math.sqrt(2) if len(change) else 0.0

@@ -135,8 +135,10 @@ def _climbed(
     Each round climbs the density about x̂ given φ, and must raise it about the next x̂. Otherwise it goes part of the
     way: rounds that lost again what they had gained could go in circles.
     """
+    # A step of `still` standard deviations gains about still²/2 nats: a fiftieth of that is nothing.
     nothing = max(NOTHING_LEFT, 0.01 * still**2)
     density = Density(assembly, point, flat, starts[0])
+    # Where the output is affine the linearisation is exact wherever it is made: one climb, no alternation.
     if assembly.affine:
         v, wide = climb(density, starts, covariance, nothing)
         value, found = density.at(v)
@@ -209,18 +211,24 @@ def climb(
     value, slope = density.slope(v)
     for _ in range(CLIMB):
         step = wide @ slope
+        # Beyond a step or two of the prior's width the slope here says nothing of the density there.
         step *= min(1.0, LONGEST / max(float(np.max(np.abs(step))), 1e-300))
         gain = float(slope @ step)
         if not gain > nothing:
             break
         for _ in range(HALVINGS):
             there, next_slope = density.slope(v + step)
+            # Sufficient increase: some of what the slope promised (J. Nocedal and S. Wright, Numerical Optimization,
+            # 2006, eq. 3.4).
             if there >= value + 1e-4 * gain:
                 break
             step, gain = 0.3 * step, 0.3 * gain
         else:
             break
         turned = slope - next_slope
+        # BFGS of the inverse curvature (same, eq. 6.17): H becomes (I − s·gᵀ/sᵀg)·H·(I − g·sᵀ/sᵀg) + s·sᵀ/sᵀg, s the
+        # step and g what the slope lost on it. Positive definite only where the density bends down on the way, sᵀg >
+        # 0.
         if (bend := float(step @ turned)) > 1e-12:
             left = np.eye(dim) - np.outer(step, turned) / bend
             wide = left @ wide @ left.T + np.outer(step, step) / bend
@@ -257,6 +265,7 @@ def mode_of_x(
         if found is None:
             return point
         goal, share = found.mean, 1.0
+        # At rest where a whole Gauss–Newton step moves nothing by a tenth of `still` posterior standard deviations.
         width = np.sqrt(np.diag(found.covariance)) + 1e-300
         if np.max(np.abs((goal - point.x) / width), initial=0.0) < 0.1 * still:
             return point
@@ -287,6 +296,8 @@ def _with_rows(assembly, density: Density, found, v, x=None) -> Point:
     line = assembly.linearise(point, hyper)
     rest = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
     noise = variance(assembly.noise, hyper, assembly.record)
+    # Given x, the own coefficients c of a reading are seen by it alone: (r·rᵀ/σ² + D⁻¹)·c = r·rest/σ² with its slopes
+    # r and their prior variances D, a small system for each.
     precision = line.rows[:, :, None] * line.rows[:, None, :] / noise[:, None, None]
     precision = precision + np.diag(1 / assembly.row_sd**2)
     pull = line.rows * (rest / noise)[:, None]
@@ -324,8 +335,12 @@ def gaussian_fit(
     density: Density, v: np.ndarray, quick: bool = False
 ) -> tuple[np.ndarray, float, bool]:
     """Covariance of the Gaussian fit at a mode, its log volume, and whether the curvature had to be mended."""
+    # Laplace: log ∫p ≈ log p(φ̂) + ½·d·log 2π − ½·log|H|, H minus the curvature of log p at φ̂ (L. Tierney and J.
+    # Kadane, JASA 81 (1986) 82).
     here = density.slope(v)[1] if quick else None
     weights, vectors = np.linalg.eigh(curvature(lambda at: density.slope(at)[1], v, CURVED, here))
+    # Coordinates are about standard normal a priori, so that H is of order one or more. Less than a twentieth is no
+    # hill but the flank of one, such as a spread's way to zero: mended, its proposals stay finite.
     mended = np.maximum(weights, LEAST_CURVATURE)
     covariance = (vectors / mended) @ vectors.T
     covariance = 0.5 * (covariance + covariance.T)
@@ -356,6 +371,8 @@ def curvature(
         while True:
             before = slope(v - size * unit) if here is None else here
             row = (before - slope(v + size * unit)) / (size if here is not None else 2 * size)
+            # row·unit is the curvature κ along the coordinate: κ·size² is the squared step in standard deviations of
+            # the density.
             if abs(float(row @ unit)) * size**2 < NEAR or size < step * FINEST:
                 break
             size *= 0.1

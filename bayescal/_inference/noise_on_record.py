@@ -65,6 +65,7 @@ class Whitening(NamedTuple):
 
         Of independent readings the trace needs each row's sum of squares alone.
         """
+        # Σᵢ|tᵢ|²/σᵢ² hangs on the norms of the rows alone: a column of these stands for the table.
         if self.law.independent:
             table = np.sqrt(np.einsum("ij,ij->i", table, table))[:, None]
         made = _slopes(*self._arguments(table), np.float64(self.record.size))
@@ -118,9 +119,12 @@ def whitening(
     if law.gaussian or left is None:
         return Independent(np.sqrt(variance(law, values, record) + extra))
     terms = density_terms(law, values, record, left)
+    # Under a scale mixture a reading with the residual e has the expected precision −f′(e)/e (K. Lange, R. Little and
+    # J. Taylor, JASA 84 (1989) 881): what lowers the weighted squares lowers −2·log density too.
     weight = np.maximum(terms.weight(left), np.finfo(float).tiny)
     total = terms.squares + terms.logdet
     logdet = -float(np.sum(np.log(weight)))
+    # `beyond` is what makes squares, log volume and itself −2·log density whatever the weights are.
     return Independent(1 / np.sqrt(weight), total - logdet - float(left @ (weight * left)))
 
 
@@ -156,6 +160,7 @@ def _whitened(law: Noise, frame: Frame, table, extra, values):
 
 @program
 def _slopes(law: Noise, frame: Frame, table, extra, values, size):
+    # Rows of zeros whiten to zero; only the log determinant of readings that pad a record must be left out.
     counted = jnp.arange(frame.size) < size
 
     def value(values):
@@ -240,6 +245,7 @@ def _terms(law: Noise, frame: Frame, y, left, values):
     def density(left):
         return law.log_density(y, y - left, values, frame)
 
+    # Readings are independent given the expected output: one derivative along a vector of ones holds each one's own.
     one = jnp.ones(frame.size)
 
     def slope(left):
@@ -397,6 +403,7 @@ def _by_draws(
     own = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
     arrays = tuple(_forth(law, record, np.asarray(a), 1) for a in arrays)
     found = np.empty((record.size, count))
+    # One, eight or many at once: three lengths, so that no program is compiled for each number of draws.
     most = max(1, CELLS // record.padded_size)
     together = 1 if count == 1 else FEW if count <= 8 * FEW else min(256, most)
     for start in range(0, count, together):

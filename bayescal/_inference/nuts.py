@@ -163,6 +163,7 @@ def program(layout: Layout, frame: Frame) -> Callable:
         values, v = {}, []
         for h in layout.hypers:
             values[h.name] = numpyro.sample(h.name, law_of(h.prior))
+            # The engine's coordinate of the value: draws are handed on in these, whatever NumPyro samples in.
             v.append(h.prior.coordinate(jnp.asarray(values[h.name])))
         v = jnp.stack(v) if v else jnp.zeros(0)
         values.update({name: jnp.asarray(value) for name, value in layout.model.fixed})

@@ -64,6 +64,8 @@ def run(
     chol = jnp.asarray(chol)
 
     def potential(q: Array) -> Array:
+        # No density there: a potential so high that no trajectory goes on, where infinity would give slopes that are
+        # no number.
         value = log_density(start + chol @ q)
         return jnp.where(jnp.isfinite(value), -value, 1e300)
 
@@ -130,6 +132,8 @@ def iterate(
         since = time.monotonic()
         state, kept = jax.block_until_ready(block(state, count))
         took = (time.monotonic() - since) / count
+        # One iteration has been timed. With a tree of its usual depth the rest takes `took` each; judged by the
+        # smallest tree, so that chains are never given up that would have ended in time.
         if done == begun:
             steps = max(1.0, float(np.mean(np.max(np.atleast_2d(kept[2])[:count], axis=-1))))
             least = took * min(1.0, FEWEST_STEPS / steps) * (all_of_them - done)
@@ -193,6 +197,9 @@ def whitened(assembly: Assembly, mode: Mode):
     amplitude = next(iter(assembly.noise.amplitudes), None)
 
     def place(v, z):
+        # z is x − x̂(φ) whitened by the precision of the linearised model at v (`gaussian.condition`), with the
+        # products of the mode: JᵀΣ⁻¹J is taken to go with the noise's first amplitude. That only shapes the map; its
+        # log Jacobian, log|S·L⁻ᵀ|, makes the density of (v, z) exact.
         hyper = forward.hyper_values(layout, v)
         sd = forward.prior_sd(layout, hyper, jnp.asarray(mode.flat))
         larger = 1.0 if amplitude is None else (hyper[amplitude] / there[amplitude]) ** 2

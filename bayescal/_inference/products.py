@@ -60,6 +60,8 @@ class Columns(NamedTuple):
         """Shares at coordinates of φ, as a matrix from the table's further columns to the moving coefficients."""
         found = np.zeros((*v.shape[:-1], len(self.owner), len(self.moving)))
         for i, own in self.by:
+            # A column at ψ is Σᵣ uᵣ·sᵣ(ψ) of singular vectors u; their shares s are known at the nodes, and between
+            # them by the weights of Chebyshev's interpolation.
             found[..., own, self.owner[own]] = weights(v[..., i]) @ self.shares[own].T
         return found
 
@@ -216,6 +218,8 @@ class Products:
                 if t.known.effect.weights is None
             ]
             store.take(np.intersect1d(plain, np.concatenate([plain[:0], *own])))
+        # The products are about what named columns left of the readings: coefficients are counted from what these
+        # took.
         self.at = np.zeros(len(self.at))
         self.at[self.columns.plain] = [store.taken.get(int(i), 0.0) for i in plain]
         return store.beside_residual(places)
@@ -227,6 +231,7 @@ class Products:
         more = len(self._held)
         if not more:
             return own
+        # A standard deviation of zero holds a coefficient at its mean: in A its row is that of the unit matrix.
         sd = np.concatenate([own.sd, np.zeros((*own.sd.shape[:-1], more))], axis=-1)
         return Prior(np.append(own.mean, self._held), sd, np.append(own.weight, np.ones(more)))
 
@@ -275,6 +280,8 @@ class Products:
         made = np.empty((max(len(whole), len(block)), q + 1, q + 1))
         made[:, places[:, None], places] = whole[:, kept[:, None], kept]
         if len(moving):
+            # S = [P | B], P the plain columns and B the shares: of SᵀGS the block PᵀGP is copied, PᵀG·B and BᵀG·B are
+            # made.
             right = whole[:, :, f:-1] @ block
             made[:, places[:, None], moving] = right[:, kept]
             made[:, moving[:, None], places] = right[:, kept].transpose(0, 2, 1)
@@ -299,6 +306,8 @@ class Products:
         if not len(moving):
             return made
         whole, _ = self._whole(v, hyper)
+        # The columns of E that belong to moving coefficients. With d(SᵀGS) = SᵀG·dS and its transpose, −½·tr
+        # E·d(SᵀGS) is −tr E·SᵀG·dS, and dS has one entry a share: in its own row, in the column of its owner.
         move, root = found.mean - self.at, found.root
         spread = np.concatenate(
             [np.outer(move, move[moving]) + root @ root[moving].T, -move[None, moving]]
@@ -348,6 +357,7 @@ class Products:
         line = self.assembly.linearise(self.point, hyper)
         extra = np.sum((line.rows * self.assembly.row_sd) ** 2, axis=1)
         white = Whitening(self.assembly.noise, hyper, self.assembly.record, extra)
+        # In units of the noise there the products hardly follow its amplitude, so that a low degree describes them.
         whole, logdet = white.gram(self._table(hyper, v, line))
         return np.append(
             unit * whole[np.triu_indices(len(whole))], logdet - self.size * math.log(unit)
@@ -453,8 +463,11 @@ class Polynomials:
         self.degree, self.dim = degree, len(self.centre)
         powers = list(combinations_with_replacement(range(self.dim + 1), degree))
         self._powers = np.array([[c.count(j + 1) for j in range(self.dim)] for c in powers])
+        # Twice as many points as terms, and a few: with points of the density 1/√(1 − t²), which the cosine below
+        # gives, least squares is then stable (Migliorati et al. 2014).
         count = 2 * math.comb(self.dim + degree, self.dim) + 4
         # Where the products are computed: a sequence, dense at the ends where there are few axes.
+        # A Kronecker sequence: multiples of irrational steps, modulo one, leave no gaps whatever their number.
         ratio = _golden(self.dim)
         steps = (np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1, self.dim + 1) + 0.5) % 1
         t = np.cos(np.pi * steps)
@@ -477,7 +490,10 @@ class Polynomials:
 
     def terms(self, coordinates: Float[np.ndarray, "b m"]) -> Float[np.ndarray, "b t"]:
         t = self._round(coordinates)
+        # Beyond the box a polynomial means nothing: the value at the box's edge, on the way to its centre, stands for
+        # it.
         t = t / np.maximum(1.0, np.max(np.abs(t), axis=1))[:, None]
+        # Tₖ(cos θ) = cos kθ.
         angle = np.arccos(np.clip(t, -1.0, 1.0))
         one = np.cos(angle[:, :, None] * np.arange(self.degree + 1))
         found = np.ones((len(t), len(self._powers)))

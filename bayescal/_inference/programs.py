@@ -29,6 +29,7 @@ LONG = 2000  # readings from which a program is run often enough to be worth opt
 
 def padded_length(size: int) -> int:
     """The next of a few lengths that records are padded to."""
+    # Lengths grow by a quarter: a record is padded by an eighth on average, and ten lengths cover a decade.
     steps = max(0, math.ceil(math.log(size / SHORTEST, STEP) - 1e-9))
     return max(size, round(SHORTEST * STEP**steps))
 
@@ -38,6 +39,8 @@ def padded(frame: Frame) -> Frame:
     size = frame.size
     more = padded_length(size) - size
 
+    # A repeated reading is as valid an argument of any effect as the reading itself: no logarithm of a zero that is
+    # not there.
     def longer(values: Any) -> np.ndarray:
         return np.pad(np.asarray(values), (0, more), mode="edge")
 
@@ -158,6 +161,8 @@ def response_slopes(
         slots, moves = both
         return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
 
+    # The output of a reading hangs on its own slots alone: a vector of ones pushed forward holds each one's own
+    # slope.
     both = (slots, moves)
     mean, push = jax.linearize(respond, both)
     zero = jax.tree.map(jnp.zeros_like, both)

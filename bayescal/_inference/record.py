@@ -164,6 +164,8 @@ class Record:
         # QR first, so that the singular vectors are those of a small matrix.
         q, upper = np.linalg.qr(nodes.T)
         u, size, vh = np.linalg.svd(upper)
+        # A family of columns that runs smoothly along its shape has low numerical rank: its left singular vectors,
+        # times their values, stand in the table, the right ones are the shares at the nodes.
         rank = max(1, int(np.sum(size > KEPT_OF_IT * size[0])))
         columns = (q @ (u[:, :rank] * size[:rank])).reshape(self.size, count, rank)
         return Basis(columns, vh[:rank])
@@ -223,6 +225,7 @@ class Record:
         Tried at two random sets of slots, the size of each by what moves the output as much as it varies.
         """
         base, slopes = self._response({}, {})
+        # An affine function has one slope everywhere: two random places tell it from all others but for a null set.
         random = np.random.default_rng(0)
         reach = float(np.ptp(self.y)) or 1.0
         for _ in range(2):
@@ -304,6 +307,7 @@ class Record:
         self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]
     ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:
         """Values for `count` draws, some at once, readings padded; the last draw stands in for missing ones."""
+        # Full stretches and half ones: two lengths to compile, whatever the number of draws.
         most = max(TOGETHER, NUMBERS // self.padded_size)
         together = most // (1 if count > most // 2 else 2)
         for start in range(0, count, together):

@@ -59,6 +59,8 @@ class QR(NamedTuple):
         """The step that minimises |R·s − Qᵀr|² + damping·|weight·s|², weight the norms of R's columns."""
         if not damping:
             return self.solution
+        # |R·s − Qᵀr|² + λ·|D·s|² is the least-squares problem of R over √λ·D: no product of R with itself, which
+        # would square its condition (J. Moré, Lecture Notes in Mathematics 630 (1978) 105).
         weight = np.sqrt(np.sum(self.root**2, axis=0))
         rows = np.column_stack([np.diag(math.sqrt(damping) * weight), 0 * weight])
         return qr(np.concatenate([np.column_stack([self.root, self.inside]), rows])).solution
@@ -183,6 +185,7 @@ class _Refinement:
             plain = self.table(at, v)[0] if made is None else made
             white = self.whiten(v, extra, plain[:, -1])
             table = white(plain)
+            # The prior is rows beside the readings: in steps of z = (θ − m)/s, [A·S; W]·step = [r; −z].
             z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
             whole = np.concatenate([table * np.append(prior.sd, 1.0), np.column_stack([own, -z])])
             if not np.all(np.isfinite(whole)):
@@ -198,6 +201,8 @@ class _Refinement:
             trial = theta + prior.sd * found.damped(damping)
             there, further = look(trial)
             left = float(np.linalg.norm(further.inside))
+            # Relative offset: what of the residuals lies in the tangent plane, against all of them, has no units and
+            # knows of no step length (D. Bates and D. Watts, Technometrics 23 (1981) 179).
             near = best <= GOOD * math.sqrt(cost)
             # With thermometer errors J is not quite the residuals' slope: a step that settles may cost a little.
             settles = left < 0.8 * best and there < cost * (1 + (1e-6 if near else 1e-3))
@@ -248,6 +253,7 @@ class _Refinement:
     def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
         """A function of φ's coordinates: θ integrated out of the model linearised here, by QR; with slopes if asked."""
         table, extra = self.table(theta, v)
+        # With one variance for all readings R of the plain table stands for it: whitening only divides by σ.
         size, even = len(table), self.density.even
         upper = np.triu(dgeqrf(table)[0][: table.shape[1]]) if even else table
         lost = np.full((theta.size, theta.size), np.nan)
@@ -280,6 +286,8 @@ class _Refinement:
             inverse = dtrtri(found.root)[0] if z.size else found.root
             of_z = inverse @ inverse.T
             root = prior.sd[:, None] * inverse
+            # The same closed form as `gaussian.condition`, by R in place of L: log|A| = 2·Σ log|Rᵢᵢ|, the sum of
+            # squares is what of [r; −z] lies outside of the columns.
             log_sd = np.log(np.where(prior.weight > 0, 1.0, prior.sd))
             flat = (1 - prior.weight) @ (log_sd + 0.5 * LOG_2PI)
             volume = logdet + 2 * float(np.sum(np.log(np.abs(np.diag(found.root)))))
@@ -287,6 +295,7 @@ class _Refinement:
             total = float(flat) - 0.5 * (size * LOG_2PI + volume + rest)
             mean = theta + offset + prior.sd * z
             squares = rest - float(prior.weight @ z**2)
+            # Degrees of freedom: the trace of the hat matrix, q − tr W·var z; all q where priors say nothing.
             spent, slopes = z.size - float(np.diag(of_z) @ prior.weight), np.zeros(0)
             if sloped:
                 excess = (z**2 + np.diag(of_z) - 1) * prior.weight
@@ -305,6 +314,9 @@ class _Refinement:
         given, assembly = self.conditional(theta, v), self.assembly
         if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
+        # Restricted likelihood: θ is integrated out, so that σ² is divided by the degrees of freedom that are left
+        # (H. Patterson and R. Thompson, Biometrika 58 (1971) 545). A minimiser on values stops where these have no
+        # digits; a root of the slopes goes on.
         hypers = [(i, assembly.hypers[i]) for i in self.scales]
         # The priors of the noise's own positive parameters do not count.
         priors = [i for i, h in hypers if h.kind != "noise" or isinstance(h.prior, Normal)]
@@ -352,6 +364,7 @@ class _Refinement:
         """The one standard deviation of independent noise: squares over the degrees of freedom left."""
         (place,), y = self.scales, self.assembly.record.y
         least = (np.finfo(float).eps * float(np.max(np.abs(y)))) ** 2  # what the digits can tell
+        # Its maximum is σ² = squares/(n − spent); priors make `spent` follow σ, hence the rounds.
         for _ in range(100):
             found = given(v)
             if not (left := len(y) - found.spent) > 0:
@@ -366,6 +379,8 @@ class _Refinement:
     def hessian(self, theta: np.ndarray, v: np.ndarray, sd: np.ndarray) -> Float[np.ndarray, "q q"]:
         """Curvature of the negative log density of θ, second derivatives of the expected output included."""
         prior, extra = self.prior(v), self.table(theta, v)[1]
+        # Slopes of ½·(eᵀΣ⁻¹e + zᵀWz) by θ; their differences hold the second derivatives that Gauss–Newton leaves
+        # out.
         tightness = prior.weight / prior.sd**2
 
         def slope(at: np.ndarray) -> np.ndarray:

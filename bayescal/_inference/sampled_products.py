@@ -20,10 +20,10 @@ from bayescal._inference.density import Density
 from bayescal._inference.joint import expected
 from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.record import Record
+from bayescal._inference.trust import sampling
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import CoefficientBlock, Layout
 
-THRESHOLD = 0.3  # root-sum-square over the readings, noise standard deviations
 MOST = 6  # entries of φ that promotion may add
 AFFINE = 1e-9  # bend in parts of the change, up to which there is none
 STEP = 0.01  # standard deviations, for the change of the Jacobian
@@ -79,9 +79,9 @@ def choose_on(
             s * (b.coefficient.group_sd is None) for s, b in zip(strength, candidates, strict=True)
         ]
         best = int(np.argmax(free_of_spread))
-        if free_of_spread[best] < THRESHOLD:
+        if free_of_spread[best] < sampling().product:
             best = int(np.argmax(strength))
-        if strength[best] < THRESHOLD:
+        if strength[best] < sampling().product:
             return layout, notes
         chosen = _with_its_parts(candidates, strength, best, free)
         layout = layout.promote(*(b.name for b in chosen))
@@ -104,7 +104,8 @@ def _with_its_parts(
     parts = [
         b
         for b, s in zip(candidates, strength, strict=True)
-        if (b.effect is one.effect and b.slot == one.slot and s >= 0.1 * THRESHOLD) or b is one
+        if (b.effect is one.effect and b.slot == one.slot and s >= 0.1 * sampling().product)
+        or b is one
     ]
     return parts if sum(b.size for b in parts) <= free else [one]
 
@@ -122,6 +123,8 @@ def _bends(assembly: Assembly) -> bool:
     widths = assembly.row_sd
     rows = widths * random.standard_normal((assembly.record.size, len(widths)))
     sd = assembly.sizes.at_several(assembly.hyper(v.T), len(v), np.ones(assembly.size))
+    # An affine f has f(a + b) − f(0) = (f(a) − f(0)) + (f(b) − f(0)) for all a and b: tried at random ones of prior
+    # size.
     one, two = sd * random.standard_normal((2, assembly.size))
     x = assembly.mean_of_x + np.stack([0 * one, one, two, one + two])
     share = np.array([0.0, 1.0, 0.0, 1.0])[:, None, None]
@@ -149,6 +152,8 @@ def _second_order(assembly: Assembly, mode: Mode) -> Float[np.ndarray, "p"]:
             x = mode.point.x.copy()
             x[i] += sign * STEP * sd[i]
             ends.append(assembly.linearise(Point(x, mode.point.rows), hyper))
+        # What one posterior standard deviation of xᵢ changes in J, times a root of the covariance of the others: the
+        # second-order term that the linearised model leaves out of each reading, in units of its noise.
         in_x = (ends[0].jacobian - ends[1].jacobian) / (2 * STEP) @ root / noise
         in_rows = (ends[0].rows - ends[1].rows) / (2 * STEP) * assembly.row_sd / noise
         return float(np.sqrt(np.sum(in_x**2) + np.sum(in_rows**2)))

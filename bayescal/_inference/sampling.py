@@ -74,6 +74,7 @@ class _Mixture(NamedTuple):
 
     def draw(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
         dim = self.centre.shape[1]
+        # Multivariate Student-t: a normal vector times √(ν/χ²_ν), one factor for all its coordinates.
         heavy = np.sqrt(FREEDOM / random.chisquare(FREEDOM, count))
         normal = random.standard_normal((count, dim)) * heavy[:, None]
         which = random.integers(len(self.centre), size=count)
@@ -84,8 +85,11 @@ class _Mixture(NamedTuple):
     def log_density(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         dim = self.centre.shape[1]
         half = 0.5 * (FREEDOM + dim)
+        # Its density: Γ((ν+d)/2)/(Γ(ν/2)·(νπ)^(d/2)·|L|)·(1 + |L⁻¹(v − c)|²/ν)^(−(ν+d)/2), summed over the centres c.
         norm = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dim * math.log(FREEDOM * math.pi)
         centres, counts = np.unique(self.centre, axis=0, return_counts=True)
+        # |z − c|² = |z|² − 2·zᵀc + |c|²: distances to all centres are one product of matrices. Counted from the
+        # middle these are numbers of order one, and no digits cancel. Resampled centres repeat.
         z, c = _whitened(self.chol, v - self.middle), _whitened(self.chol, centres - self.middle)
         c, beside = c.T * (-2 / FREEDOM), 1 + np.sum(c**2, axis=1) / FREEDOM
         near = np.empty(len(v))
@@ -242,6 +246,8 @@ def explore(
     Returns:
         The proposals, and the log density that they are drawn from.
     """
+    # The Laplace fit proposes first; then, as often as weights are uneven, kernels about the weighted draws of all
+    # rounds before (population Monte Carlo: O. Cappé et al., J. Comput. Graph. Stat. 13 (2004) 907).
     if earlier is not None:
         mixture, rounds = _match(mode, earlier.v, earlier.log_weight_phi), 0
     else:
@@ -321,6 +327,8 @@ def weighted_draws(
 
 def proposals_of(density: ManyPhi) -> int:
     """How many: fewer where each costs a pass over many readings, or a large matrix."""
+    # A pass over many readings for each φ buys fewer proposals in the same time; weights that are uneven ask for
+    # more.
     assembly, direct = density.assembly, density.products is None
     long = assembly.record.size > LONG
     if direct and (long or not assembly.noise.gaussian):
@@ -348,6 +356,7 @@ def _placed(
         log_phi, found = density.at(v[stretch], normal)
         log_weight_phi[stretch] = of_phi = log_phi - log_proposal[stretch]
         highest = max(highest, float(np.max(of_phi)))
+        # e⁻⁴⁰ = 4·10⁻¹⁸ of the largest weight is lost in the rounding of their sum: such a φ needs no x.
         counting = (log_phi > NOWHERE) & (of_phi > highest - NEGLIGIBLE)
         if not counting.any():
             continue
@@ -360,6 +369,7 @@ def _placed(
         if width:
             rows[pick[some]] = own[some]
         log_weight[pick[some]] = (of_phi + correction)[some]
+    # The mean of the unnormalised weights is the evidence; its relative error is that of a mean of so many.
     evidence = logsumexp(log_weight) - math.log(count)  # pyright: ignore[reportOperatorIssue]
     error = np.std(np.exp(log_weight - evidence)) / math.sqrt(count)
     return WeightedDraws(
@@ -396,6 +406,8 @@ def _propose(
 ) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"]]:
     """Coordinates of φ with the log density that they are drawn from: near the mode and, where proper, the prior."""
     v = mixture.draw(random, count)
+    # A defensive share of the prior: no weight exceeds the likelihood over that share, however narrow the rest has
+    # become (T. Hesterberg, Technometrics 37 (1995) 185).
     if prior is not None:
         v = np.where(random.random((count, 1)) < PRIOR, prior.draw(random, count), v)
     return v, _log_proposal(mixture, prior, v)
@@ -441,12 +453,15 @@ def _match(mode: Any, v: np.ndarray, log_weight: np.ndarray) -> _Mixture:
     weight = np.minimum(weight, 1 / math.sqrt(weight.size))  # truncation, Ionides 2008
     weight = weight / np.sum(weight)
     effective = 1 / np.sum(weight**2)
+    # Few draws know a covariance badly: at 20 effective ones a coordinate it counts as much as that of the Laplace
+    # fit.
     trust = effective / (effective + 20.0 * v.shape[1])
     mean = weight @ v
     spread = (weight[:, None] * (v - mean)).T @ (v - mean)
     covariance = trust * spread + (1 - trust) * mode.covariance
     chol = np.linalg.cholesky(covariance + 1e-10 * np.eye(v.shape[1]))
     kernels = FEW if v.shape[1] <= 3 else KERNELS
+    # Systematic resampling without its random number: the centres stand at equal steps of the cumulated weights.
     ladder = (np.arange(kernels) + 0.5) / kernels
     pick = np.minimum(np.searchsorted(np.cumsum(weight), ladder), weight.size - 1)
     wide = WIDE * np.linalg.cholesky(mode.covariance)

@@ -144,6 +144,8 @@ class Sizes:
     def log_weights(self, name: str, hyper: Mapping[str, Any]) -> Float[np.ndarray, "p"]:
         """Logarithms of what the sizes that follow a shape are multiplied by; zero for others."""
         weights, names, places = self.weighted[self.weighing[name]]
+        # Sizes that follow a shape, as the spectrum of a Gaussian process its length, are a factor on each
+        # coefficient's sd.
         found = np.zeros(len(self.plain))
         made = np.broadcast_to(
             weights(**{short: hyper[one] for short, one in names}), (len(places),)
@@ -155,6 +157,8 @@ class Sizes:
 
     def at(self, hyper: dict[str, float]) -> Float[np.ndarray, "p"]:
         """At one φ, its values by name."""
+        # Fixed, then learned spreads, then the weights of what has a shape: each coefficient has one of the first
+        # two.
         sd = self.plain.copy()
         for place, name in self.learned:
             sd[place] = hyper[name]

@@ -38,6 +38,9 @@ class SamplingSettings(OutcomeSettings):
         r_hat: of chains that agree; Vehtari et al. 2021 ask for 1.01 of long chains.
         enough_of_chains: effective draws of a coordinate, of which a standard deviation is known to 5 %.
         divergent: share of the transitions, up to which a corner of the posterior is none.
+        product: root-sum-square over the readings, in noise standard deviations, of the second-order term of a product
+            of two unknowns, from which one of them is sampled: below it the log likelihood changes by
+            less than ½·0.3² = 0.045 nats on average.
         moving: standard deviations that the mode's last round moved anything by, beyond which it was no mode.
     """
 
@@ -49,6 +52,7 @@ class SamplingSettings(OutcomeSettings):
     r_hat: float = 1.02
     enough_of_chains: int = 200
     divergent: float = 0.005
+    product: float = 0.3
     moving: float = 0.05
 
 
@@ -81,6 +85,8 @@ def unevenness(
 
 def largest_k_hat(correction: Float[np.ndarray, "s"], weights: Float[np.ndarray, "s"]) -> float:
     """The largest k̂ that is trusted, given what nonlinearity adds to the log weights of draws of φ."""
+    # Where nonlinearity counts, coefficients were proposed by a Gaussian: its thin tails hide from k̂ what the
+    # posterior has farther out, and the bound is tighter.
     correction = np.clip(correction, -1e3, 1e3)
     mean = weights @ correction
     nonlinear = weights @ (correction - mean) ** 2 > sampling().nonlinear ** 2
@@ -118,6 +124,7 @@ def chain_verdict(
     from arviz_stats.base.array import array_stats  # half a second that only sampling needs
 
     draws = np.moveaxis(np.asarray(ran.draws), -1, 0)
+    # The worst of all coordinates counts: split chains that agree in most of them have still not met in that one.
     r_hat = max(float(np.asarray(array_stats.rhat(d, chain_axis=0, draw_axis=1))) for d in draws)
     ess = min(float(np.asarray(array_stats.ess(d, chain_axis=0, draw_axis=1))) for d in draws)
     reasons, given = [], sampling()

@@ -54,6 +54,8 @@ class OrnsteinUhlenbeck(Noise):
             )
 
     def parameters(self) -> dict[str, Positive]:
+        # σ² = q²·τ/2: a prior of σ at the middle time is one of the diffusion q, σ·√(2/τ), which readings close
+        # together know.
         middle = math.sqrt(self.shortest * self.longest)
         return {
             WHITE: self.scale,
@@ -102,6 +104,8 @@ class OrnsteinUhlenbeck(Noise):
         first = frame.step < 0
         h = jnp.where(first, 0.0, frame.step) / tau
         carry = jnp.where(first, 0.0, jnp.exp(-h))
+        # What the process gains over a step: σ²·(1 − a²), by expm1, since over short steps a is all but one and
+        # digits cancel.
         fresh = size * jnp.where(first, 1.0, -jnp.expm1(-2 * h))
 
         def ahead(before, reading):
@@ -109,10 +113,13 @@ class OrnsteinUhlenbeck(Noise):
             made = q + a * a * before * w_before / (before + w_before)
             return made, made
 
+        # At a run's first reading a = 0: nothing is carried over, and pₜ is the stationary variance σ².
         white_before = jnp.concatenate([white[:1], white[:-1]])
         start = jnp.asarray(size, dtype=float)
         _, slow = jax.lax.scan(ahead, start, (carry, fresh, white_before), unroll=4)
         total = slow + white
+        # The recursions for variances are the same for all columns, and run once; what is new then runs through each
+        # column. |Σ| is the product of the sₜ.
         share = jnp.concatenate([jnp.zeros(1), carry[1:] * white[:-1] / total[:-1]])
         before = jnp.concatenate([jnp.zeros_like(columns[:1]), columns[:-1]])
 
@@ -167,6 +174,8 @@ class OrnsteinUhlenbeck(Noise):
         grid = np.union1d(time, at)
         variance = float(self.slow_variance(values))
         step = np.diff(grid) / values[CORRELATION_TIME]
+        # The process is Markov: its density is a product of N(xᵢ; aᵢ·xᵢ₋₁, σ²·(1 − aᵢ²)). Of its exponent come 1/(1 −
+        # aᵢ²) and aᵢ₊₁²/(1 − aᵢ₊₁²) on the diagonal of the precision and −aᵢ/(1 − aᵢ²) beside it, all over σ².
         kept, fresh = np.exp(-step), -np.expm1(-2 * step)
         diagonal = np.ones(grid.size)
         diagonal[1:] = 1 / fresh
@@ -177,6 +186,7 @@ class OrnsteinUhlenbeck(Noise):
         np.add.at(pull, place, left / white[:, None])
         pivots, below, _ = dpttrf(diagonal, -kept / fresh / variance)
         mean = dpttrs(pivots, below, pull)[0]
+        # With A = L·D·Lᵀ, L of one diagonal below: (A⁻¹)ᵢᵢ = 1/dᵢ + lᵢ²·(A⁻¹)ᵢ₊₁,ᵢ₊₁, from the end.
         spread, beyond = 1 / pivots, 0.0
         for i in range(grid.size - 1, -1, -1):  # the diagonal of the inverse
             spread[i] += beyond
@@ -209,6 +219,7 @@ def over_record(scale: Positive, step: float, span: float) -> OrnsteinUhlenbeck:
         step: usual time between neighbours, s.
         span: of the longest run, s.
     """
+    # A correlation time below a step is white noise to these readings, and one beyond the span a random walk.
     return OrnsteinUhlenbeck(step, max(span, 10 * step), scale, scale)
 
 

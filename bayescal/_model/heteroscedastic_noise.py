@@ -61,6 +61,8 @@ class Heteroscedastic(Noise):
 
     def variance(self, parameters, frame):
         z = jnp.clip(2 * frame.position(self.column) - 1, -1.0, 1.0)
+        # Legendre's P₁ and P₂ of z have no mean over the range: log σ is the mean of the logarithm of the scatter,
+        # and a and b change the form alone.
         growth = parameters[SLOPE] * z + parameters[CURVATURE] * (1.5 * z**2 - 0.5)
         return parameters[WHITE] ** 2 * jnp.exp(2 * growth) + known_variance(frame)
 

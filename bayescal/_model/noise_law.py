@@ -137,6 +137,8 @@ class Noise(abc.ABC):
         self, y: Float[Array, "n"], mean: Float[Array, "n"], parameters: Parameters, frame: Frame
     ) -> Float[Array, "n"]:
         """Log density of each reading; given those before it in its run, where they are not independent."""
+        # The Cholesky factor takes readings in turn: zₜ is what is new in one, Lₜₜ its standard deviation given those
+        # before, and so each term is the log density of one reading given those before it.
         white, log_sd = self.whiten((y - mean)[:, None], 0.0, parameters, frame)
         return -0.5 * white[:, 0] ** 2 - log_sd - 0.5 * LOG_2PI
 
@@ -247,6 +249,7 @@ def in_time(
 
 @cache
 def _with_usual_priors(law: Noise) -> Noise:
+    # Programs are compiled for a law as a value: priors, which they do not compute with, would make each one anew.
     usual = {f.name: f.default for f in fields(law) if isinstance(getattr(law, f.name), KINDS)}
     return replace(law, **{n: prior for n, prior in usual.items() if prior is not MISSING})
 
@@ -302,6 +305,7 @@ def offered(offer: Offer) -> Offer:
 
 def scores_of_tails(lower: Float[Array, "n"], left: Float[Array, "n"]) -> Float[Array, "n"]:
     """Standard normal numbers of the same tail probabilities, each on the side of what is left of its reading."""
+    # Φ⁻¹ of the smaller tail keeps its digits far out, where one minus it would be one.
     return -jnp.sign(left) * ndtri(jnp.maximum(lower, NEVER))
 
 

@@ -19,6 +19,7 @@ from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 from scipy import special as on_host
 
+from bayescal._data.record_settings import recording
 from bayescal._model.correlated_noise import allan_of_exponential
 from bayescal._model.noise_law import WHITE
 from bayescal._model.prior import LogUniform, Normal, Positive, multiplied
@@ -36,7 +37,6 @@ FINE = 2  # places of a spectrum to each that its readings tell apart
 FEWEST_WINDOWS = 8
 GRID = 16  # slopes of a frequency, from none to twice the Nyquist frequency over half the column's range
 LOUDEST = 20.0  # times the usual, as much as a window counts: a spike is no line
-UNEVEN = 0.05  # of the usual step
 FLAT = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
 
 
@@ -135,6 +135,8 @@ def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
     """Ornstein–Uhlenbeck processes of these times and variances."""
     time, size = jnp.atleast_1d(time), jnp.sqrt(jnp.atleast_1d(variance))
     steps = h[:, None] / time
+    # At a run's first reading the step is zero and nothing is new. The inner `where` keeps the root's slope finite
+    # there: automatic differentiation computes both branches, and 0·∞ is no number.
     fall = jnp.where(steps > 0, -jnp.expm1(-2 * steps), 0.0)
     root = jnp.where(fall > 0, jnp.sqrt(jnp.where(fall > 0, fall, 1.0)), 0.0)
     return Block(jnp.exp(-steps), size * root, size)
@@ -172,6 +174,7 @@ class CorrelatedTerm(NoiseTerm):
         time = values[self._name("time", 1)]
         for place in range(2, self.place + 1):
             v = values[self._name("place", place)]
+            # log τ uniform from the time before to the longest: a share u = Φ(v) of the way, v standard normal.
             share = ndtr(v) if isinstance(v, jax.Array) else on_host.ndtr(v)
             time = time ** (1 - share) * bounds.longest**share
         return time
@@ -217,6 +220,8 @@ class WalkTerm(NoiseTerm):
     def fresh(self, values, bounds, step):
         return values["noise.walk"] ** 2 * step
 
+    # An Ornstein–Uhlenbeck process that returns after thirty spans: stationary as the other terms, and within a
+    # record of one span a walk of the diffusion K, since K² = 2·σ²/τ.
     def block(self, values, bounds, h):
         return exponential(ENDLESS * bounds.longest, self.variance(values, bounds), h)
 
@@ -246,6 +251,8 @@ class FlickerTerm(NoiseTerm):
         count = math.ceil(math.log(bounds.longest / first, RUNGS)) + 1
         return first * RUNGS ** np.arange(count)
 
+    # One-sided, a term of variance s² and time τ has the spectrum 4·s²·τ/(1 + (2πfτ)²). Summed over times whose
+    # logarithms are ln r apart: ∫ 4·s²/(1 + (2πfτ)²)·dτ/ln r = s²/(f·ln r), which is B²/(π·f) for s² = B²·ln r/π.
     def _size(self, values: Values) -> Any:
         return values["noise.flicker"] ** 2 * math.log(RUNGS) / math.pi
 
@@ -293,15 +300,20 @@ class SmoothTerm(NoiseTerm):
 
     def block(self, values, bounds, h):
         size, x = values["noise.smooth"], math.sqrt(3) * h / values["noise.smooth.time"]
+        # f and g = f′/λ obey f′ = λ·g, g′ = −λ·f − 2λ·g and noise. Its matrix M has (M + λ)² = 0, so that over a step
+        # x = λ·Δt exp(M·Δt) = e⁻ˣ·(1 + (M + λ)·Δt) ends after two terms: e⁻ˣ·[[1 + x, x], [−x, 1 − x]] = A.
         kept, z = jnp.exp(-x), 2 * x
         carry = kept[:, None, None] * jnp.stack(
             [jnp.stack([1 + x, x], -1), jnp.stack([-x, 1 - x], -1)], -2
         )
-        # 1 − e⁻ᶻ·(1 + z + z²/2), of which only e⁻ᶻ·(z³/6 + z⁴/24 + …) is left where z is small.
+        # What is new is 1 − A·Aᵀ, both states of variance one. Of f itself 1 − e⁻ᶻ·(1 + z + z²/2), z = 2x, of which
+        # only e⁻ᶻ·(z³/6 + z⁴/24 + …) is left where z is small;
         series = z**3 / 6 * (1 + z / 4 * (1 + z / 5 * (1 + z / 6 * (1 + z / 7 * (1 + z / 8)))))
         far = -jnp.expm1(-z) - kept**2 * (z + z**2 / 2)
         own = jnp.where(z < REACH, kept**2 * series, far)
+        # beside the diagonal 2x²·e⁻²ˣ,
         cross = kept**2 * z**2 / 2
+        # and of g 1 − e⁻²ˣ·(x² + (1 − x)²). Their root, 2 × 2, is taken by hand, with the `where` of `exponential`.
         slope = -jnp.expm1(-z) + kept**2 * (z - z**2 / 2)
         moves = own > 0
         first = jnp.where(moves, jnp.sqrt(jnp.where(moves, own, 1.0)), 0.0)
@@ -316,6 +328,8 @@ class SmoothTerm(NoiseTerm):
         """With c(a) that of exp(−a·k), (1 + a·k)·exp(−a·k) has c − a·∂c/∂a, the slope by a complex step; over short
         times a ramp's, of slopes of the variance λ²: (x²/2 − 7x³/15), x = λ·τ."""
         a = np.asarray(math.sqrt(3) * step / values["noise.smooth.time"], float)
+        # c − a·∂c/∂a in one evaluation: c(a·(1 + i·ε)) = c + i·ε·a·∂c/∂a, and its imaginary part keeps the digits
+        # that a difference of two c would lose.
         tiny = 1e-30
         turned = _exponential_complex(m, a * (1 + 1j * tiny))
         whole, x = turned.real - turned.imag / tiny, m * a
@@ -354,6 +368,8 @@ class ToneTerm(NoiseTerm):
 
     def block(self, values, bounds, h):
         z = values[bounds.column] if bounds.column else 0.0
+        # A pair of quadratures turned by 2πf·Δt that decays as an Ornstein–Uhlenbeck process: its line has the half
+        # width 1/(2π·time).
         turn = 2 * math.pi * self._frequency(values, bounds, z) * h
         c, s = jnp.cos(turn), jnp.sin(turn)
         plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
@@ -391,7 +407,7 @@ class ToneTerm(NoiseTerm):
             z: the column, from −1 to 1.
         """
         usual = float(np.median(step[step > 0]))
-        even = np.abs(step / usual - 1) < UNEVEN
+        even = np.abs(step / usual - 1) < recording().even
         within = np.convolve(even, np.ones(WINDOW - 1), "valid")[1:] == WINDOW - 1
         begins = np.arange(0, len(left) - WINDOW + 1, WINDOW // 2)
         rows = begins[within[begins]][:, None] + np.arange(WINDOW)
@@ -403,12 +419,14 @@ class ToneTerm(NoiseTerm):
         slopes = np.linspace(-1, 1, 4 * GRID + 1) if z is not None else np.zeros(1)
         count, each, best = FINE * WINDOW, np.arange(len(rows)), (-math.inf, 0.0, 0.0, 0.0)
         middles = np.arange(1, count // 2) / count
+        # Along a window the frequency hardly moves: its bin is that at the window's mean z, folded at Nyquist's.
         for a, b in itertools.product(slopes, slopes[::2] / 2):
             turns = (middles[:, None] + a * place + b * place**2) % 1.0
             bins = np.rint(np.minimum(turns, 1 - turns) * count).astype(int)
             totals = np.mean(np.minimum(excess[each, bins], LOUDEST), axis=1)
             best = max(best, (float(totals.max()), float(middles[np.argmax(totals)]), a, b))
         level, middle, a, b = best
+        # Differences of neighbours have √2 of the standard deviation, and 0.6745 of it as median absolute value.
         noise = float(np.median(np.abs(np.diff(left)[even[1:]]))) / (0.6745 * math.sqrt(2))
         # A line of variance s² beside white noise w² has (Σh)²·s²/(2·w²·Σh²) times the noise's power under a window h.
         ratio = max(level - 1, 0.1) * 2 * float(np.sum(window**2) / np.sum(window) ** 2)
@@ -465,11 +483,14 @@ class RoundedAngleTerm(NoiseTerm):
 
     def block(self, values, bounds, h):
         size = values["noise.quantisation"] / bounds.shortest
+        # yₜ = (εₜ − εₜ₋₁)/step: the first state is that difference, of which −εₜ₋₁ is carried; the second is εₜ
+        # itself.
         carry = jnp.broadcast_to(jnp.array([[0.0, -1.0], [0.0, 0.0]]), (*h.shape, 2, 2))
         root = size * jnp.broadcast_to(jnp.array([[1.0, 0.0], [1.0, 0.0]]), (*h.shape, 2, 2))
         return Block(carry, root, size * jnp.array([[1.0, 1.0], [1.0, 0.0]]))
 
     def allan(self, values, bounds, m, step):
+        # IEEE 952: σ²(τ) = 3·Q²/τ², τ = m·step.
         return 3 * (values["noise.quantisation"] / (m * step)) ** 2
 
 

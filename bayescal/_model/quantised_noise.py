@@ -39,6 +39,8 @@ class Quantised(Noise):
         return jnp.broadcast_to(parameters[WHITE] ** 2 + known_variance(frame), (frame.size,))
 
     def variance(self, parameters, frame):
+        # A rounding error is about uniform over a step, of variance step²/12 (B. Widrow and I. Kollár, Quantization
+        # Noise, 2008).
         return self._before(parameters, frame) + self.step**2 / 12
 
     def log_density(self, y, mean, parameters, frame):
@@ -48,6 +50,8 @@ class Quantised(Noise):
         half = 0.5 * self.step / sd
         upper = jax.scipy.stats.norm.logcdf(centre + half)
         lower = jax.scipy.stats.norm.logcdf(centre - half)
+        # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))), and over the step: a density, per output
+        # unit.
         return (
             upper + jnp.log(-jnp.expm1(jnp.minimum(lower - upper, -1e-300))) - math.log(self.step)
         )

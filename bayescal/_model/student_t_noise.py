@@ -46,6 +46,7 @@ class StudentT(Noise):
         return jnp.broadcast_to(parameters[WHITE] ** 2 + known_variance(frame), (frame.size,))
 
     def variance(self, parameters, frame):
+        # Student-t of scale s and ν degrees of freedom has the variance s²·ν/(ν − 2).
         freedom = jnp.maximum(parameters[FREEDOM], LEAST_FREEDOM)
         return self._squared_scale(parameters, frame) * freedom / (freedom - 2)
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._data import unit_conversion
+from bayescal._data.record_settings import recording
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._model.frame import Frame
 from bayescal._model.noise_law import WHITE, Noise, Parameters, known_variance, offered
@@ -22,7 +23,6 @@ from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
 from bayescal._model.prior import HalfCauchy, Positive
 from bayescal._model.static import set_once
 
-FEWEST = 200  # readings of the longest run, below which a second correlated term is not told from the first
 OFFERED = (  # what measured records show beside white noise (IEEE 952, and a unit on a temperature ramp)
     ("walk",),
     ("flicker",),
@@ -202,6 +202,8 @@ class SummedNoise(Noise):
         h = jnp.where(first, 0.0, step)
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
         shown = [_shown(p, b.start.shape[0]) for p, b in zip(self.parts, blocks, strict=True)]
+        # At a run's first reading nothing is kept and the states have their stationary covariance: runs are
+        # independent.
         carry, root = [], []
         for block in blocks:
             wide = first.reshape(-1, *[1] * (block.carry.ndim - 1))
@@ -267,6 +269,8 @@ class SummedNoise(Noise):
         np.add.at(pull, place, left / white[:, None])
         x, p = np.zeros((size, left.shape[1])), np.zeros((size, size))
         mean, variance, steps = np.empty_like(pull), np.empty(grid.size), []
+        # Forward: prediction, then the update where there is a reading. Times that are only asked for have no weight,
+        # and their gain is zero.
         for t in range(grid.size):
             x, p = carry[t] @ x, carry[t] @ p @ carry[t].T + fresh[t]
             column = p @ h
@@ -277,6 +281,8 @@ class SummedNoise(Noise):
                 gain, new = column * information, pull[t] / weight[t] - mean[t]
                 x, p = x + np.outer(gain, new), p - np.outer(gain, column)
             steps.append((column, gain, new * information, information))
+        # Backward: r = h·v/F + (1 − k·hᵀ)ᵀ·r and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·N·(1 − k·hᵀ) gather what later readings
+        # say, v what is new in one and F its variance; the state's mean moves by P·r, its covariance by −P·N·P.
         r, big = np.zeros(x.shape), np.zeros((size, size))
         for t in range(grid.size - 1, -1, -1):
             column, gain, new, information = steps[t]
@@ -349,10 +355,12 @@ def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
     shown = jnp.asarray(states.shown)
     lift = jnp.concatenate([jnp.eye(size), shown[None]])  # the sum goes on with what is shown
 
+    # States beside the running sum S: S goes on as S + h·(A·x + new), which is one more row of a larger system.
     def step(kept, new):
         beside = jnp.zeros((size + 1, 1)).at[-1, 0].set(1.0)
         return jnp.concatenate([lift @ kept, beside], 1), lift @ new @ lift.T
 
+    # (A, Q) applied twice is (A², A·Q·Aᵀ + Q): powers of two, and of these the steps that the number is made of.
     def together(steps: int) -> tuple[Array, Array]:
         whole, new = jnp.eye(size + 1), jnp.zeros((size + 1, size + 1))
         power, own = step(one[1], fresh[1])
@@ -367,6 +375,7 @@ def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
     rest, of_rest = together(count - 1)
     begun = rest @ started @ rest.T + of_rest
     whole, new = together(count)
+    # A new mean begins with an empty sum: its column of the transition is taken out.
     emptied = whole.at[:, -1].set(0.0)
     begins = first[:, None, None]
     carry = jnp.where(begins, 0.0, emptied)
@@ -424,7 +433,7 @@ def _of_two_or_more(scale: Positive, frame: Frame) -> list[Noise]:
     """Where runs are long enough."""
     steps = np.asarray(frame.step)
     longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
-    if longest < FEWEST or not (steps > 0).any():
+    if longest < recording().second_correlated or not (steps > 0).any():
         return []
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
     found = [over_octaves(scale, step, span, terms) for terms in OFFERED]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import curve_extent, place_of
 from bayescal._core.formatting import number, with_error
@@ -201,7 +200,7 @@ def _left(chapter: Chapter) -> str:
         chapter.data["steps"][-1],
         unit_label(chapter.calibration.unit),
     )
-    depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > STRONG]
+    depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > searching().strong]
     if depends:
         return f"The residuals still depend on {_and(depends[:3])}."
     law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"

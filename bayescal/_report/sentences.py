@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
-from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.settings import searching
 from bayescal._core.formatting import probability
 from bayescal._data.unit_conversion import unit_label
 from bayescal._report.conclusion import conclusion
@@ -123,7 +123,7 @@ def unexplained(chapter: Chapter) -> list[str]:
             f"(first model: {measured(first, unit, 3)})."
         )
     for e in chapter.check.entries:
-        if e.log_bayes_factor > STRONG:
+        if e.log_bayes_factor > searching().strong:
             size = f"{e.worst.size:+.2g} {unit_label(unit)}".replace("-", "−")
             said.append(
                 f"The residuals still depend on {e.against} (up to {size}; log Bayes factor {e.log_bayes_factor:.1f})."

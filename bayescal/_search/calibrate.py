@@ -12,13 +12,13 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.fit import fit
 from bayescal._calibration.guards import contradictions
 from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
+from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.deadline import Handover
 from bayescal._core.errors import TimeIsUp
@@ -36,7 +36,7 @@ from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._model.unknown_effect import freed
 from bayescal._search.candidate import Candidate
-from bayescal._search.discover import WORK, structures_over, told, walked, with_causes
+from bayescal._search.discover import WORK, discovery_at, structures_over, walked, with_causes
 from bayescal._search.gate import judged, left_out_better, wrong_question
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
@@ -110,6 +110,8 @@ def calibrate(
         accepted = frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
         loop, first = loop.begin(model)
+        # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
+        # both.
         more = loop.freed(first)
         if first.against and not more:
             return loop.not_looked(first)
@@ -171,6 +173,8 @@ class Loop:
         named = {name: model.effect(name) for name in away}
         if any(e.shapes or e.is_placeholder or e.coefficients[0].per for e in named.values()):
             return ()
+        # As wide as the next power of ten above the distance: the width is part of the evidence, and to be stated,
+        # not tuned.
         return tuple(freed(e, 10 ** math.ceil(math.log10(away[n]))) for n, e in named.items())
 
     def quick(self, model: Model) -> Method | None:
@@ -257,7 +261,7 @@ class Loop:
             stopped = STOPPED.format(time.monotonic() - self.begun)
         if first.calibration.verdict.ok:
             steps = [
-                replace(s, discovery=told(library, at, shut, stopped))
+                replace(s, discovery=discovery_at(library, at, shut, stopped))
                 for s, at in zip(steps, way, strict=False)
             ]
             if (last := steps[-1].discovery) and (why := self.incomplete(steps)):
@@ -289,6 +293,7 @@ class Loop:
 
     def _way(self, library: Library, chosen: Structure) -> list[Structure]:
         """Structures on the way to the chosen one: none between, where there is no time to fit these."""
+        # As long as the first step took, each: what further effects cost is not known before they are fitted.
         end, steps = deadline.current(), 1 + len(chosen.effects) + bool(chosen.noise)
         if steps * self.step_takes < end.left:
             return path(library, chosen)
@@ -318,6 +323,7 @@ class Loop:
     def cut(self, steps: Sequence[Step], search: Search | None, why: str) -> SearchPath:
         """A trail that was ended before its last model was found or judged."""
         best = search.structures[0] if search and search.structures else None
+        # Whether what was found most probable is what the last step holds decides what can be promised of it.
         have = set(steps[-1].calibration.model.names)
         at = "with this as the best so far"
         if best is None:
@@ -338,6 +344,8 @@ class Loop:
         tested = last.discovery is not None and any(
             c.probability is not None for c in last.discovery.candidates
         )
+        # At the bound, P(complete) is of what may be added no more: it would be high because nothing further is
+        # allowed.
         if 0 < self.max_effects <= added and tested:
             return (
                 f"not stated, as the search added the {added} effects that it may (--max-effects)"
@@ -457,8 +465,13 @@ def _other_path(structures: Structures) -> OtherPath | None:
     best = structures.best
     ends = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
     other = max(ends, key=lambda w: w.total, default=None)
-    if other is None or not math.isfinite(other.total) or other.total < best.total - STRONG:
+    if (
+        other is None
+        or not math.isfinite(other.total)
+        or other.total < best.total - searching().strong
+    ):
         return None
+    # The same effects under another law are no other conclusion.
     if other.structure.effects == best.structure.effects:
         return None
     law, effects = other.assembly.noise, tuple(sorted(other.structure.effects))

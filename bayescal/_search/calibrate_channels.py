@@ -152,6 +152,7 @@ class _Channel:
         if loop.max_effects > 0:
             of_all = {n: e.shared_shape for n, e in structures.candidates.items()}
             found.shared = {n: shape for n, shape in of_all.items() if shape is not None}
+        # What the instrument says of a shape is what a channel has heard before any other spoke.
         odds = structures.log_odds
         found.heard = {n: FromOthers(odds[n], s.low, s.high) for n, s in found.shared.items()}
         try:
@@ -160,7 +161,7 @@ class _Channel:
             return cls(name, loop, first, shut=shut, stopped=early.why)
         return found
 
-    def hear(self, told: Mapping[str, FromOthers]) -> bool:
+    def hear(self, others: Mapping[str, FromOthers]) -> bool:
         """Take what the others say for a prior, where that leads elsewhere; whether it does.
 
         Where an effect is more or less probable by it the channel is searched again; where only a shape moves, the most
@@ -169,15 +170,17 @@ class _Channel:
         before, shapes = self.structures, self.shared
         if before is None:
             return False
-        then = {n: self.says[n].concluded(self.heard[n], shapes[n]) for n in told}
-        now = {n: self.says[n].concluded(told[n], shapes[n]) for n in told}
-        searched = any(now[n].likelier(then[n]) for n in told)
-        news = {n for n in told if now[n].likelier(then[n]) or now[n].tells(then[n])}
+        then = {n: self.says[n].concluded(self.heard[n], shapes[n]) for n in others}
+        now = {n: self.says[n].concluded(others[n], shapes[n]) for n in others}
+        searched = any(now[n].likelier(then[n]) for n in others)
+        news = {n for n in others if now[n].likelier(then[n]) or now[n].informs(then[n])}
         if not news:
             return False
         candidates, heard_before = dict(before.candidates), dict(self.heard)
         for name in news:
-            self.heard[name] = heard = told[name]
+            self.heard[name] = heard = others[name]
+            # A posterior range becomes the prior of the next round: from the others alone, so that no channel hears
+            # itself.
             range_ = {shapes[name].name: (heard.low, heard.high)}
             candidates[name] = candidates[name].ranging(range_)
         after = replace(
@@ -190,6 +193,8 @@ class _Channel:
             forms={},
         )
         known = before.expected | {s: w.total for s, w in before.visited.items()}
+        # Only a shape moved: totals of the former round, corrected by what the prior odds changed, are what to
+        # expect.
         for structure, total in () if searched else known.items():
             after.expect(
                 structure, total + after.log_prior(structure) - before.log_prior(structure)
@@ -247,6 +252,7 @@ def _shared(channels: Sequence[_Channel]) -> list[SharedShape]:
     for c in channels:
         for n, now in c.heard.items():
             alone[n] = max(alone.get(n, 0.0), 1 / (1 + math.exp(-now.log_odds)))
+    # Coordinate ascent on a joint posterior: each channel given what all others say now.
     for _ in range(ROUNDS):
         moved = []
         for c in (
@@ -266,6 +272,8 @@ def _said(
     """What the channels that can say something of each effect say of it."""
     found = {}
     for n, shape in shapes.items():
+        # A share that is uniform has the mean ½: a unit has the effect twice as probably as one of its channels shows
+        # it.
         says = {c.name: c.says[n] for c in channels if n in c.says}
         found[n] = SharedShape.of(n, shape, min(2 * alone[n], 0.5), says)
     return found

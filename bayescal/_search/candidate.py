@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.guards import off_scale
 from bayescal._calibration.settings import searching
 from bayescal._inference.density import Density
@@ -92,6 +91,7 @@ def judge(
         minimum_detectable=_minimum_detectable(library, top, size),
     )
     if with_it is not None and math.isfinite(with_it.log_evidence):
+        # The refit averages over sizes and finds its shapes: what the score says of these is only where it began.
         factor = with_it.log_evidence - at.log_evidence
         found = replace(found, log_bayes_factor=factor, source="refit")
         return replace(found, **_by_refit(effect, with_it))
@@ -123,6 +123,7 @@ def _by_refit(effect, with_it: Weighed) -> dict:
         return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
     term = next(t for t in assembly.in_x if t.known.of == effect.name)
     _, got = Density(assembly, mode.point, mode.flat, mode.v).at(mode.v)
+    # Given φ̂: the noise and the shapes are held, as in a score.
     sd = 0.0 if got is None else math.sqrt(got.covariance[term.at.start, term.at.start])
     return {"size": float(mode.point.x[term.at.start]), "size_sd": sd, "shape": shapes}
 
@@ -130,6 +131,7 @@ def _by_refit(effect, with_it: Weighed) -> dict:
 def _size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:
     """Expected size and its variance by score, over the grid: of the first coefficient, a spread or an amplitude."""
     gains = np.array([p.gain for p in points])
+    # Mean and variance over the grid: variance of a point's mean plus mean of its variance (law of total variance).
     share = np.exp(gains - logsumexp(gains))
     each = np.array([_at_point(library, p) for p in points])
     mean = float(share @ each[:, 0])
@@ -144,6 +146,7 @@ def _at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
     information = sd[:, None] * point.information * sd
     if library.grouped(point.effect):
         return _spread(information, sd * point.u, float(sd[0]), effect.coefficients[0].size)
+    # Posterior of standard normal coefficients with information K and score u: mean (I + K)⁻¹u, covariance (I + K)⁻¹.
     inverse = np.linalg.inv(np.eye(len(sd)) + information)
     return float((inverse @ (sd * point.u))[0] * sd[0]), float(inverse[0, 0] * sd[0] ** 2)
 
@@ -155,6 +158,8 @@ def _spread(
     values, vectors = np.linalg.eigh(information)
     values, along = np.maximum(values, 0.0), (vectors.T @ u) ** 2
     square, size = FINE[:, None] ** 2, FINE * scale
+    # Along an eigenvector of the members' information K a spread τ makes the score one of variance λ + λ²τ²: the log
+    # Bayes factor of τ is a sum over eigenvectors.
     factor = 0.5 * np.sum(
         along * square / (1 + values * square) - np.log1p(values * square), axis=1
     )
@@ -171,6 +176,7 @@ def _main(point: ScoredPoint, group: bool) -> tuple[np.ndarray, np.ndarray]:
     u, information = sd * point.u, sd[:, None] * point.information * sd
     if group or len(u) == 1:
         return u, information
+    # Schur complement: companions, of prior variance one, are integrated out of score and information.
     rest = information[1:, 1:] + np.eye(len(u) - 1)
     pull = np.linalg.solve(rest, np.column_stack([information[1:, :1], u[1:]]))
     cross = information[:1, 1:]
@@ -181,6 +187,7 @@ def _z(point: ScoredPoint, group: bool) -> float:
     u, information = _main(point, group)
     if len(u) == 1:
         return float(u[0] / np.sqrt(information[0, 0])) if information[0, 0] > 0 else 0.0
+    # uᵀK⁺u is χ² of the rank of K if nothing is there; z has the same tail probability on one side.
     values, vectors = np.linalg.eigh(information)
     keep = values > 1e-10 * max(values.max(), 1e-300)
     square = float(np.sum((vectors.T @ u)[keep] ** 2 / values[keep]))
@@ -207,6 +214,9 @@ def _minimum_detectable(library: Library, point: ScoredPoint, size: float) -> fl
     i = float(information[0, 0])
     if i <= 1e-12:
         return None
+    # With z = u/√i the log Bayes factor is ½·z²·i/(1 + i) − ½·log(1 + i): solved for z. A coefficient of c sizes
+    # makes z normal about c·√i, which passes the threshold with the power asked for when it stands that quantile
+    # beyond.
     threshold = np.sqrt(2 * (needed + 0.5 * np.log1p(i)) * (1 + i) / i)
     return float((threshold + ndtri(searching().power)) / np.sqrt(i) * point.size.sd[0])
 
@@ -234,6 +244,8 @@ def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
         p = own[0]
         sd = p.size.sd
         information = sd[:, None] * p.information * sd
+        # What is fitted of each, at its likeliest grid point, and of this what the nuisances leave: two candidates
+        # are one where these two vectors are parallel, whatever their columns look like.
         fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, sd * p.u)
         outside.append(p.columns @ fitted)
         inside.append(p.inside @ fitted)
@@ -253,8 +265,10 @@ def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
         return replace(candidate, kind="finding")
     if (candidate.probability or 0.0) >= searching().lead:
         return replace(candidate, kind="lead")
-    if (candidate.log_bayes_factor or 0.0) > STRONG:
+    if (candidate.log_bayes_factor or 0.0) > searching().strong:
         return candidate  # to be seen well enough, and explained by what was found
+    # Visible means: a plausible size would be found. Where nuisances take all but a hundredth, what is left hangs on
+    # their exact form, and the plausible size must be enough by itself.
     least = candidate.minimum_detectable
     hidden = (candidate.visibility or 0.0) < searching().visible
     if (

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.evidence_scale import STRONG
+from bayescal._calibration.settings import searching
 from bayescal._core.formatting import Printed, number, probability, table, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._search.search_path import SearchPath
@@ -123,7 +123,7 @@ def _size(calibration: Calibration, name: str) -> tuple[float | None, float]:
 def _shared_text(s: SharedShape) -> str:
     """One line on what the unit has."""
     middle, low, high = s.posterior
-    showing = ", ".join(n for n in s.says if s.evidence(n) > STRONG) or "none alone"
+    showing = ", ".join(n for n in s.says if s.evidence(n) > searching().strong) or "none alone"
     unit = unit_label(s.shape.unit)
     return (
         f"{s.effect}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "

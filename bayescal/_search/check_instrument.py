@@ -17,6 +17,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._calibration.guards import off_scale
+from bayescal._calibration.settings import guarding
 from bayescal._calibration.summary import null_directions
 from bayescal._core.errors import BayescalError, ModelError
 from bayescal._core.formatting import Printed, number, table, with_error
@@ -37,9 +38,6 @@ from bayescal._search.own_files import in_one_line
 RUNS, ROWS = 4, 60  # of the readings that are made up, where the instrument has no simulator
 SPANS = 5.0  # times the longest median time of an effect, that a run lasts at the least
 SAME = 1e-9  # of a slope, up to which it is 1
-BENT = 0.1  # of the noise, beyond which a response is said to be nonlinear
-BACK = 4.0  # standard deviations from the truth, beyond which a coefficient has not come back
-SEEN = 0.6  # contraction below which it is not identifiable; two that are one have a half each
 
 
 @dataclass(frozen=True)
@@ -187,6 +185,8 @@ class _CheckedInstrument:
             return i.simulate({}, seed=self.seed)
         random, rows = np.random.default_rng(self.seed), RUNS * ROWS
         run = np.repeat(np.arange(RUNS), ROWS)
+        # Runs last several of the longest time constants, and readings stand closer than these: either side of a lag
+        # or a warm-up is in the record.
         times = [
             float(s.prior.value(0.0))
             for e in (*i.effects, *i.candidates)
@@ -313,6 +313,8 @@ class _CheckedInstrument:
         if i.use is not None and i.use.equation is None and i.use.stimulus in frame.columns:
             name = i.use.stimulus
             up = frame.with_column(name, frame[name] + 1.0)
+            # Without an equation of its own the stimulus is a column of the response: the output is tried with one
+            # unit more of it.
             there = forward.mean(layout, up, jnp.zeros_like(x), rows, hyper)
             here = forward.mean(layout, frame, jnp.zeros_like(x), rows, hyper)
             if np.all(np.abs(np.asarray(there - here) - 1) < 1e-6):
@@ -355,10 +357,11 @@ class _CheckedInstrument:
         """A note, where the output departs from its linear form within the plausible sizes."""
         rows = jnp.zeros((frame.size, len(layout.row_blocks)))
         middle = forward.prior_mean(layout)
+        # Linearised where every coefficient stands one size from its mean, and compared at the means.
         exact = forward.mean(layout, frame, middle, rows, hyper)
         linear = line.mean + line.jacobian @ (middle - x)
         departs = float(np.max(np.abs(np.asarray(exact - linear)), initial=0.0))
-        if departs > BENT * self.noise and (kind == "baseline" or not self._is_bent):
+        if departs > guarding().bent * self.noise and (kind == "baseline" or not self._is_bent):
             self._is_bent = True
             unit = unit_label(self.instrument.unit)
             self.notes.append(
@@ -419,9 +422,9 @@ class _CheckedInstrument:
     ) -> str:
         if name in zero:
             return "its basis is zero"
-        if size is not None and 1 - (sd / size) ** 2 < SEEN:
+        if size is not None and 1 - (sd / size) ** 2 < guarding().identifiable:
             return "not identifiable here"
-        if abs(mean - truth) > BACK * sd:
+        if abs(mean - truth) > guarding().back * sd:
             self.errors.append(
                 f"{name} did not come back: {number(truth)} simulated, {with_error(mean, sd)} found"
             )

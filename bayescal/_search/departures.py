@@ -76,11 +76,14 @@ def form_of(base: LinearModel, effect: Effect) -> Form | None:
     at = _usual_shapes(effect)
     white, curves = _white_columns(base, effect), _white_curves(base, effect)
     taken, of_curves = base.projected(white), base.projected(curves)
+    # (I − P)-products as below, of the effect's own columns and of the curves: regression of the curves on the
+    # columns, which is taken off them. So the departure explains nothing that the effect or the base model could.
     inner = white.T @ white - taken.T @ taken
     cross = white.T @ curves - taken.T @ of_curves
     if not np.all(np.diag(inner) > LEAST_LEFT**2 * np.sum(white**2, axis=0)):
         return None
     shares = np.linalg.lstsq(inner, cross, rcond=None)[0]
+    # Of the prior variance of the curves, at the middle of the plausible lengths, the share that was not taken off.
     weight = process_weights(_MIDDLE, curves.shape[1]) ** 2
     left = np.sum(curves**2, axis=0) - np.sum(of_curves**2, axis=0) - np.sum(shares * cross, axis=0)
     kept = tuple(tuple(rounded(float(v)) for v in row) for row in shares)
@@ -148,6 +151,7 @@ def scored(line: LinearModel, form: Form) -> ScoredDeparture | None:
     best = ScoredDeparture(made, -math.inf, {})
     shapes = made.shapes
     gains = []
+    # The score's mean over amplitude and length, at the middles of thirds of either prior.
     for at in np.stack(np.meshgrid(*[LEVELS] * len(shapes)), axis=-1).reshape(-1, len(shapes)):
         values = {s.name: float(s.prior.value(v)) for s, v in zip(shapes, at, strict=True)}
         sd = made.weights(**values)  # pyright: ignore[reportOptionalCall]
@@ -167,6 +171,8 @@ def _gain(line: LinearModel, u: np.ndarray, information: np.ndarray) -> float:
 def contribution(line: LinearModel, name: str) -> float:
     """What an effect contributes that the rest of the model does not take up, rms over the readings, output unit."""
     plain, white, left = _beyond_the_rest(line, name)
+    # Of the effect's own squares the share that the rest of the model leaves: an alias of the rest contributes
+    # nothing, and a departure tied to it has no size.
     length = float(white @ white)
     share = max(float(white @ left) / length, 0.0) if length > 0 else 0.0
     return float(np.sqrt(np.mean(plain**2) * share))
@@ -176,6 +182,7 @@ def _beyond_the_rest(line: LinearModel, name: str) -> tuple[np.ndarray, np.ndarr
     """An effect's contribution, output unit; whitened; and what the rest of the model leaves of this."""
     own, plain = np.array([owner == name for owner in line.owners]), line.contribution(name)
     white, rest = line.whiten(plain[:, None])[:, 0], line.white_nuisance[:, ~own]
+    # The rest's priors count: what it could take up only with implausible coefficients is left to the effect.
     inner = rest.T @ rest + np.diag(line.weight[~own])
     return plain, white, white - rest @ np.linalg.lstsq(inner, rest.T @ white, rcond=1e-12)[0]
 
@@ -206,6 +213,7 @@ def departed(line: LinearModel, departure: Departure) -> Departed:
     """A departure of a fitted structure, in numbers."""
     name = departure.of
     frame, along = line.assembly.record.frame, departure.along or ""
+    # Where it is largest of what only the departure explains: elsewhere the effect itself would have followed.
     left = _beyond_the_rest(line, departure.name)[2]
     worst = int(np.argmax(np.abs(left)))
     share = contribution(line, departure.name) / contribution(line, name)

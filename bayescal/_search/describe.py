@@ -10,8 +10,8 @@ from jaxtyping import Int
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.efficient_score import projections, residuals
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.fit import fit
+from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._data.unit_conversion import unit_label
@@ -19,9 +19,6 @@ from bayescal._model.frame import derived
 from bayescal._search.calibrate import QUICK
 from bayescal._search.draft_effect import DraftShape, draft_effect, shape_of
 from bayescal._search.preview import Preview, Previews
-
-NARROW = 0.8  # of a covariate's range, below which a selection is said to lie at part of it
-SHARE = 0.5  # of what the best dependence explains in the selection, that another must explain to stand for it
 
 
 @dataclass(frozen=True)
@@ -97,6 +94,8 @@ def _where_and_how_far(calibration: Calibration, rows: Int[np.ndarray, "k"]) -> 
     residual = residuals(calibration).raw
     chosen = np.zeros((len(residual), 1))
     chosen[rows] = 1.0
+    # The mean over the selection is that of a column which is one there, after the model has been fitted to it too:
+    # its score over its information, and the square root of the latter for z.
     pull, weight = projections(calibration, residual, chosen)
     mean = float(pull[0] / weight[0, 0]) if weight[0, 0] > 0 else 0.0
     z = float(pull[0] / np.sqrt(weight[0, 0])) if weight[0, 0] > 0 else 0.0
@@ -104,7 +103,7 @@ def _where_and_how_far(calibration: Calibration, rows: Int[np.ndarray, "k"]) -> 
     places = []
     for name, values in derived(readings).items():
         low, high, span = values[rows].min(), values[rows].max(), float(np.ptp(values))
-        if span > 0 and high - low < NARROW * span:
+        if span > 0 and high - low < searching().narrow * span:
             measured = unit_label(readings.unit(name) or "") if readings.has(name) else ""
             places.append(f"{name} {number(low, 4)} to {number(high, 4)} {measured}".rstrip())
     levels, codes = readings.groups("run")
@@ -140,10 +139,16 @@ def _explaining(
         except ModelError:  # not beside this noise law
             continue
         explained = float(np.sum(residual**2) - np.sum((residual - one.curve[rows]) ** 2))
-        if (one.log_bayes_factor or 0.0) > STRONG:
+        if (one.log_bayes_factor or 0.0) > searching().strong:
             found.append((explained, one))
     most = max((explained for explained, _ in found), default=0.0)
-    near = [one for explained, one in found if explained >= SHARE * most and explained > 0]
+    # What explains the selection best by squares may be a curve that bends after it: of those nearly as good, the one
+    # with the most evidence over all readings.
+    near = [
+        one
+        for explained, one in found
+        if explained >= searching().stands_for * most and explained > 0
+    ]
     return max(near, key=lambda one: one.log_bayes_factor or 0.0, default=None)
 
 

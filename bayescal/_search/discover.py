@@ -156,7 +156,7 @@ def discover(
             model, readings, calibration.reference, effects=effects, widen_noise=widen_noise
         )
         library, stopped = walked(Library(structures), max_effects)
-        return told(library, Structure(), shut, stopped)
+        return discovery_at(library, Structure(), shut, stopped)
 
     with deadline.until(time_limit), deadline.share(WORK):
         return deadline.within(run)
@@ -270,7 +270,7 @@ def placeholders(model: Model, readings: Measurements) -> list[Effect]:
     return [instrument.unknown(name) for name in (*names, *forms)]
 
 
-def told(
+def discovery_at(
     library: Library, at: Structure, shut: Sequence[Candidate], stopped: str = ""
 ) -> Discovery:
     """What the posterior over structures says is missing from one of them."""
@@ -278,6 +278,7 @@ def told(
     posterior = Posterior.of(structures, at.effects)
     here = structures.weigh(at)
     names = [n for n in structures.candidates if n not in at.effects]
+    # Scores beside this model with departures taken off: these would otherwise take up what a candidate explains.
     points = View(library, here).without().scores(names) if names else {}
     same = alike(points) if points else {}
     found = posterior.findings
@@ -286,6 +287,8 @@ def told(
     for name in names:
         with_it = structures.visited.get(at.plus(name))
         candidate = judge(library, points[name], here, with_it)
+        # Confounded are those whose fitted contributions are parallel, and those that take each other's place in a
+        # finding.
         near = (same[name] | in_sets.get(name, set())) - {name}
         candidate = replace(
             candidate,

@@ -13,12 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.settings import searching
 from bayescal._core.errors import ModelError
 from bayescal._core.quoting import identifier, python_string, python_words
 from bayescal._model.frame import derived
 from bayescal._model.unknown_effect import FORMS
 
-ENOUGH = 0.97  # share of the shape's variance from which a simple curve will do
 POINTS = 101
 PERIODS = np.geomspace(0.06, 2.0, 1000)  # of a sine, in parts of the range
 PLACES = np.linspace(-0.485, 0.485, 98)  # of a step, in parts of the range
@@ -70,6 +70,7 @@ def shape_of(calibration: Calibration, name: str) -> DraftShape:
         axis=1,
     )
     shapes = {s.name: calibration.samples(effect.shape_name(s)) for s in effect.column_shapes}
+    # Two hundred draws, spread over all: mean and scatter of a curve to a fourteenth of its scatter.
     step = max(1, len(coefficients) // 200)
     draws = []
     waves = _Ramp(jnp.linspace(0.0, 1.0, POINTS))
@@ -168,7 +169,8 @@ def _closest(shape: DraftShape) -> tuple[str, str, float]:
     best = max(forms, key=lambda form: _share(shape.mean, [form[2]]))
     share = _share(shape.mean, [best[2]])
     words, basis = best[0], best[1]
-    if share < ENOUGH:
+    # Simple forms first: a sine has a free period and resembles almost any curve.
+    if share < searching().simple:
         period = max(PERIODS, key=lambda p: _share(shape.mean, _waves(x, p)))
         waves = _share(shape.mean, _waves(x, period))
         if waves > share:
@@ -198,5 +200,6 @@ def _waves(x: np.ndarray, period: float) -> list[np.ndarray]:
 
 def _phase(curve: np.ndarray, x: np.ndarray, period: float) -> float:
     matrix = np.column_stack([np.ones_like(x), *_waves(x, period)])
+    # a·sin + b·cos = √(a² + b²)·sin(· + φ), tan φ = b/a.
     _, sine, cosine = np.linalg.lstsq(matrix, curve, rcond=None)[0]
     return math.atan2(cosine, sine)

@@ -97,6 +97,7 @@ def false_reports(
         searched += 1
     if not searched:
         raise TimeIsUp(end.why)
+    # Clopper–Pearson holds its level for any rate, also where nothing was reported.
     low, high = binomtest(reported, searched).proportion_ci(LEVEL, method="exact")
     return FalseReports(searched, reported, (float(low), float(high)), dict(found.most_common()))
 
@@ -104,6 +105,7 @@ def false_reports(
 def _simulated(calibration: Calibration, count: int, seed: int) -> np.ndarray:
     """Outputs (count, n), each from a posterior draw of its own."""
     x, rows, v = calibration.draws()
+    # A draw for each campaign: the rate is that over the posterior, not at one of its values.
     random = np.random.default_rng(seed)
     chosen = random.integers(len(x), size=count)
     draws = Vectors(x[chosen], rows[chosen], v[chosen])

@@ -8,7 +8,6 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.evidence_scale import VERY_STRONG
 from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.settings import guarding
@@ -93,6 +92,7 @@ def _surprising(step: Step) -> list[str]:
     if out is None or not np.isfinite(out.by_chance).any():
         return []
     worst = int(np.nanargmin(out.by_chance))
+    # The largest of as many tests as there are groups: its p-value counts that often (C. Bonferroni).
     beyond = out.by_chance[worst] * out.count < guarding().chance
     if not (beyond and out.surprise[worst] > guarding().surprised):
         return []
@@ -108,11 +108,13 @@ def _freed(steps: Sequence[Step]) -> list[str]:
     free = [n for n in steps[-1].calibration.model.names if n.endswith(FREED)]
     if not free:
         return []
-    told = [said for said in steps[0].against if any(n.removesuffix(FREED) in said for n in free)]
+    concerned = [
+        said for said in steps[0].against if any(n.removesuffix(FREED) in said for n in free)
+    ]
     return [
         f"{', '.join(n.removesuffix(FREED) for n in free)}: the readings are explained with a value other than the "
         "stated one, and by no missing effect alone.",
-        *told,
+        *concerned,
     ]
 
 
@@ -233,7 +235,7 @@ def _left_over(step: Step) -> list[str]:
     rows = [(e.log_bayes_factor, e.against) for e in step.check.entries]
     rows += [(p.log_bayes_factor, " and ".join(p.against)) for p in step.check.pairs]
     factor, against = max(rows, default=(0.0, ""))
-    if factor > 2 * VERY_STRONG:
+    if factor > guarding().still_depends:
         said = f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): "
         candidates = step.discovery.candidates if step.discovery else ()
         if leads := [c for c in candidates if c.kind == "lead"]:
@@ -258,6 +260,8 @@ def _between_runs(step: Step) -> list[str]:
             continue
         added = calibration.linear.contribution(name)
         means = np.bincount(codes, added) / np.bincount(codes)
+        # Squares about the runs' means against all squares: next to none within runs means that the function does
+        # nothing but tell runs apart.
         if np.sum((added - means[codes]) ** 2) < guarding().within * np.sum(
             (added - added.mean()) ** 2
         ):
@@ -327,6 +331,8 @@ def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     error, best = min(known, key=lambda one: one[0])
     if last.left_out.rmse <= guarding().worse * error or best.left_out is None:
         return None
+    # Of densities of whole groups, joint over their readings: correlated noise makes readings of one group no
+    # separate evidence.
     ratio = float(np.sum(best.left_out.log_score - last.left_out.log_score))
     return None if ratio <= -math.log(guarding().chance) else best
 
@@ -339,6 +345,7 @@ def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     error, best = min(known, key=lambda one: one[0])
     if last.holdout_rmse <= guarding().worse * error:
         return None
+    # No test where hold-out data continue a run whose noise goes on: then the error alone decides.
     if last.holdout_test is None or best.holdout_test is None:
         return best
     return best if last.holdout_test.worse_than(best.holdout_test) < guarding().chance else None

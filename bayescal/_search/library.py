@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from bayescal._inference.terms import ColumnsOf
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of, slot_of
-from bayescal._search.plausible_sizes import SIZES
+from bayescal._search.plausible_sizes import factors
 from bayescal._search.structures import Structures
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
@@ -69,6 +69,7 @@ class Library:
             of, width = ColumnsOf.of(effect), [_members(c, counts) for c in effect.coefficients]
             self.sizes[name] = _sizes(effect, np.cumsum([0, *width]))
             self.points[name] = []
+            # Uneven where the channels of a unit ask along a shape that they share, else of equal prior mass.
             grid = self.grids[name] if self.grids else _grid(effect.column_shapes)
             for v in grid:
                 values = [
@@ -101,6 +102,8 @@ class Library:
             effect, at = self.structures.candidates[name], 0
             for i, c in enumerate(effect.coefficients):
                 slot = slot_of(instrument, c.slot or effect.slot)
+                # Chain rule: the output by the slot, and the slot by the coefficient (a factor of units, and the
+                # basis).
                 slope = slopes[slot.name] * factor_of(instrument, effect, c)
                 codes = None if c.per is None else record.codes[c.per]
                 for p in points:
@@ -128,6 +131,7 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
     if effect.weights is not None:
         scales = [s for s in effect.shapes if s.name in effect.weight_shapes]
         made = []
+        # Of an amplitude and a length: a grid at the middles of equal parts of their priors, each point as probable.
         for v in itertools.product(ndtri(levels), repeat=len(scales)):
             named = {s.name: float(s.prior.value(one)) for s, one in zip(scales, v, strict=True)}
             weights = np.broadcast_to(effect.weights(**named), (len(effect.coefficients),))
@@ -144,7 +148,7 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
             hint = {f"{effect.coefficient_name(i)}.group_sd": math.log(z) for i in learned}
             made.append(Size(sd, hint, {}, -math.log(LEVELS)))
         return made
-    return [Size(plain * factor, {}, {}, math.log(p)) for factor, p in SIZES.items()]
+    return [Size(plain * factor, {}, {}, math.log(p)) for factor, p in factors().items()]
 
 
 def _grid(shapes: Sequence[Shape]) -> np.ndarray:
@@ -153,6 +157,8 @@ def _grid(shapes: Sequence[Shape]) -> np.ndarray:
     if count == 0:
         return np.zeros((1, 0))
     if count == 1 and not shapes[0].ragged:
+        # Φ⁻¹ of the middles of equal parts: shapes are standard normal in their coordinates, so each point stands for
+        # the same prior mass, and the mean over points is the integral over the prior.
         return ndtri((np.arange(SHAPE_POINTS) + 0.5) / SHAPE_POINTS)[:, None]
     if count == 1:
         return ndtri((np.arange(RAGGED_SHAPES) + 0.5) / RAGGED_SHAPES)[:, None]

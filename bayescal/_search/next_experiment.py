@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.evidence_scale import VERY_STRONG
 from bayescal._calibration.fit import fit
+from bayescal._calibration.settings import searching
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import table
 from bayescal._core.jit import compiled
@@ -82,9 +82,9 @@ def experiment_text(found: NextExperiment) -> str:
         f"to tell apart: {', '.join(found.members)}",
         table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
     ]
-    if found.experiments[0].worst < VERY_STRONG:
+    if found.experiments[0].worst < searching().very_strong:
         lines.append(
-            f"None of these is expected to tell them apart (a log Bayes factor of {VERY_STRONG:g} would)."
+            f"None of these is expected to tell them apart (a log Bayes factor of {searching().very_strong:g} would)."
         )
     return "\n".join(lines)
 
@@ -126,6 +126,7 @@ def next_experiment(
         )
     with stage("fitting each possibility"):
         fits = {e.name: _fitted(calibration, e) for e in chosen}
+    # Covariances of n readings are n × n, and factorised for each pair of possibilities: long campaigns are thinned.
     longest = min(MOST, max(len(readings) for readings in plans.values()))
     with stage("expecting the outcome of each experiment"):
         found = [
@@ -166,6 +167,8 @@ class Outlook:
 
 def divergence(truth: Outlook, rival: Outlook) -> float:
     """Kullback–Leibler divergence of two normals: the expected log density ratio if the first is true, nats."""
+    # ½·(tr Σ₂⁻¹Σ₁ + dᵀΣ₂⁻¹d − n + log|Σ₂|/|Σ₁|) by Cholesky factors: own = L₂⁻¹L₁ has the trace as its sum of squares
+    # and half of −log|Σ₂|/|Σ₁| as the logarithms of its diagonal.
     root = np.linalg.cholesky(rival.covariance)
     own = np.linalg.solve(root, np.linalg.cholesky(truth.covariance))
     gap = np.linalg.solve(root, rival.mean - truth.mean)
@@ -183,6 +186,7 @@ def outlook(calibration: Calibration, readings: Measurements, length: int | None
             ones are thinned; rows repeated at the end of shorter ones are left out of the answer.
     """
     _, means, noise = expected_readings(calibration, readings, length, DRAWS)
+    # Signal by draws, noise in closed form: a covariance from draws alone would have the rank of their number.
     centred = means - means.mean(axis=0)
     return Outlook(means.mean(axis=0), centred.T @ centred / len(means) + noise)
 
@@ -214,6 +218,8 @@ def expected_readings(
     }
     x, rows, v = calibration.draws(draws)
     rows = np.zeros((len(x), len(readings), rows.shape[2]))
+    # Members of groups in a campaign to come are new ones: their codes are taken away from the means, and their
+    # deviations come back as covariance between readings of one member.
     unseen = eqx.tree_at(
         lambda f: f.codes, frame, {k: -jnp.ones_like(c) for k, c in frame.codes.items()}
     )
@@ -245,6 +251,7 @@ def _moments(layout: Layout, frame, draws):
     noise = layout.model.noise
     zero = jnp.zeros(frame.size)
     ordered, own = in_time(noise, frame, jnp.eye(frame.size))
+    # Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
     white, _ = noise.whiten(own, zero, hyper, ordered)
     line = forward.linearise(layout, frame, x, rows, hyper)
     beside = jnp.sum((line.rows * forward.row_sd(layout)) ** 2, axis=1)

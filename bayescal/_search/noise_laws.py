@@ -42,6 +42,8 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
 
     Correlated, where there is time, and sums of such terms if asked for; heavy tails; scatter that follows a column.
     """
+    # Coefficients of single readings are noise by another name: beside them, or with the noise held, no law is
+    # weighed.
     together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
     fixed = any(name.startswith("noise.") for name, _ in model.fixed)
     if together or fixed or frame.size < searching().fewest_for_noise or not model.noise.first:
@@ -59,6 +61,7 @@ def log_prior(laws: Mapping[str, Noise], name: str) -> float:
     """
     if name not in laws:
         return 0.0
+    # P(own law) = ½, P(law) = ½/(kinds·laws of its kind): their ratio.
     kinds = [law.law for law in laws.values()]
     return -math.log(len(set(kinds)) * kinds.count(laws[name].law))
 
@@ -92,6 +95,7 @@ def on_residuals_in_time(law: Noise, record: Record, left: Float[np.ndarray, "n"
         whiten = Whitening(law, values(v), record)
         white, logdet = whiten.both(table)
         value = -0.5 * (float(np.sum(white**2)) + logdet + len(left) * LOG_2PI)
+        # By coordinates: the slope by each parameter times that of the parameter by its coordinate, and the prior's.
         by = whiten.slopes(table)
         up, low = values(v + SHIFT), values(v - SHIFT)
         slope = np.array([by[n] * float(up[n] - low[n]) for n in names]) / (2 * SHIFT)
@@ -99,6 +103,7 @@ def on_residuals_in_time(law: Noise, record: Record, left: Float[np.ndarray, "n"
         slope += (of_priors(v + each) - of_priors(v - each)) / (2 * SHIFT)
         return -(value + float(of_priors(v))), -slope
 
+    # Slow noise hardly moves from one reading to the next: differences of neighbours are about the white part's.
     jumps = np.diff(left[record.in_time[0]])
     narrow = float(np.median(np.abs(jumps))) or float(np.sqrt(np.mean(left**2)))
     if not narrow > 0:
@@ -144,6 +149,8 @@ def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> On
         return density + sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
 
     white, scale = next(iter(priors.values())), float(np.sqrt(np.mean(left**2)))
+    # 1.5 times the median absolute value is the standard deviation that outliers have not widened; the rms is that of
+    # the law without outliers. One of them is near the maximum.
     narrow = 1.5 * float(np.median(np.abs(left)))
     scales = [white.coordinate(s) for s in (scale, narrow) if s > 0]
     if not scales:
@@ -153,6 +160,7 @@ def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> On
     value, slope, bent = _quadratic(values, v)
     for _ in range(STEPS):
         weights, vectors = np.linalg.eigh(bent)
+        # Newton with absolute eigenvalues: uphill also where the density bends up, between two maxima.
         step = vectors @ (vectors.T @ slope / np.maximum(np.abs(weights), FLAT))
         step *= min(1.0, LONGEST / max(float(np.max(np.abs(step))), 1e-300))
         trials = v + step * np.array([[1.0], [0.3], [0.1]])
@@ -176,6 +184,7 @@ def _quadratic(values, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np
     here, d = found[0], len(v)
     up, down = found[1 : d + 1], found[d + 1 : 2 * d + 1]
     second = np.diag(up + down - 2 * here)
+    # f(v ± (sᵢ + sⱼ)) summed, less 2·f(v), is fᵢᵢ + fⱼⱼ + 2·fᵢⱼ in units of the step: the mixed derivative.
     for (i, j), b, c in zip(
         pairs, found[2 * d + 1 :], found[2 * d + 1 + len(pairs) :], strict=False
     ):

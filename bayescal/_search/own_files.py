@@ -39,6 +39,7 @@ def refuse_unnamed(files: Iterable[str], named: Iterable[str | Path], by: str | 
     for file in files:
         path = Path(file).resolve()
         digest = sha256_of(path) if path.is_file() else "none: it is not there"
+        # By content: a file that was run and has been changed since is another one.
         ran = {own for origin, own in OWN_FILES.items() if Path(origin).resolve() == path}
         if path not in allowed and digest not in ran:
             raise InputError(
@@ -139,6 +140,7 @@ def run_file(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    # So that what the file defines can be pickled by its module's name; a module of that name that is there stays.
     sys.modules.setdefault(path.stem, module)
     OWN_FILES[str(spec.origin)] = digest
     try:

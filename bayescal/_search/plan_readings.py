@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number, table
 from bayescal._core.progress import stage
@@ -31,7 +32,6 @@ AGAIN = "the same again"
 OF_SCATTER = (
     "how much better noise or a group's standard deviation is known afterwards is not foreseen"
 )
-WORTH = 0.05  # of the standard uncertainty, that a campaign must take off to be worth it
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class ReadingPlan:
     @property
     def enough(self) -> bool:
         """Whether no campaign is worth it."""
-        return self.gain < WORTH
+        return self.gain < searching().worth
 
     def __str__(self) -> str:
         return plan_text(self)
@@ -135,7 +135,9 @@ def plan_text(plan: ReadingPlan) -> str:
     lines += [f"Note: {note}." for note in plan.notes]
     lines.append(table(head, rows, fold=30))
     if plan.enough:
-        lines.append(f"Enough: none of these is expected to take off {100 * WORTH:.0f} %.")
+        lines.append(
+            f"Enough: none of these is expected to take off {100 * searching().worth:.0f} %."
+        )
         return "\n".join(lines)
     best = plan.campaigns[0]
     if plan.picked:
@@ -207,6 +209,8 @@ def plan_readings(
             found.append((PlannedCampaign(name, readings, joint.left()), joint, kept))
     found.sort(key=lambda one: one[0].u)
     best, joint, kept = found[0]
+    # Where to measure is said in the columns that the model's effects need and the instrument has, but for the time:
+    # when a reading is taken is not chosen.
     acting = dict.fromkeys(c for effect in calibration.model.effects for c in effect.columns)
     acting.update(dict.fromkeys(c.name for c in calibration.model.instrument.columns))
     numbers = [c for c in acting if c != "time" and _differs(best.readings, c)]
@@ -273,6 +277,8 @@ class _Joint:
         centred, draws = means - means.mean(axis=0), len(values)
         signal = centred.T @ centred / draws
         readings = signal + noise
+        # tr K⁻¹S, K with noise and S without: as many directions of the readings as the draws make look informative.
+        # An empirical regression on so many explains (freedom/draws) of the variance by chance.
         freedom = float(np.trace(np.linalg.solve(readings, signal)))
         inflation = draws / max(draws - freedom, 1.0)
         return cls(np.mean(values**2, axis=0), values.T @ centred / draws, readings, inflation)
@@ -283,6 +289,7 @@ class _Joint:
 
     def left(self) -> float:
         """Standard uncertainty with all readings."""
+        # Conditional variance of jointly normal quantities, C·K⁻¹·Cᵀ at each place of the range.
         taken = np.einsum("gn,ng->g", self.across, np.linalg.solve(self.readings, self.across.T))
         return self._u(self.own - taken)
 
@@ -292,6 +299,7 @@ class _Joint:
         found, free = [], np.ones(len(readings), dtype=bool)
         for _ in range(min(count, len(readings))):
             variance = readings.diagonal()
+            # A reading takes cᵢ²/kᵢᵢ of the variance at each place: the one with the greatest sum over the range.
             score = np.where(free, np.sum(across**2, axis=0) / np.where(free, variance, 1.0), -1.0)
             i = int(np.argmax(score))
             free[i] = False

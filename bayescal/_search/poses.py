@@ -9,11 +9,13 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
-from bayescal._data.still_stretches import SHORTEST, still_stretches
+from bayescal._data.still_stretches import still_stretches
 from bayescal._model.instrument import Instrument
 
 
-def poses(log: Measurements, instrument: Instrument, *, shortest: float = SHORTEST) -> Measurements:
+def poses(
+    log: Measurements, instrument: Instrument, *, shortest: float | None = None
+) -> Measurements:
     """Still stretches of a log, averaged, a row each; other numeric columns are averaged beside them.
 
     Args:
@@ -41,6 +43,7 @@ def poses(log: Measurements, instrument: Instrument, *, shortest: float = SHORTE
                 continue
             values = log[name][own]
             pairs = zip(found.first, found.last, strict=True)
+            # Labels do not average: the one at the stretch's beginning holds for it.
             made = [values[a] if log.unit(name) is None else np.mean(values[a:b]) for a, b in pairs]
             rows.setdefault(name, []).append(np.array(made))
         rows.setdefault(UNCERTAINTY, []).append(found.uncertainty)

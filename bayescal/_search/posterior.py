@@ -53,6 +53,8 @@ class Posterior:
         inside = [s for s in totals if held <= s.effects]
         inside = sorted(inside, key=lambda s: (-totals[s], s not in refitted))
         total = np.array([totals[s] for s in inside])
+        # Probabilities are relative evidence times prior: what was never weighed nor expected has none, so that the
+        # walk must have looked wherever they could be.
         weight = np.exp(total - total[0])
         probability = weight / weight.sum()
         return cls(held, tuple(inside), total, probability, refitted)
@@ -60,6 +62,7 @@ class Posterior:
     @property
     def best(self) -> Structure:
         """The most probable of those refitted."""
+        # A structure that was only expected has no mode, and cannot be used.
         return next(s for s in self.structures if s in self.refitted)
 
     def nothing(self, unseen: Iterable[str] = ()) -> float:
@@ -77,6 +80,7 @@ class Posterior:
 
     def inclusion(self, *names: str) -> float:
         """Probability that at least one of these effects is missing."""
+        # At least one: probabilities of structures are added, not those of effects, which are not independent.
         wanted = set(names)
         return self.of_any(lambda s: not wanted.isdisjoint(s.effects))
 
@@ -91,6 +95,8 @@ class Posterior:
         Each begins with an effect of the most probable structure and goes on with what can take its place.
         """
         found = []
+        # Greedy: each step takes the effect with the most probability of those structures that lack all members so
+        # far.
         for name in self.best.effects - self.given:
             members = [name]
             while self.inclusion(*members) < searching().found:
@@ -105,6 +111,7 @@ class Posterior:
 
     def _substitute(self, members: list[str]) -> str | None:
         """The likeliest effect in the members' place: of the structures that have none of them."""
+        # Effects that are in for other reasons are nobody's substitutes.
         settled = (self.best.effects - {members[0]}) | self.given
         mass: dict[str, float] = {}
         for s, probability in zip(self.structures, self.probability, strict=True):
@@ -125,6 +132,8 @@ class Posterior:
         effects = frozenset(self.given)
         inside = list(zip(self.structures, self.probability.tolist(), strict=True))
         while True:
+            # Conditional inclusion: of the structures that hold what was chosen so far, which further effect most of
+            # them have. Without the condition two substitutes of one half each would both be out.
             share: dict[str, float] = {}
             for s, p in inside:
                 for n in s.effects - effects:
@@ -211,15 +220,15 @@ class Search:
     max_effects: int | None = None
 
     @classmethod
-    def of(cls, structures: Structures, *, complete: bool, **told: Any) -> Search:
-        """Of the structures weighed so far; `told` are the other fields."""
+    def of(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:
+        """Of the structures weighed so far; `counts` are the other fields."""
         weighed, shown = structures.visited.values(), ()
         if any(math.isfinite(w.total) for w in weighed):
             posterior = Posterior.of(structures)
             each = zip(posterior.structures, posterior.probability, strict=True)
             refitted = [(posterior.refitted[s], p) for s, p in each if s in posterior.refitted]
             shown = tuple(_shown(w, float(p), i == 0) for i, (w, p) in enumerate(refitted[:SHOWN]))
-        return cls(shown, len(weighed), complete, **told)
+        return cls(shown, len(weighed), complete, **counts)
 
 
 def _shown(w: Weighed, probability: float, with_error: bool) -> ShownStructure:

@@ -173,6 +173,8 @@ class Previews:
 
     def _compared(self, name: str, line: LinearModel, evidence: float | None) -> Preview:
         before = self.calibration
+        # Both settled: all coefficients fitted anew, shapes too, so that their difference is what the effect would
+        # change.
         left, residual, known = line.settled, before.linear.settled, before.log_evidence
         return Preview(
             effect=name,

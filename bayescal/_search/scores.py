@@ -73,6 +73,7 @@ class View:
         self.departs = {d.of: d.name for d in at.departures}
         self.columns = line.whiten(library.columns(line.slopes))
         nuisance = line.white_nuisance
+        # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
         self.inner = nuisance.T @ nuisance
         self.cross = nuisance.T @ self.columns
         self.u = self.columns.T @ line.white_residual
@@ -85,10 +86,13 @@ class View:
         kept = np.array([owner not in gone for owner in line.owners], dtype=bool)
         # r₀: all coefficients at their prior's mean. Without its coefficients a dropped effect's shapes move nothing.
         z = np.where(kept | (np.arange(kept.size) < line.line.jacobian.shape[1]), line.z, 0.0)
+        # At the mode Aᵀr = W·z. So r₀ = r + A·z has Aᵀr₀ = AᵀA·z + W·z, and |r₀|² = |r|² + zᵀWz + zᵀAᵀr₀.
         of_start = self.inner @ z + line.weight * line.z
         squares = line.rest - float(line.weight @ (line.z**2 - z**2)) + float(of_start @ z)
         inner = self.inner[np.ix_(kept, kept)] + np.diag(line.weight[kept])
         chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
+        # Nuisances fitted anew, those that are kept: L·Lᵀ = AᵀA + W, what they take of r₀ and of each column by
+        # L⁻¹Aᵀ.
         half = solve_triangular(chol, of_start[kept], lower=True)
         inside = solve_triangular(chol, self.cross[kept], lower=True)
         return WithoutNuisances(
@@ -118,6 +122,7 @@ class WithoutNuisances(NamedTuple):
         found = {}
         for name in names:
             points = self.view.library.points[name]
+            # Most candidates have one column: their points are scored in one array, without a matrix for each.
             alone = points[0].at.stop - points[0].at.start == 1
             gains = self._of_columns(name) if alone else self._of_blocks(name)
             made = [self._scored(p, own) for p, own in zip(points, gains, strict=True)]
@@ -132,6 +137,8 @@ class WithoutNuisances(NamedTuple):
         information = np.sum(columns**2, axis=0) - np.sum(inside**2, axis=0)
         square = np.array([s.sd[0] ** 2 for s in library.sizes[name]])
         weight = np.array([s.log_weight for s in library.sizes[name]])
+        # A coefficient of prior sd s and information K: log Bayes factor ½·s²u²/(1 + s²K) − ½·log(1 + s²K), the
+        # squares as `_gain` has them. All points and sizes in one array.
         inner = 1 + np.maximum(information, 0.0)[:, None] * square
         taken = self.u[at, None] ** 2 * square / inner
         return self._gain(0.5 * np.log(inner), taken) + weight
@@ -174,6 +181,8 @@ class WithoutNuisances(NamedTuple):
 
     def _gain(self, volume: Any, taken: Any) -> Any:
         """By log volumes, and by the squares that columns take."""
+        # With the noise's variance at its likeliest, squares/n, the log likelihood is −½·n·log(squares) but for
+        # constants: a column that takes most of the squares gains more than under the noise as it was.
         left = np.maximum((self.rest - taken) / self.view.line.rest, 1e-12)
         return self.lost - volume - 0.5 * self.view.line.size * np.log(left)
 
@@ -192,6 +201,8 @@ class WithoutNuisances(NamedTuple):
         made = []
         for (i, a), (j, b) in itertools.combinations(enumerate(points), 2):
             if a.effect != b.effect:
+                # Of two blocks of columns after the nuisances: the information of each, and what they share, CₐᵀC_b −
+                # PₐᵀP_b.
                 shared = a.columns.T @ b.columns - a.inside.T @ b.inside
                 cross = a.size.sd[:, None] * shared * b.size.sd
                 whole = np.block([[own[i], cross], [cross.T, own[j]]])

@@ -225,8 +225,8 @@ def trail_text(trail: SearchPath) -> str:
                 probability(s.discovery.nothing_missing if s.discovery else None),
             ]
         )
-    told = f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
-    return table(head, rows) + (told if any(rises) else "")
+    note = f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
+    return table(head, rows) + (note if any(rises) else "")
 
 
 def ending(found: Discovery | None, added: int, most: int | None, stopped: str) -> str:
@@ -246,6 +246,7 @@ def ending(found: Discovery | None, added: int, most: int | None, stopped: str) 
             f"The search has added as many effects as it may, {most} (--max-effects, in Python max_effects): "
             "with more, more may be found."
         )
+    # Of candidates that these readings can test, the nearest one says how far the search was from another end.
     tested = [c for c in found.candidates if c.probability is not None]
     if tested:
         said.append(_nearest(max(tested, key=lambda c: c.probability or 0.0), added))

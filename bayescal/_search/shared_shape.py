@@ -50,6 +50,8 @@ class ShapeEvidence(NamedTuple):
         low, high = (shape.prior.coordinate(end) for end in (others.low, others.high))
         middle, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
         v = _apart(np.concatenate([self.v, middle + sd * CLOSE]))
+        # Prior mass as the others have it times the channel's own ratio; the grid is refined where that prior lies,
+        # which may be narrower than any step of the channel's grid.
         joint = np.interp(v, self.v, self.log_ratio) + log_mass(v, middle, sd)
         log_ratio = float(np.logaddexp.reduce(joint))
         weight = np.exp(joint - log_ratio)
@@ -69,9 +71,11 @@ class Conclusion(NamedTuple):
         """Whether the effect is more or less probable than it was, by what counts."""
         return abs(self.probability - then.probability) > LIKELIER
 
-    def tells(self, then: Conclusion) -> bool:
+    def informs(self, then: Conclusion) -> bool:
         """Whether more is known of the shape of an effect that may be there (Kullback–Leibler, both as normal)."""
         may_be = max(self.probability, then.probability) > LIKELIER
+        # Kullback–Leibler divergence of N(v, sd²) from what it was: ½·(r² + d² − 1) − log r, r the ratio of the
+        # standard deviations and d the distance in the former one. Half a standard deviation of shift alone is ⅛.
         narrower, moved = self.sd / then.sd, (self.v - then.v) / then.sd
         return may_be and (narrower**2 + moved**2 - 1) / 2 - math.log(narrower) > NEWS
 
@@ -109,6 +113,8 @@ class SharedShape:
 
     def _joint(self, names: Iterable[str]) -> Float[np.ndarray, "shares k"]:
         """Log prior mass of share and shape times what these channels say, where the unit has the effect."""
+        # A channel shows the effect with probability s, the share: it says (1 − s)·1 + s·ratio(v). Channels multiply,
+        # since given v and s they are independent.
         shown = (np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + self.says[n]) for n in names)
         return self._log_mass - math.log(SHARES.size) + sum(shown) + math.log(self.prior)
 
@@ -116,6 +122,7 @@ class SharedShape:
         """What all but one channel say of the effect there."""
         joint = self._joint(n for n in self.says if n != channel)
         here, not_here = joint + np.log(SHARES), joint + np.log1p(-SHARES)
+        # The channel has the effect with probability s in units that have it, never in units that have not.
         log_odds = np.logaddexp.reduce(here, axis=None) - np.logaddexp(
             np.logaddexp.reduce(not_here, axis=None), math.log1p(-self.prior)
         )
@@ -125,6 +132,7 @@ class SharedShape:
     def evidence(self, channel: str) -> float:
         """Log Bayes factor of the effect in one channel, its shape as the others have it."""
         joint = self._joint(n for n in self.says if n != channel)
+        # The shape as the others leave it is the prior, over which this channel's ratio is averaged.
         mass = np.logaddexp.reduce(joint + np.log(SHARES), axis=0)
         return float(np.logaddexp.reduce(mass + self.says[channel]) - np.logaddexp.reduce(mass))
 
@@ -140,6 +148,7 @@ class SharedShape:
         return self._range(self._joint(self.says))
 
     def _range(self, joint: Float[np.ndarray, "shares k"]) -> tuple[float, float, float]:
+        # The share is summed out: what remains is the shape's own posterior on the grid.
         weight = np.exp(joint - joint.max()).sum(axis=0)
         weight /= weight.sum()
         mean = float(weight @ self.v)
@@ -152,6 +161,7 @@ class SharedShape:
 
 def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> np.ndarray:
     """Log of a normal prior's mass about each point of a grid."""
+    # Points are uneven: each stands for half the way to both its neighbours.
     width = np.gradient(v)
     log_density = -0.5 * ((v - mean) / sd) ** 2 + np.log(width)
     return log_density - np.logaddexp.reduce(log_density)
@@ -173,6 +183,8 @@ def said(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
     fine = Library(structures, {name: u[:, None]})
     with_it = []
     for weighed in holding:
+        # A refit knows the integral over v, the score its form: the form is scaled so that its prior mean is the
+        # refit's evidence. Of structures without the effect, to which no refit adds it, the score stands for both.
         gains = _gains(fine, weighed, name)
         total = weighed.total - structures.log_odds[name]
         with_it.append(total + gains - np.logaddexp.reduce(gains + log_mass(u)))
@@ -190,6 +202,7 @@ def _grid(shape: Shape, own: Shape, best: Sequence[Weighed], name: str) -> Float
     for weighed in best:
         at = [h.name for h in weighed.assembly.hypers].index(name)
         sd = math.sqrt(weighed.mode.covariance[at, at])
+        # About what the channel found the evidence may have a peak narrower than the even step.
         there.append(weighed.mode.v[at] + np.clip(sd, 1e-4, 1.0) * CLOSE)
     values = own.prior.value(np.concatenate(there[1:]))
     moved = [shape.prior.coordinate(float(value)) for value in values]

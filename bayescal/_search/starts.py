@@ -33,12 +33,17 @@ def carried(
     for k, (i, j) in enumerate(zip(at, there, strict=True)):
         own, other = assembly.hypers[i].prior, near.hypers[j].prior
         if own != other:
+            # Both coordinates are linear in one another where both priors are of one family (log-normal, say): two
+            # points tell scale and middle.
             ends = [own.coordinate(float(other.value(np.float64(v)))) for v in (0.0, 1.0)]
             scale[k], middle[k] = ends[1] - ends[0], ends[0]
     values = middle + scale * mode.v[there]
     width = scale[:, None] * mode.covariance[np.ix_(there, there)] * scale
     moved = np.array([(*pair,) != (1.0, 0.0) for pair in zip(scale, middle, strict=True)])
     if moved.any() and np.all(np.isfinite(width)):
+        # In this structure's coordinate the other's prior is N(middle, scale²) and its own N(0, 1): one is taken out
+        # of the Gaussian fit and the other put in. Where that leaves no positive precision the fit is carried over as
+        # it is.
         precision = np.linalg.inv(width) + np.diag(moved * (1 - scale**-2))
         if np.all(np.linalg.eigvalsh(precision) > 0):
             pull = np.linalg.solve(width, values) - moved * middle / scale**2
@@ -67,6 +72,8 @@ def starts(
     here = {n: known.get(n, 0.0) for n in names}
     found = [here, *({**here, **{n: v for n, v in hint.items() if n in names}} for hint in hints)]
     for h in assembly.hypers:
+        # Shapes are tried to either side, as a neighbour's effects may have shifted them; a spread or a parameter of
+        # the noise that is new, below and above its scale.
         further: tuple[float, ...] = ()
         if h.kind == "shape" and h.name in known:
             same = h.prior == priors[h.name]

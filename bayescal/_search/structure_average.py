@@ -77,6 +77,8 @@ def averaged(
             deadline.current().ask()
             count = max(1, round(COUNT * share.probability))
             if frozenset(share.effects) == own:
+                # The last structure was sampled already: its own draws again, without repetition where there are
+                # enough.
                 x, rows, v = last.draws()
                 pick = random.choice(len(x), count, replace=count > len(x))
                 parts.append(_by_name(last.layout, x[pick], rows[pick], v[pick]))
@@ -94,6 +96,8 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
     posterior, mass = Posterior.of(structures), dict[frozenset[str], float]()
     for s, probability in zip(posterior.structures, posterior.probability, strict=True):
         if s in posterior.refitted:
+            # Noise laws are summed over: coefficients hang on the effects, and all are drawn under the law of the
+            # last model.
             mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
     barred = structures.barred(Structure(noise=noise))
     kept = {e: p for e, p in mass.items() if p >= searching().averaged and e.isdisjoint(barred)}
@@ -104,6 +108,7 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
 
 def _drawn(weighed: Weighed, count: int, seed: int) -> _Values:
     """Draws of a structure about its mode, by importance sampling."""
+    # Four proposals for each draw that is kept: resampling then repeats few of them.
     proposals = int(np.clip(4 * count, *PROPOSALS))
     found = weighted_draws(weighed.assembly, weighed.mode, seed, proposals, ROUNDS)
     weights, _ = smoothed(found.log_weight)
@@ -123,6 +128,7 @@ def _by_name(layout: Layout, x: np.ndarray, rows: np.ndarray, v: np.ndarray) -> 
         elif b.place == "phi":
             value = np.stack([hypers[name] for name in b.member_names()], axis=1)
             if b.coefficient.group_sd is not None:
+                # Draws of a structure hold the value in units of its spread; those of the union, the value.
                 spread = {**fixed, **hypers}[b.group_sd_name]
                 value = b.coefficient.mean + spread[:, None] * value
             coefficients[b.name] = value
@@ -136,6 +142,7 @@ def _union(structures: Structures, models: Sequence[Model]) -> Model:
         for effect in model.effects:
             known.setdefault(effect.name, effect)
     order = [*structures.base.names, *structures.candidates]
+    # In the catalogue's order, so that equal structures are equal models whatever the order they were found in.
     places = {name: i for i, name in enumerate(order)}
     effects = sorted(known.values(), key=lambda e: places.get(e.name, len(places)))
     return Model(models[0].instrument, tuple(effects), models[0].noise, models[0].fixed)
@@ -148,6 +155,8 @@ def _together(
     layout, n = Layout(model, last.layout.counts), len(last.readings)
     counts = [len(next(iter((p.hypers or p.coefficients).values()))) for p in parts]
     total = sum(counts)
+    # Zeros are the point: an effect that a structure lacks has the coefficient zero in its draws, not its prior's
+    # mean.
     x, v = np.zeros((total, layout.size)), np.zeros((total, len(layout.hypers)))
     rows = np.zeros((total, n, len(layout.row_blocks)))
     begin = 0
@@ -186,6 +195,8 @@ def _together(
 def _coordinates(h, parts: Sequence[_Values], counts: Sequence[int]) -> Float[np.ndarray, "s"]:
     """Of one entry of φ; where a structure has it not, as in those that have it, or no between-group deviation."""
     there = [np.asarray(h.prior.coordinate(p.hypers[h.name])) for p in parts if h.name in p.hypers]
+    # A shape of an effect that is not there moves nothing; any value serves, and the median keeps summaries
+    # undisturbed.
     usual = float(np.median(np.concatenate(there)))
     found = []
     for part, count in zip(parts, counts, strict=True):
@@ -204,6 +215,7 @@ def _mode(last: Calibration, layout: Layout, x, rows, v) -> Mode:
     }
     flat = [scales.get(b.name, np.ones(b.size)) for b in layout.x_blocks]
     middle = np.median(v, axis=0)
+    # Absent spreads stand at −30: they must not count as scatter of the coordinate.
     around = np.where(v > 0.5 * ABSENT, v, middle)
     covariance = np.atleast_2d(np.cov(around.T)) if v.shape[1] else np.zeros((0, 0))
     return last.mode._replace(

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from bayescal._calibration.evidence_scale import STRONG
 from bayescal._calibration.settings import searching
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
@@ -128,6 +127,9 @@ class Structures:
         each = {}
         for names, part in ((unknown, share), (named, 1 - share if unknown else 1.0)):
             for name in names:
+                # k candidates of odds o, each in or out by itself, are all out with probability (1 + o)⁻ᵏ. That this
+                # is `nothing` to the power of the group's part gives o = nothing^(−part/k) − 1, and the product over
+                # both groups is `nothing`.
                 each[name] = math.log(
                     math.expm1(-math.log(searching().nothing) * part / len(names))
                 )
@@ -172,6 +174,7 @@ class Structures:
         """
         found = self.visited.get(structure)
         if found is None:
+            # A structure of an earlier round, weighed with another range of a shape, is nearer than any neighbour.
             near = self.earlier.get(structure, near)
             found = self.visited[structure] = self._weighed(structure, near, hints)
         return found
@@ -186,14 +189,16 @@ class Structures:
         while left and math.isfinite(found.log_evidence):
             line = linear_model(found.assembly, found.mode)
             scores = [s for s in (scored(line, e) for e in left.values()) if s is not None]
+            # The one departure that promises most, while any does: two at once would share what either explains.
             best = max(scores, key=lambda s: s.gain, default=None)
-            if best is None or best.gain < STRONG:
+            if best is None or best.gain < searching().strong:
                 break
             departures = (*found.departures, best.effect)
             fuller = self._refitted(structure, departures, found, [best.hint])
-            if fuller.log_evidence < found.log_evidence + STRONG:
+            if fuller.log_evidence < found.log_evidence + searching().strong:
                 break
             del left[best.effect.of]
+            # With and without it a priori alike: the mean of both evidences, not the larger one.
             total = np.logaddexp(fuller.log_evidence, found.log_evidence) - math.log(2)
             found = replace(fuller, log_evidence=float(total))
         return found
@@ -240,6 +245,8 @@ class Structures:
         v = np.array([known.get(h.name, 0.0) for h in assembly.hypers])
         flat = flat_scales(assembly, point, v)
         density, of_size = Density(assembly, point, flat), np.array(assembly.kinds) == "noise"
+        # All of φ but the noise's size is held: the products are then those of one table, and no step of the search
+        # passes over the readings. A refit can only raise the density further.
         found = minimize_scalar(
             lambda size: -density.at(np.where(of_size, size, v))[0], bounds=WIDE, method="bounded"
         )
@@ -248,6 +255,7 @@ class Structures:
     def _assembled(self, structure, near: Weighed | None, departures=()) -> Assembly:
         """A structure on the record, its effects' sizes as another structure has them."""
         known = near.assembly.size_factors if near is not None else None
+        # A refit at the sizes of its neighbour begins nearly at its mode; `averaged` then tries the others.
         sizes = {n: factor for n, factor in (known or {}).items() if n in structure.effects}
         layout = Layout(self.model(structure, departures), self.layout.counts)
         return Assembly(layout, self.record, sizes)

@@ -61,6 +61,8 @@ class TakenOver(NamedTuple):
         with 1/√(what is left). What has no name is no cause but a description: one that can take up the term describes
         it too, and where it moves the coefficient beyond chance, the readings do not tell which of both values it has.
         """
+        # Estimates with and without further columns, whose effect is zero, differ by √(1/left − 1) former standard
+        # uncertainties by chance (J. Hausman, Econometrica 46 (1978) 1251): below 1/√left.
         by_chance = self.moved**2 * min(self.left, 1.0) <= guarding().moved ** 2
         if self.unnamed:
             return by_chance and not self.confounded
@@ -85,11 +87,11 @@ class TakenOver(NamedTuple):
                 f"{name} and {by} are confounded in these readings, which tell {self.left:.1%} of it apart: their "
                 f"standard uncertainties hold both. Vary {column} otherwise in another run."
             )
-        told = f"{by} can stand for it, as the profiles are"
+        said = f"{by} can stand for it, as the profiles are"
         if self.kept < guarding().corrected:
-            told = f"{column} no longer explains the output, {by} stands for it"
+            said = f"{column} no longer explains the output, {by} stands for it"
         return (
-            f"The coefficient {name} is not measured: {told}, and these readings cannot tell which it is ({name} is "
+            f"The coefficient {name} is not measured: {said}, and these readings cannot tell which it is ({name} is "
             f"{self.kept:.2g} times what it was, {self.moved:.0f} of its standard uncertainties away). Look at the "
             f"column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a run? "
             f"Vary {column} otherwise in another run."
@@ -130,6 +132,8 @@ def _followed(
     theirs = np.isin(last.owners, [e.name for e in by])
     others = np.isin(last.owners, first.owners) & ~own
     white = last.white_nuisance
+    # Tolerance beside the first model's others over that beside these and what was added: what the addition alone
+    # took.
     without, beside = (_left(white, own, last.weight, rest) for rest in (others, others | theirs))
     (m0, s0), (m1, _) = _coefficient(first, term.name), _coefficient(last, term.name)
     kept = abs(m1) / abs(m0) if m0 else np.inf
@@ -139,6 +143,7 @@ def _followed(
 def _left(white: np.ndarray, own: np.ndarray, weight: np.ndarray, rest: np.ndarray) -> float:
     """Squares of a term's columns beyond those of the rest, whose priors count."""
     column, others = white[:, own].sum(axis=1), white[:, rest]
+    # Ridge regression by the priors' weights: c less what the others take of it, times c.
     inner = others.T @ others + np.diag(weight[rest])
     back = others @ np.linalg.lstsq(inner, others.T @ column, rcond=1e-12)[0]
     return float(column @ (column - back))

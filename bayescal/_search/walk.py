@@ -46,11 +46,14 @@ def walk(
     structures = library.structures
     try:
         root = structures.weigh(Structure())
+        # Structures under correlated laws first: they explain slow residuals by noise, where under white noise an
+        # effect would be found that only bends after them.
         for first in (*(Structure(noise=law) for law in correlated_laws(structures)), *seeds):
             if end.over:
                 return ended_early(end, begun)
             structures.weigh(first, root)
         looked: set[Structure] = set()
+        # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time.
         while fresh := _next(structures, looked):
             if end.over:
                 return ended_early(end, begun)
@@ -85,6 +88,7 @@ def path(library: Library, to: Structure) -> list[Structure]:
             if view is None or further in structures.visited:
                 totals[further] = structures.weigh(further, at).total
             else:
+                # Without a refit the score does: it decides only the order in which steps are shown.
                 gain = gain_of(view.scores([name])[name])
                 totals[further] = at.total + structures.log_odds[name] + gain
         if here.noise != to.noise:
@@ -95,6 +99,7 @@ def path(library: Library, to: Structure) -> list[Structure]:
 def _next(structures: Structures, looked: set[Structure]) -> Weighed | None:
     """The most probable structure of the beam that was not looked at."""
     leaders = sorted(structures.visited.values(), key=lambda w: -w.total)[: searching().beam]
+    # Farther behind than `near` a structure has no part of the probability that is printed: it is left alone.
     near = (w for w in leaders if w.total > leaders[0].total - searching().near)
     return next((w for w in near if w.structure not in looked), None)
 
@@ -110,6 +115,8 @@ class Move(NamedTuple):
 def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline) -> None:
     """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
     structures, here = library.structures, at.structure
+    # The same effects under each law: which effects are probable hangs on the law, and the walk would otherwise have
+    # to find them anew under each.
     for law in {"", *correlated_laws(structures)}:
         if end.over:
             return
@@ -128,6 +135,8 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
         structures.expect(move.to, move.total)
     # Of another law a refit tells little more than was expected, unless it is to be used.
     moves += [move for move in changes if move.total > at.total]
+    # The first ones are refitted whatever is expected of them, since a score at φ̂ of a model that lacks an effect
+    # (its noise too large, its shapes elsewhere) may be far too low.
     moves.sort(key=lambda m: -m.total)
     for i, move in enumerate(moves[: searching().refitted[1]]):
         near = move.total > structures.best.total - searching().near
@@ -153,6 +162,8 @@ def _finer_laws(structures: Structures, at: Weighed) -> Iterator[Move]:
     if not (correlated and finer and at is structures.best):
         return
     left = linear_model(at.assembly, at.mode).residual
+    # Evidence of either law on the residuals alone: what both leave out, the coefficients' volume, is nearly the
+    # same.
     own = on_residuals_in_time(here, structures.record, left)
     for name in finer:
         found = on_residuals_in_time(structures.laws[name], structures.record, left)
@@ -171,6 +182,8 @@ def _changes_of_noise(structures: Structures, at: Weighed) -> Iterator[Move]:
     for name, law in structures.laws.items():
         if law.independent and name != at.structure.noise:
             found = on_residuals(law, structures.record, left)
+            # The law is judged on residuals of the fit under the given law, coefficients held: an outlier has pulled
+            # these, so that the gain is rather too low.
             total = plain.total + found.log_evidence - own.log_evidence
             to = at.structure.under(name)
             yield Move(to, total + log_prior(structures.laws, name), (found.hint,))
@@ -197,6 +210,7 @@ def _moves(view: View, max_effects: int) -> Iterator[Move]:
             for gain, a, b in rest.pairs(named)[: searching().pairs]:
                 total = at.total + freed + gain + odds[a.effect] + odds[b.effect]
                 yield Move(here.plus(a.effect, b.effect), total, ({**a.hint, **b.hint},))
+    # Dropping and exchanging start from what is left without the effect; a drop costs no column's volume.
     for name in sorted(here.effects):
         left = view.without(name)
         yield Move(here.minus(name), at.total + left.dropped - odds[name])

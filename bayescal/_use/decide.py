@@ -46,7 +46,7 @@ CONFORMITY = 0.95  # of which a recalibration interval is stated: the usual cove
 
 
 class HasTable(Protocol):
-    """A population of devices, as fleets learn one: rows with coefficient, mean, mean_sd and spread."""
+    """A population of devices, as fleets learn one: rows with coefficient, mean, mean_sd and group_sd."""
 
     @property
     def table(self) -> pd.DataFrame: ...
@@ -155,13 +155,14 @@ def _devices(
         return [], []
     if not isinstance(given, str | SpreadOfDevices | Sequence):
         table = given.table
-        if "spread" not in table:
+        table = table.rename(columns={"spread": "group_sd"})  # as it was called; goes in 0.3.0
+        if "group_sd" not in table:
             raise InputError(
                 "this fleet has no population: fit it with population=True, or give the devices as text, such as "
                 '"sd 0.2 °/s"'
             )
         # Of a device drawn anew: between the devices, and what is not known of their mean.
-        sd = np.hypot(table["spread"], table["mean_sd"])
+        sd = np.hypot(table["group_sd"], table["mean_sd"])
         rows = zip(table["coefficient"], table["mean"], sd, strict=True)
         unreliable = getattr(given, "ok", True) is False
         return [{str(n): (float(m), float(s)) for n, m, s in rows}], [

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bayescal._calibration.sensor_noise import QUANTILE, SensorNoise
+from bayescal._calibration.sensor_noise import SensorNoise
+from bayescal._calibration.settings import guarding
 from bayescal._core.errors import InputError
 from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
 
@@ -18,7 +19,7 @@ EVEN = 0.05  # of the step, by which those of channels of one unit may differ
 
 
 def kalibr_yaml(
-    channels: Mapping[str, SensorNoise], topic: str = "/imu0", quantile: float = QUANTILE
+    channels: Mapping[str, SensorNoise], topic: str = "/imu0", quantile: float | None = None
 ) -> str:
     """Text of an imu.yaml; of several axes the noisiest.
 
@@ -30,6 +31,7 @@ def kalibr_yaml(
     Raises:
         InputError: a channel is neither, or their rates differ, or the quantile is no probability.
     """
+    quantile = guarding().filter_quantile if quantile is None else quantile
     if not 0 < quantile < 1:
         raise InputError(f"the quantile {quantile:g} must be between 0 and 1, such as 0.95")
     steps = {name: noise.step for name, noise in channels.items()}

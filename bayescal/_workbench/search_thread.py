@@ -12,7 +12,7 @@ from bayescal._core.errors import ModelError
 from bayescal._model.effect import Effect
 from bayescal._search.calibrate import Loop
 from bayescal._search.candidate import Candidate
-from bayescal._search.discover import Discovery, told
+from bayescal._search.discover import Discovery, discovery_at
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior, Search, ShownStructure
 from bayescal._search.search_path import SearchPath, Step
@@ -81,4 +81,4 @@ class RunningSearch:
     def _missing(self, at) -> Discovery | None:
         if not self.first.calibration.verdict.ok:
             return None
-        return told(self._library, at, self._shut, self._stopped)
+        return discovery_at(self._library, at, self._shut, self._stopped)

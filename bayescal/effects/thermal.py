@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._data.measurements import Measurements
+from bayescal._data.record_settings import recording
 from bayescal._data.time_in_runs import run_codes
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
@@ -21,7 +22,6 @@ WIDTHS = (
     0.2,
     5.0,
 )  # °C, within which hysteresis turns round: a chamber that holds its temperature wanders by less
-SEEN = 0.02  # share of the readings that a direction must have to count as one
 
 
 def rate(slot: str, size: float, unit: str, *, source: str, column: str = "temperature") -> Effect:
@@ -226,7 +226,8 @@ def _one_way(column: str, readings: Measurements) -> str | None:
     """Why a temperature that does not go both ways shows no hysteresis, if so."""
     frame = build_frame(readings, reference_of(readings))
     turned = np.asarray(frame.direction(jnp.asarray(math.sqrt(math.prod(WIDTHS))), column)[0])
-    warmed, cooled = (turned > 0.5).mean() >= SEEN, (turned < -0.5).mean() >= SEEN
+    least = recording().direction
+    warmed, cooled = (turned > 0.5).mean() >= least, (turned < -0.5).mean() >= least
     if warmed and cooled:
         return None
     seen = "only rises" if warmed else "only falls" if cooled else "stands still"

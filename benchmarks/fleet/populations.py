@@ -15,7 +15,7 @@ from bayescal_models import mems_gyro
 from benchmarks.fleet.simulated import T0, write_partition
 
 MODEL = mems_gyro.INSTRUMENT.baseline()
-NUMBERS = ["mean", "mean_sd", "spread", "spread_sd"]
+NUMBERS = ["mean", "mean_sd", "group_sd", "group_sd_sd"]
 PARTITIONS, DEVICES, SEED = 64, 50, 11
 FLEETS, EACH = 200, 60  # simulated fleets, and the devices of each
 
@@ -58,8 +58,8 @@ def coverage() -> dict[str, Any]:
         found = learn([alone], named, fleet).population.table
         held[fleet, 0] = np.abs(found["mean"] - mean) < WIDE * found["mean_sd"]
         # A spread is positive, and its logarithm nearly normal.
-        width = np.log1p((found["spread_sd"] / found["spread"]) ** 2) ** 0.5
-        held[fleet, 1] = np.abs(np.log(found["spread"] / spread) - width**2 * 0.5) < WIDE * width
+        width = np.log1p((found["group_sd_sd"] / found["group_sd"]) ** 2) ** 0.5
+        held[fleet, 1] = np.abs(np.log(found["group_sd"] / spread) - width**2 * 0.5) < WIDE * width
     return {
         "fleets": FLEETS,
         "devices": EACH,

@@ -14,7 +14,7 @@ from bayescal._model.frame import reference_of
 from bayescal._model.parameters import Hyper, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
 from bayescal._search.discover import structures_over
-from bayescal._search.plausible_sizes import SIZES
+from bayescal._search.plausible_sizes import factors
 from bayescal._search.structures import Structure, Structures
 
 WANDER = OrnsteinUhlenbeck.law
@@ -48,7 +48,7 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     """What effects add to the expected output at the fitted baseline."""
     base = structures.weigh(Structure())
     model = structures.model(Structure(frozenset(names)))
-    sizes, shares = list(SIZES), list(SIZES.values())
+    sizes, shares = list(factors()), list(factors().values())
     spread = {n: float(rng.choice(sizes, p=shares)) for n in names}
     spread = {n: f for n, f in spread.items() if not structures.candidates[n].is_placeholder}
     assembly = Assembly(Layout(model, structures.layout.counts), structures.record, spread)

@@ -74,7 +74,7 @@ def test_only_a_channel_in_doubt_concludes_something_else(channel: str, learns: 
     one = ShapeEvidence(shared.v, log_ratio)
     now = one.concluded(shared.from_others(channel), shape)
     then = one.concluded(alone, shape)
-    assert (now.likelier(then) or now.tells(then)) == learns
+    assert (now.likelier(then) or now.informs(then)) == learns
 
 
 @pytest.mark.parametrize(
@@ -84,8 +84,8 @@ def test_only_a_channel_in_doubt_concludes_something_else(channel: str, learns: 
 def test_a_shape_that_others_move_or_narrow_is_news(moved, narrower, tells) -> None:
     then = Conclusion(0.9, 0.2, 0.4)
     now = Conclusion(0.9, 0.2 + moved * 0.4, narrower * 0.4)
-    assert now.tells(then) == tells
-    assert not now._replace(probability=0.0).tells(then._replace(probability=0.0))
+    assert now.informs(then) == tells
+    assert not now._replace(probability=0.0).informs(then._replace(probability=0.0))
 
 
 def test_what_a_channel_concludes_alone_is_the_posterior_of_its_own_prior() -> None:

@@ -277,7 +277,7 @@ def test_the_population_of_a_fleet_is_taken_by_its_coefficients(gyro) -> None:
                 "coefficient": ["bias.constant", "bias.temperature"],
                 "mean": [21.0, 0.05],
                 "mean_sd": [0.03, 0.0],
-                "spread": [0.04, 0.002],
+                "group_sd": [0.04, 0.002],
                 "unit": ["deg/s", "deg/s/degC"],
             }
         )

@@ -57,7 +57,7 @@ def test_a_population_over_partitions_is_that_of_one_process(lot_folder, tmp_pat
     one = bc.fit_batch(MODEL, files, population=True)
     found = fitted(lot_folder, tmp_path / "out", population=True)
     assert one.population is not None and found.population is not None
-    numbers = ["mean", "mean_sd", "spread", "spread_sd"]
+    numbers = ["mean", "mean_sd", "group_sd", "group_sd_sd"]
     np.testing.assert_allclose(
         found.population.table[numbers], one.population.table[numbers], rtol=1e-10
     )

@@ -61,7 +61,7 @@ def test_a_population_is_the_joint_fit_of_one_table() -> None:
     np.testing.assert_allclose(
         found["mean"], joint[:k], atol=0.05 * np.min(found["mean_sd"].to_numpy())
     )
-    np.testing.assert_allclose(found["spread"], tau, rtol=0.03)
+    np.testing.assert_allclose(found["group_sd"], tau, rtol=0.03)
 
 
 def _posterior(j, y, mean, covariance) -> tuple[np.ndarray, np.ndarray]:
@@ -125,5 +125,5 @@ def test_a_population_agrees_with_effects_per_device() -> None:
             assert sd == pytest.approx(draws[:, i].std(), rel=0.1)
         row = pooled.population.table.set_index("coefficient").loc[name]
         spread = joint.samples(f"{name}_device.group_sd")
-        assert abs(row.spread - spread.mean()) < 0.2 * spread.std()
-        assert row.spread_sd == pytest.approx(spread.std(), rel=0.15)
+        assert abs(row.group_sd - spread.mean()) < 0.2 * spread.std()
+        assert row.group_sd_sd == pytest.approx(spread.std(), rel=0.15)

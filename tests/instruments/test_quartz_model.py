@@ -82,7 +82,7 @@ def test_soaked_points_leave_rates_unidentified() -> None:
         effects = catalogue.two_thermometers("bias")
         sd = np.array([e.coefficients[0].size for e in effects])
         white = design(readings, effects, "bias") * sd / 5.0  # µg of noise
-        alone = null_space.weak(white, null_space.exact(white), 0.1)
+        alone = null_space.weak(white, null_space.exact(white), 0.1, 0.99)
         named = {effects[int(np.argmax(np.abs(v)))].name for v in alone if (v != 0).sum() == 1}
         rates = {"bias.rate_circuit", "bias.rate_head", "bias.temperature_x_rate"}
         assert (rates <= named) != known

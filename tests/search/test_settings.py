@@ -16,7 +16,13 @@ from bayescal._report.result_json import result
 from bayescal_models import mems_gyro
 from tests.support.made_up import split_search
 
-KINDS = [bc.SearchSettings, bc.GuardSettings, bc.RecordSettings, bc.SamplingSettings]
+KINDS = [
+    bc.SearchSettings,
+    bc.GuardSettings,
+    bc.RecordSettings,
+    bc.SamplingSettings,
+    bc.FleetSettings,
+]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -19,7 +19,7 @@ from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import on_residuals
-from bayescal._search.plausible_sizes import SIZES
+from bayescal._search.plausible_sizes import factors
 from bayescal._search.posterior import Posterior
 from bayescal._search.scores import View, gain_of
 from bayescal._search.structures import Structure, Structures
@@ -90,7 +90,7 @@ def test_evidence_is_averaged_over_the_plausible_sizes() -> None:
         + find_mode(
             Assembly(layout, made.record, {"bias.temperature_quadratic": factor})
         ).log_evidence
-        for factor, share in SIZES.items()
+        for factor, share in factors().items()
     ]
     found = made.visited[structure].log_evidence
     assert found == pytest.approx(np.logaddexp.reduce(each), abs=0.02)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from bayescal._calibration.evidence_scale import VERY_STRONG
+from bayescal._calibration.settings import searching
 from bayescal._search.next_experiment import NextExperiment, next_experiment
 from bayescal._workbench.parts.pieces import button, column, row, words
 from bayescal._workbench.parts.rows import Rows
@@ -60,7 +60,7 @@ def experiment_rows(found: NextExperiment) -> list[dict[str, Any]]:
     rows = []
     for e in found.experiments:
         (truth, rival), least = min(e.expected.items(), key=lambda item: item[1])
-        kind = "number best" if least >= VERY_STRONG else "number"
+        kind = "number best" if least >= searching().very_strong else "number"
         cells = [
             {"text": e.name},
             {"text": f"{least:.1f}", "kind": kind},
