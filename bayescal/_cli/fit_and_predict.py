@@ -13,23 +13,24 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
-from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
-from bayescal._cli.options import ModelOptions, OwnParts, UsedParts, with_groups
+from bayescal._cli.options import (
+    ColumnOptions,
+    Commands,
+    ModelOptions,
+    OwnParts,
+    ReadRequest,
+    UsedParts,
+)
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 
-commands = typer.Typer()
+commands = Commands()
 
 
-@commands.command(epilog="Example: bayescal fit readings.csv --instrument mems_gyro --out result")
-@with_groups
+@commands.example("bayescal fit readings.csv --instrument mems_gyro --out result")
 def fit(
-    files: options.Files,
-    instrument: options.Name,
-    columns: ColumnOptions,
-    choice: ModelOptions,
-    average: options.Average = None,
+    asked: ReadRequest,
     noise: options.NoiseName = None,
     method: options.MethodName = "marginal",
     time_limit: options.TimeLimit = None,
@@ -38,16 +39,10 @@ def fit(
     json_: options.Json = False,
 ) -> None:
     """Fit one model: coefficients with uncertainty."""
-    from bayescal._cli.request import (
-        ReadRequest,
-        law_named,
-        method_named,
-        open_request,
-        reference_of,
-    )
+    from bayescal._cli.request import law_named, method_named, open_request, reference_of
 
     with deadline.until(time_limit, apart=True), result_folder(out) as folder:
-        _, model, readings = open_request(ReadRequest(instrument, files, columns, choice, average))
+        _, model, readings = open_request(asked)
         model = model if noise is None else model.with_noise(law_named(noise, model, readings))
         print_notes(readings.flags)
         calibration = bc.fit(
@@ -56,7 +51,7 @@ def fit(
             method_named(method),
             seed=seed,
             strict=False,
-            reference=reference_of(choice.reference, readings),
+            reference=reference_of(asked.choice.reference, readings),
         )
         from bayescal._calibration.description import identity
         from bayescal._cli.output import fit_data
@@ -78,8 +73,7 @@ def fit(
     exit_unless(calibration.verdict.reliable, calibration.verdict.why_not)
 
 
-@commands.command(epilog="Example: bayescal check result/calibration.nc")
-@with_groups
+@commands.example("bayescal check result/calibration.nc")
 def check(
     calibration: options.Saved,
     own: OwnParts,
@@ -93,8 +87,7 @@ def check(
     print_result(clean(check_data(checked, 0)) if json_ else checked)
 
 
-@commands.command(epilog="Example: bayescal discover result/calibration.nc")
-@with_groups
+@commands.example("bayescal discover result/calibration.nc")
 def discover(
     calibration: options.Saved,
     own: OwnParts,
@@ -146,11 +139,10 @@ def discover(
         deadline.finish(tell)
 
 
-@commands.command(
-    epilog="Example: bayescal compare readings.csv --instrument mems_gyro --structure line "
+@commands.example(
+    "bayescal compare readings.csv --instrument mems_gyro --structure line "
     "--structure line+bias.thermal_lag"
 )
-@with_groups
 def compare(
     *,
     files: options.Files,
@@ -167,7 +159,6 @@ def compare(
 ) -> None:
     """Set model structures side by side: leave-one-group-out, leave-one-out, evidence, weights."""
     from bayescal._cli.request import (
-        ReadRequest,
         method_named,
         open_request,
         reference_of,
@@ -199,10 +190,7 @@ def compare(
     exit_unless(not failed, "; ".join(failed))
 
 
-@commands.command(
-    epilog="Example: bayescal predict result/calibration.nc new.csv --out predicted.csv"
-)
-@with_groups
+@commands.example("bayescal predict result/calibration.nc new.csv --out predicted.csv")
 def predict(
     *,
     calibration: options.Saved,
