@@ -5,7 +5,6 @@ Heavy modules load inside the commands.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -24,6 +23,7 @@ from bayescal._cli.options import (
     OwnParts,
     named_numbers,
 )
+from bayescal._core.as_json import write_json
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 
 commands = Commands()
@@ -255,7 +255,6 @@ def decide(
     Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
     """
     from bayescal._cli import saved
-    from bayescal._core.atomic_file import write_text
 
     found = bc.decide(
         saved.load_saved(calibration, own),
@@ -269,8 +268,7 @@ def decide(
     )
     print_result(found.data() if json_ else found)
     if out is not None:
-        text = json.dumps(found.data(), indent=1, ensure_ascii=False, allow_nan=False)
-        write_text(f"{text}\n", out)
+        write_json(found.data(), out, indent=1)
     exit_unless_conforms(found)
 
 

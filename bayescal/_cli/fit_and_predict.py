@@ -5,7 +5,6 @@ Imports stand where they are first needed: a bad file is refused before a sample
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +22,7 @@ from bayescal._cli.options import (
     UsedParts,
 )
 from bayescal._core import deadline
+from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 
 commands = Commands()
@@ -81,10 +81,10 @@ def check(
 ) -> None:
     """Where a fitted model fails."""
     from bayescal._cli.saved import load_saved
-    from bayescal._report.result_json import check_data, clean
+    from bayescal._report.result_json import check_data
 
     checked = bc.check(load_saved(calibration, own))
-    print_result(clean(check_data(checked, 0)) if json_ else checked)
+    print_result(check_data(checked, 0) if json_ else checked)
 
 
 @commands.example("bayescal discover result/calibration.nc")
@@ -104,7 +104,7 @@ def discover(
     from bayescal._cli.output import unexplained_text
     from bayescal._cli.request import typed_effects, user_effects
     from bayescal._cli.saved import load_saved
-    from bayescal._report.result_json import clean, experiment_data, missing_data
+    from bayescal._report.result_json import experiment_data, missing_data
 
     loaded = load_saved(calibration, own)
     model, readings = loaded.model, loaded.readings
@@ -131,10 +131,10 @@ def discover(
                     loaded, calibrate_screen, effects=effects, max_effects=max_effects
                 )
                 text += f"\n\n{rate}"
-                data["false_reports"] = asdict(rate)
+                data["false_reports"] = as_json(rate)
             if end.over and (next_experiment or calibrate_screen):
                 text += f"\n\nwhat was asked for beside the search was left out or cut short ({end.why})"
-            print_result(clean(data) if json_ else text)
+            print_result(data if json_ else text)
 
         deadline.finish(tell)
 
@@ -183,9 +183,7 @@ def compare(
         for name, model in models.items()
     }
     comparison = bc.compare(fits)
-    from bayescal._cli.output import comparison_data
-
-    print_result(comparison_data(comparison) if json_ else comparison)
+    print_result(as_json(comparison) if json_ else comparison)
     failed = [f"{n}: {' '.join(c.verdict.reasons)}" for n, c in fits.items() if not c.verdict.ok]
     exit_unless(not failed, "; ".join(failed))
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.mixture import inclusion, without
 from bayescal._calibration.prior_influence import variance_by_origin
+from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, table, with_error
 from bayescal._data.unit_conversion import (
@@ -147,12 +148,8 @@ class Budget:
 
     def data(self) -> dict[str, Any]:
         """As JSON, in fixed units."""
-        return {
-            **asdict(self),
-            "expanded": self.expanded,
-            "expanded_reading": self.expanded_reading,
-            "covariance": self.covariance.tolist(),
-        }
+        more = {"expanded": self.expanded, "expanded_reading": self.expanded_reading}
+        return {**as_json(self), **more}
 
     def __str__(self) -> str:
         return budget_text(self.shown())
