@@ -18,7 +18,14 @@ from bayescal._core.formatting import number
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.plot_colours import BLUE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._report.plot_residuals import residual_panel
-from bayescal._report.plot_style import axis_label, new_figure, no_formula, open_sides, plain
+from bayescal._report.plot_style import (
+    axes_of,
+    axis_label,
+    new_figure,
+    no_formula,
+    open_sides,
+    plain,
+)
 from bayescal._search.discover import Discovery
 from bayescal._search.search_path import SearchPath
 
@@ -69,8 +76,7 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     """
     told = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
     steps = [_of_data(step) for step in told]
-    figure = new_figure(5.6, 0.75 + 1.0 * len(steps)) if ax is None else ax.figure
-    ax = figure.subplots() if ax is None else ax
+    ax = axes_of(ax, 5.6, 0.75 + 1.0 * len(steps))
     runs = any(s.new_run > 1.001 * s.fitted for s in steps)  # no effect of a run, no second bar
     series = [
         ("as fitted", [s.fitted for s in steps], BLUE),
@@ -100,7 +106,7 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     handles.sort(key=lambda h: h.get_label().startswith("floor"))  # the last, as in the tables
     _legend_below(ax, handles, 2)
     open_sides(ax)
-    return figure
+    return ax.figure
 
 
 def _legend_below(ax: Any, handles: list[Any], columns: int) -> None:
@@ -140,8 +146,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
         key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]),
     )
     shown = ranked[-MOST:]
-    figure = new_figure(5.6, 0.3 * len(shown) + 1.3) if ax is None else ax.figure
-    ax = figure.subplots() if ax is None else ax
+    ax = axes_of(ax, 5.6, 0.3 * len(shown) + 1.3)
     values = [c["log_bayes_factor"] for c in shown]
     colours = [KINDS.get(c["kind"] or "", BLUE) for c in shown]
     ax.barh([plain(c["effect"]) for c in shown], values, color=colours)
@@ -157,7 +162,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     if names:
         _legend_below(ax, names, len(names))
     open_sides(ax)
-    return figure
+    return ax.figure
 
 
 def _ticks(low: float, high: float) -> list[float]:
