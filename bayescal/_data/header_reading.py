@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from difflib import get_close_matches
+from functools import lru_cache
 from typing import NamedTuple
 
 from bayescal._core.errors import InputError
@@ -60,8 +61,13 @@ class Reading(NamedTuple):
     unit: str | None
 
 
-def readings_of(header: Header) -> Iterator[Reading]:
+@lru_cache(maxsize=4096)  # each is asked for by many columns
+def readings_of(header: Header) -> tuple[Reading, ...]:
     """Every way to part a header into a name and a unit, the plainest first."""
+    return tuple(_readings_of(header))
+
+
+def _readings_of(header: Header) -> Iterator[Reading]:
     yield Reading(header.name, header.unit)
     if header.unit:
         return

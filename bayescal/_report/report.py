@@ -273,9 +273,6 @@ def _pictures(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
         "first": first,
         "last": pictures.residuals(c, chapter.check, "the last model"),
         "error": pictures.error(chapter),
-        "coefficients": pictures.coefficients(c),
-        "identifiability": pictures.identifiability(c),
-        "pairs": pictures.pairs(c),
-        "predictive": pictures.predictive(c),
+        **{name: pictures.of_fit(name, c) for name in figures.OF_FIT},
         "allan": pictures.allan(chapter.check, "the last model"),
     }

@@ -235,7 +235,7 @@ def budget(
 
 
 def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, float]:
-    inputs = {i.name: i for i in chosen.inputs if i.kind != "lag slope"}
+    inputs = [i.name for i in chosen.inputs if i.kind != "lag slope"]
     for name, value in at.items():
         if name != chosen.stimulus and name not in inputs:
             raise InputError(
@@ -244,11 +244,8 @@ def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, flo
             )
         if not np.isfinite(value):
             raise InputError(f"{name} = {value}: give a finite number")
-    low, high = chosen.stimulus_range or (0.0, 0.0)
-    point = {chosen.stimulus: 0.5 * (low + high)}
-    for name, i in inputs.items():
-        point[name] = 0.5 * (i.low + i.high) if i.kind in ("column", "elapsed") else 0.0
-    return {**point, **{n: float(v) for n, v in at.items()}}
+    middle = {n: v for n, v in chosen.middle.items() if n in (chosen.stimulus, *inputs)}
+    return {**middle, **{n: float(v) for n, v in at.items()}}
 
 
 def _by_coefficient(
