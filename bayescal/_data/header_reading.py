@@ -12,8 +12,7 @@ from difflib import get_close_matches
 from functools import lru_cache
 from typing import NamedTuple
 
-from bayescal._core.errors import InputError
-from bayescal._data.unit_conversion import same_dimension
+from bayescal._data.unit_conversion import alike
 from bayescal._data.unit_parsing import ANY, BASE, DERIVED, SPELLINGS
 from bayescal._tables.raw_table import Header
 
@@ -147,10 +146,7 @@ def spelled(text: str) -> str | None:
 
 def _is(unit: str, kinds: tuple[str, ...]) -> bool:
     """Whether a text is a known unit of one of these kinds."""
-    try:
-        return any(same_dimension(unit, unit if kind == ANY else kind) for kind in kinds)
-    except InputError:
-        return False
+    return any(alike(unit, unit if kind == ANY else kind) for kind in kinds)
 
 
 def plain(name: str) -> str:

@@ -72,8 +72,14 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "search": search_data(trail),
             "steps": [step_data(s) for s in trail.steps],
             "check": [e for i, s in enumerate(trail.steps) for e in check_data(s.check, i)],
-            "pairs": [p for i, s in enumerate(trail.steps) for p in pairs_data(s.check, i)],
-            "allan": [a for i, s in enumerate(trail.steps) for a in allan_data(s.check, i)],
+            "pairs": [
+                {"step": i, **as_json(p)} for i, s in enumerate(trail.steps) for p in s.check.pairs
+            ],
+            "allan": [
+                {"step": i, **s.check.allan.data()}
+                for i, s in enumerate(trail.steps)
+                if s.check.allan is not None
+            ],
             "missing": [
                 missing_data(s.discovery, i, s.check)
                 for i, s in enumerate(trail.steps)
@@ -199,15 +205,6 @@ def check_data(check: Check, step: int) -> list[dict[str, Any]]:
         }
         for e in check.entries
     ]
-
-
-def pairs_data(check: Check, step: int) -> list[dict[str, Any]]:
-    return [{"step": step, **as_json(p)} for p in check.pairs]
-
-
-def allan_data(check: Check, step: int) -> list[dict[str, Any]]:
-    """One entry, or none where readings are not evenly spaced in time."""
-    return [] if check.allan is None else [{"step": step, **check.allan.data()}]
 
 
 def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
