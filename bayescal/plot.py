@@ -6,7 +6,7 @@ Colours that the colour-blind can tell apart (Okabe and Ito), a unit on every ax
 from __future__ import annotations
 
 from bayescal._report.plot_allan import allan as allan
-from bayescal._report.plot_noise import noise as noise
+from bayescal._report.plot_allan import noise as noise
 from bayescal._report.plot_posterior import coefficients as coefficients
 from bayescal._report.plot_posterior import identifiability as identifiability
 from bayescal._report.plot_posterior import members as members

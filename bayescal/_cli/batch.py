@@ -11,9 +11,8 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
-from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_result
-from bayescal._cli.options import ModelOptions, named_numbers, with_groups
+from bayescal._cli.options import ColumnOptions, Commands, ModelOptions, named_numbers
 from bayescal._core.errors import InputError
 from bayescal._search.own_files import in_a_file
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
     from bayescal._model.model import Model
 
-commands = typer.Typer()
+commands = Commands()
 
 
 def _refuse_missing(paths: list[Path]) -> list[Path]:
@@ -45,10 +44,7 @@ Sources = Annotated[
 ]
 
 
-@commands.command(
-    epilog="Example: bayescal batch lot.parquet --instrument mems_gyro -o results.parquet"
-)
-@with_groups
+@commands.example("bayescal batch lot.parquet --instrument mems_gyro -o results.parquet")
 def batch(
     *,
     files: Sources,

@@ -12,44 +12,29 @@ import typer
 import bayescal as bc
 from bayescal._calibration.settings import SearchSettings
 from bayescal._cli import options
-from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
-from bayescal._cli.options import ModelOptions, with_groups
+from bayescal._cli.options import Commands, SearchRequest
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.settings_in_force import use_settings
 
 if TYPE_CHECKING:
-    from bayescal._cli.request import Early, ReadRequest
+    from bayescal._cli.request import Early
     from bayescal._data.measurements import Measurements
     from bayescal._model.effect import Effect
     from bayescal._workbench.serve import Sessions
     from bayescal._workbench.start import Waiting
 
-commands = typer.Typer()
+commands = Commands()
 
 
-@commands.command(
-    epilog="Example: bayescal calibrate readings.csv --instrument mems_gyro --out result"
-)
-@with_groups
+@commands.example("bayescal calibrate readings.csv --instrument mems_gyro --out result")
 def calibrate(
     *,
-    files: options.Files,
-    instrument: options.Name,
     channels: options.Channels = None,
-    holdout: options.Holdout = None,
-    columns: ColumnOptions,
-    choice: ModelOptions,
-    average: options.Average = None,
-    method: options.MethodName = "marginal",
-    max_effects: options.MostEffects = 5,
+    asked: SearchRequest,
     finer_noise: options.FinerNoise = True,
-    time_limit: options.TimeLimit = None,
-    keep_spikes: options.KeepSpikes = False,
-    accept_conflict: options.AcceptConflict = None,
     covariates: options.Covariates = None,
-    seed: options.Seed = 0,
     out: options.Folder = None,
     verbose: options.Verbose = False,
     output_unit: options.OutputUnit = None,
@@ -60,42 +45,21 @@ def calibrate(
     The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far. Channels of
     one unit are searched together: structures and noise of their own, one body for all.
     """
-    from bayescal._cli import request
-
-    asked = request.ReadRequest(instrument, files, columns, choice, average, keep_spikes)
-    settings = {
-        "max_effects": max_effects,
-        "keep_spikes": keep_spikes,
-        "accept_conflicts": accept_conflict or (),
-        **options.causes(None, covariates),
-        "seed": seed,
-    }
+    settings = asked.settings() | options.causes(None, covariates)
     of_search = SearchSettings(finer_noise=finer_noise)
-    with use_settings(of_search), deadline.until(time_limit, apart=True):
+    with use_settings(of_search), deadline.until(asked.time_limit, apart=True):
         if channels is None:
-            _one(asked, holdout, method, out, json_, settings, verbose, output_unit)
+            _one(asked, out, json_, settings, verbose, output_unit)
         elif output_unit is not None:
             raise InputError("--output-unit is of one output: leave it out, or --channels")
         else:
-            _several(options.channel_names(channels), asked, holdout, method, out, json_, settings)
+            _several(options.channel_names(channels), asked, out, json_, settings)
 
 
-@commands.command(epilog="Example: bayescal workbench readings.csv --instrument mems_gyro")
-@with_groups
+@commands.example("bayescal workbench readings.csv --instrument mems_gyro")
 def workbench(
     *,
-    files: options.Files,
-    instrument: options.Name,
-    holdout: options.Holdout = None,
-    columns: ColumnOptions,
-    choice: ModelOptions,
-    average: options.Average = None,
-    method: options.MethodName = "marginal",
-    max_effects: options.MostEffects = 5,
-    time_limit: options.TimeLimit = None,
-    keep_spikes: options.KeepSpikes = False,
-    accept_conflict: options.AcceptConflict = None,
-    seed: options.Seed = 0,
+    asked: SearchRequest,
     out: Annotated[
         Path,
         typer.Option(
@@ -126,29 +90,20 @@ def workbench(
     start.refuse_without_panel()
     at = start.Address.new(address)
     print_notes([at.exposed] if at.exposed else [])
-    asked = request.ReadRequest(instrument, files, columns, choice, average, keep_spikes)
     # A file that cannot be used is refused before a browser opens.
     early = request.read_early(asked)
-    settings = {
-        "method": None if method == "marginal" else request.method_named(method),
-        "keep_spikes": keep_spikes,
-        "max_effects": max_effects,
-        "time_limit": time_limit,
-        "accept_conflicts": accept_conflict or (),
-        "seed": seed,
-    }
+    method = None if asked.method == "marginal" else request.method_named(asked.method)
+    settings = {**asked.settings(), "method": method, "time_limit": asked.time_limit}
     with result_folder(out) as folder:
         assert folder is not None
         name = ["session_1", *start.kept_sessions(folder)][-1]
-        told = ", ".join(p.name for p in files)
+        told = ", ".join(p.name for p in asked.files)
         said = f"bayescal workbench of {told}: {at.of(name)}\n(Ctrl-C ends it; kept in {folder})"
         with start.Waiting(at, told, "Loading the instrument …") as waiting:
             print(said, flush=True)
             if not no_open:
                 webbrowser.open(at.of(name))
-            sessions = _sessions(
-                asked, early, holdout, folder, name, settings, waiting, trust or []
-            )
+            sessions = _sessions(asked, early, folder, name, settings, waiting, trust or [])
         from bayescal._workbench.serve import serve
 
         serve(sessions, at)
@@ -156,9 +111,8 @@ def workbench(
 
 
 def _sessions(
-    asked: ReadRequest,
+    asked: SearchRequest,
     early: Early,
-    holdout: Sequence[Path] | None,
     folder: Path,
     name: str,
     settings: dict[str, Any],
@@ -169,7 +123,7 @@ def _sessions(
     from bayescal._cli import request
 
     chosen, model, readings = request.open_request(asked, early)
-    kept = request.open_kept(holdout, chosen, asked)
+    kept = request.open_kept(chosen, asked)
     print_notes(readings.flags)
     own_files = [] if asked.choice.effects_file is None else [asked.choice.effects_file]
     own = request.own_effects(asked.choice, model.instrument, readings)
@@ -184,7 +138,7 @@ def _sessions(
     origin = Origin.of(
         asked.instrument,
         asked.files,
-        holdout,
+        asked.holdout,
         asked.columns.for_read(),
         own_files,
         average=asked.average,
@@ -216,9 +170,7 @@ def _written(own: Sequence[Effect], folder: Path) -> Path:
 
 
 def _one(
-    asked: ReadRequest,
-    holdout: Sequence[Path] | None,
-    method: str,
+    asked: SearchRequest,
     out: Path | None,
     json_: bool,
     settings: dict[str, Any],
@@ -235,7 +187,7 @@ def _one(
             "give another folder, or remove it"
         )
     chosen, model, readings = request.open_request(asked)
-    kept = request.open_kept(holdout, chosen, asked)
+    kept = request.open_kept(chosen, asked)
     print_notes(readings.flags)
     own = request.own_effects(asked.choice, model.instrument, readings)
     if output_unit is not None:
@@ -258,7 +210,7 @@ def _one(
             readings,
             holdout=kept,
             effects=own,
-            method=request.method_named(method),
+            method=request.method_named(asked.method),
             reference=request.reference_of(asked.choice.reference, readings),
             seeds=seeds,
             follow=told,
@@ -287,9 +239,7 @@ def _one(
 
 def _several(
     names: Sequence[str],
-    asked: ReadRequest,
-    holdout: Sequence[Path] | None,
-    method: str,
+    asked: SearchRequest,
     out: Path | None,
     json_: bool,
     settings: dict[str, Any],
@@ -298,7 +248,7 @@ def _several(
     from bayescal._cli import request
 
     general, models, readings = request.open_channels(names, asked)
-    kept = request.open_kept_channels(holdout, names, general, asked)
+    kept = request.open_kept_channels(names, general, asked)
     print_notes(_flags(readings))
     name, first = next(iter(readings.items()))
     own = request.own_effects(asked.choice, models[name].instrument, first)
@@ -308,7 +258,7 @@ def _several(
             readings,
             holdout=kept,
             effects=own,
-            method=request.method_named(method),
+            method=request.method_named(asked.method),
             reference=request.reference_of(asked.choice.reference, first),
             **settings,
         )

@@ -14,13 +14,12 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
-from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
-from bayescal._cli.options import ModelOptions, with_groups
+from bayescal._cli.options import ColumnOptions, Commands, ModelOptions, ReadRequest
 from bayescal._core.errors import InputError
 from bayescal._report.whole_folder import MANIFEST, files_of, whole_folder
 
-commands = typer.Typer()
+commands = Commands()
 DEMONSTRATIONS = "bayescal.demos"
 """`run(folder, seed)` writes a demonstration to an existing folder."""
 
@@ -28,7 +27,7 @@ PAIR_SELECTIONS = "bayescal.pair_selections"
 """`select(calibration, criterion=…)` gives a table of pairs that prints itself and has `data()`, plain JSON."""
 
 
-@commands.command(epilog="Example: bayescal instruments --check level.py:INSTRUMENT")
+@commands.example("bayescal instruments --check level.py:INSTRUMENT")
 def instruments(
     check: Annotated[
         str | None,
@@ -66,7 +65,7 @@ def instruments(
     print_result(output.instruments_data(known) if json_ else output.instruments_text(known))
 
 
-@commands.command(epilog="Example: bayescal effects --instrument mems_gyro")
+@commands.example("bayescal effects --instrument mems_gyro")
 def effects(
     instrument: options.Name,
     effects_file: options.OwnEffects = None,
@@ -85,9 +84,8 @@ def effects(
     print_result(output.effects_data(kinds) if json_ else output.effects_text(kinds))
 
 
-@commands.command(
-    epilog="Example: bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 "
-    "--out sim.csv"
+@commands.example(
+    "bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 --out sim.csv"
 )
 def simulate(
     instrument: options.Name,
@@ -123,8 +121,7 @@ def simulate(
     print_result({**said, "effects": hidden} if json_ else text)
 
 
-@commands.command(epilog="Example: bayescal pairs readings.csv")
-@with_groups
+@commands.example("bayescal pairs readings.csv")
 def pairs(
     *,
     files: options.Files,
@@ -141,7 +138,7 @@ def pairs(
     json_: options.Json = False,
 ) -> None:
     """Which two devices make the best pair, each pair with its probability."""
-    from bayescal._cli.request import ReadRequest, open_request
+    from bayescal._cli.request import open_request
 
     choice = ModelOptions(add=add)
     chosen, model, readings = open_request(ReadRequest(instrument, files, columns, choice, average))
@@ -155,7 +152,7 @@ def pairs(
     exit_unless(fitted.verdict.ok, " ".join(fitted.verdict.reasons))
 
 
-@commands.command(epilog="Example: bayescal demo --out demo_output")
+@commands.example("bayescal demo --out demo_output")
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("demo_output"),
     instrument: Annotated[

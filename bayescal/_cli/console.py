@@ -5,7 +5,6 @@ Light: every command loads it before it starts.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -14,6 +13,7 @@ from typing import Any
 
 import typer
 
+from bayescal._core.as_json import as_json, json_text
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._report.whole_folder import bring_back
@@ -22,7 +22,7 @@ from bayescal._report.whole_folder import bring_back
 def print_result(result: Any) -> None:
     """Data as JSON, anything else as the text that it prints as."""
     if isinstance(result, dict | list):
-        result = json.dumps(result, indent=2, ensure_ascii=False, allow_nan=False)
+        result = json_text(as_json(result)).rstrip("\n")
     print(result)
 
 

@@ -5,7 +5,6 @@ Heavy modules load inside the commands.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -14,12 +13,20 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
-from bayescal._cli.column_options import ColumnOptions, Gravity
 from bayescal._cli.console import exit_unless, print_notes, print_result
-from bayescal._cli.options import OwnParts, UsedParts, named_numbers, with_groups
+from bayescal._cli.options import (
+    ColumnOptions,
+    Commands,
+    DecisionRule,
+    Gravity,
+    InUse,
+    OwnParts,
+    named_numbers,
+)
+from bayescal._core.as_json import write_json
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 
-commands = typer.Typer()
+commands = Commands()
 
 
 def exit_unless_reliable(given: Mapping[str, bc.Compensator]) -> None:
@@ -38,10 +45,7 @@ def exit_unless_conforms(found: bc.Decisions) -> None:
         raise typer.Exit(1)
 
 
-@commands.command(
-    epilog="Example: bayescal compensate result/calibration.nc flight.csv --out done.csv"
-)
-@with_groups
+@commands.example("bayescal compensate result/calibration.nc flight.csv --out done.csv")
 def compensate(
     *,
     calibration: Annotated[
@@ -72,16 +76,15 @@ def compensate(
     without_noise: Annotated[
         bool, typer.Option("--without-noise", help="Leave the noise of each reading out.")
     ] = False,
-    member: options.Members = None,
     columns: ColumnOptions,
-    own: UsedParts,
+    own: InUse,
     json_: options.Json = False,
 ) -> None:
     """Turn readings back into what was measured, with standard uncertainty: two columns more."""
     from bayescal._cli.saved import compensator_from
     from bayescal._use.compensate_file import compensate_file
 
-    chosen = compensator_from(calibration, own, member)
+    chosen = compensator_from(calibration, own)
     how = {**columns.for_read(), "missing": columns.missing or "drop"}
     done = compensate_file(
         chosen,
@@ -111,8 +114,7 @@ def compensate(
     exit_unless_reliable({"": chosen})
 
 
-@commands.command(epilog="Example: bayescal export result/calibration.nc --format c --out gyro.h")
-@with_groups
+@commands.example("bayescal export result/calibration.nc --format c --out gyro.h")
 def export(
     *,
     calibrations: Annotated[
@@ -145,8 +147,7 @@ def export(
     ] = None,
     local_gravity: Gravity = None,
     certificate: options.Certificate = None,
-    member: options.Members = None,
-    own: UsedParts,
+    own: InUse,
 ) -> None:
     """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate."""
     from bayescal._cli import saved
@@ -154,7 +155,7 @@ def export(
 
     saved.refuse_format(format_, out)
     if format_ in saved.PARAMETERS:
-        given = saved.by_axis(calibrations or [], axis, own, member)
+        given = saved.by_axis(calibrations or [], axis, own)
         found = saved.parameters(given, str(format_), device_id, local_gravity or STANDARD_GRAVITY)
         if out is None:
             print(found.text(), end="")
@@ -162,7 +163,7 @@ def export(
             print(f"{found}\n\nwritten: {found.write(out)}")
         exit_unless_reliable(given)
         return
-    chosen = saved.single(calibrations or [], axis, device_id, own, member)
+    chosen = saved.single(calibrations or [], axis, device_id, own)
     if format_ == saved.DCC:
         text = saved.certified(chosen, certificate, local_gravity or STANDARD_GRAVITY)
         print(text.rstrip("\n") if out is None else f"written: {write_text(text, out)}")
@@ -176,8 +177,7 @@ def export(
     exit_unless_reliable({"": chosen})
 
 
-@commands.command(epilog="Example: bayescal budget result/calibration.nc --at temperature=60")
-@with_groups
+@commands.example("bayescal budget result/calibration.nc --at temperature=60")
 def budget(
     *,
     calibration: options.Saved,
@@ -193,15 +193,14 @@ def budget(
     prior_sensitivity: Annotated[
         bool, typer.Option("--prior-sensitivity", help="Also how much the priors matter (psense).")
     ] = False,
-    member: options.Members = None,
-    own: UsedParts,
+    own: InUse,
     json_: options.Json = False,
 ) -> None:
     """The uncertainty budget of a compensated value (JCGM 100): who contributes how much."""
     from bayescal._calibration import prior_influence
     from bayescal._cli.saved import compensator_from
 
-    chosen = compensator_from(calibration, own, member)
+    chosen = compensator_from(calibration, own)
     found = bc.budget(chosen, named_numbers(at, "--at"), k=k)
     priors = None
     if prior_sensitivity and chosen.calibration is not None:
@@ -216,8 +215,7 @@ def budget(
     exit_unless_reliable({"": chosen})
 
 
-@commands.command(epilog='Example: bayescal decide result --limit "bias: ±0.5 °/s"')
-@with_groups
+@commands.example('bayescal decide result --limit "bias: ±0.5 °/s"')
 def decide(
     *,
     calibration: options.Saved,
@@ -229,8 +227,7 @@ def decide(
             show_default=False,
         ),
     ],
-    rule: options.Rule = "guarded",
-    false_accept: options.FalseAccept = 0.025,
+    by: DecisionRule,
     population: Annotated[
         list[str] | None,
         typer.Option(
@@ -250,8 +247,7 @@ def decide(
         Path | None, typer.Option("--out", "-o", help="JSON file to write the decisions to.")
     ] = None,
     local_gravity: Gravity = None,
-    member: options.Members = None,
-    own: UsedParts,
+    own: InUse,
     json_: options.Json = False,
 ) -> None:
     """Does it conform? Decisions about limits, with guard bands, risks and when to calibrate again.
@@ -259,28 +255,24 @@ def decide(
     Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
     """
     from bayescal._cli import saved
-    from bayescal._core.atomic_file import write_text
 
     found = bc.decide(
         saved.load_saved(calibration, own),
         limit,
-        rule=rule,  # pyright: ignore[reportArgumentType]  refused there if it is none
-        false_accept=false_accept,
+        **vars(by),
         population=saved.population_of(population),
         capability=capability,
         conformity=conformity,
-        members=options.named_values(member, "--member"),
+        members=own.members,
         local_gravity=local_gravity or STANDARD_GRAVITY,
     )
     print_result(found.data() if json_ else found)
     if out is not None:
-        text = json.dumps(found.data(), indent=1, ensure_ascii=False, allow_nan=False)
-        write_text(f"{text}\n", out)
+        write_json(found.data(), out, indent=1)
     exit_unless_conforms(found)
 
 
-@commands.command(epilog="Example: bayescal report result -o report.html")
-@with_groups
+@commands.example("bayescal report result -o report.html")
 def report(
     *,
     calibrations: Annotated[
@@ -301,8 +293,7 @@ def report(
             "--limit", help="Also decide whether it conforms, as `bayescal decide`; of one result."
         ),
     ] = None,
-    rule: options.Rule = "guarded",
-    false_accept: options.FalseAccept = 0.025,
+    by: DecisionRule,
     output_unit: options.OutputUnit = None,
     own: OwnParts,
     json_: options.Json = False,
@@ -318,8 +309,7 @@ def report(
         decided = bc.decide(
             saved.load_decided(calibrations, own),
             limit,
-            rule=rule,  # pyright: ignore[reportArgumentType]  refused there if it is none
-            false_accept=false_accept,
+            **vars(by),
         )
     written = bc.report(
         given,

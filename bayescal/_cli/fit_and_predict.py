@@ -5,7 +5,6 @@ Imports stand where they are first needed: a bad file is refused before a sample
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -13,23 +12,25 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
-from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
-from bayescal._cli.options import ModelOptions, OwnParts, UsedParts, with_groups
+from bayescal._cli.options import (
+    ColumnOptions,
+    Commands,
+    ModelOptions,
+    OwnParts,
+    ReadRequest,
+    UsedParts,
+)
 from bayescal._core import deadline
+from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 
-commands = typer.Typer()
+commands = Commands()
 
 
-@commands.command(epilog="Example: bayescal fit readings.csv --instrument mems_gyro --out result")
-@with_groups
+@commands.example("bayescal fit readings.csv --instrument mems_gyro --out result")
 def fit(
-    files: options.Files,
-    instrument: options.Name,
-    columns: ColumnOptions,
-    choice: ModelOptions,
-    average: options.Average = None,
+    asked: ReadRequest,
     noise: options.NoiseName = None,
     method: options.MethodName = "marginal",
     time_limit: options.TimeLimit = None,
@@ -38,16 +39,10 @@ def fit(
     json_: options.Json = False,
 ) -> None:
     """Fit one model: coefficients with uncertainty."""
-    from bayescal._cli.request import (
-        ReadRequest,
-        law_named,
-        method_named,
-        open_request,
-        reference_of,
-    )
+    from bayescal._cli.request import law_named, method_named, open_request, reference_of
 
     with deadline.until(time_limit, apart=True), result_folder(out) as folder:
-        _, model, readings = open_request(ReadRequest(instrument, files, columns, choice, average))
+        _, model, readings = open_request(asked)
         model = model if noise is None else model.with_noise(law_named(noise, model, readings))
         print_notes(readings.flags)
         calibration = bc.fit(
@@ -56,7 +51,7 @@ def fit(
             method_named(method),
             seed=seed,
             strict=False,
-            reference=reference_of(choice.reference, readings),
+            reference=reference_of(asked.choice.reference, readings),
         )
         from bayescal._calibration.description import identity
         from bayescal._cli.output import fit_data
@@ -78,8 +73,7 @@ def fit(
     exit_unless(calibration.verdict.reliable, calibration.verdict.why_not)
 
 
-@commands.command(epilog="Example: bayescal check result/calibration.nc")
-@with_groups
+@commands.example("bayescal check result/calibration.nc")
 def check(
     calibration: options.Saved,
     own: OwnParts,
@@ -87,14 +81,13 @@ def check(
 ) -> None:
     """Where a fitted model fails."""
     from bayescal._cli.saved import load_saved
-    from bayescal._report.result_json import check_data, clean
+    from bayescal._report.result_json import check_data
 
     checked = bc.check(load_saved(calibration, own))
-    print_result(clean(check_data(checked, 0)) if json_ else checked)
+    print_result(check_data(checked, 0) if json_ else checked)
 
 
-@commands.command(epilog="Example: bayescal discover result/calibration.nc")
-@with_groups
+@commands.example("bayescal discover result/calibration.nc")
 def discover(
     calibration: options.Saved,
     own: OwnParts,
@@ -111,7 +104,7 @@ def discover(
     from bayescal._cli.output import unexplained_text
     from bayescal._cli.request import typed_effects, user_effects
     from bayescal._cli.saved import load_saved
-    from bayescal._report.result_json import clean, experiment_data, missing_data
+    from bayescal._report.result_json import experiment_data, missing_data
 
     loaded = load_saved(calibration, own)
     model, readings = loaded.model, loaded.readings
@@ -138,19 +131,18 @@ def discover(
                     loaded, calibrate_screen, effects=effects, max_effects=max_effects
                 )
                 text += f"\n\n{rate}"
-                data["false_reports"] = asdict(rate)
+                data["false_reports"] = as_json(rate)
             if end.over and (next_experiment or calibrate_screen):
                 text += f"\n\nwhat was asked for beside the search was left out or cut short ({end.why})"
-            print_result(clean(data) if json_ else text)
+            print_result(data if json_ else text)
 
         deadline.finish(tell)
 
 
-@commands.command(
-    epilog="Example: bayescal compare readings.csv --instrument mems_gyro --structure line "
+@commands.example(
+    "bayescal compare readings.csv --instrument mems_gyro --structure line "
     "--structure line+bias.thermal_lag"
 )
-@with_groups
 def compare(
     *,
     files: options.Files,
@@ -167,7 +159,6 @@ def compare(
 ) -> None:
     """Set model structures side by side: leave-one-group-out, leave-one-out, evidence, weights."""
     from bayescal._cli.request import (
-        ReadRequest,
         method_named,
         open_request,
         reference_of,
@@ -192,17 +183,12 @@ def compare(
         for name, model in models.items()
     }
     comparison = bc.compare(fits)
-    from bayescal._cli.output import comparison_data
-
-    print_result(comparison_data(comparison) if json_ else comparison)
+    print_result(as_json(comparison) if json_ else comparison)
     failed = [f"{n}: {' '.join(c.verdict.reasons)}" for n, c in fits.items() if not c.verdict.ok]
     exit_unless(not failed, "; ".join(failed))
 
 
-@commands.command(
-    epilog="Example: bayescal predict result/calibration.nc new.csv --out predicted.csv"
-)
-@with_groups
+@commands.example("bayescal predict result/calibration.nc new.csv --out predicted.csv")
 def predict(
     *,
     calibration: options.Saved,

@@ -9,21 +9,19 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
-from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import print_notes, print_result, result_folder
-from bayescal._cli.options import ModelOptions, with_groups
+from bayescal._cli.options import ColumnOptions, Commands, ModelOptions, ReadRequest
 from bayescal._core.errors import InputError
 
-commands = typer.Typer()
+commands = Commands()
 AT_REST = (
     "still_sensor"  # the instrument whose output does not change but by its noise and temperature
 )
 
 
-@commands.command(
-    epilog="Example: bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --yaml imu.yaml"
+@commands.example(
+    "bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --yaml imu.yaml"
 )
-@with_groups
 def noise(
     files: options.Files,
     columns: ColumnOptions,
@@ -47,7 +45,7 @@ def noise(
     json_: options.Json = False,
 ) -> None:
     """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals."""
-    from bayescal._cli.request import ReadRequest, open_channels, open_request
+    from bayescal._cli.request import open_channels, open_request
     from bayescal._use.kalibr_file import kalibr_yaml
 
     if not 0 < quantile < 1:

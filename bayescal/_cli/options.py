@@ -1,6 +1,6 @@
 """Options that several commands share, one by one and in groups. Light: `bayescal --help` reads them.
 
-A group is a data class of options. `with_groups` shows typer its fields in place of a command's
+A group is a data class of options, or of groups. `with_groups` shows typer its fields in place of a command's
 parameter of that class, so that each group is said once.
 """
 
@@ -10,14 +10,16 @@ import functools
 import inspect
 import math
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from bayescal._core.errors import InputError
+from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._tables.mapping_file import load_mapping, save_mapping
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
 
@@ -314,6 +316,114 @@ OutputUnit = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 
 
+Columns = Annotated[
+    list[str] | None,
+    typer.Option("--columns", help="output=gyro_x: our column = the file's; repeat for more."),
+]
+Units = Annotated[
+    list[str] | None,
+    typer.Option("--unit", help="gyro_x=rad/s: unit of a column; repeat for more."),
+]
+Gravity = Annotated[
+    float | None,
+    typer.Option(min=1.0, help="Local gravity, m/s², for files in m/s²; 9.80665 if not given."),
+]
+Missing = Annotated[
+    str | None,
+    typer.Option(
+        "--missing",
+        metavar="refuse|drop",
+        help="Rows with a missing reading: refuse the file, or drop them (a gap).",
+    ),
+]
+Decimal = Annotated[
+    str | None,
+    typer.Option(
+        "--decimal", metavar=".|,", help="In numbers of text files, where they do not show it."
+    ),
+]
+Scale = Annotated[
+    str | None,
+    typer.Option(
+        "--nominal-scale",
+        metavar="'250 V/g'",
+        help="Raw output per unit of output, in place of the instrument's own: turns V, mV, Hz, counts into it.",
+    ),
+]
+Zero = Annotated[
+    str | None,
+    typer.Option("--nominal-zero", metavar="'1.21 V'", help="Raw output at zero; 0 if not given."),
+]
+DateOrder = Annotated[
+    str | None,
+    typer.Option(
+        "--date-order",
+        metavar="mdy|dmy|ymd",
+        help="Of dates such as 05/06/2026, where no day above 12 shows it.",
+    ),
+]
+LeftOut = Annotated[
+    list[str] | None,
+    typer.Option("--ignore", metavar="HEADER", help="Column to leave out; repeat for more."),
+]
+MappingFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--mapping",
+        help="TOML file that --save-mapping wrote; options on the command line take precedence.",
+    ),
+]
+SaveMapping = Annotated[
+    Path | None,
+    typer.Option("--save-mapping", help="TOML file to keep these options in, for --mapping."),
+]
+
+
+@dataclass(frozen=True)
+class ColumnOptions:
+    """How the columns of the files are to be understood."""
+
+    columns: Columns = None
+    unit: Units = None
+    local_gravity: Gravity = None
+    missing: Missing = None
+    decimal: Decimal = None
+    date_order: DateOrder = None
+    nominal_scale: Scale = None
+    nominal_zero: Zero = None
+    ignore: LeftOut = None
+    mapping: MappingFile = None
+    save_mapping: SaveMapping = None
+
+    def for_read(self) -> dict[str, Any]:
+        """As the arguments of `read` that they are; those of the mapping where no option says otherwise.
+
+        Raises:
+            InputError: an option is not of its form, or the mapping cannot be used.
+        """
+        saved = {} if self.mapping is None else load_mapping(self.mapping)
+        names = ("local_gravity", "missing", "decimal", "date_order", "nominal_scale")
+        single = {name: getattr(self, name) for name in (*names, "nominal_zero", "ignore")}
+        usual = {"local_gravity": STANDARD_GRAVITY, "missing": "refuse", "decimal": ""}
+        given = {name: value for name, value in single.items() if value is not None}
+        return {
+            "columns": saved.pop("columns", {}) | named_values(self.columns, "--columns"),
+            "units": saved.pop("units", {}) | named_values(self.unit, "--unit"),
+            **usual,
+            **saved,
+            **given,
+        }
+
+    def keep(self) -> None:
+        """Save the mapping, where that is asked for, once the files have been read with it.
+
+        Raises:
+            InputError: the place cannot be written to.
+        """
+        if self.save_mapping is not None:
+            save_mapping(self.save_mapping, self.for_read())
+
+
 @dataclass(frozen=True)
 class ModelOptions:
     """Which model of an instrument: its structure, effects added, coefficients fixed, constants of the bases."""
@@ -350,25 +460,110 @@ class UsedParts(OwnParts):
     structure: OneStructure = "average"
 
 
+@dataclass(frozen=True)
+class InUse(UsedParts):
+    """The same of an instrument in use: which run, cell or device it is."""
+
+    member: Members = None
+
+    @property
+    def members(self) -> dict[str, str]:
+        """Group → its member."""
+        return named_values(self.member, "--member")
+
+
+@dataclass(frozen=True)
+class DecisionRule:
+    """By which rule it is decided whether a limit is met."""
+
+    rule: Rule = "guarded"
+    false_accept: FalseAccept = 0.025
+
+
+@dataclass(frozen=True)
+class ReadRequest:
+    """What a command is asked to fit.
+
+    Attributes:
+        instrument: its name, or my.py:INSTRUMENT.
+        files: of readings.
+        columns: how the files are to be understood.
+        choice: which model.
+        average: time over which means are taken; None for single readings.
+    """
+
+    instrument: Name
+    files: Files
+    columns: ColumnOptions
+    choice: ModelOptions
+    average: Average = None
+
+    keep_spikes = False  # single readings far from both neighbours are set aside
+
+
+@dataclass(frozen=True)
+class SearchRequest(ReadRequest):
+    """What a command is asked to search, and how."""
+
+    holdout: Holdout = None
+    method: MethodName = "marginal"
+    max_effects: MostEffects = 5
+    time_limit: TimeLimit = None
+    keep_spikes: KeepSpikes = False  # pyright: ignore[reportIncompatibleVariableOverride]
+    accept_conflict: AcceptConflict = None
+    seed: Seed = 0
+
+    def settings(self) -> dict[str, Any]:
+        """What a search takes by the same names, on the command line and in a browser."""
+        return {
+            "max_effects": self.max_effects,
+            "keep_spikes": self.keep_spikes,
+            "accept_conflicts": self.accept_conflict or (),
+            "seed": self.seed,
+        }
+
+
+class Commands(typer.Typer):
+    """Commands, each with a line of its use, whose groups of options typer sees one by one."""
+
+    def example(self, line: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+        """A command, as `typer.Typer.command` takes it.
+
+        Args:
+            line: how it is called, for the end of its help.
+        """
+        return lambda command: self.command(epilog=f"Example: {line}")(with_groups(command))
+
+
 def with_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """The command as typer is to see it: each option of a group in place of the group."""
-    declared = inspect.signature(command, eval_str=True).parameters
-    groups: dict[str, Any] = {
-        n: p.annotation for n, p in declared.items() if is_dataclass(p.annotation)
-    }
+    """The command as typer is to see it: each option of a group in place of the group, of groups in it too."""
+    declared = _parameters(command)
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
-        for name, group in groups.items():
-            values[name] = group(**{f.name: values.pop(f.name) for f in fields(group)})
-        command(**values)
+        command(**{name: _taken(p.annotation, name, values) for name, p in declared.items()})
 
-    seen: list[inspect.Parameter] = []
-    for name, parameter in declared.items():
-        of_group: Mapping[str, inspect.Parameter] = (
-            inspect.signature(groups[name], eval_str=True).parameters if name in groups else {}
-        )
-        seen += of_group.values() or [parameter]
     keyword = inspect.Parameter.KEYWORD_ONLY  # a required option may then follow others
-    run.__signature__ = inspect.Signature([p.replace(kind=keyword) for p in seen])  # pyright: ignore[reportAttributeAccessIssue]
+    seen = [p.replace(kind=keyword) for one in declared.values() for p in _single(one)]
+    run.__signature__ = inspect.Signature(seen)  # pyright: ignore[reportAttributeAccessIssue]
     return run
+
+
+def _parameters(of: Any) -> Mapping[str, inspect.Parameter]:
+    return inspect.signature(of, eval_str=True).parameters
+
+
+def _single(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
+    """A parameter, or those of its group."""
+    if not is_dataclass(parameter.annotation):
+        yield parameter
+        return
+    for inner in _parameters(parameter.annotation).values():
+        yield from _single(inner)
+
+
+def _taken(kind: Any, name: str, values: Mapping[str, Any]) -> Any:
+    """The value of a parameter, or the group made of its own."""
+    if not is_dataclass(kind):
+        return values[name]
+    return kind(**{n: _taken(p.annotation, n, values) for n, p in _parameters(kind).items()})  # pyright: ignore[reportCallIssue]

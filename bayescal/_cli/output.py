@@ -11,7 +11,6 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_text
-from bayescal._calibration.compare import Comparison
 from bayescal._calibration.mixture import moved
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.settings import searching
@@ -24,7 +23,6 @@ from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.in_output_unit import in_output_unit
-from bayescal._report.result_json import clean
 from bayescal._report.section import of_trail
 from bayescal._report.under_way import Keeper
 from bayescal._search.calibrate import SearchPath
@@ -97,7 +95,7 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
     """A fit as data."""
     verdict = calibration.verdict
     coefficients, hyperparameters = summary(calibration)
-    data = {
+    return {
         "coefficients": coefficients,
         "hyperparameters": hyperparameters,
         "reference": calibration.reference,
@@ -110,19 +108,6 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
         },
         "identifiability": {"null_directions": null_directions(calibration)},
     }
-    return clean(data)
-
-
-def comparison_data(comparison: Comparison) -> dict[str, Any]:
-    data = {
-        "rows": [vars(row) for row in comparison.rows],
-        "group": comparison.group,
-        "groups": comparison.groups,
-        "unit": comparison.unit,
-        "chosen_by": comparison.chosen_by,
-        "warnings": comparison.warnings,
-    }
-    return clean(data)
 
 
 def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effect] = ()) -> str:

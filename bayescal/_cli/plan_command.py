@@ -9,15 +9,12 @@ import typer
 import bayescal as bc
 from bayescal._cli import options
 from bayescal._cli.console import print_result
-from bayescal._cli.options import OwnParts, with_groups
+from bayescal._cli.options import Commands, OwnParts
 
-commands = typer.Typer()
+commands = Commands()
 
 
-@commands.command(
-    epilog='Example: bayescal plan result --limit "corrected reading: ±0.1 °/s over -20..60 °C"'
-)
-@with_groups
+@commands.example('bayescal plan result --limit "corrected reading: ±0.1 °/s over -20..60 °C"')
 def plan(
     calibration: options.Saved,
     own: OwnParts,

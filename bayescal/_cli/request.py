@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import bayescal as bc
-from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import print_notes
-from bayescal._cli.options import METHODS, ModelOptions, named_numbers
+from bayescal._cli.options import METHODS, ModelOptions, ReadRequest, SearchRequest, named_numbers
 from bayescal._core.errors import InputError
 from bayescal._data.read import read
 from bayescal._model.installed import FileColumns, file_columns
@@ -39,27 +36,6 @@ if TYPE_CHECKING:
 Early = tuple[Any, FileColumns | None]  # readings, or None; and by which columns they were read
 LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
 LONG = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
-
-
-@dataclass(frozen=True)
-class ReadRequest:
-    """What a command is asked to fit.
-
-    Attributes:
-        instrument: its name, or my.py:INSTRUMENT.
-        files: of readings.
-        columns: how these are to be understood.
-        choice: which model.
-        average: time over which means are taken; None for single readings.
-        keep_spikes: whether single readings far from both neighbours stay.
-    """
-
-    instrument: str
-    files: Sequence[Path]
-    columns: ColumnOptions
-    choice: ModelOptions
-    average: str | None = None
-    keep_spikes: bool = False
 
 
 def open_request(
@@ -155,23 +131,21 @@ def read_early(asked: ReadRequest, **more: Any) -> Early:
     return (read(files, holds, **how) if holds and short else None), holds
 
 
-def open_kept(
-    files: Sequence[Path] | None, instrument: Instrument, asked: ReadRequest
-) -> Measurements | None:
+def open_kept(instrument: Instrument, asked: SearchRequest) -> Measurements | None:
     """Hold-out data, averaged as the others are; None where there are none."""
-    if not files:
+    if not asked.holdout:
         return None
-    readings = read(list(files), instrument, **asked.columns.for_read())
+    readings = read(list(asked.holdout), instrument, **asked.columns.for_read())
     return averaged(readings, asked.average, asked.keep_spikes)
 
 
 def open_kept_channels(
-    files: Sequence[Path] | None, names: Sequence[str], general: Instrument, asked: ReadRequest
+    names: Sequence[str], general: Instrument, asked: SearchRequest
 ) -> dict[str, Measurements] | None:
     """The same of the channels of one unit."""
-    if not files:
+    if not asked.holdout:
         return None
-    readings = read(list(files), general, **asked.columns.for_read(), outputs=list(names))
+    readings = read(list(asked.holdout), general, **asked.columns.for_read(), outputs=list(names))
     return {n: averaged(one, asked.average, asked.keep_spikes) for n, one in readings.items()}
 
 

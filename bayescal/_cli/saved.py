@@ -6,7 +6,7 @@ from pathlib import Path
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import load
-from bayescal._cli.options import OwnParts, UsedParts, named_values
+from bayescal._cli.options import InUse, OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
 from bayescal._fleet.batch_result import load_batch
@@ -51,19 +51,19 @@ def load_saved(path: Path, own: OwnParts) -> Calibration:
     return load(path, effects=user_effects(own.effects_file), instruments=_own_instruments(own))
 
 
-def compensator_from(path: Path, own: UsedParts, members: list[str] | None) -> Compensator:
+def compensator_from(path: Path, own: InUse) -> Compensator:
     """The compensator of a saved calibration, or one exported as JSON.
 
     Raises:
         InputError: it cannot be loaded, or members are chosen of an export.
     """
     if path.suffix.lower() == ".json":
-        if members:
+        if own.member:
             raise InputError(
                 f"{path.name} is an export, made for its members: give the calibration"
             )
         return load_compensator(path)
-    return compensator(load_saved(path, own), members=named_values(members, "--member"))
+    return compensator(load_saved(path, own), members=own.members)
 
 
 def load_decided(paths: list[Path], own: OwnParts) -> Calibration:
@@ -126,8 +126,7 @@ def single(
     paths: list[Path],
     axes: list[str] | None,
     devices: list[str] | None,
-    own: UsedParts,
-    members: list[str] | None,
+    own: InUse,
 ) -> Compensator:
     """The one calibration of a program.
 
@@ -140,7 +139,7 @@ def single(
             + (", and --axis or --device-id" if axes or devices else "")
             + f": several, by axis, make parameters (--format {' or '.join(PARAMETERS)})"
         )
-    return compensator_from(paths[0], own, members)
+    return compensator_from(paths[0], own)
 
 
 def of_units(paths: list[Path], file: str = "") -> list[Path]:
@@ -165,9 +164,7 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
     return found
 
 
-def by_axis(
-    paths: list[Path], named: list[str] | None, own: UsedParts, members: list[str] | None
-) -> dict[str, Compensator]:
+def by_axis(paths: list[Path], named: list[str] | None, own: InUse) -> dict[str, Compensator]:
     """Calibrations by their axis: as their readings name it, or as the user does.
 
     Raises:
@@ -178,7 +175,7 @@ def by_axis(
     said = [(None, path) for path in of_units(paths, CALIBRATION)]
     said += [(n, Path(p)) for one in named or [] for n, p in named_values([one], "--axis").items()]
     for name, path in said:
-        chosen = compensator_from(path, own, members)
+        chosen = compensator_from(path, own)
         own_name = axis_of(chosen.calibration) if chosen.calibration else None
         name = name or own_name
         if name is None:

@@ -8,18 +8,16 @@ import typer
 
 import bayescal as bc
 from bayescal._cli import options
-from bayescal._cli.column_options import ColumnOptions
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
-from bayescal._cli.options import ModelOptions, with_groups
+from bayescal._cli.options import ColumnOptions, Commands, ModelOptions, ReadRequest
 
-commands = typer.Typer()
+commands = Commands()
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 
-@commands.command(
-    epilog="Example: bayescal triad log.csv --columns output_x=ax,output_y=ay,output_z=az --out result"
+@commands.example(
+    "bayescal triad log.csv --columns output_x=ax,output_y=ay,output_z=az --out result"
 )
-@with_groups
 def triad(
     files: options.Files,
     columns: ColumnOptions,
@@ -43,7 +41,7 @@ def triad(
     json_: options.Json = False,
 ) -> None:
     """Calibrate three axes by poses at rest; corrections as C99, Python, JSON and YAML."""
-    from bayescal._cli.request import ReadRequest, open_request
+    from bayescal._cli.request import open_request
     from bayescal._core.errors import InputError
     from bayescal._use.vector_export import data
 

@@ -19,6 +19,7 @@ import json
 import math
 import re
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -132,8 +133,12 @@ def parsed_json(text: str | bytes) -> Any:
     Raises:
         ValueError: it is none, or nested deeper than anything that is written here.
     """
+    return _parsed(json.loads, text)
+
+
+def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:
     try:
-        found = json.loads(text)
+        found = parse(text)
     except RecursionError:
         raise ValueError(f"it is nested deeper than {DEEPEST}") from None
     if said := _too_deep(found, ""):
@@ -169,13 +174,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     longest = max(map(len, text.splitlines()), default=0)
     if longest > LONGEST_LINE:
         raise ValueError(f"it has a line of {longest:,} characters, longer than {LONGEST_LINE:,}")
-    try:
-        found = tomllib.loads(text)
-    except RecursionError:
-        raise ValueError(f"it is nested deeper than {DEEPEST}") from None
-    if said := _too_deep(found, ""):
-        raise ValueError(said)
-    return found
+    return _parsed(tomllib.loads, text)
 
 
 def required(value: Any, shape: Any, file: str, instead: str) -> Any:

@@ -22,7 +22,7 @@ from bayescal._data.read_options import (
     output_name,
     unit_of,
 )
-from bayescal._data.unit_conversion import fixed_unit, pretty, same_dimension
+from bayescal._data.unit_conversion import alike, fixed_unit, pretty, same_dimension
 from bayescal._data.unit_parsing import ANY
 from bayescal._tables.problems import Problem, Problems, option
 from bayescal._tables.raw_table import Header, Table, in_one_line
@@ -299,7 +299,7 @@ def _alike(column: Column, headers: list[Header], raw_output: bool) -> list[Head
         return [h for h in near if h.raw in fits] or near
     if column.unit is None:
         return []
-    usual = [w for unit, w in _LIKELY.items() if column.unit == ANY or _same(unit, column.unit)]
+    usual = [w for unit, w in _LIKELY.items() if column.unit == ANY or alike(unit, column.unit)]
     named = [h for h in headers for words in usual if plain(h.name).startswith(words)]
     raw = (
         [h for h in headers if any(_raw(r.unit or "") for r in readings_of(h))]
@@ -312,22 +312,15 @@ def _alike(column: Column, headers: list[Header], raw_output: bool) -> list[Head
 def _raw(unit: str) -> bool:
     """Whether a unit is one of a sensor's raw output, which a nominal scale turns into another."""
     known = unit_in(unit, (ANY,))
-    return bool(known) and any(_same(str(known), kind) for kind in ("V", "Hz", "A", "count"))
+    return bool(known) and any(alike(str(known), kind) for kind in ("V", "Hz", "A", "count"))
 
 
 def _fits(unit: str, kinds: tuple[str, ...]) -> bool:
     """Whether a unit is of these kinds; one that is of another kind too (deg) is not."""
     other = bool(unit_in(unit, (ANY,))) and not any(
-        _same(unit, kind) for kind in kinds if kind != ANY
+        alike(unit, kind) for kind in kinds if kind != ANY
     )
     return bool(unit_in(unit, kinds)) and (ANY in kinds or not other)
-
-
-def _same(a: str, b: str) -> bool:
-    try:
-        return same_dimension(a, b)
-    except InputError:
-        return False
 
 
 def note_missing(

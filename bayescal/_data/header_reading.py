@@ -9,10 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from difflib import get_close_matches
+from functools import lru_cache
 from typing import NamedTuple
 
-from bayescal._core.errors import InputError
-from bayescal._data.unit_conversion import same_dimension
+from bayescal._data.unit_conversion import alike
 from bayescal._data.unit_parsing import ANY, BASE, DERIVED, SPELLINGS
 from bayescal._tables.raw_table import Header
 
@@ -60,8 +60,13 @@ class Reading(NamedTuple):
     unit: str | None
 
 
-def readings_of(header: Header) -> Iterator[Reading]:
+@lru_cache(maxsize=4096)  # each is asked for by many columns
+def readings_of(header: Header) -> tuple[Reading, ...]:
     """Every way to part a header into a name and a unit, the plainest first."""
+    return tuple(_readings_of(header))
+
+
+def _readings_of(header: Header) -> Iterator[Reading]:
     yield Reading(header.name, header.unit)
     if header.unit:
         return
@@ -141,10 +146,7 @@ def spelled(text: str) -> str | None:
 
 def _is(unit: str, kinds: tuple[str, ...]) -> bool:
     """Whether a text is a known unit of one of these kinds."""
-    try:
-        return any(same_dimension(unit, unit if kind == ANY else kind) for kind in kinds)
-    except InputError:
-        return False
+    return any(alike(unit, unit if kind == ANY else kind) for kind in kinds)
 
 
 def plain(name: str) -> str:

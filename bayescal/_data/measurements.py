@@ -39,10 +39,10 @@ from bayescal._data.pose_rows import scalar_readings
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name
 from bayescal._data.unit_conversion import check_unit
 from bayescal._data.unit_parsing import ANY, STANDARD_GRAVITY
-from bayescal._tables.cells import cells_of, equally_long
+from bayescal._tables.cells import equally_long
 from bayescal._tables.dates import date_text
 from bayescal._tables.problems import Problems
-from bayescal._tables.raw_table import ROW, Header, Table
+from bayescal._tables.raw_table import ROW, Header, Table, loads
 from bayescal._tables.write import write
 
 SINCE = "since"  # attribute of the time: seconds since 1970 at its zero, where the file has dates
@@ -128,9 +128,7 @@ class Measurements(Printed):
             file=ARRAYS,
             headers=headers,
             rows=len(arrays[0]) if arrays else 0,
-            sha256="",
-            load=lambda wanted: {i: cells_of(arrays[i], number) for i, number in wanted.items()},
-            place=lambda index: f"row {index + 1}",
+            load=loads(arrays.__getitem__),
         )
         options = ReadOptions.of(
             instrument,

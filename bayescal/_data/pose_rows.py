@@ -37,13 +37,9 @@ def scalar_readings(
     if "output" in values:  # they are so already
         return dict(values), dict(units)
     y = np.stack([values[name] for name in names], axis=1)
-    size = np.linalg.norm(y, axis=1)
-    if not np.all(size > 0):
-        row = int(np.argmin(size > 0)) + 1
-        raise InputError(
-            f"{file}, row {row}, columns {', '.join(names)}: all three read zero, so nothing acts on them: "
-            "take the row out"
-        )
+    size = _lengths(
+        y, file, names, "all three read zero, so nothing acts on them: take the row out"
+    )
     made_units = {**units, "output": units[names[0]]}
     given = [own for own in (*DIRECTION, POSE_UNCERTAINTY) if own in values]
     if not given:
@@ -55,14 +51,8 @@ def scalar_readings(
             f"{', '.join(lacking)} is missing: add it, or take the others out, and directions are unknown"
         )
     direction = np.stack([values[name] for name in DIRECTION], axis=1)
-    length = np.linalg.norm(direction, axis=1)
-    if not np.all(length > 0):
-        row = int(np.argmin(length > 0)) + 1
-        raise InputError(
-            f"{file}, row {row}, columns {', '.join(DIRECTION)}: a direction of length zero: give the direction "
-            "of what acts, in the body's axes"
-        )
-    direction = direction / length[:, None]
+    none = "a direction of length zero: give the direction of what acts, in the body's axes"
+    direction = direction / _lengths(direction, file, DIRECTION, none)[:, None]
     across = np.stack([np.zeros_like(y), *_tangents(direction)], axis=1)  # (n, 3 readings, 3)
     outputs = np.column_stack([size, np.einsum("nkj,nj->nk", across[:, 1:], y)])
     angle = values[POSE_UNCERTAINTY] * values[MAGNITUDE]
@@ -74,6 +64,21 @@ def scalar_readings(
     made |= {"output": outputs.ravel(), UNCERTAINTY: uncertainty.ravel()}
     made_units |= {**dict.fromkeys(ACROSS, "1"), UNCERTAINTY: made_units["output"]}
     return made, made_units
+
+
+def _lengths(
+    vectors: Float[np.ndarray, "n 3"], file: str, names: Sequence[str], none: str
+) -> Float[np.ndarray, "n"]:
+    """Of vectors in these columns.
+
+    Raises:
+        InputError: one is zero, which is said as `none`.
+    """
+    length = np.linalg.norm(vectors, axis=1)
+    if not np.all(length > 0):
+        row = int(np.argmin(length > 0)) + 1
+        raise InputError(f"{file}, row {row}, columns {', '.join(names)}: {none}")
+    return length
 
 
 def _tangents(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +9,7 @@ from typing import Any, Protocol
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import Column, NominalScale
-from bayescal._data.unit_conversion import convert, same_dimension
+from bayescal._data.unit_conversion import alike, convert, same_dimension
 from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
 from bayescal._tables.dates import LATEST, ORDERS
 from bayescal._tables.raw_table import Header
@@ -140,20 +139,13 @@ def _scale_from(instrument: InstrumentLike, text: str, local_gravity: float) -> 
     for raw, inverse in ((above, False), (below, True)):
         wanted = f"({unit})/{raw}" if inverse else f"{raw}/({unit})"
         for whole in (said, f"{above}/({below})"):  # as it stands, and "mV/°/s" as it is meant
-            if _alike_units(whole, wanted) and not _alike_units(raw, unit):
+            if alike(whole, wanted) and not alike(raw, unit):
                 per = float(convert(gain, whole, wanted, local_gravity=local_gravity))
                 return NominalScale(raw, 1 / per if inverse and per else per)
     raise InputError(
         f"nominal_scale={text!r} (--nominal-scale) is not a raw unit per {unit}: give what one unit of output is of "
         f"the raw output, such as {example!r}"
     )
-
-
-def _alike_units(a: str, b: str) -> bool:
-    """Whether both are units, of one dimension."""
-    with contextlib.suppress(InputError):
-        return same_dimension(a, b)
-    return False
 
 
 def _number_and_unit(text: str, name: str, option: str, example: str) -> tuple[float, str]:

@@ -7,6 +7,7 @@ units that are declared for them, their slot and the columns that their basis ta
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections import Counter
@@ -100,6 +101,13 @@ def same_dimension(a: str, b: str) -> bool:
         InputError: an unknown unit.
     """
     return _power_of_gravity(parse(a).powers, parse(b).powers) is not None
+
+
+def alike(a: str, b: str) -> bool:
+    """Whether both texts are units, of one dimension."""
+    with contextlib.suppress(InputError):
+        return same_dimension(a, b)
+    return False
 
 
 def needs_gravity(from_unit: str, to_unit: str) -> bool:

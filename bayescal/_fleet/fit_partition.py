@@ -33,8 +33,8 @@ from bayescal._inference.checkpoint import model_texts, shown
 from bayescal._model.model import Model
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES
-from bayescal._tables.parquet_netcdf import arrow_cells, field_unit
-from bayescal._tables.raw_table import Header, Table, as_format, refuse_large, row_place
+from bayescal._tables.parquet_netcdf import arrow_cells, arrow_headers
+from bayescal._tables.raw_table import Table, after, as_format, refuse_large
 
 ONE = threading.Lock()  # a worker of several threads holds one partition at a time all the same
 SHOWN = 10  # devices of a partition whose refusal is reported
@@ -286,11 +286,11 @@ def _open(piece: Piece, options: ReadOptions) -> Table:
 
     return Table(
         file=file,
-        headers=tuple(Header.parse(f.name, field_unit(f)) for f in schema),
+        headers=arrow_headers(schema),
         rows=piece.readings,
         sha256=_stretch_digest(piece),
         load=load,
-        place=lambda index: row_place(begin + index),
+        place=after(begin),
     )
 
 

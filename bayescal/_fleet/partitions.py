@@ -21,8 +21,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._fleet.devices import DEVICE
 from bayescal._tables.open_table import READ
-from bayescal._tables.parquet_netcdf import field_unit
-from bayescal._tables.raw_table import Header
+from bayescal._tables.parquet_netcdf import arrow_headers
 
 ROWS = 500_000  # readings in a partition, which with JAX takes 0.6 GB of a worker
 FIND_ROWS = 5_000  # where each device is searched: so that no more than a minute or two is lost
@@ -196,7 +195,7 @@ def _stretches(path: Path, file: pq.ParquetFile, rows: int, device: str) -> list
     """
     groups = [file.metadata.row_group(g).num_rows for g in range(file.num_row_groups)]
     starts = np.cumsum([0, *groups])
-    fields = ((f.name, Header.parse(f.name, field_unit(f))) for f in file.schema_arrow)
+    fields = zip(file.schema_arrow.names, arrow_headers(file.schema_arrow), strict=True)
     column = next((name for name, header in fields if header.name == device), None)
     ends = [0]
     for group in range(1, len(groups)) if column else ():

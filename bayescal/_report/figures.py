@@ -7,6 +7,7 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from markupsafe import Markup, escape
 from matplotlib import rc_context
@@ -104,40 +105,38 @@ class Pictures:
             f"Bars of the log Bayes factor of each candidate; the first of them: {told}.",
         )
 
-    def coefficients(self, calibration: Calibration) -> Picture | None:
-        return self._of(
-            lambda: plot_posterior.coefficients(calibration, columns=2),
-            "Posterior of each unknown, its mean and its 95 % credible interval",
-            "Posterior densities; the numbers are in the table of coefficients.",
-        )
-
-    def pairs(self, calibration: Calibration) -> Picture | None:
-        return self._of(
-            lambda: plot_posterior.pairs(calibration),
-            "The most correlated unknowns, two by two",
-            "Joint posterior draws of pairs of unknowns.",
-        )
-
-    def identifiability(self, calibration: Calibration) -> Picture | None:
-        return self._of(
-            lambda: plot_posterior.identifiability(calibration),
-            "Posterior over prior standard deviation: 1 where the readings said nothing",
-            "Bars of posterior over prior standard deviation; the table of coefficients has the same as contraction.",
-        )
-
-    def predictive(self, calibration: Calibration) -> Picture | None:
-        return self._of(
-            lambda: plot_posterior.predictive(calibration),
-            "Readings against their predictive probabilities: within the band if the model is right",
-            "Share of readings below each predictive probability minus that probability, with its 99 % band.",
-        )
-
-    def _of(self, make: Callable[[], Figure], caption: str, alt: str) -> Picture | None:
-        """A picture, or none where there is nothing to draw."""
+    def of_fit(self, name: str, calibration: Calibration) -> Picture | None:
+        """One of `OF_FIT`; None where there is nothing to draw."""
+        make, caption, alt = OF_FIT[name]
         try:
-            return self.draw(make, caption, alt)
+            return self.draw(lambda: make(calibration), caption, alt)
         except InputError:
             return None
+
+
+# What is drawn of a fit: by what, its caption, what it shows in words.
+OF_FIT: dict[str, tuple[Callable[[Calibration], Figure], str, str]] = {
+    "coefficients": (
+        partial(plot_posterior.coefficients, columns=2),
+        "Posterior of each unknown, its mean and its 95 % credible interval",
+        "Posterior densities; the numbers are in the table of coefficients.",
+    ),
+    "identifiability": (
+        plot_posterior.identifiability,
+        "Posterior over prior standard deviation: 1 where the readings said nothing",
+        "Bars of posterior over prior standard deviation; the table of coefficients has the same as contraction.",
+    ),
+    "pairs": (
+        plot_posterior.pairs,
+        "The most correlated unknowns, two by two",
+        "Joint posterior draws of pairs of unknowns.",
+    ),
+    "predictive": (
+        plot_posterior.predictive,
+        "Readings against their predictive probabilities: within the band if the model is right",
+        "Share of readings below each predictive probability minus that probability, with its 99 % band.",
+    ),
+}
 
 
 def _panel(calibration: Calibration, found: Check, against: str) -> Figure:

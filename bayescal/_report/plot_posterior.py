@@ -20,7 +20,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._model.frame import GROUPS
 from bayescal._report.plot_colours import BLUE, GREY, ORANGE, RED
-from bayescal._report.plot_style import axis_label, new_figure, open_sides, plain
+from bayescal._report.plot_style import axes_of, axis_label, open_sides, plain
 
 DRAWS = 1000  # in a picture
 INTERVAL = 0.95
@@ -166,7 +166,8 @@ def pairs(calibration: Calibration, names: Sequence[str] | None = None) -> Figur
 
 def _label_matrix(figure: Figure, data: xr.Dataset) -> None:
     """Names and units along the lower and the left edge of a matrix of panels."""
-    shown = list(map(str, data))
+    units = {str(n): axis_label("", v.attrs["units"]).strip() for n, v in data.items()}
+    said = [f"{plain(name)}\n{unit}" for name, unit in units.items()]
     for ax in figure.axes:
         place = ax.get_subplotspec()
         if place is None:
@@ -175,16 +176,10 @@ def _label_matrix(figure: Figure, data: xr.Dataset) -> None:
         ax.tick_params(labelsize=7)
         ax.locator_params(axis="x", nbins=2)
         ax.locator_params(axis="y", nbins=3)
-        if row == len(shown) - 1:
-            name = shown[column]
-            ax.set_xlabel(
-                f"{plain(name)}\n{axis_label('', data[name].attrs['units']).strip()}", fontsize=8
-            )
+        if row == len(said) - 1:
+            ax.set_xlabel(said[column], fontsize=8)
         if column == 0 and row > 0:
-            name = shown[row]
-            ax.set_ylabel(
-                f"{plain(name)}\n{axis_label('', data[name].attrs['units']).strip()}", fontsize=8
-            )
+            ax.set_ylabel(said[row], fontsize=8)
 
 
 def most_correlated(data: xr.Dataset) -> list[str]:
@@ -235,8 +230,7 @@ def identifiability(calibration: Calibration, ax: Any = None) -> Figure:
     found, hyperparameters = summary(calibration)
     rows = [r for r in (*found, *hyperparameters) if r["contraction"] is not None]
     rows = sorted(rows, key=lambda r: r["contraction"])[:MOST][::-1]
-    figure = new_figure(5.6, 0.28 * max(len(rows), 3) + 1.0) if ax is None else ax.figure
-    ax = figure.subplots() if ax is None else ax
+    ax = axes_of(ax, 5.6, 0.28 * max(len(rows), 3) + 1.0)
     ratio = [float(np.sqrt(max(1 - r["contraction"], 1e-12))) for r in rows]
     colours = [ORANGE if value > 0.7 else BLUE for value in ratio]
     ax.barh([plain(r["name"]) for r in rows], ratio, color=colours)
@@ -250,7 +244,7 @@ def identifiability(calibration: Calibration, ax: Any = None) -> Figure:
         ax.set_xlim(min(0.1, min(ratio)) / 2, max(2.0, 2 * max(ratio)))
     ax.set_xlabel("posterior sd / prior sd [1]")
     open_sides(ax)
-    return figure
+    return ax.figure
 
 
 def _chosen(calibration: Calibration, names: Sequence[str] | None, most: int) -> xr.Dataset:

@@ -5,8 +5,8 @@ Both are drawn from results, or from what `result.json` says of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,7 +18,14 @@ from bayescal._core.formatting import number
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.plot_colours import BLUE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._report.plot_residuals import residual_panel
-from bayescal._report.plot_style import axis_label, new_figure, no_formula, open_sides, plain
+from bayescal._report.plot_style import (
+    axes_of,
+    axis_label,
+    new_figure,
+    no_formula,
+    open_sides,
+    plain,
+)
 from bayescal._search.discover import Discovery
 from bayescal._search.search_path import SearchPath
 
@@ -32,34 +39,6 @@ ON_GROUND = {
 KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
 
 
-class _StepError(NamedTuple):
-    """What the picture of a trail shows of one step; errors rms, in `unit`, None where there is none."""
-
-    title: str
-    fitted: float
-    new_run: float
-    left_out: float | None
-    group: str
-    held_out: float | None
-    noise_floor: float
-    unit: str
-
-
-def _of_data(step: Mapping[str, Any]) -> _StepError:
-    """From a step as result.json has it."""
-    left_out = step["leave_one_group_out"] or {}
-    return _StepError(
-        title=step["title"],
-        fitted=step["rmse_fitted"],
-        new_run=step["rmse"],
-        left_out=left_out.get("rmse"),
-        group=left_out.get("group", "group"),
-        held_out=step["holdout_rmse"],
-        noise_floor=step["noise_floor"],
-        unit=step["unit"],
-    )
-
-
 def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     """The error of each step, with the fall from the step before, and the noise floor.
 
@@ -67,16 +46,17 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
         found: a trail, or what its result.json holds.
         ax: where to draw; a figure of its own if not given.
     """
-    told = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
-    steps = [_of_data(step) for step in told]
-    figure = new_figure(5.6, 0.75 + 1.0 * len(steps)) if ax is None else ax.figure
-    ax = figure.subplots() if ax is None else ax
-    runs = any(s.new_run > 1.001 * s.fitted for s in steps)  # no effect of a run, no second bar
+    steps = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
+    left_out, last = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
+    ax = axes_of(ax, 5.6, 0.75 + 1.0 * len(steps))
+    runs = any(
+        s["rmse"] > 1.001 * s["rmse_fitted"] for s in steps
+    )  # no effect of a run, no second bar
     series = [
-        ("as fitted", [s.fitted for s in steps], BLUE),
-        ("new run", [s.new_run if runs else None for s in steps], PALE),
-        (scheme(steps[-1].group), [s.left_out for s in steps], ORANGE),
-        ("held-out", [s.held_out for s in steps], GREEN),
+        ("as fitted", [s["rmse_fitted"] for s in steps], BLUE),
+        ("new run", [s["rmse"] if runs else None for s in steps], PALE),
+        (scheme(left_out[-1].get("group", "group")), [s.get("rmse") for s in left_out], ORANGE),
+        ("held-out", [s["holdout_rmse"] for s in steps], GREEN),
     ]
     series = [s for s in series if any(v is not None for v in s[1])]
     largest = max(v for _, values, _ in series for v in values if v is not None)
@@ -90,17 +70,17 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
                 at = value + 0.01 * largest
                 ax.text(at, y, number(value), va="center", fontsize=7.5, bbox=ON_GROUND)
     for i, step in enumerate(steps):
-        title = f"{i}  {plain(step.title)}{_fall(steps, i)}"
+        title = f"{i}  {plain(step['title'])}{_fall(steps, i)}"
         ax.text(0.01 * largest, i - 0.03, title, va="bottom", bbox=ON_GROUND)
-    floor = steps[-1].noise_floor
+    floor = last["noise_floor"]
     ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
-    ax.set_xlabel(axis_label("rms error", steps[-1].unit))
+    ax.set_xlabel(axis_label("rms error", last["unit"]))
     handles, _ = ax.get_legend_handles_labels()
     handles.sort(key=lambda h: h.get_label().startswith("floor"))  # the last, as in the tables
     _legend_below(ax, handles, 2)
     open_sides(ax)
-    return figure
+    return ax.figure
 
 
 def _legend_below(ax: Any, handles: list[Any], columns: int) -> None:
@@ -117,11 +97,12 @@ def _legend_below(ax: Any, handles: list[Any], columns: int) -> None:
     )
 
 
-def _fall(steps: list[_StepError], i: int) -> str:
+def _fall(steps: Sequence[Mapping[str, Any]], i: int) -> str:
     """How much smaller the error as fitted is than one step before."""
-    if i == 0 or not steps[i - 1].fitted:
+    now, before = steps[i]["rmse_fitted"], steps[i - 1]["rmse_fitted"]
+    if i == 0 or not before:
         return ""
-    return f"   ({100 * (steps[i].fitted / steps[i - 1].fitted - 1):+.0f} %)".replace("-", "−")
+    return f"   ({100 * (now / before - 1):+.0f} %)".replace("-", "−")
 
 
 def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
@@ -140,8 +121,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
         key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]),
     )
     shown = ranked[-MOST:]
-    figure = new_figure(5.6, 0.3 * len(shown) + 1.3) if ax is None else ax.figure
-    ax = figure.subplots() if ax is None else ax
+    ax = axes_of(ax, 5.6, 0.3 * len(shown) + 1.3)
     values = [c["log_bayes_factor"] for c in shown]
     colours = [KINDS.get(c["kind"] or "", BLUE) for c in shown]
     ax.barh([plain(c["effect"]) for c in shown], values, color=colours)
@@ -157,7 +137,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     if names:
         _legend_below(ax, names, len(names))
     open_sides(ax)
-    return figure
+    return ax.figure
 
 
 def _ticks(low: float, high: float) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -18,6 +19,11 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def axes_of(ax: Any, width: float, height: float) -> Any:
+    """The axes to draw in: those given, or of a figure of their own, inches."""
+    return new_figure(width, height).subplots() if ax is None else ax
 
 
 def plain(text: str) -> str:

@@ -15,6 +15,7 @@ from bayescal._calibration.description import identity
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError
 from bayescal._core.formatting import number, probability, with_error
+from bayescal._core.templates import template
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
@@ -105,16 +106,7 @@ def page(
     output_unit: str | None = None,
 ) -> str:
     """The report as HTML."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # only a report needs it
-
-    environment = Environment(
-        loader=PackageLoader("bayescal._report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
+    filters = {
         "number": number,
         "unit_label": unit_label,
         "probability": probability,
@@ -123,7 +115,7 @@ def page(
         "zip": zip,
     }
     pictures = figures.Pictures()
-    return environment.get_template("report.html.j2").render(
+    return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         chapters=[_chapter(c, pictures) for c in found],
@@ -281,9 +273,6 @@ def _pictures(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
         "first": first,
         "last": pictures.residuals(c, chapter.check, "the last model"),
         "error": pictures.error(chapter),
-        "coefficients": pictures.coefficients(c),
-        "identifiability": pictures.identifiability(c),
-        "pairs": pictures.pairs(c),
-        "predictive": pictures.predictive(c),
+        **{name: pictures.of_fit(name, c) for name in figures.OF_FIT},
         "allan": pictures.allan(chapter.check, "the last model"),
     }

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 import platform
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,7 @@ from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity
 from bayescal._calibration.leave_group_out import groups_of
 from bayescal._calibration.summary import null_directions, summary
-from bayescal._core.atomic_file import write_text
+from bayescal._core.as_json import as_json
 from bayescal._core.settings_in_force import unusual
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import GROUPS
@@ -52,7 +50,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
                 row["averaged"] = {k: there[k] for k in ("mean", "sd", "interval95")}
     verdict = final.verdict
     reasons = [*verdict.reasons, *([] if trail.gate.ok else [trail.gate.reason])]
-    return clean(
+    return as_json(
         {
             "schema": SCHEMA,
             "complete": trail.complete,
@@ -70,12 +68,18 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "gate": {"ok": trail.gate.ok, "reason": trail.gate.reason},
             "other_path": None
             if trail.other_path is None
-            else {**vars(trail.other_path), "in_words": str(trail.other_path)},
+            else {**as_json(trail.other_path), "in_words": str(trail.other_path)},
             "search": search_data(trail),
             "steps": [step_data(s) for s in trail.steps],
             "check": [e for i, s in enumerate(trail.steps) for e in check_data(s.check, i)],
-            "pairs": [p for i, s in enumerate(trail.steps) for p in pairs_data(s.check, i)],
-            "allan": [a for i, s in enumerate(trail.steps) for a in allan_data(s.check, i)],
+            "pairs": [
+                {"step": i, **as_json(p)} for i, s in enumerate(trail.steps) for p in s.check.pairs
+            ],
+            "allan": [
+                {"step": i, **s.check.allan.data()}
+                for i, s in enumerate(trail.steps)
+                if s.check.allan is not None
+            ],
             "missing": [
                 missing_data(s.discovery, i, s.check)
                 for i, s in enumerate(trail.steps)
@@ -179,7 +183,7 @@ def step_data(step: Step) -> dict[str, Any]:
             "curvature": mean.get("noise.curvature"),
             "freedom": mean.get("noise.freedom"),
         },
-        "verdict": vars(calibration.verdict),
+        "verdict": calibration.verdict,
     }
 
 
@@ -203,25 +207,16 @@ def check_data(check: Check, step: int) -> list[dict[str, Any]]:
     ]
 
 
-def pairs_data(check: Check, step: int) -> list[dict[str, Any]]:
-    return [{"step": step, **vars(p)} for p in check.pairs]
-
-
-def allan_data(check: Check, step: int) -> list[dict[str, Any]]:
-    """One entry, or none where readings are not evenly spaced in time."""
-    return [] if check.allan is None else [{"step": step, **check.allan.data()}]
-
-
 def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
     return {
         "step": step,
         "nothing_missing_probability": found.nothing_missing,
         "unstated": found.unstated,
         "correlated_noise": found.correlated_noise,
-        "noise_laws": [vars(n) for n in found.noise],
-        "sets": [{"effects": list(s.effects), "probability": s.probability} for s in found.sets],
-        "departures": [{**vars(d), "in_words": str(d)} for d in found.departures],
-        "candidates": [vars(c) for c in found.candidates],
+        "noise_laws": found.noise,
+        "sets": found.sets,
+        "departures": [{**as_json(d), "in_words": str(d)} for d in found.departures],
+        "candidates": found.candidates,
         "unknown": [
             {
                 "column": e.against,
@@ -251,25 +246,3 @@ def experiment_data(found: NextExperiment) -> dict[str, Any]:
             for e in found.experiments
         ],
     }
-
-
-def clean(value: Any) -> Any:
-    """Plain JSON data: NumPy scalars unwrapped, what is not finite turned into None."""
-    if isinstance(value, dict):
-        return {str(k): clean(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [clean(v) for v in value]
-    if hasattr(value, "item") and not isinstance(value, (str, bytes)):
-        return clean(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def write_json(data: Any, path: Path) -> None:
-    """Written beside and renamed, so that an interruption leaves the old file whole.
-
-    Raises:
-        InputError: no such folder, or a place that cannot be written to.
-    """
-    write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", path)

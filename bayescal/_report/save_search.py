@@ -13,9 +13,10 @@ from typing import Any
 
 from bayescal._calibration.description import identity
 from bayescal._core import deadline
+from bayescal._core.as_json import as_json, write_json
 from bayescal._core.json_shape import read_json
 from bayescal._report.conclusion import conclusion
-from bayescal._report.result_json import clean, result, write_json
+from bayescal._report.result_json import result
 from bayescal._report.section import of_trail
 from bayescal._report.under_way import RESULT, UNDER_WAY
 from bayescal._report.whole_folder import (
@@ -69,7 +70,7 @@ SearchPath.in_short = property(  # pyright: ignore[reportAttributeAccessIssue]
 def channels_data(found: Channels) -> dict[str, Any]:
     """What a unit's channels are and share, as plain data; what each found is in its own result.json."""
     folders = folders_of(found.trails)
-    return clean(
+    return as_json(
         {
             "schema": CHANNELS_SCHEMA,
             "channels": {

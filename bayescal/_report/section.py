@@ -22,7 +22,7 @@ from bayescal._core.errors import InputError, NotConverged
 from bayescal._core.json_shape import read_json
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
-from bayescal._report.result_json import FORMER, SCHEMA, result
+from bayescal._report.result_json import FORMER, SCHEMA, hashes, result
 from bayescal._report.under_way import RESULT, refuse_unfinished
 from bayescal._report.whole_folder import refuse_mixed
 from bayescal._search.calibrate import step_of
@@ -152,13 +152,12 @@ def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibrati
         )
     except (KeyError, IndexError, TypeError) as error:
         raise InputError(f"{folder / RESULT} is incomplete ({error!r}): calibrate again") from None
-    c, sources = calibration, calibration.readings.sources
-    hashes = [s.sha256 for s in sources]
+    c = calibration
     own = (
         c.model.instrument.name,
         list(c.model.names),
         c.seed,
-        [len(c.readings), hashes[0] if len(hashes) == 1 else hashes],
+        [len(c.readings), hashes(c.readings)],
         identity(c),
     )
     for what, theirs, ours in zip(

@@ -7,11 +7,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
 from bayescal._data.measurements import Measurements
 from bayescal._model.model import Model
-from bayescal._report.result_json import SCHEMA, clean, hashes, result, search_data, write_json
+from bayescal._report.result_json import SCHEMA, hashes, result, search_data
 from bayescal._report.whole_folder import files_of
 from bayescal._search.posterior import ShownStructure
 from bayescal._search.search_path import SearchPath
@@ -37,7 +38,7 @@ class Keeper:
     def __call__(self, trail: SearchPath) -> None:
         if len(trail.steps) != self._steps:  # only the search changes between two steps
             self._steps, self._data = len(trail.steps), result(trail)
-        now = {"complete": trail.complete, "search": clean(search_data(trail))}
+        now = {"complete": trail.complete, "search": as_json(search_data(trail))}
         write_json({**self._data, **now}, self.path)
 
 

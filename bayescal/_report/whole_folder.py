@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import json
 import os
 import shutil
 import sys
@@ -20,7 +19,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bayescal._core.atomic_file import left_behind, sha256_of, to_disk, why, write_text
+from bayescal._core.as_json import write_json
+from bayescal._core.atomic_file import left_behind, sha256_of, to_disk, why
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import OneOf, read_json
 
@@ -144,7 +144,7 @@ def _write_manifest(folder: Path, calibration: str | None) -> None:
         "calibration": calibration,
         "files": files,
     }
-    write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", inner)
+    write_json(data, inner)
     for path in (*paths, inner, folder):
         to_disk(path)
 

@@ -14,7 +14,7 @@ from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import Cells, numbers_of
 from bayescal._tables.csv_scan import CsvScan, ragged_rows, scan_csv, text_of
 from bayescal._tables.encoding import opened
-from bayescal._tables.raw_table import Header, Table
+from bayescal._tables.raw_table import Header, Table, after
 
 _ROWS = 100_000  # rows whose text is held at a time
 
@@ -120,7 +120,7 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
                     rows=count,
                     sha256=scan.sha256,
                     load=load,
-                    place=lambda index, start=done: scan.place(start + index),
+                    place=after(done, scan.place),
                 )
                 yield CsvLines(lines, table, scan.separator, scan.decimal or ".")
             done += count

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from bayescal._core.errors import InputError
 from bayescal._tables.ardupilot_bin import read_dataflash
 from bayescal._tables.px4_ulog import read_ulog
+from bayescal._tables.raw_table import unreadable
 from bayescal._tables.recorded import LogColumns, Sensor, columns_of
 from bayescal._tables.ros_bag import read_bag
 
@@ -61,10 +62,7 @@ def log_columns(path: Path, file: str, chosen: Collection[str]) -> LogColumns:
     except OSError:
         raise
     except Exception as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200].rstrip(".")
-        raise InputError(
-            f"{file!r} cannot be read as {title}: {reason}. Is it what its suffix says, and whole?"
-        ) from None
+        raise unreadable(file, title, error) from None
     told = [line for line in said.getvalue().splitlines() if "dfindexer" not in line.lower()]
     notes += [f"{package} says: {line[:200]}" for line in told[:1]]
     found = columns_of(sensors, chosen, file)

@@ -9,10 +9,9 @@ from pathlib import Path
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
-from bayescal._tables.cells import cells_of
 from bayescal._tables.csv_reader import open_csv
 from bayescal._tables.open_log import LOG_FORMATS, log_columns
-from bayescal._tables.raw_table import Header, Table, bytes_text
+from bayescal._tables.raw_table import Header, Table, bytes_text, loads
 
 MAX_BYTES = 2_000_000_000
 TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
@@ -143,7 +142,7 @@ def _open_log(path: Path, file: str, asked: Collection[str]) -> Table:
         headers=tuple(map(Header.parse, found.columns)),
         rows=len(arrays[0]),
         sha256=sha256_of(path),
-        load=lambda wanted: {p: cells_of(arrays[p], number) for p, number in wanted.items()},
+        load=loads(arrays.__getitem__),
         place=lambda index: f"sample {index + 1}",
         notes=found.notes,
     )

@@ -16,10 +16,10 @@ from bayescal._tables.raw_table import (
     ROW,
     Header,
     Table,
+    after,
     as_format,
     refuse_large,
     refuse_many,
-    row_place,
 )
 from bayescal._tables.unpacked import ARRAYS, refuse_hdf5, refuse_unpacked
 
@@ -27,10 +27,7 @@ from bayescal._tables.unpacked import ARRAYS, refuse_hdf5, refuse_unpacked
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
     """Look at a Parquet file: units stand in the column names or in the fields' metadata.
 
-    Args:
-        path: where it is.
-        file: its name in messages.
-        max_bytes: most that its numbers may take in memory.
+    Args: as of `open_table`.
 
     Raises:
         InputError: it is not Parquet, or too large once unpacked.
@@ -40,26 +37,17 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         schema, rows = opened.schema_arrow, opened.metadata.num_rows
     refuse_unpacked(file, path.stat().st_size, 8 * rows * len(schema), ARRAYS)
     refuse_large(file, rows, len(schema), max_bytes)
-    fields = [schema.field(position) for position in range(len(schema))]
-    headers = tuple(Header.parse(f.name, field_unit(f)) for f in fields)
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
         found = {}
         with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
             for position, number in wanted.items():
-                name = fields[position].name
+                name = schema.names[position]
                 found[position] = arrow_cells(opened.read(columns=[name]).column(name), number)
         pa.default_memory_pool().release_unused()  # what it unpacked, as much again as the numbers
         return found
 
-    return Table(
-        file=file,
-        headers=headers,
-        rows=rows,
-        sha256=sha256_of(path),
-        load=load,
-        place=row_place,
-    )
+    return Table(file, arrow_headers(schema), rows, load, sha256=sha256_of(path))
 
 
 def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordBatch, Table]]:
@@ -67,30 +55,22 @@ def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordB
     with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
         done = 0
         for batch in opened.iter_batches(batch_size=rows):
-            fields = [batch.schema.field(position) for position in range(len(batch.schema))]
-            headers = tuple(Header.parse(f.name, field_unit(f)) for f in fields)
 
             def load(wanted: Mapping[int, bool], batch=batch) -> dict[int, Cells]:
                 columns = {p: pa.chunked_array([batch.column(p)]) for p in wanted}
                 return {p: arrow_cells(columns[p], number) for p, number in wanted.items()}
 
             if batch.num_rows:
-                table = Table(
-                    file=file,
-                    headers=headers,
-                    rows=batch.num_rows,
-                    sha256="",
-                    load=load,
-                    place=lambda index, start=done: row_place(start + index),
-                )
-                yield batch, table
+                headers = arrow_headers(batch.schema)
+                yield batch, Table(file, headers, batch.num_rows, load, place=after(done))
             done += batch.num_rows
 
 
-def field_unit(field: pa.Field) -> str | None:
-    """The unit that a field's metadata states, if any."""
-    unit = (field.metadata or {}).get(b"units")
-    return None if unit is None else unit.decode("utf-8", "replace")
+def arrow_headers(schema: pa.Schema) -> tuple[Header, ...]:
+    """The columns, with the units that their fields' metadata state."""
+    units = ((field.metadata or {}).get(b"units") for field in schema)
+    said = (None if unit is None else unit.decode("utf-8", "replace") for unit in units)
+    return tuple(map(Header.parse, schema.names, said))
 
 
 def arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
@@ -106,10 +86,7 @@ def arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
 def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
     """Look at a NetCDF-4 file: variables along one dimension, units in the attribute `units`.
 
-    Args:
-        path: where it is.
-        file: its name in messages.
-        max_bytes: most that its numbers may take in memory.
+    Args: as of `open_table`.
 
     Raises:
         InputError: it is not NetCDF-4, has several dimensions to choose from, or is too large once
@@ -143,14 +120,7 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
         with as_format(file, "NetCDF-4"), _dataset(path) as dataset:
             return {p: cells_of(dataset[names[p]].values, number) for p, number in wanted.items()}
 
-    return Table(
-        file=file,
-        headers=headers,
-        rows=rows,
-        sha256=sha256_of(path),
-        load=load,
-        place=row_place,
-    )
+    return Table(file, headers, rows, load, sha256=sha256_of(path))
 
 
 def _dataset(path: Path) -> xr.Dataset:

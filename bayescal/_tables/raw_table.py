@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._tables.cells import Cells
+from bayescal._tables.cells import Cells, cells_of
 from bayescal._tables.problems import Problem
 
 ROW = "reading"  # the one dimension of readings
@@ -57,6 +57,15 @@ class Header:
         return cls(raw, raw, unit)
 
 
+def row_place(index: int) -> str:
+    return f"row {index + 1}"
+
+
+def after(rows: int, place: Callable[[int], str] = row_place) -> Callable[[int], str]:
+    """Where the readings of a stretch stand that so many precede."""
+    return lambda index: place(rows + index)
+
+
 @dataclass(frozen=True)
 class Table:
     """An opened file.
@@ -65,8 +74,8 @@ class Table:
         file: name for messages.
         headers: its columns, in order.
         rows: number of readings.
-        sha256: of the bytes; "" for arrays.
         load: position of a wanted column → whether it is a number, to its cells.
+        sha256: of the bytes; "" for arrays.
         place: index of a reading → where it stands, "row 12".
         notes: how it was read, where that is not as usual, a sentence each.
         problems: what keeps it from being used.
@@ -79,9 +88,9 @@ class Table:
     file: str
     headers: tuple[Header, ...]
     rows: int
-    sha256: str
     load: Callable[[Mapping[int, bool]], dict[int, Cells]]
-    place: Callable[[int], str]
+    sha256: str = ""
+    place: Callable[[int], str] = row_place
     notes: tuple[str, ...] = ()
     problems: tuple[Problem, ...] = ()
     readable: bool = True
@@ -122,6 +131,11 @@ class Table:
         return replace(self, rows=len(rows), load=load, place=place)
 
 
+def loads(column: Callable[[int], object]) -> Callable[[Mapping[int, bool]], dict[int, Cells]]:
+    """What a table loads its cells by, of a function that gives the array of a position."""
+    return lambda wanted: {p: cells_of(column(p), number) for p, number in wanted.items()}
+
+
 def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:
     """The wanted columns, each as long as the file says it is.
 
@@ -152,10 +166,6 @@ def refuse_many(file: str, columns: int) -> None:
         )
 
 
-def row_place(index: int) -> str:
-    return f"row {index + 1}"
-
-
 def refuse_large(file: str, rows: int, columns: int, max_bytes: int) -> None:
     if (size := 8 * rows * columns) > max_bytes:
         raise InputError(
@@ -176,12 +186,12 @@ def as_format(file: str, name: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        raise InputError(
-            f"{file!r} cannot be read as {name}: {_first_line(error)}. Is it what its suffix says, "
-            "and whole?"
-        ) from error
+        raise unreadable(file, name, error) from error
 
 
-def _first_line(error: Exception) -> str:
-    first = (str(error).strip().splitlines() or [type(error).__name__])[0]
-    return first[:200].rstrip(".")
+def unreadable(file: str, name: str, error: Exception) -> InputError:
+    """The refusal of a file that made the library of its format raise this."""
+    first = (str(error).strip().splitlines() or [type(error).__name__])[0][:200].rstrip(".")
+    return InputError(
+        f"{file!r} cannot be read as {name}: {first}. Is it what its suffix says, and whole?"
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,15 +10,14 @@ import numpy as np
 
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
-from bayescal._tables.cells import Cells, cells_of
 from bayescal._tables.header_rows import LOOKED_AT, header_rows
 from bayescal._tables.raw_table import (
     Header,
     Table,
     as_format,
+    loads,
     refuse_large,
     refuse_many,
-    row_place,
 )
 from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
 
@@ -26,10 +25,7 @@ from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
 def open_excel(path: Path, file: str, max_bytes: int) -> Table:
     """Read an Excel file (.xlsx): the first sheet with cells in it, its header in the first row that is not empty.
 
-    Args:
-        path: where it is.
-        file: its name in messages.
-        max_bytes: most that its numbers may take in memory.
+    Args: as of `open_table`.
 
     Raises:
         InputError: openpyxl is not installed, it is no such file, or too large once unpacked.
@@ -128,15 +124,12 @@ def _of_rows(path: Path, file: str, rows: Sequence[SheetRow], notes: tuple[str, 
         at = ((row, places[row.columns].get(position + 1)) for row in data)
         return [None if i is None else row.values[i] for row, i in at]
 
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        return {p: cells_of(_objects(column(p)), number) for p, number in wanted.items()}
-
     return Table(
         file=file,
-        headers=tuple(Header.parse(name) for name in names),
+        headers=tuple(map(Header.parse, names)),
         rows=len(data),
+        load=loads(lambda position: _objects(column(position))),
         sha256=sha256_of(path),
-        load=load,
         place=lambda index: f"row {data[index].number}",
         notes=notes,
     )
@@ -164,10 +157,7 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
 
     The columns of a matrix `data` are called `data(:,1)` and so on.
 
-    Args:
-        path: where it is.
-        file: its name in messages.
-        max_bytes: most that its numbers may take in memory.
+    Args: as of `open_table`.
 
     Raises:
         InputError: it is no such file, or has vectors of several lengths to choose from.
@@ -191,15 +181,8 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
     kept = {name: vector for name, vector in columns.items() if len(vector) == rows}
     refuse_many(file, len(kept))
     refuse_large(file, rows, len(kept), max_bytes)
-    vectors = list(kept.values())
-    return Table(
-        file=file,
-        headers=tuple(Header.parse(name) for name in kept),
-        rows=rows,
-        sha256=sha256_of(path),
-        load=lambda wanted: {p: cells_of(vectors[p], number) for p, number in wanted.items()},
-        place=row_place,
-    )
+    load = loads(list(kept.values()).__getitem__)
+    return Table(file, tuple(map(Header.parse, kept)), rows, load, sha256=sha256_of(path))
 
 
 def _variables(path: Path, file: str) -> dict[str, Any]:

@@ -43,8 +43,8 @@ def page(program: CompensationProgram) -> str:
         about=program.about,
         why_not=program.about.why_not,
         notes=program.about.notes_on_use,
-        sliders=[(places[i.name], i, _middle(i)) for i in shown],
-        start=[_middle(i) for i in program.inputs],
+        sliders=[(places[i.name], i, i.middle) for i in shown],
+        start=[i.middle for i in program.inputs],
         ranges=[(i.low, i.high) for i in program.inputs],
         ticks=TICKS,
         band=BAND,
@@ -73,11 +73,6 @@ def effects_of(program: CompensationProgram) -> list[ShownEffect]:
         for name, (linear, others) in found.items()
         if linear or others
     ]
-
-
-def _middle(i: Input) -> float:
-    """Where a slider stands at first: as an operating point is, where nothing is said of it."""
-    return 0.5 * (i.low + i.high) if i.kind in ("column", "elapsed") else 0.0
 
 
 def _script(written: tuple[list[str], list[str]]) -> tuple[list[Markup], list[Markup]]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.mixture import inclusion, without
 from bayescal._calibration.prior_influence import variance_by_origin
+from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, table, with_error
 from bayescal._data.unit_conversion import (
@@ -147,12 +148,8 @@ class Budget:
 
     def data(self) -> dict[str, Any]:
         """As JSON, in fixed units."""
-        return {
-            **asdict(self),
-            "expanded": self.expanded,
-            "expanded_reading": self.expanded_reading,
-            "covariance": self.covariance.tolist(),
-        }
+        more = {"expanded": self.expanded, "expanded_reading": self.expanded_reading}
+        return {**as_json(self), **more}
 
     def __str__(self) -> str:
         return budget_text(self.shown())
@@ -238,7 +235,7 @@ def budget(
 
 
 def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, float]:
-    inputs = {i.name: i for i in chosen.inputs if i.kind != "lag slope"}
+    inputs = [i.name for i in chosen.inputs if i.kind != "lag slope"]
     for name, value in at.items():
         if name != chosen.stimulus and name not in inputs:
             raise InputError(
@@ -247,11 +244,8 @@ def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, flo
             )
         if not np.isfinite(value):
             raise InputError(f"{name} = {value}: give a finite number")
-    low, high = chosen.stimulus_range or (0.0, 0.0)
-    point = {chosen.stimulus: 0.5 * (low + high)}
-    for name, i in inputs.items():
-        point[name] = 0.5 * (i.low + i.high) if i.kind in ("column", "elapsed") else 0.0
-    return {**point, **{n: float(v) for n, v in at.items()}}
+    middle = {n: v for n, v in chosen.middle.items() if n in (chosen.stimulus, *inputs)}
+    return {**middle, **{n: float(v) for n, v in at.items()}}
 
 
 def _by_coefficient(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bayescal._core.as_json import json_text
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
@@ -61,7 +61,7 @@ def load_program(path: Path) -> CompensationProgram:
 def as_text(program: CompensationProgram, format: str) -> str:
     """The program as a C99 header ("c"), a Python module ("python"), a page ("html") or "json"."""
     if format == "json":
-        return json.dumps(program.data(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        return json_text(program.data(), indent=1)
     if format == "html":
         return page(program)
     return _from_template(program, LANGUAGES[format])

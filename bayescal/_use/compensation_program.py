@@ -12,13 +12,14 @@ The stimulus solves expected(s) = reading: one Newton step from 0 where the equa
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.json_shape import OneOf, required
 from bayescal._use.expression_graph import Graph
@@ -165,10 +166,10 @@ class CompensationProgram:
         return {
             "schema": SCHEMA,
             "version": VERSION,
-            "about": asdict(self.about),
-            "inputs": [asdict(i) for i in self.inputs],
+            "about": as_json(self.about),
+            "inputs": as_json(self.inputs),
             "stimulus_range": self.stimulus_range,
-            "unknowns": [asdict(u) for u in self.unknowns],
+            "unknowns": as_json(self.unknowns),
             "covariance": self.covariance.tolist(),
             "noise": self.noise,
             "affine": self.affine,

@@ -170,6 +170,12 @@ class Compensator:
         )
 
     @property
+    def middle(self) -> dict[str, float]:
+        """The operating point where nothing is said of it: stimulus and inputs by name, in fixed units."""
+        low, high = self.stimulus_range or (0.0, 0.0)
+        return {self.stimulus: 0.5 * (low + high), **{i.name: i.middle for i in self.inputs}}
+
+    @property
     def history(self) -> bool:
         """Whether the past of a record is needed, so that it cannot be taken apart."""
         return any(i.kind != "column" for i in self.inputs)

@@ -131,7 +131,8 @@ def _edge(
     return inside
 
 
-class GlobalRisks(NamedTuple):
+@dataclass(frozen=True)
+class GlobalRisks:
     """Of a population of items: how many conform, how many are accepted, and how many of each wrongly.
 
     Attributes:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
+from bayescal._core.as_json import as_json
 from bayescal._core.formatting import WIDTH, Printed, number, table, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._use.conformity import Acceptance, GlobalRisks, Limits
@@ -63,12 +64,7 @@ class Decision:
 
     def data(self) -> dict[str, Any]:
         """As JSON; a limit that there is not is null."""
-        found = asdict(self)
-        found["tolerance"] = _finite(self.tolerance)
-        found["accepted"] = None if self.accepted is None else _finite(self.accepted)
-        found["guard_bands"] = None if self.guard_bands is None else _finite(self.guard_bands)
-        found["global_risks"] = self.global_risks._asdict() if self.global_risks else None
-        return found
+        return as_json(self)
 
 
 @dataclass(frozen=True, repr=False)
@@ -105,7 +101,7 @@ class Decisions(Printed):
             "rule_in_words": self.rule_in_words,
             "false_accept": self.false_accept,
             "conforms": self.conforms,
-            "decisions": [d.data() for d in self.decisions],
+            "decisions": as_json(self.decisions),
             "notes": list(self.notes),
         }
 
@@ -126,11 +122,6 @@ class Decisions(Printed):
 
     def __str__(self) -> str:
         return _text(self)
-
-
-def _finite(pair: tuple[float, float]) -> list[float | None]:
-    low, high = pair
-    return [v if math.isfinite(v) else None for v in (low, high)]
 
 
 def worst(d: Decision) -> float:

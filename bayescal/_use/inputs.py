@@ -51,6 +51,11 @@ class Input:
     high: float
     tau: float | None = None
 
+    @property
+    def middle(self) -> float:
+        """Where an operating point is, where nothing is said of it: no rate and no lag."""
+        return 0.5 * (self.low + self.high) if self.kind in ("column", "elapsed") else 0.0
+
 
 def input_of(
     calibration: Calibration, equation: OperatingEquation, name: str, values: np.ndarray

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from bayescal._core import templates
 from bayescal._core.quoting import c_comment, number_text, python_words
 from bayescal._use.compensation_program import CompensationProgram
 from bayescal._use.expression_graph import OPERATIONS
@@ -103,15 +104,6 @@ def statements(
 
 def template(file: str, filters: Mapping[str, Callable[..., Any]], autoescape: bool = False):
     """A template beside this file, in which `number` writes a number with all its digits."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # only an export needs it
-
-    environment = Environment(
-        loader=PackageLoader("bayescal._use"),
-        autoescape=autoescape,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {"number": number_text, **filters}
-    return environment.get_template(file)
+    filters = {"number": number_text, **filters}
+    how = {"autoescape": autoescape, "keep_trailing_newline": True}
+    return templates.template("bayescal._use", file, filters, **how)

@@ -252,7 +252,7 @@ def limited_quantity(
             "of it"
         )
     unit = slots.get(limit.quantity, chosen.unit)
-    point = _point(chosen)
+    point = chosen.middle | {i.name: i.high for i in chosen.inputs if i.name == "time"}
     spans, not_covered, notes = [], [], []
     for span in limit.over:
         name, low, high = _resolved(chosen, span, limit, local_gravity)
@@ -372,16 +372,6 @@ def _draws_by_name(calibration: Calibration) -> dict[str, tuple[np.ndarray, str]
             members = names.get(name, [])
             found |= {m: (values[:, i], unit) for i, m in enumerate(members) if values.ndim == 2}
     return found
-
-
-def _point(chosen: Compensator) -> dict[str, float]:
-    """The operating point where the limit says nothing."""
-    low, high = chosen.stimulus_range or (0.0, 0.0)
-    point = {chosen.stimulus: 0.5 * (low + high)}
-    for i in chosen.inputs:
-        middle = 0.5 * (i.low + i.high) if i.kind in ("column", "elapsed") else 0.0
-        point[i.name] = i.high if i.name == "time" else middle
-    return point
 
 
 def _resolved(

@@ -11,7 +11,7 @@ that knows no more than the temperature.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -165,12 +165,5 @@ def project(of: AtRest, reference: float, low: float, high: float) -> ThermalPol
     c0, c1, c2, c3 = map(float, rounded)
     made = ThermalPolynomial((c0, c1, c2, c3), reference, low, high, 0.0, 0.0, of)
     left = offset - made(temperature)
-    return ThermalPolynomial(
-        coefficients=made.coefficients,
-        reference=reference,
-        low=low,
-        high=high,
-        rms=float(np.sqrt(np.mean(left**2))),
-        largest=float(np.abs(left).max()),
-        of=of,
-    )
+    rms, largest = float(np.sqrt(np.mean(left**2))), float(np.abs(left).max())
+    return replace(made, rms=rms, largest=largest)

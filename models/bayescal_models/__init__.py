@@ -1,6 +1,12 @@
 """The instruments. A new one is a folder beside these and one line here.
 
-Each instrument's module holds `INSTRUMENT`; its docstring is the data sheet.
+Each instrument's module holds `INSTRUMENT`; its docstring is the data sheet. Its `reference_problem` is small, with
+proper priors; intervals must cover on it, and methods agree:
+
+    model, readings = reference_problem.model(), reference_problem.readings()
+
+`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS. Where there is one,
+`hidden(effects, seed)` makes readings of a fuller test with effects hidden in them, as `simulate` takes them.
 """
 
 INSTRUMENTS = (

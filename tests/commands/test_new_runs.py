@@ -11,9 +11,8 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._cli.column_options import ColumnOptions
-from bayescal._cli.options import ModelOptions
-from bayescal._cli.request import ReadRequest, open_channels
+from bayescal._cli.options import ColumnOptions, ModelOptions, ReadRequest
+from bayescal._cli.request import open_channels
 from bayescal._use.compensate_file import compensate_file
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, run

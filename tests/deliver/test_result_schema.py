@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._report.result_json import clean, result, write_json
+from bayescal._core.as_json import as_json, write_json
+from bayescal._report.result_json import result
 from bayescal_models import mems_gyro
 from tests.support import reported
 from tests.support.command_line import write_bent_table
@@ -225,6 +226,6 @@ def test_a_direction_that_was_not_measured_is_named(sampled: dict[str, Any]) -> 
 
 def test_numbers_that_are_not_finite_become_null(tmp_path: Path) -> None:
     data = {"a": [np.float64("nan"), float("inf"), 1], "b": {"c": np.int64(3), "d": -np.inf}}
-    write_json(clean(data), tmp_path / "r.json")
+    write_json(as_json(data), tmp_path / "r.json")
     read = json.loads((tmp_path / "r.json").read_text("utf-8"), parse_constant=_refuse)
     assert read == {"a": [None, None, 1], "b": {"c": 3, "d": None}}

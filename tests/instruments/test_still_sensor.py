@@ -10,9 +10,8 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._cli.column_options import ColumnOptions
-from bayescal._cli.options import ModelOptions
-from bayescal._cli.request import ReadRequest, open_request
+from bayescal._cli.options import ColumnOptions, ModelOptions, ReadRequest
+from bayescal._cli.request import open_request
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable as can_test
 from bayescal_models import still_sensor

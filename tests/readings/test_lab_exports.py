@@ -11,8 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from bayescal._cli.column_options import ColumnOptions
-from bayescal._cli.options import with_groups
+from bayescal._cli.options import ColumnOptions, with_groups
 from bayescal._core.errors import InputError
 from bayescal._data.read import read
 from bayescal_models import mems_gyro

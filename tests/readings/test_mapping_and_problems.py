@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayescal._cli.column_options import ColumnOptions
+from bayescal._cli.options import ColumnOptions
 from bayescal._core.errors import InputError
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 from tests.support.command_line import GYRO, QUICK, needs_installation, run

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, Campaign, G
 from bayescal_models.differential_pair.disturbance import departures, shared, warming
+from bayescal_models.simulated import refuse_effects
 
 Array = NDArray[np.float64]
 
@@ -79,7 +80,7 @@ def columns_and_truth(
         ValueError: an unknown effect, or a size that is not finite.
     """
     plan, sizes = campaign or Campaign(), dict(effects or {})
-    _check(sizes)
+    refuse_effects(sizes, HIDDEN, "a batch")
     count = plan.outer + plan.inner
     seeds = np.random.SeedSequence(seed).spawn(6)
     devices, environment, own, hidden, noise, thermometer = map(np.random.default_rng, seeds)
@@ -179,13 +180,3 @@ def _columns(
     if temperature is not None:
         columns["temperature"] = np.tile(temperature, count)
     return columns
-
-
-def _check(effects: Mapping[str, float]) -> None:
-    for name, size in effects.items():
-        if name not in HIDDEN:
-            raise ValueError(
-                f"no effect {name!r} can be hidden in a batch: choose among {', '.join(HIDDEN)}"
-            )
-        if not np.isfinite(size):
-            raise ValueError(f"the size of {name!r} is {size!r}: give a finite number")

@@ -1,9 +1,4 @@
-"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
-
-    model, readings = reference_problem.model(), reference_problem.readings()
-
-`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
-"""
+"""The reference problem of zero offsets over placement angles; what one is for stands in `bayescal_models`."""
 
 from __future__ import annotations
 
@@ -18,10 +13,8 @@ from bayescal_models.inclinometer.model import INSTRUMENT, simulate
 CAMPAIGN = Campaign(angles=tuple(float(a) for a in range(-45, 46, 15)))
 ON_TILT = ("zero.electrical_tilt", "zero.exact_placement", "scale.constant")
 
-
-def model() -> bc.Model:
-    """The baseline, a line for each axis; its priors are proper as they stand."""
-    return INSTRUMENT.baseline()
+model = INSTRUMENT.baseline
+"""The baseline, a line for each axis; its priors are proper as they stand."""
 
 
 def readings(seed: int = 0) -> bc.Measurements:
@@ -30,12 +23,7 @@ def readings(seed: int = 0) -> bc.Measurements:
 
 
 def hidden(effects: Mapping[str, float], seed: int) -> bc.Measurements:
-    """The zero test with effects hidden in it; a verification where they are effects on tilt.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients.
-        seed: of every random number.
-    """
+    """The zero test with effects hidden in it; a verification where they are effects on tilt."""
     tilted = any(name in ON_TILT for name in effects)
     campaign = replace(VERIFICATION, runs=2) if tilted else Campaign()
     return simulate(effects, seed=seed, campaign=campaign)

@@ -10,25 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
 from bayescal_models.mems_gyro.campaign import Array, Campaign
 from bayescal_models.mems_gyro.chamber import World
+from bayescal_models.simulated import Size
 
 SILICON_TEMPERATURE = 500.0
 """Characteristic temperature of the modulus in Varshni's law, K (ours: about silicon's)."""
 
 SATURATION = 60.0
 """Temperature change over which a built-in compensation saturates, °C (ours)."""
-
-
-class Size(NamedTuple):
-    """A plausible size: prior standard deviation and its unit."""
-
-    value: float
-    unit: str
 
 
 SIZES: Mapping[str, Size] = MappingProxyType(

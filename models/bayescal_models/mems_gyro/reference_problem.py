@@ -1,9 +1,4 @@
-"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
-
-    model, readings = reference_problem.model(), reference_problem.readings()
-
-`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
-"""
+"""The reference problem of a bias over temperature; what one is for stands in `bayescal_models`."""
 
 from __future__ import annotations
 
@@ -17,10 +12,8 @@ from bayescal_models.mems_gyro.model import INSTRUMENT, simulate
 CAMPAIGN = Campaign(average=300, runs=4)
 TURNING = (0.0, 100.0, -100.0)  # °/s, rates of the table, without which no scale factor shows
 
-
-def model() -> bc.Model:
-    """The baseline, a line over temperature; its priors are proper as they stand."""
-    return INSTRUMENT.baseline()
+model = INSTRUMENT.baseline
+"""The baseline, a line over temperature; its priors are proper as they stand."""
 
 
 def readings(seed: int = 0) -> bc.Measurements:
@@ -29,11 +22,6 @@ def readings(seed: int = 0) -> bc.Measurements:
 
 
 def hidden(effects: Mapping[str, float], seed: int) -> bc.Measurements:
-    """The instrument's own campaign with effects hidden in it, turning where they are effects on the scale.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficient.
-        seed: of every random number.
-    """
+    """The instrument's own campaign with effects hidden in it, turning where they are effects on the scale."""
     turning = any(name.startswith("scale") for name in effects)
     return simulate(effects, seed=seed, campaign=Campaign(rate_input=TURNING if turning else None))

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayescal_models import simulated
 from bayescal_models.mems_gyro.campaign import Array, Campaign
 from bayescal_models.mems_gyro.chamber import World, make_world, wander
 from bayescal_models.mems_gyro.laws import LAWS
@@ -98,8 +99,7 @@ def simulate_arrays(
     effects = dict(effects or {})
     _check(effects, noise_law)
     names = ("noise", "wander", "thermometer", "run", "humidity")
-    seeds = np.random.SeedSequence(seed).spawn(len(names))
-    generators = {n: np.random.default_rng(s) for n, s in zip(names, seeds, strict=True)}
+    generators = simulated.generators(names, seed)
     world = make_world(campaign, generators)
 
     contributions = {"baseline": world.average(_baseline(campaign, world))}
@@ -138,20 +138,14 @@ def _check(effects: Mapping[str, float], noise_law: str) -> None:
             f"simulate_arrays(noise_law={noise_law!r}): known are {', '.join(NOISE_LAWS)}; "
             "choose one of them."
         )
-    for name, size in effects.items():
+    for name in effects:
         if name in ("bias.temperature", "bias.constant"):
             option = "slope" if name == "bias.temperature" else "constant"
             raise ValueError(
                 f"simulate_arrays: {name!r} belongs to the baseline, not to the hidden effects; "
                 f"set Campaign({option}=…) instead."
             )
-        if name not in LAWS:
-            raise ValueError(
-                f"simulate_arrays: no effect {name!r} can be hidden in a gyro campaign; "
-                f"choose among {', '.join(LAWS)}."
-            )
-        if not np.isfinite(size):
-            raise ValueError(f"simulate_arrays: the size of {name!r} is {size!r}; give a number.")
+    simulated.refuse_effects(effects, LAWS, "a gyro campaign")
 
 
 def _baseline(campaign: Campaign, world: World) -> Array:

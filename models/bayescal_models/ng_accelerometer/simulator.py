@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bayescal_models import simulated
 from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A, Campaign
 from bayescal_models.ng_accelerometer.laws import BY_CELL, BY_RUN, LAWS
 from bayescal_models.ng_accelerometer.rig.world import Array, World, make_world
@@ -52,7 +53,9 @@ def simulated_columns(
     """
     made = simulate_arrays(effects, seed=seed, campaign=campaign)
     world, temperature = made.world, made.world.device.mean(axis=1)
-    scatter = _generators(seed)["thermometer"].standard_normal((2, len(temperature)))
+    scatter = simulated.generators(STREAMS, seed)["thermometer"].standard_normal(
+        (2, len(temperature))
+    )
     return {
         "run": np.array([str(k + 1) for k in world.run]),
         "temperature_point": world.point,
@@ -77,8 +80,8 @@ def simulate_arrays(
         ValueError: an unknown effect, or a size that is no number.
     """
     sizes = {**campaign.truth, **(effects or {})}
-    _check(sizes)
-    generators = _generators(seed)
+    simulated.refuse_effects(sizes, LAWS, "a test of the ng accelerometer")
+    generators = simulated.generators(STREAMS, seed)
     world = make_world(campaign, generators, BY_CELL, BY_RUN)
     contributions = {
         name: tuple((law.slot, law.contribution(size, world, campaign)) for law in LAWS[name])
@@ -136,20 +139,3 @@ def _turn(vector: tuple[Array, ...], about: int, by: Array) -> tuple[Array, ...]
     turned[first] = np.cos(by) * vector[first] - np.sin(by) * vector[second]
     turned[second] = np.sin(by) * vector[first] + np.cos(by) * vector[second]
     return tuple(turned)
-
-
-def _generators(seed: int) -> dict[str, np.random.Generator]:
-    seeds = np.random.SeedSequence(seed).spawn(len(STREAMS))
-    return {name: np.random.default_rng(s) for name, s in zip(STREAMS, seeds, strict=True)}
-
-
-def _check(sizes: Mapping[str, float]) -> None:
-    """Refuse names that are not known here, and sizes that are no numbers."""
-    for name, size in sizes.items():
-        if name not in LAWS:
-            raise ValueError(
-                f"simulate: no effect {name!r} can be hidden in a test of the ng accelerometer; choose among "
-                f"{', '.join(LAWS)}"
-            )
-        if not np.isfinite(size):
-            raise ValueError(f"simulate: the size of {name!r} is {size!r}; give a finite number")

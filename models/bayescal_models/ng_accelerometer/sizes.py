@@ -9,18 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import NamedTuple
+
+from bayescal_models.simulated import Size
 
 DEGREE = math.pi / 180  # rad
 ARCSEC = DEGREE / 3600  # rad
 HOUR = 3600.0  # s
-
-
-class Size(NamedTuple):
-    """A prior standard deviation (of a learned spread: its prior's scale) and its unit."""
-
-    value: float
-    unit: str
 
 
 BASELINE_SIZES: Mapping[str, Size] = MappingProxyType(

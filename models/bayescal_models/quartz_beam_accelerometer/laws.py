@@ -14,19 +14,13 @@ import numpy as np
 
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.thermal import Array, World, body
+from bayescal_models.simulated import Size
 
 KELVIN = 273.15
 EINSTEIN = 400.0  # K, of the oscillators whose energy bends the circuit's tempco; ours
 LEAKAGE = 80.0  # °C, over which leakage currents grow by e; ours
 BOW = 60.0  # °C of gradient at which a bowed plate has stiffened; ours
 SLIPS = (0.3, 0.6, 1.0, 1.5)  # °C, thresholds of joints that stick and slip; ours
-
-
-class Size(NamedTuple):
-    """A plausible size: prior standard deviation, and the unit it is per (of µg or ppm)."""
-
-    value: float
-    per: str = ""
 
 
 SIZES: Mapping[str, Size] = MappingProxyType(
@@ -54,7 +48,7 @@ SIZES: Mapping[str, Size] = MappingProxyType(
         "cell": Size(5.0),
     }
 )
-"""Prior standard deviations for bias, µg; those for scale factor are a tenth, ppm. Ours (lag, quartic, quintic too)."""
+"""Prior standard deviations for bias, µg, with what they are per; for scale factor a tenth, ppm. All of them ours."""
 
 SECOND_ORDER = 10.0  # µg/g²
 SHARE = {"bias": 1.0, "scale": 0.1}
@@ -63,7 +57,7 @@ UNIT = {"bias": "ug", "scale": "ppm"}
 
 def size(slot: str, cause: str) -> tuple[float, str]:
     """Plausible size of `slot.cause`, and its unit."""
-    return SIZES[cause].value * SHARE[slot], UNIT[slot] + SIZES[cause].per
+    return SIZES[cause].value * SHARE[slot], UNIT[slot] + SIZES[cause].unit
 
 
 class Chance(NamedTuple):

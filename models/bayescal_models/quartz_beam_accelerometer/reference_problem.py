@@ -1,9 +1,4 @@
-"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
-
-    model, readings = reference_problem.model(), reference_problem.readings()
-
-`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
-"""
+"""The reference problem of a device with two thermometers; what one is for stands in `bayescal_models`."""
 
 from __future__ import annotations
 
@@ -18,10 +13,8 @@ CAMPAIGN = Campaign(
     temperatures=(-40.0, -10.0, 20.0, 45.0, 70.0), interval=600.0, average=60.0, soak=3600.0
 )
 
-
-def model() -> bc.Model:
-    """The baseline, cubics of the head's temperature; its priors are proper as they stand."""
-    return INSTRUMENT.baseline()
+model = INSTRUMENT.baseline
+"""The baseline, cubics of the head's temperature; its priors are proper as they stand."""
 
 
 def readings(seed: int = 0) -> bc.Measurements:
@@ -30,10 +23,5 @@ def readings(seed: int = 0) -> bc.Measurements:
 
 
 def hidden(effects: Mapping[str, float], seed: int) -> bc.Measurements:
-    """The instrument's own campaign with effects hidden in it.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficient.
-        seed: of every random number.
-    """
+    """The instrument's own campaign with effects hidden in it."""
     return simulate(effects, seed=seed)

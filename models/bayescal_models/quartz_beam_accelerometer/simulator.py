@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayescal_models import simulated
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.device import CUBIC, Truth, truth
 from bayescal_models.quartz_beam_accelerometer.laws import LAWS, Chance
@@ -27,7 +28,7 @@ def simulated_columns(
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
     world, true = _true(campaign, effects, seed)
-    generators = _generators(seed)
+    generators = simulated.generators(CHANCES, seed)
     g = world.acceleration
     output = true.bias + (1e6 + true.scale) * g + effects.get("second_order", 0.0) * g**2
     output = output + _noise(campaign, world, generators)
@@ -62,8 +63,10 @@ def true_values(
 
 
 def _true(campaign: Campaign, effects: Mapping[str, float], seed: int) -> tuple[World, Truth]:
-    _check(effects, campaign)
-    world, generators = make_world(campaign), _generators(seed)
+    known = [f"{slot}.{cause}" for slot in ("bias", "scale") for cause in LAWS]
+    known += ["second_order", *(CUBIC if campaign.device == "cubic" else ())]
+    simulated.refuse_effects(effects, known, f"a {campaign.device!r} device")
+    world, generators = make_world(campaign), simulated.generators(CHANCES, seed)
     device = truth(campaign, world, {n: effects.get(n, v) for n, v in CUBIC.items()})
     sums = {"bias": device.bias, "scale": device.scale}
     chances = {slot: _chance(generators[slot], world) for slot in sums}
@@ -72,25 +75,6 @@ def _true(campaign: Campaign, effects: Mapping[str, float], seed: int) -> tuple[
         if cause in LAWS:
             sums[slot] = sums[slot] + size * LAWS[cause](world, campaign, chances[slot])
     return world, Truth(sums["bias"], sums["scale"], device.frequency_sum)
-
-
-def _generators(seed: int) -> dict[str, np.random.Generator]:
-    seeds = np.random.SeedSequence(seed).spawn(len(CHANCES))
-    return {name: np.random.default_rng(s) for name, s in zip(CHANCES, seeds, strict=True)}
-
-
-def _check(effects: Mapping[str, float], campaign: Campaign) -> None:
-    """Refuse names without a law, and sizes that are no numbers."""
-    known = [f"{slot}.{cause}" for slot in ("bias", "scale") for cause in LAWS]
-    known += ["second_order", *(CUBIC if campaign.device == "cubic" else ())]
-    for name, size in effects.items():
-        if name not in known:
-            raise ValueError(
-                f"simulate: no effect {name!r} can be hidden in a {campaign.device!r} device; choose among "
-                f"{', '.join(known)}."
-            )
-        if not np.isfinite(size):
-            raise ValueError(f"simulate: the size of {name!r} is {size!r}; give a number.")
 
 
 def _chance(generator: np.random.Generator, world: World) -> Chance:

@@ -1,9 +1,4 @@
-"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
-
-    model, readings = reference_problem.model(), reference_problem.readings()
-
-`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
-"""
+"""The reference problem of a record on ramps; what one is for stands in `bayescal_models`."""
 
 from __future__ import annotations
 

@@ -1,0 +1,44 @@
+"""Results as plain JSON data, and their files: one way for every result."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from bayescal._core.atomic_file import write_text
+
+
+def as_json(value: Any) -> Any:
+    """Plain JSON data: data classes by field, arrays as lists, NumPy scalars as numbers, what is not finite as None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: as_json(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, dict):
+        return {str(k): as_json(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [as_json(v) for v in value]
+    if plain := getattr(value, "tolist", None):
+        return as_json(plain())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def json_text(data: Any, indent: int = 2) -> str:
+    """Plain data as JSON, with the end of its last line.
+
+    Raises:
+        ValueError: a number in it is not finite.
+    """
+    return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_json(data: Any, path: Path, indent: int = 2) -> Path:
+    """Written beside and renamed, so that an interruption leaves the old file whole.
+
+    Raises:
+        InputError: no such folder, or a place that cannot be written to.
+    """
+    return write_text(json_text(data, indent), path)

@@ -1,0 +1,27 @@
+"""Templates of Jinja, which lay out what a package writes: pages, code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+
+def template(package: str, file: str, filters: Mapping[str, Callable[..., Any]], **how: Any) -> Any:
+    """A template in the folder `templates` of a package; what it asks for and is not given is an error.
+
+    Args:
+        package, file: where it is.
+        filters: that it may use, by name.
+        how: further options, as `jinja2.Environment` takes them.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # only what is written needs it
+
+    environment = Environment(
+        loader=PackageLoader(package),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        **how,
+    )
+    environment.filters |= filters
+    return environment.get_template(file)
