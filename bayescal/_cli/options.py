@@ -193,7 +193,7 @@ MostEffects = Annotated[
 FinerNoise = Annotated[
     bool,
     typer.Option(
-        "--finer-noise/--no-finer-noise",
+        "--finer-noise/--simple-noise",
         help="Where noise is correlated, weigh sums of terms (random walk, flicker, two times, a tone) too; without is "
         "faster on long records.",
     ),
