@@ -33,7 +33,7 @@ def calibrate(
     *,
     channels: options.Channels = None,
     asked: SearchRequest,
-    finer_noise: options.FinerNoise = True,
+    simple_noise: options.SimpleNoise = False,
     covariates: options.Covariates = None,
     out: options.Folder = None,
     verbose: options.Verbose = False,
@@ -46,7 +46,7 @@ def calibrate(
     one unit are searched together: structures and noise of their own, one body for all.
     """
     settings = asked.settings() | options.causes(None, covariates)
-    of_search = SearchSettings(finer_noise=finer_noise)
+    of_search = SearchSettings(finer_noise=not simple_noise)
     with use_settings(of_search), deadline.until(asked.time_limit, apart=True):
         if channels is None:
             _one(asked, out, json_, settings, verbose, output_unit)

@@ -190,12 +190,12 @@ BatchMethod = Annotated[
 MostEffects = Annotated[
     int, typer.Option("--max-effects", min=1, help="Most effects that may be missing.")
 ]
-FinerNoise = Annotated[
+SimpleNoise = Annotated[
     bool,
     typer.Option(
-        "--finer-noise/--simple-noise",
-        help="Where noise is correlated, weigh sums of terms (random walk, flicker, two times, a tone) too; without is "
-        "faster on long records.",
+        "--simple-noise",
+        help="Where noise is correlated, leave out sums of terms (random walk, flicker, two times, a tone): faster on "
+        "long records.",
     ),
 ]
 Next = Annotated[
