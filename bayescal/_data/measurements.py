@@ -354,6 +354,11 @@ def assemble(
     return made.without_causes(converted.beside & variables.keys())
 
 
+def of_columns(values: Mapping[str, np.ndarray], units: Mapping[str, str | None]) -> Measurements:
+    """Measurements of columns by name, in their fixed units, as they are; unchecked."""
+    return Measurements(xr.Dataset({n: _variable(v, units[n]) for n, v in values.items()}))
+
+
 def _variable(values: np.ndarray, unit: str | None) -> xr.Variable:
     if unit is None:
         return xr.Variable(ROW, values.astype(str))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import math
+import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -282,24 +283,19 @@ class Formula:
             return _FUNCTIONS[node.parts[0]](*own)
         if node.kind == "neg":
             return -own[0]
-        if node.kind == "^":
-            return _power(own[0], own[1])
-        a, b = own
-        return (
-            a + b
-            if node.kind == "+"
-            else a - b
-            if node.kind == "-"
-            else a * b
-            if node.kind == "*"
-            else a / b
-        )
+        return _OPERATORS[node.kind](*own)
 
 
 def _power(base: Any, exponent: Any) -> Any:
     """A whole power by multiplying, of which negative bases have a slope too."""
     whole = isinstance(exponent, float) and exponent.is_integer()
     return base ** (int(exponent) if whole else exponent)
+
+
+_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
+    **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
+    "^": _power,
+}
 
 
 def _column(r: Frame, name: str) -> Any:
@@ -491,10 +487,10 @@ def effect(
         raise InputError(
             f"effect {name!r}: {', '.join(unused)} is given, and does not stand in {formula!r}"
         )
-    bent = {n for n in unknowns if n in set(_bent(tree, unknowns))}
+    bent = set(_bent(tree, unknowns))
     linear = _linear(formula, tree, unknowns - bent)
     if "" in linear:
-        near = _meant(unknowns or bent, formula)
+        near = "" if unknowns else ": write one in front, as s * (…)"
         raise refuse(
             formula,
             linear[""].at,
@@ -615,10 +611,6 @@ def _columns(
             if near:
                 raise refuse(formula, node.at, f"{said}: is {near[0]!r} meant?")
     return found
-
-
-def _meant(names: set[str], formula: str) -> str:
-    return "" if names else ": write one in front, as s * (…)"
 
 
 def _shape(formula: str, tree: FormulaNode, name: str, said: str | None) -> Shape:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity
+from bayescal._calibration.description import identity, sources_of
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError
 from bayescal._core.formatting import number, probability, with_error
@@ -144,7 +144,7 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
         "data": data,
         "final": data["steps"][-1],
         "identity": identity(c),
-        "files": tables.identity(c.readings),
+        "files": sources_of(c.readings),
         "groups": _groups(data),
         "signed": signed[: tables.SUMMARY],
         "further": len(rows) - len(signed[: tables.SUMMARY]),

@@ -10,7 +10,6 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
-from bayescal._calibration.description import sources_of
 from bayescal._core.formatting import number, with_error
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -27,11 +26,6 @@ READ = "what was read"
 
 def measured(value: float, unit: str, digits: int = 4) -> str:
     return f"{number(value, digits)} {unit_label(unit)}".strip()
-
-
-def identity(readings: Measurements) -> list[dict[str, Any]]:
-    """Each file with its hash; of arrays the hash of their values."""
-    return [{"file": s.file, "sha256": s.sha256, "rows": s.rows} for s in sources_of(readings)]
 
 
 def channels(readings: Measurements) -> list[str]:

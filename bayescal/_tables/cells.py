@@ -106,7 +106,7 @@ def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
     ):  # else Python takes for a number what nobody writes as one
         with suppress(ValueError):
             return Cells(np.fromiter(map(float, plain), np.float64, len(plain)))
-    values = np.fromiter(map(_number, plain), np.float64, len(plain))
+    values = np.fromiter(map(number_of, plain), np.float64, len(plain))
     odd = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
     if odd and _is_date(texts[odd[0]]):
         return _dates_of(texts, values, odd)
@@ -150,10 +150,10 @@ def _with_point(text: str) -> str:
     """A number with a decimal comma as one with a point; a point in it parts thousands, and makes it none."""
     if _COMMA.fullmatch(text.strip()):
         return text.replace(",", ".")
-    return "?" if "." in text and not np.isnan(_number(text)) else text
+    return "?" if "." in text and not np.isnan(number_of(text)) else text
 
 
-def _number(text: str) -> float:
+def number_of(text: str) -> float:
     """A number as people write it, NaN if the text is none."""
     try:
         return float(text) if text.isascii() and "_" not in text else np.nan

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -17,7 +18,7 @@ from typing import BinaryIO, NamedTuple
 
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
-from bayescal._tables.cells import MOST_BAD
+from bayescal._tables.cells import MOST_BAD, number_of
 from bayescal._tables.encoding import encoding_of, opened
 from bayescal._tables.header_rows import LOOKED_AT, header_rows
 from bayescal._tables.problems import Problem
@@ -178,7 +179,7 @@ def _separator_of(line: str) -> str:
 def _split_header(scan: CsvScan, row: int, line: str) -> None:
     scan.separator = _separator_of(line)
     refuse_many(scan.file, 1 + line.count(scan.separator))
-    if all(map(_is_number, line.split(scan.separator))):
+    if not any(map(math.isnan, map(number_of, line.split(scan.separator)))):
         raise InputError(
             f"{scan.file!r} has no header: its first row, row {row}, is numbers. Write one that names the columns, "
             "such as 'time [s],temperature [degC],output [deg/s]'"
@@ -190,13 +191,6 @@ def _split_header(scan: CsvScan, row: int, line: str) -> None:
             f"row {row} of {scan.file!r}, the header, has a quotation mark without its pair: "
             f"{line[:80]!r}. Close or remove it"
         ) from error
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return float(text) == float(text)
-    except ValueError:
-        return False
 
 
 def _decode(data: bytes, scan: CsvScan, row: int) -> str:

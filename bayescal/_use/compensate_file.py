@@ -26,13 +26,13 @@ from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns, kept_table
 from bayescal._data.dataset_checks import problems_of_whole
 from bayescal._data.header_matching import matched
-from bayescal._data.measurements import Measurements, assemble
+from bayescal._data.measurements import assemble, of_columns
 from bayescal._data.read_options import ReadOptions
 from bayescal._tables.csv_reader import csv_parts
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
 from bayescal._tables.problems import Problems
-from bayescal._tables.raw_table import ROW, Table, bytes_text, load_whole
+from bayescal._tables.raw_table import Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensated, Compensator, Method
 
 KEPT = (*TEXT, ".parquet", ".nc")  # in which a file can be written as it was
@@ -111,7 +111,7 @@ class _FileCompensation:
         return self.compensator.history or any(c.name == "time" for c in self.expected.columns)
 
     def _take(self, table: Table, converted: ConvertedColumns) -> Compensated:
-        readings = _measurements(converted)
+        readings = of_columns(converted.values, converted.units)
         found = self.compensator(readings, noise=self.noise, method=self.method, warn=False)
         self.done.rows += table.rows
         self.done.unsolved += int(np.isnan(found.value).sum())
@@ -229,14 +229,6 @@ def _names(
                 f"{table.file!r} has a column {name!r} already: take it out, or compensate the original"
             )
     return header.raw, names
-
-
-def _measurements(converted: ConvertedColumns) -> Measurements:
-    variables: dict[str, Any] = {}
-    for name, values in converted.values.items():
-        unit = converted.units[name]
-        variables[name] = (ROW, np.asarray(values), {"units": unit} if unit else {})
-    return Measurements(xr.Dataset(variables))
 
 
 def _slices(

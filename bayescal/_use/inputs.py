@@ -10,15 +10,13 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
-from bayescal._data.measurements import Measurements
+from bayescal._data.measurements import Measurements, of_columns
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._model.frame import Frame, build_frame
-from bayescal._tables.raw_table import ROW
 from bayescal._use.operating_equation import OperatingEquation
 
 PAST = ("rate", "lag", "lag slope")  # kinds of input that follow from a temperature's past
@@ -172,8 +170,7 @@ def _record(
             )
     if readings is None:
         units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
-        data = {n: (ROW, np.array(given[n]), {"units": u}) for n, u in units.items()}
-        readings = Measurements(xr.Dataset(data))
+        readings = of_columns({n: np.array(given[n]) for n in units}, units)
     return build_frame(readings, {"run_starts": {}})
 
 

@@ -35,7 +35,7 @@ from bayescal._core.quoting import (
 from bayescal._use.code_writer import as_text, load_program
 from bayescal._use.compensation_program import from_data
 from bayescal_models import mems_gyro
-from tests.support.export_check import COMPILER, needs_compiler
+from tests.support.export_check import COMPILER, FLAGS, needs_compiler
 
 # Pieces that mean something to C, Python, HTML, XML, spreadsheets, and to the programs that write these.
 PIECES = (
@@ -209,18 +209,7 @@ def check_c(name: str) -> None:
     """The header compiles without a word, and is the same code whatever its texts say."""
     hostile = exported(lambda _: name, "c")
     assert COMPILER is not None
-    command = [
-        COMPILER,
-        "-std=c99",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-pedantic",
-        "-fsyntax-only",
-        "-x",
-        "c",
-        "-",
-    ]
+    command = [COMPILER, *FLAGS, "-fsyntax-only", "-x", "c", "-"]
     made = subprocess.run(command, input=hostile.encode("ascii"), capture_output=True, check=False)
     assert made.returncode == 0, made.stderr.decode()
     words = identifier(name), identifier(name, ("reading", "stimulus"))
@@ -440,17 +429,7 @@ def test_a_hostile_name_in_a_file_reaches_no_deliverable_as_code(name, tmp_path)
     ]
     header = made.export(tmp_path / "made.h")
     if COMPILER is not None:
-        command = [
-            COMPILER,
-            "-std=c99",
-            "-Wall",
-            "-Wextra",
-            "-Werror",
-            "-fsyntax-only",
-            "-x",
-            "c",
-            str(header),
-        ]
+        command = [COMPILER, *FLAGS, "-fsyntax-only", "-x", "c", str(header)]
         assert subprocess.run(command, capture_output=True, check=False).returncode == 0
     bc.load_compensator(made.export(tmp_path / "made.json"))
     page = Seen(bc.report(calibration, tmp_path / "report.html").read_text("utf-8"))
