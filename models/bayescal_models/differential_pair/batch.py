@@ -9,40 +9,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 import bayescal as bc
 from bayescal_models.differential_pair.campaign import Campaign
 from bayescal_models.differential_pair.model import INSTRUMENT
-from bayescal_models.differential_pair.simulator import columns_and_truth
-
-Array = NDArray[np.float64]
+from bayescal_models.differential_pair.simulator import Truth, columns_and_truth
 
 
 @dataclass(frozen=True)
-class SimulatedBatch:
-    """Readings of a batch and the truth behind them; devices in the order outer, inner.
-
-    Attributes:
-        readings: measurements of all devices.
-        names: of the devices.
-        outer: number of outer devices.
-        scale: 1 + κ of each device, (K,).
-        sensitivity: λd of each device, (K,).
-        environment: λd·u + v of each device, averaged as the readings are, µg, (K, T).
-        acceleration: commanded, µg, (T,).
-        seed: of every random number.
-    """
+class SimulatedBatch(Truth):
+    """Measurements of all devices of a batch, and the truth behind them."""
 
     readings: bc.Measurements = field(repr=False)
-    names: tuple[str, ...]
-    outer: int
-    scale: Array
-    sensitivity: Array
-    environment: Array
-    acceleration: Array
-    seed: int
 
 
 def simulate_batch(
@@ -54,4 +31,5 @@ def simulate_batch(
         ValueError: an unknown effect, or a size that is not finite.
     """
     columns, truth = columns_and_truth(effects, seed=seed, campaign=campaign)
-    return SimulatedBatch(bc.Measurements.from_arrays(INSTRUMENT, **columns), **vars(truth))
+    readings = bc.Measurements.from_arrays(INSTRUMENT, **columns)
+    return SimulatedBatch(**vars(truth), readings=readings)
