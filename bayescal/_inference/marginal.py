@@ -22,7 +22,7 @@ from bayescal._inference import (
 )
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.method import CHAINS, Draws, Method, Outcome, by_chain
+from bayescal._inference.method import CHAINS, Draws, Method, Outcome
 from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.nuts_chains import Chains
 from bayescal._inference.record import Record
@@ -161,7 +161,7 @@ class Marginal(Method):
         evidence = (float(found.log_evidence), float(found.log_evidence_error))
         return Outcome(
             layout=layout,
-            draws=_by_chain(found.x[pick], found.rows[pick], found.v[pick]),
+            draws=Draws.of(found.x[pick], found.rows[pick], found.v[pick]),
             mode=mode,
             verdict=trust.weights_verdict(weights, k_hat, notes, mode, reasons),
             log_evidence=None if layout.improper else evidence,
@@ -195,7 +195,7 @@ class Marginal(Method):
         known = known and (layout.model.noise.gaussian or not layout.row_blocks)
         return Outcome(
             layout=layout,
-            draws=_by_chain(x, rows, v),
+            draws=Draws.of(x, rows, v),
             mode=mode,
             verdict=trust.chain_verdict(ran, "NUTS on whitened unknowns", notes),
             log_evidence=(float(mode.log_evidence), None) if known else None,
@@ -228,7 +228,3 @@ def _judged(found: WeightedDraws, heavy: bool = False) -> _Judged:
     limit = trust.sampling().k_hat if heavy else trust.largest_k_hat(correction, of_phi)
     why_not = trust.unevenness(weights, k_hat, limit=limit)
     return _Judged(found, weights, k_hat, limit, why_not)
-
-
-def _by_chain(x, rows, v) -> Draws:
-    return Draws(x=by_chain(x), rows=by_chain(rows), v=by_chain(v))
