@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from typing import ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Array, Float
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
@@ -21,7 +20,6 @@ from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.mode import NOTHING_KNOWN, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.refinement import Solution
-from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
 
@@ -37,14 +35,7 @@ class LeastSquares(Method):
     draws: int = 4000
     name: ClassVar[str] = "least-squares"
 
-    def run(
-        self,
-        layout: Layout,
-        frame: Frame,
-        y: Float[Array, "n"],
-        seed: int,
-        start: Mapping[str, float] = NOTHING_KNOWN,
-    ) -> Outcome:
+    def run(self, layout, frame, y, seed, start=NOTHING_KNOWN):
         with stage("least squares"):
             assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
             found = solution_on(assembly, self.curvature == "hessian", start)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayescal._core import deadline
 from bayescal._core.importance_weights import effective_size, resample, smoothed
@@ -28,8 +28,6 @@ from bayescal._inference.nuts_chains import Chains
 from bayescal._inference.record import Record
 from bayescal._inference.refinement import refine
 from bayescal._inference.sampling import PROPOSALS, WeightedDraws, weighted_draws
-from bayescal._model.frame import Frame
-from bayescal._model.parameters import Layout
 
 TOO_NONLINEAR = "Nonlinearity too strong for the linearised posterior ({}): exact NUTS."
 TOO_HEAVY = "The posterior is not nearly Gaussian given φ ({}): exact NUTS."
@@ -69,14 +67,7 @@ class Marginal(Method):
     promote: tuple[str, ...] | None = None
     name: ClassVar[str] = "marginal"
 
-    def run(
-        self,
-        layout: Layout,
-        frame: Frame,
-        y: Float[Array, "n"],
-        seed: int,
-        start: Mapping[str, float] = NOTHING_KNOWN,
-    ) -> Outcome:
+    def run(self, layout, frame, y, seed, start=NOTHING_KNOWN):
         record = Record(layout.model.instrument, frame, np.asarray(y))
         with stage("finding the mode"):
             layout, notes = sampled_products.choose_on(layout, record, self.promote, start)
