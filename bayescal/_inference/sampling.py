@@ -290,7 +290,8 @@ class _Rounds:
     def log_weight(self) -> Float[np.ndarray, "s"]:
         # Each draw is weighed by the mean density of all mixtures, whichever it came from (deterministic mixture: E.
         # Veach and L. Guibas, SIGGRAPH 1995): a draw that its own mixture hardly proposes cannot count for thousands.
-        return self.there - logsumexp(self.proposed, axis=0) + math.log(len(self.mixtures))
+        proposed = np.asarray(logsumexp(self.proposed, axis=0))
+        return self.there - proposed + math.log(len(self.mixtures))
 
 
 @on_one_thread
