@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import bdtr, kolmogorov, ndtr, smirnov, stdtr
 
-from bayescal._calibration import covariate_evidence, efficient_score
+from bayescal._calibration import covariate_evidence
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair
 from bayescal._calibration.fit import fit
@@ -31,14 +31,14 @@ def check(calibration: Calibration) -> Check:
     set beside the noise known before any fit), not against a noise inflated to cover its misfit.
     """
     judged, free_noise = _judged(calibration)
-    residual, white, sd = efficient_score.residuals(judged)
-    noise = float(np.sqrt(np.mean(sd**2)))
+    residual, white = judged.linear.settled, judged.linear.scores
+    noise = float(np.sqrt(np.mean(judged.linear.variance)))
     covariates = covariates_of(judged)
     duos = _duos(covariates)
     products = [covariate_evidence.together(a, b) for a, b in duos]
     evidence = covariate_evidence.log_bayes_factors(judged, [*covariates, *products], noise)
     factors, of_duos = evidence[: len(covariates)], evidence[len(covariates) :]
-    regions = worst_regions(judged, covariates, residual)
+    regions = worst_regions(judged, covariates)
     entries = [
         Entry(b.name, f, region, bool(b.levels))
         for b, f, region in zip(covariates, factors, regions, strict=True)
@@ -82,7 +82,6 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
         reference=calibration.reference,
         strict=False,
     )
-    sd = efficient_score.residuals(free).sd
     names = {h.name: i for i, h in enumerate(calibration.layout.hypers) if h.kind == "noise"}
     v = np.array(calibration.mode.v)
     for i, h in enumerate(free.layout.hypers):
@@ -90,7 +89,7 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
             v[names[h.name]] = free.mode.v[i]
     mode = calibration.mode._replace(v=v)
     judged = replace(calibration, mode=mode) if names else calibration
-    return judged, float(np.sqrt(np.mean(sd**2)))
+    return judged, float(np.sqrt(np.mean(free.linear.variance)))
 
 
 def _compare_fixed(
@@ -188,7 +187,7 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
     size = float(np.linalg.norm(before) * np.linalg.norm(after))
     if not size > 0:
         return 0.0, 0.0
-    directions = efficient_score.fitted_directions(calibration)[order]
+    directions = calibration.linear.directions[order]
     expected, sd = _of_independent_noise(directions, first)
     product, squares = float(before @ after), 0.5 * float(before @ before + after @ after)
     found = product / size
@@ -243,7 +242,7 @@ def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
     """
     if not calibration.model.noise.independent:
         return white
-    leverage = np.sum(efficient_score.fitted_directions(calibration) ** 2, axis=1)
+    leverage = np.sum(calibration.linear.directions**2, axis=1)
     # V⁻¹r over the root of V⁻¹'s diagonal, both from the leverages.
     return white / np.sqrt(np.maximum(1 - leverage, 1e-12))
 

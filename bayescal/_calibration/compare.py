@@ -85,7 +85,24 @@ class Comparison(Printed):
     warnings: tuple[str, ...]
 
     def __str__(self) -> str:
-        return comparison_text(self)
+        """Models side by side, the best first."""
+        unit = unit_label(self.unit)
+        grouped = self.chosen_by != BY_READINGS
+        head = ["model", f"rmse [{unit}]"]
+        head += [scheme(self.group), "score", "difference"] if grouped else []
+        head += ["LOO", "difference", "log evidence", "weight"]
+        rows = []
+        for r in self.rows:
+            cells = [r.name, number(r.rmse)]
+            if grouped:
+                score = "–" if r.group_score is None else f"{r.group_score:.1f}"
+                cells += [number(r.group_rmse), score, _gap(r.group_difference, r.group_error)]
+            evidence = "null" if r.log_evidence is None else f"{r.log_evidence:.1f}"
+            loo = _gap(r.loo_difference, r.loo_error)
+            rows.append([*cells, f"{r.loo:.1f}", loo, evidence, f"{r.weight:.2f}"])
+        count = f" ({self.groups} of them)" if self.chosen_by == BY_GROUPS else ""
+        lines = [table(head, rows), f"the best first, by {self.chosen_by}{count}"]
+        return "\n".join([*lines, *(textwrap.fill(w, WIDTH) for w in self.warnings)])
 
     def _brief(self) -> str:
         return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"
@@ -93,27 +110,6 @@ class Comparison(Printed):
     def _columns(self) -> dict[str, list[Any]]:
         """A row for each model, with the fields of `ComparisonRow`; errors in the output's unit."""
         return {f.name: [getattr(r, f.name) for r in self.rows] for f in fields(ComparisonRow)}
-
-
-def comparison_text(found: Comparison) -> str:
-    """Models side by side, the best first."""
-    unit = unit_label(found.unit)
-    grouped = found.chosen_by != BY_READINGS
-    head = ["model", f"rmse [{unit}]"]
-    head += [scheme(found.group), "score", "difference"] if grouped else []
-    head += ["LOO", "difference", "log evidence", "weight"]
-    rows = []
-    for r in found.rows:
-        cells = [r.name, number(r.rmse)]
-        if grouped:
-            score = "–" if r.group_score is None else f"{r.group_score:.1f}"
-            cells += [number(r.group_rmse), score, _gap(r.group_difference, r.group_error)]
-        evidence = "null" if r.log_evidence is None else f"{r.log_evidence:.1f}"
-        loo = _gap(r.loo_difference, r.loo_error)
-        rows.append([*cells, f"{r.loo:.1f}", loo, evidence, f"{r.weight:.2f}"])
-    count = f" ({found.groups} of them)" if found.chosen_by == BY_GROUPS else ""
-    lines = [table(head, rows), f"the best first, by {found.chosen_by}{count}"]
-    return "\n".join([*lines, *(textwrap.fill(w, WIDTH) for w in found.warnings)])
 
 
 def _gap(value: float | None, error: float | None) -> str:

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
-from bayescal._calibration import efficient_score
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
 from bayescal._model.unknown_effect import process_columns, process_weights, resolution
@@ -88,10 +87,10 @@ def log_bayes_factors(
     """
     found = []
     for covariate in covariates:
-        score = efficient_score.score(calibration, covariate.columns * noise)
+        u, information = calibration.linear.score(covariate.columns * noise)
         terms = np.concatenate(
             [
-                at_sizes(weight * score.u, weight[:, None] * score.information * weight, AMPLITUDES)
+                at_sizes(weight * u, weight[:, None] * information * weight, AMPLITUDES)
                 for weight in covariate.weights
             ]
         )

@@ -36,7 +36,7 @@ def identity(c: Fitted) -> str:
     A calibration has the same one before it is saved and after it is loaded; another fit has another.
     """
     digest = hashlib.sha256(json.dumps(description(c), sort_keys=True).encode())
-    _add_columns(digest, c.readings)
+    c.readings.add_to(digest)
     for draws in (c.joint.x, c.joint.rows, c.joint.v):
         digest.update(f"{draws.shape}\n".encode())
         digest.update(np.ascontiguousarray(draws, dtype="<f8").tobytes())
@@ -48,20 +48,8 @@ def sources_of(readings: Measurements) -> tuple[Source, ...]:
     if readings.sources:
         return readings.sources
     digest = hashlib.sha256()
-    _add_columns(digest, readings)
+    readings.add_to(digest)
     return (Source("arrays (hash of their values)", digest.hexdigest(), len(readings)),)
-
-
-def _add_columns(digest: Any, readings: Measurements) -> None:
-    """Add names, units and values of all columns to a digest."""
-    for name in sorted(readings.columns):
-        column = readings[name]
-        digest.update(f"{name} [{readings.unit(name)}] {len(column)}\n".encode())
-        digest.update(
-            np.ascontiguousarray(column).tobytes()
-            if column.dtype.kind == "f"
-            else json.dumps(column.tolist()).encode()
-        )
 
 
 def description(c: Fitted) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from jaxtyping import Bool
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.summary import curves, summary
 from bayescal._inference.assembly import Point
-from bayescal._inference.method import CHAINS, Draws, by_chain
+from bayescal._inference.method import CHAINS, Draws
 from bayescal._inference.trust import sampling
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
@@ -114,9 +114,7 @@ def without(calibration: F, names: Collection[str]) -> F:
     in_rows = np.array([of_rows[b.name] for b in layout.row_blocks], dtype=int)
     pick = np.flatnonzero(kept)[:count]
     mode = calibration.mode
-    joint = Draws(
-        by_chain(x[pick][:, in_x]), by_chain(rows[pick][:, :, in_rows]), by_chain(v[pick][:, in_v])
-    )
+    joint = Draws.of(x[pick][:, in_x], rows[pick][:, :, in_rows], v[pick][:, in_v])
     middle = mode._replace(
         point=Point(x[pick][:, in_x].mean(axis=0), mode.point.rows[:, in_rows]),
         v=mode.v[in_v],

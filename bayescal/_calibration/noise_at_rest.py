@@ -72,17 +72,13 @@ class RestNoise(NamedTuple):
 
     Attributes:
         terms: beside white noise.
-        log_evidence: by Laplace; up to a constant that all sums share.
         draws: parameters by name, in output units and seconds (d,); equally probable.
         law: with these parameters.
-        effective: draws that the weights are worth.
     """
 
     terms: tuple[str, ...]
-    log_evidence: float
     draws: dict[str, np.ndarray]
     law: SummedNoise | None
-    effective: float
 
     def allan_variance(self, factors: Float[np.ndarray, "k"], step: float) -> np.ndarray:
         """Of the law at each draw (d, k), output unit squared."""
@@ -123,7 +119,7 @@ class _AtRest(NamedTuple):
                 factor = 1.0
             found[name] = value * factor
         law = SummedNoise(self.step, self.longest * self.step, terms) if terms else None
-        return RestNoise(terms, math.nan, found, law, math.nan)
+        return RestNoise(terms, found, law)
 
 
 class WeighedNoise(NamedTuple):
@@ -413,5 +409,4 @@ def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 
     at = (np.arange(count) + random.uniform()) / count
     chosen = v[np.minimum(np.searchsorted(np.cumsum(weight), at), DRAWS - 1)]
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(_priors(law).items())}
-    made = channel.physical(terms, own)
-    return made._replace(log_evidence=fit.log_evidence, effective=float(1 / np.sum(weight**2)))
+    return channel.physical(terms, own)

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from scipy.special import chdtr, chdtrc, chdtri
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.efficient_score import residuals
 from bayescal._calibration.settings import guarding
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, table
@@ -117,7 +116,8 @@ def allan_check(calibration: Calibration) -> AllanCheck | None:
     left = np.maximum(1 - taken / law, 0.0)  # what a fit has absorbed is not in its residuals
     draws = _drawn(calibration, mode, variance, runs.factors, runs.step) * left
     edf = degrees_of_freedom(runs, noise_types(law))
-    estimates = draws[:, None] * (chdtri(edf, _ranks()[:, None]) / edf)
+    ranks = (np.arange(RANKS) + 0.5) / RANKS
+    estimates = draws[:, None] * (chdtri(edf, ranks[:, None]) / edf)
     tail = 0.5 * (1 - CONFIDENCE)
     low, high = np.sqrt(np.quantile(estimates, [tail, 1 - tail], axis=(0, 1)))
     return AllanCheck(
@@ -156,10 +156,6 @@ def _drawn(
     known = max(variance - float(mode[WHITE]) ** 2 - float(law.slow_variance(mode)), 0.0)
     total = values[WHITE] ** 2 + np.asarray(law.slow_variance(values)) + known
     return law.allan_variance(values, total, factors, step)
-
-
-def _ranks() -> Float[np.ndarray, "r"]:
-    return (np.arange(RANKS) + 0.5) / RANKS
 
 
 def _apart(
@@ -202,7 +198,7 @@ def noise_floor(calibration: Calibration) -> float:
     From each residual against the mean of its two neighbours (in time within a run; in temperature where there
     is no time), as in a von Neumann ratio: what varies slowly cancels.
     """
-    residual = residuals(calibration).raw
+    residual = calibration.linear.settled
     readings = calibration.readings
     if readings.has("time"):
         order, step = calibration.assembly.record.in_time

@@ -54,7 +54,7 @@ def moments(
     first, total, squares, noise, beside = np.zeros((5, size))
     for part, some, hyper in _stretches(assembly, draws):
         mean, own = _with_beside(assembly, some, hyper)
-        own_noise = _variance(assembly, hyper)
+        own_noise = variances(assembly.noise, hyper, assembly.record)
         if carried is not None:
             mean = mean + carried(mean)
             own_noise = own_noise - np.atleast_1d(assembly.noise.slow_variance(hyper))[:, None]
@@ -104,7 +104,8 @@ def replicate(
             mean = expected(assembly, some.x, some.rows, hyper)
         else:
             mean = _with_new_members(assembly, some, hyper, random, members)
-        found[part] = _with_noise(assembly, mean, hyper, random)
+        seed = int(random.integers(2**31))
+        found[part] = samples(assembly.noise, assembly.record, mean, hyper, seed)
     return found
 
 
@@ -175,24 +176,11 @@ def _unseen(assembly: Assembly, term: Term) -> np.ndarray:
     return assembly.record.codes[term.known.per] < 0
 
 
-def _variance(assembly: Assembly, hyper: Each) -> Float[np.ndarray, "b n"]:
-    """Of the noise."""
-    return variances(assembly.noise, hyper, assembly.record)
-
-
 def _densities(assembly: Assembly, draws: Vectors, hyper: Each) -> Float[np.ndarray, "b n"]:
     noise, record = assembly.noise, assembly.record
     if len(assembly.row_sd) and noise.gaussian:
         mean, beside = _with_beside(assembly, draws._replace(rows=np.zeros_like(draws.rows)), hyper)
-    else:
-        mean, beside = expected(assembly, draws.x, draws.rows, hyper), None
-    if beside is not None:
-        variance = _variance(assembly, hyper) + (0.0 if beside is None else beside)
+        variance = variances(noise, hyper, record) + beside
         return -0.5 * ((record.y - mean) ** 2 / variance + np.log(variance) + LOG_2PI)
+    mean = expected(assembly, draws.x, draws.rows, hyper)
     return log_densities(noise, record, record.y - mean, hyper)
-
-
-def _with_noise(
-    assembly: Assembly, mean: Float[np.ndarray, "b n"], hyper: Each, random: np.random.Generator
-) -> Float[np.ndarray, "b n"]:
-    return samples(assembly.noise, assembly.record, mean, hyper, int(random.integers(2**31)))

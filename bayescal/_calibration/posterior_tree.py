@@ -40,9 +40,7 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
         "posterior": c.posterior,
         "log_prior": _log_prior(layout, c.posterior, draws),
         "posterior_predictive": _output(readings, predictive),
-        "sample_stats": xr.Dataset(
-            {name: (("chain", "draw"), values) for name, values in draws.stats.items()}
-        ),
+        "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset(
             {"output": ("reading", readings["output"], {"units": readings.unit("output")})}
         ),

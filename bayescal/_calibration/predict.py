@@ -98,13 +98,9 @@ def predict(
         new_groups = False
     if new_groups:
         frame = _of_new_groups(frame)
-    going = (
-        {}
-        if known or same_record or not new_groups
-        else going_on(calibration.readings, readings)[0]
-    )
-    if going:
-        return _continued(calibration, readings, draws)
+    on = None if known or same_record or not new_groups else _going_on(calibration, readings)
+    if on is not None:
+        return _continued(calibration, readings, on, draws)
     return _predicted(calibration, readings, frame, known and not new_groups, same_record, draws)
 
 
@@ -122,21 +118,45 @@ def replicates(
         members = {per: some.groups(per)[1] for per in frame.codes}
         return replicate(calibration.assembly_on(some, frame), Vectors(x, rows, v), random, members)
 
-    runs, at = going_on(calibration.readings, readings)
-    if not runs:
+    on = _going_on(calibration, readings)
+    if on is None:
         return made(readings, _of_new_groups(calibration.frame_of(readings)))
-    fitted, later = calibration.readings, np.sort(np.concatenate([*runs.values()]))
+    behind = made(on.whole, calibration.frame_of(on.whole))[:, len(on.past) :]
+    found = np.empty((len(behind), len(readings)))
+    found[:, on.rows] = behind
+    if len(on.others):
+        alone = readings.select(on.others)
+        found[:, on.others] = made(alone, _of_new_groups(calibration.frame_of(alone)))
+    return found
+
+
+class _GoingOn(NamedTuple):
+    """Readings of which some go on with fitted runs.
+
+    Attributes:
+        past: which of the fitted readings are of these runs.
+        rows, others: which of the readings go on, and which do not.
+        later, whole: those that do, on the fitted clock; and behind the past.
+    """
+
+    past: np.ndarray
+    rows: np.ndarray
+    others: np.ndarray
+    later: Measurements
+    whole: Measurements
+
+
+def _going_on(calibration: Calibration, readings: Measurements) -> _GoingOn | None:
+    fitted = calibration.readings
+    runs, at = going_on(fitted, readings)
+    if not runs:
+        return None
+    rows = np.sort(np.concatenate([*runs.values()]))
     names, codes = run_codes(fitted)
     past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
-    whole = fitted.select(past).followed_by(readings.with_column("time", at).select(later))
-    parts = {0: (later, made(whole, calibration.frame_of(whole))[:, len(past) :])}
-    if len(rest := np.setdiff1d(np.arange(len(readings)), later)):
-        others = readings.select(rest)
-        parts[1] = (rest, made(others, _of_new_groups(calibration.frame_of(others))))
-    found = np.empty((len(parts[0][1]), len(readings)))
-    for rows, values in parts.values():
-        found[:, rows] = values
-    return found
+    later = readings.with_column("time", at).select(rows)
+    whole = fitted.select(past).followed_by(later)
+    return _GoingOn(past, rows, np.setdiff1d(np.arange(len(readings)), rows), later, whole)
 
 
 def _of_new_groups(frame: Frame) -> Frame:
@@ -176,15 +196,11 @@ def _predicted(
     return replace(made, correlated_noise=mean[:, 0], correlated_noise_sd=np.sqrt(spread))
 
 
-def _continued(calibration: Calibration, readings: Measurements, draws: int) -> Prediction:
+def _continued(
+    calibration: Calibration, readings: Measurements, on: _GoingOn, draws: int
+) -> Prediction:
     """Readings of which some go on with the fitted record: these behind it, with its past, the others alone."""
-    fitted = calibration.readings
-    runs, at = going_on(fitted, readings)
-    rows = np.sort(np.concatenate([*runs.values()]))
-    names, codes = run_codes(fitted)
-    past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
-    later = readings.with_column("time", at).select(rows)
-    whole = fitted.select(past).followed_by(later)
+    past, rows, others, later, whole = on
     x, own, v = calibration.draws(draws)
     vectors = Vectors(x, np.zeros((len(x), len(whole), own.shape[2])), v)
     assembly, noise = calibration.assembly_on(whole, calibration.frame_of(whole)), None
@@ -199,7 +215,6 @@ def _continued(calibration: Calibration, readings: Measurements, draws: int) -> 
         "model_sd": np.sqrt(model),
         "sd": np.sqrt(model + found.noise[tail] + spread),
     }
-    others = np.setdiff1d(np.arange(len(readings)), rows)
     if others.size:
         apart = predict(calibration, readings.select(others), draws=draws)
         every = {name: np.zeros(len(readings)) for name in made}

@@ -234,11 +234,7 @@ def _draws_from(tree: xr.DataTree, layout: Layout, readings: int, finite: bool) 
         "v": (*both, len(layout.hypers)),
     }
     rows, v = _arrays(tree, "draws", shapes, finite).values()
-    stats = {str(n): s.values for n, s in tree["sample_stats"].to_dataset().items()}
-    for name, values in stats.items():
-        if values.shape != both or values.dtype.kind not in "fiub":
-            raise ValueError(f"its sample_stats/{name} is not one number for each draw")
-    return Draws(x, rows, v, stats)
+    return Draws(x, rows, v)
 
 
 def _refuse_other_posterior(tree: xr.DataTree, expected: xr.Dataset) -> None:

@@ -204,8 +204,9 @@ def null_directions(calibration: Fitted) -> list[dict[str, str]]:
         return []
     sd = calibration.linear.sd[:count]
     white = calibration.linear.white_nuisance[:, :count]
-    names = _entry_names(calibration)
-    main = np.concatenate([np.full(b.size, _single(b)) for b in calibration.layout.x_blocks])
+    x_blocks, levels = calibration.layout.x_blocks, calibration.levels
+    names = [name for b in x_blocks for name in b.member_names(levels)]
+    main = np.concatenate([np.full(b.size, _single(b)) for b in x_blocks])
     exact = null_space.exact(white)
     weak = null_space.weak(white, exact, guarding().weak, guarding().unmeasured)
     found = [_exact_words(v * sd, names) for v in exact if _concerns(v, main)]
@@ -238,13 +239,6 @@ def _deviations_words(vectors: list[np.ndarray], calibration: Fitted) -> dict[st
         "they keep the width of their prior"
     )
     return {"combination": names, "in_words": words}
-
-
-def _entry_names(calibration: Fitted) -> list[str]:
-    names: list[str] = []
-    for b in calibration.layout.x_blocks:
-        names += b.member_names(calibration.levels)
-    return names
 
 
 def _exact_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:

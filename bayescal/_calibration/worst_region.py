@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayescal._calibration import covariate_evidence, efficient_score
+from bayescal._calibration import covariate_evidence
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.settings import guarding
 
@@ -44,7 +44,7 @@ class _Binned:
 
 
 def worst_regions(
-    calibration: Calibration, covariates: list[covariate_evidence.Covariate], residual: np.ndarray
+    calibration: Calibration, covariates: list[covariate_evidence.Covariate]
 ) -> list[Region]:
     """For each covariate the range of neighbouring bins whose mean residual is worst against its uncertainty.
 
@@ -61,7 +61,7 @@ def worst_regions(
     best: dict[int, tuple[float, Region]] = {}
     for cut in cuts:
         indicators = (cut.bins[:, None] == np.arange(cut.count)).astype(float)
-        pull, weight = efficient_score.projections(calibration, residual, indicators)
+        pull, weight = calibration.linear.along(indicators)
         region = _worst(cut, covariates[cut.covariate], pull, weight)
         # One run's own region must be clearly worse than the common one to be named.
         rank = abs(region.z) - (1.0 if cut.group is not None else 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -234,6 +235,17 @@ class Measurements(Printed):
     def since(self) -> float | None:
         """Seconds since 1970 at time zero; None where the time counts from no date."""
         return self.data["time"].attrs.get(SINCE) if self.has("time") else None
+
+    def add_to(self, digest: Any) -> None:
+        """Add names, units and values of all columns to a digest of `hashlib`."""
+        for name in sorted(self.columns):
+            column = self[name]
+            digest.update(f"{name} [{self.unit(name)}] {len(column)}\n".encode())
+            digest.update(
+                np.ascontiguousarray(column).tobytes()
+                if column.dtype.kind == "f"
+                else json.dumps(column.tolist()).encode()
+            )
 
     def followed_by(self, later: Measurements) -> Measurements:
         """These readings and then later ones, of the columns that both have; unchecked."""

@@ -396,7 +396,7 @@ def _held(covariance: np.ndarray, free: Sequence[int], size: int) -> np.ndarray:
 
 def _by_least_squares(one: DeviceFrame, method: LeastSquares) -> _Solved:
     """`LeastSquares` itself."""
-    layout, (_, places) = one.layout, least_squares.split_hypers(one.layout)
+    layout, places = one.layout, one.layout.positions("shape", "promoted")
     assembly = Assembly(layout, Record(layout.model.instrument, one.frame, one.y))
     solution = least_squares.solution_on(assembly, method.curvature == "hessian")
     v, priors = solution.mode.v, [h.prior for h in layout.hypers]

@@ -287,7 +287,8 @@ class Assembly:
             return Moved(which, columns[:, which], mean, (up.rows - down.rows) / (2 * SHIFT))
         slopes = self.slopes(point, ends[0])
         terms = [t for t in self.terms if name in t.known.shape_names]
-        made, mean, rows = self._none()
+        n = self.record.size
+        made, mean, rows = np.zeros((n, self.size)), np.zeros(n), np.zeros((n, len(self.row_sd)))
         for t, (up, _), (down, _) in zip(
             terms, *(self._columns(terms, hyper, {}) for hyper in ends), strict=True
         ):
@@ -305,10 +306,6 @@ class Assembly:
             or [np.zeros(0, int)]
         )
         return Moved(which, made[:, which], mean, rows)
-
-    def _none(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        n = self.record.size
-        return np.zeros((n, self.size)), np.zeros(n), np.zeros((n, len(self.row_sd)))
 
     def _affine_line(self, point: Point, hyper: Values) -> Line:
         """The same where the expected output is affine: columns that never change are put together once."""

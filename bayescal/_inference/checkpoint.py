@@ -196,11 +196,7 @@ def fingerprint(
 ) -> dict[str, str]:
     """What a run is of: anything that its draws depend on."""
     values = hashlib.sha256()
-    for name in readings.columns:
-        column = readings[name]
-        plain = column if column.dtype.kind == "f" else column.astype("U")
-        values.update(f"{name} [{readings.unit(name)}] {plain.dtype} {len(plain)}".encode())
-        values.update(np.ascontiguousarray(plain).tobytes())
+    readings.add_to(values)
     made_by = [f"{name} {version(name)}" for name in PACKAGES]
     return {
         "effects": ", ".join(model.names),

@@ -11,17 +11,15 @@ from collections.abc import Mapping
 from typing import ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Array, Float
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import refinement, trust
 from bayescal._inference.assembly import Assembly
-from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict, by_chain
+from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.mode import NOTHING_KNOWN, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.refinement import Solution
-from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
 
@@ -37,16 +35,10 @@ class LeastSquares(Method):
     draws: int = 4000
     name: ClassVar[str] = "least-squares"
 
-    def run(
-        self,
-        layout: Layout,
-        frame: Frame,
-        y: Float[Array, "n"],
-        seed: int,
-        start: Mapping[str, float] = NOTHING_KNOWN,
-    ) -> Outcome:
+    def run(self, layout, frame, y, seed, start=NOTHING_KNOWN):
         with stage("least squares"):
-            found = self._solution(layout, frame, y, start)
+            assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
+            found = solution_on(assembly, self.curvature == "hessian", start)
         return self.outcome(layout, found, seed)
 
     def outcome(self, layout: Layout, found: Solution, seed: int) -> Outcome:
@@ -71,12 +63,6 @@ class LeastSquares(Method):
             log_evidence=None if layout.improper else (float(found.mode.log_evidence), None),
         )
 
-    def _solution(
-        self, layout: Layout, frame: Frame, y: Float[Array, "n"], start: Mapping[str, float]
-    ) -> Solution:
-        assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
-        return solution_on(assembly, self.curvature == "hessian", start)
-
 
 def solution_on(
     assembly: Assembly, hessian: bool = False, start: Mapping[str, float] = NOTHING_KNOWN
@@ -85,19 +71,12 @@ def solution_on(
     return refinement.refine(assembly, find_mode(assembly, start=start), hessian)
 
 
-def split_hypers(layout: Layout) -> tuple[list[int], list[int]]:
-    """Positions in φ of scales (noise, spreads) and of locations (shapes, promoted coefficients).
-
-    An unknown function's amplitude and length are neither: fitted together with the function, the amplitude would run
-    away and its coefficients to zero. They stay where the marginal likelihood has its maximum.
-    """
-    return layout.positions("noise", "group_sd"), layout.positions("shape", "promoted")
-
-
 @on_one_thread  # else the last digits would hang on how many cores there are
 def gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Draws:
     """Draws of the Gaussian approximation about a solution."""
-    _, places = split_hypers(layout)
+    # An unknown function's amplitude and length are not among these: fitted together with the function, the amplitude
+    # would run away and its coefficients to zero. They stay where the marginal likelihood has its maximum.
+    places = layout.positions("shape", "promoted")
     random = np.random.default_rng(seed)
     covariance = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
     sd = np.sqrt(np.diag(covariance))
@@ -114,7 +93,7 @@ def gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Dr
     v = np.tile(found.mode.v, (count, 1)).copy()  # of an empty v, tile gives a view
     v[:, places] = theta[:, layout.size :]
     rows = np.broadcast_to(found.mode.point.rows, (count, *found.mode.point.rows.shape))
-    return Draws(by_chain(theta[:, : layout.size]), by_chain(rows), by_chain(v))
+    return Draws.of(theta[:, : layout.size], rows, v)
 
 
 def _exact_moments(normal: np.ndarray) -> np.ndarray:

@@ -16,7 +16,13 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.assembly import Assembly, Line, Point
 from bayescal._inference.density import Density
 from bayescal._inference.mode import Mode
-from bayescal._inference.noise_on_record import Independent, Whitening, variance, whitening
+from bayescal._inference.noise_on_record import (
+    Independent,
+    Whitening,
+    normal_scores,
+    variance,
+    whitening,
+)
 from bayescal._inference.record import Record
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
@@ -136,6 +142,23 @@ class LinearModel:
         return self.whiten(self.settled[:, None])[:, 0]
 
     @cached_property
+    def scores(self) -> Float[np.ndarray, "n"]:
+        """Settled residuals as independent standard normal numbers if the noise law is right: whitened, or by their
+        probabilities where it is not Gaussian."""
+        assembly = self.assembly
+        if assembly.noise.gaussian:
+            return self.white_settled
+        values = assembly.hyper(self.mode.v)
+        return normal_scores(assembly.noise, values, assembly.record, self.settled)
+
+    def along(
+        self, columns: Float[np.ndarray, "n k"]
+    ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
+        """CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns and settled residuals: no nuisance is taken out again."""
+        white = self.whiten(np.column_stack([columns, self.settled]))
+        return white[:, :-1].T @ white[:, -1], white[:, :-1].T @ white[:, :-1]
+
+    @cached_property
     def variance(self) -> Float[np.ndarray, "n"]:
         """Of each reading about its expected output."""
         hyper, extra = self.assembly.hyper(self.mode.v), self.extra
@@ -154,6 +177,19 @@ class LinearModel:
     def projected(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "q k"]:
         """What of whitened columns the nuisances take: the information left is CᵀC − PᵀP."""
         return solve_triangular(self._chol, self.white_nuisance.T @ columns, lower=True)
+
+    def score(
+        self, columns: Float[np.ndarray, "n k"]
+    ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
+        """What the readings say of columns that are not in the model, output unit per prior sd: no refit of each.
+
+        With every nuisance integrated out under its prior (V = Σ + J·D·Jᵀ, spreads and noise at their estimates) the
+        score u = XᵀV⁻¹r and the information XᵀV⁻¹X.
+        """
+        white = self.whiten(columns)
+        taken = self.directions.T @ white
+        # V⁻¹r is Σ⁻¹ times the residuals at the fit.
+        return white.T @ self.white_settled, white.T @ white - taken.T @ taken
 
     @cached_property
     def slopes(self) -> dict[str, np.ndarray]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayescal._core import deadline
 from bayescal._core.importance_weights import effective_size, resample, smoothed
@@ -22,14 +22,12 @@ from bayescal._inference import (
 )
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.method import CHAINS, Draws, Method, Outcome, by_chain
+from bayescal._inference.method import CHAINS, Draws, Method, Outcome
 from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.nuts_chains import Chains
 from bayescal._inference.record import Record
 from bayescal._inference.refinement import refine
 from bayescal._inference.sampling import PROPOSALS, WeightedDraws, weighted_draws
-from bayescal._model.frame import Frame
-from bayescal._model.parameters import Layout
 
 TOO_NONLINEAR = "Nonlinearity too strong for the linearised posterior ({}): exact NUTS."
 TOO_HEAVY = "The posterior is not nearly Gaussian given φ ({}): exact NUTS."
@@ -69,14 +67,7 @@ class Marginal(Method):
     promote: tuple[str, ...] | None = None
     name: ClassVar[str] = "marginal"
 
-    def run(
-        self,
-        layout: Layout,
-        frame: Frame,
-        y: Float[Array, "n"],
-        seed: int,
-        start: Mapping[str, float] = NOTHING_KNOWN,
-    ) -> Outcome:
+    def run(self, layout, frame, y, seed, start=NOTHING_KNOWN):
         record = Record(layout.model.instrument, frame, np.asarray(y))
         with stage("finding the mode"):
             layout, notes = sampled_products.choose_on(layout, record, self.promote, start)
@@ -161,7 +152,7 @@ class Marginal(Method):
         evidence = (float(found.log_evidence), float(found.log_evidence_error))
         return Outcome(
             layout=layout,
-            draws=_by_chain(found.x[pick], found.rows[pick], found.v[pick]),
+            draws=Draws.of(found.x[pick], found.rows[pick], found.v[pick]),
             mode=mode,
             verdict=trust.weights_verdict(weights, k_hat, notes, mode, reasons),
             log_evidence=None if layout.improper else evidence,
@@ -195,7 +186,7 @@ class Marginal(Method):
         known = known and (layout.model.noise.gaussian or not layout.row_blocks)
         return Outcome(
             layout=layout,
-            draws=_by_chain(x, rows, v),
+            draws=Draws.of(x, rows, v),
             mode=mode,
             verdict=trust.chain_verdict(ran, "NUTS on whitened unknowns", notes),
             log_evidence=(float(mode.log_evidence), None) if known else None,
@@ -228,7 +219,3 @@ def _judged(found: WeightedDraws, heavy: bool = False) -> _Judged:
     limit = trust.sampling().k_hat if heavy else trust.largest_k_hat(correction, of_phi)
     why_not = trust.unevenness(weights, k_hat, limit=limit)
     return _Judged(found, weights, k_hat, limit, why_not)
-
-
-def _by_chain(x, rows, v) -> Draws:
-    return Draws(x=by_chain(x), rows=by_chain(rows), v=by_chain(v))

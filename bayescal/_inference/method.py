@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -78,13 +78,12 @@ class Draws:
     x: np.ndarray
     rows: np.ndarray
     v: np.ndarray
-    stats: dict[str, np.ndarray] = field(default_factory=dict)
 
-
-def by_chain(values: ArrayLike) -> np.ndarray:
-    """Draws, as many as make `CHAINS` equal parts, as (chains, draws, …)."""
-    values = np.asarray(values)
-    return values.reshape(CHAINS, len(values) // CHAINS, *values.shape[1:])
+    @classmethod
+    def of(cls, x: ArrayLike, rows: ArrayLike, v: ArrayLike) -> Draws:
+        """Of draws one after the other, as many as make `CHAINS` equal parts."""
+        arrays = (np.asarray(a) for a in (x, rows, v))
+        return cls(*(a.reshape(CHAINS, len(a) // CHAINS, *a.shape[1:]) for a in arrays))
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,7 @@ def find_mode(
         partial(max, key=attrgetter("value")),
     )
     if starts is None:
+        # A product a·b is that of −a and −b: its density has two hills, and which one the prior draws met was chance.
         promoted = np.array([h.kind == "promoted" for h in assembly.hypers], dtype=bool)
         if promoted.any():  # of a product both factors may have the other sign
             top = highest(top, climbed([np.where(promoted, -top.v, top.v)], point))

@@ -211,6 +211,13 @@ def grams(
     return found, volume
 
 
+def _of_readings(what, law: Noise, values: Values, record: Record, *arrays: np.ndarray) -> Any:
+    """What a program gives for each reading at one φ, without those that pad the record."""
+    own = {name: np.float64(values[name]) for name in law.parameters()}
+    made = what(law.plain, record.padded_for(law), *map(record.longer, arrays), own)
+    return jax.tree.map(lambda a: np.asarray(a)[..., : record.size], made)
+
+
 class Terms(NamedTuple):
     """The log density of readings under independent noise, with its derivatives by what is left of each reading.
 
@@ -257,10 +264,7 @@ def _terms(law: Noise, frame: Frame, y, left, values):
 
 def density_terms(law: Noise, values: Values, record: Record, left: np.ndarray) -> Terms:
     """Of what the expected output leaves of the readings, independent of each other given it."""
-    own = {name: np.float64(values[name]) for name in law.parameters()}
-    args = record.longer(record.y), record.longer(left)
-    made = _terms(law.plain, record.padded_for(law), *args, own)
-    return Terms(*(np.asarray(a)[: record.size] for a in made))
+    return Terms(*_of_readings(_terms, law, values, record, record.y, left))
 
 
 class Bends(NamedTuple):
@@ -299,12 +303,7 @@ def _bends(law: Noise, frame: Frame, y, left, values):
 
 def bends(law: Noise, values: Values, record: Record, left: np.ndarray) -> Bends:
     """Of what the expected output leaves of the readings, independent of each other given it."""
-    own = {name: np.float64(values[name]) for name in law.parameters()}
-    args = record.longer(record.y), record.longer(left)
-    third, moved = _bends(law.plain, record.padded_for(law), *args, own)
-    size = record.size
-    by_parameter = {name: np.asarray(three)[:, :size] for name, three in moved.items()}
-    return Bends(np.asarray(third)[:size], by_parameter)
+    return Bends(*_of_readings(_bends, law, values, record, record.y, left))
 
 
 @program
@@ -385,13 +384,8 @@ def normal_scores(
     law: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n"]:
     """What is left of readings as independent standard normal numbers, if the law is right."""
-    own = {name: np.float64(values[name]) for name in law.parameters()}
-    left = record.longer(_forth(law, record, left, 0))
-    return _back(
-        law,
-        record,
-        np.asarray(_scores(law.plain, record.padded_for(law), left, own))[: record.size],
-    )
+    found = _of_readings(_scores, law, values, record, _forth(law, record, left, 0))
+    return _back(law, record, found)
 
 
 def _by_draws(

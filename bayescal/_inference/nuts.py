@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from bayescal._core import deadline
 from bayescal._core.progress import stage
@@ -50,14 +50,7 @@ class NUTS(Method):
     dense: bool = True
     name: ClassVar[str] = "nuts"
 
-    def run(
-        self,
-        layout: Layout,
-        frame: Frame,
-        y: Float[Array, "n"],
-        seed: int,
-        start: Mapping[str, float] = NOTHING_KNOWN,
-    ) -> Outcome:
+    def run(self, layout, frame, y, seed, start=NOTHING_KNOWN):
         layout = Layout(layout.model, layout.counts)
         assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
         mode = find_mode(assembly, start=start)

@@ -288,7 +288,10 @@ class _Rounds:
 
     @property
     def log_weight(self) -> Float[np.ndarray, "s"]:
-        return self.there - logsumexp(self.proposed, axis=0) + math.log(len(self.mixtures))
+        # Each draw is weighed by the mean density of all mixtures, whichever it came from (deterministic mixture: E.
+        # Veach and L. Guibas, SIGGRAPH 1995): a draw that its own mixture hardly proposes cannot count for thousands.
+        proposed = np.asarray(logsumexp(self.proposed, axis=0))
+        return self.there - proposed + math.log(len(self.mixtures))
 
 
 @on_one_thread

@@ -117,9 +117,7 @@ def weights_verdict(
     )
 
 
-def chain_verdict(
-    ran: Chains, sampler: str, notes: tuple[str, ...], k_hat: float | None = None
-) -> Verdict:
+def chain_verdict(ran: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
     """R-hat, effective size and divergences of chains, in words."""
     from arviz_stats.base.array import array_stats  # half a second that only sampling needs
 
@@ -139,7 +137,6 @@ def chain_verdict(
         reasons=tuple(reasons),
         notes=notes,
         sampler=sampler,
-        pareto_k=k_hat,
         ess=ess,
         r_hat=r_hat,
         divergences=ran.divergences,

@@ -158,15 +158,7 @@ class OrnsteinUhlenbeck(Noise):
         white = np.maximum(np.asarray(variance)[..., None] - size, 0.0)
         return white / factors + size * allan_of_exponential(factors, step / time)
 
-    def slow_part(
-        self,
-        values: Parameters,
-        time: Float[np.ndarray, "n"],
-        left: Float[np.ndarray, "n b"],
-        white: Float[np.ndarray, "n"],
-        at: Float[np.ndarray, "m"],
-        along: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
+    def slow_part(self, values, time, left, white, at, along=None):
         """Its precision over sorted times has three diagonals.
 
         Source: H. Rue and L. Held, Gaussian Markov Random Fields (2005), ch. 2.

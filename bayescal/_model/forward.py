@@ -240,24 +240,6 @@ def log_prior_x(
     return own - 0.5 * jnp.sum(zr**2 + 2 * jnp.log(spread) + jnp.log(2 * jnp.pi))
 
 
-def draw_prior(layout: Layout, frame: Frame, key: Array) -> tuple[Array, Array, Array]:
-    """One draw (x, rows, v) from the prior.
-
-    Raises:
-        ValueError: a prior is flat.
-    """
-    keys = jax.random.split(key, len(layout.hypers) + 2)
-    v = jnp.stack([h.prior.sample(keys[i]) for i, h in enumerate(layout.hypers)] or [jnp.zeros(())])
-    v = v[: len(layout.hypers)]
-    if any(b.coefficient.flat for b in layout.x_blocks):
-        raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
-    hyper = hyper_values(layout, v)
-    x = prior_mean(layout) + prior_sd(layout, hyper) * jax.random.normal(keys[-1], (layout.size,))
-    k = len(layout.row_blocks)
-    rows = row_sd(layout) * jax.random.normal(keys[-2], (frame.size, k))
-    return x, rows, v
-
-
 def draw_readings(
     layout: Layout, frame: Frame, x: Array, rows: Array, v: Array, key: Array
 ) -> Array:

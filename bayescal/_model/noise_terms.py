@@ -390,12 +390,7 @@ class ToneTerm(NoiseTerm):
         ]
         return values["noise.tone"] ** 2 * np.mean(found, axis=0)
 
-    def starts(
-        self,
-        step: Float[np.ndarray, "n"],
-        left: Float[np.ndarray, "n"],
-        z: Float[np.ndarray, "n"] | None,
-    ) -> list[dict[str, float]]:
+    def starts(self, step, left, z):
         """Values at the strongest line of a spectrogram, its frequency a quadratic of the column; none of few.
 
         Each window's spectrum counts in parts of the median of all windows at its frequency: what is there in all of

@@ -242,15 +242,7 @@ class SummedNoise(Noise):
         white = np.maximum(np.asarray(variance)[..., None] - slow, 0.0)
         return white / factors + sum(p.allan(own, self.bounds, factors, step) for p in self.parts)
 
-    def slow_part(
-        self,
-        values: Parameters,
-        time: Float[np.ndarray, "n"],
-        left: Float[np.ndarray, "n b"],
-        white: Float[np.ndarray, "n"],
-        at: Float[np.ndarray, "m"],
-        along: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
+    def slow_part(self, values, time, left, white, at, along=None):
         """The Kalman filter over all these times, and the smoother back.
 
         Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Int
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.efficient_score import projections, residuals
 from bayescal._calibration.fit import fit
 from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError, ModelError
@@ -91,12 +90,12 @@ def describe(
 
 
 def _where_and_how_far(calibration: Calibration, rows: Int[np.ndarray, "k"]) -> str:
-    residual = residuals(calibration).raw
+    residual = calibration.linear.settled
     chosen = np.zeros((len(residual), 1))
     chosen[rows] = 1.0
     # The mean over the selection is that of a column which is one there, after the model has been fitted to it too:
     # its score over its information, and the square root of the latter for z.
-    pull, weight = projections(calibration, residual, chosen)
+    pull, weight = calibration.linear.along(chosen)
     mean = float(pull[0] / weight[0, 0]) if weight[0, 0] > 0 else 0.0
     z = float(pull[0] / np.sqrt(weight[0, 0])) if weight[0, 0] > 0 else 0.0
     unit, readings = unit_label(calibration.unit), calibration.readings
@@ -132,7 +131,7 @@ def _explaining(
         and (not against or _along(n) == against)
     ]
     found: list[tuple[float, Preview]] = []
-    residual = residuals(calibration).raw[rows]
+    residual = calibration.linear.settled[rows]
     for name in names:
         try:
             one = previews.of(name)

@@ -110,7 +110,25 @@ class Discovery(Printed):
         return sum(found) if found else None
 
     def __str__(self) -> str:
-        return discovery_text(self)
+        """What is missing, and every candidate, the most probable first."""
+        lines = [*_findings(self), *map(str, self.departures)]
+        if self.noise:
+            shown = [n for n in self.noise if n.probability >= searching().shown]
+            line = f"noise law (probability): {', '.join(map(str, shown))}"
+            lines.append(textwrap.fill(line, WIDTH, subsequent_indent="  "))
+        lines += [self.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in self.off_scale)]
+        quiet = (None, "not visible")  # an unknown dependence without evidence is not printed
+        tested = [
+            c
+            for c in self.candidates
+            if c.kind != "not testable" and not (c.unknown and c.kind in quiet)
+        ]
+        head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
+        lines.append(table(head, [_candidate_row(c) for c in tested], fold=29) if tested else "")
+        if any(c.source == "refit" for c in tested):
+            lines.append("* log Bayes factor by refit; the others by score")
+        lines += _alike(self) + _not_testable(self)
+        return "\n".join(line for line in lines if line)
 
     def _brief(self) -> str:
         return "; ".join(_findings(self))
@@ -341,28 +359,6 @@ def _plausible(effect: Effect) -> float:
     """The size that an effect plausibly has, in the unit in which it is reported."""
     amplitude = next((s for s in effect.shapes if s.name == effect.measure), None)
     return effect.coefficients[0].size if amplitude is None else amplitude.high
-
-
-def discovery_text(found: Discovery) -> str:
-    """What is missing, and every candidate, the most probable first."""
-    lines = [*_findings(found), *map(str, found.departures)]
-    if found.noise:
-        shown = [n for n in found.noise if n.probability >= searching().shown]
-        line = f"noise law (probability): {', '.join(map(str, shown))}"
-        lines.append(textwrap.fill(line, WIDTH, subsequent_indent="  "))
-    lines += [found.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in found.off_scale)]
-    quiet = (None, "not visible")  # an unknown dependence without evidence is not printed
-    tested = [
-        c
-        for c in found.candidates
-        if c.kind != "not testable" and not (c.unknown and c.kind in quiet)
-    ]
-    head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
-    lines.append(table(head, [_candidate_row(c) for c in tested], fold=29) if tested else "")
-    if any(c.source == "refit" for c in tested):
-        lines.append("* log Bayes factor by refit; the others by score")
-    lines += _alike(found) + _not_testable(found)
-    return "\n".join(line for line in lines if line)
 
 
 def _findings(found: Discovery) -> list[str]:

@@ -345,7 +345,7 @@ def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     error, best = min(known, key=lambda one: one[0])
     if last.holdout_rmse <= guarding().worse * error:
         return None
-    # No test where hold-out data continue a run whose noise goes on: then the error alone decides.
+    # Of steps without a test the error alone decides.
     if last.holdout_test is None or best.holdout_test is None:
         return best
     return best if last.holdout_test.worse_than(best.holdout_test) < guarding().chance else None

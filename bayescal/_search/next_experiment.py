@@ -69,24 +69,21 @@ class NextExperiment:
     experiments: tuple[Experiment, ...]
 
     def __str__(self) -> str:
-        return experiment_text(self)
-
-
-def experiment_text(found: NextExperiment) -> str:
-    """Feasible experiments, the most telling first."""
-    rows = []
-    for e in found.experiments:
-        (truth, rival), least = min(e.expected.items(), key=lambda item: item[1])
-        rows.append([e.name, f"{least:.1f}", f"{truth} against {rival}"])
-    lines = [
-        f"to tell apart: {', '.join(found.members)}",
-        table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
-    ]
-    if found.experiments[0].worst < searching().very_strong:
-        lines.append(
-            f"None of these is expected to tell them apart (a log Bayes factor of {searching().very_strong:g} would)."
-        )
-    return "\n".join(lines)
+        """Feasible experiments, the most telling first."""
+        rows = []
+        for e in self.experiments:
+            (truth, rival), least = min(e.expected.items(), key=lambda item: item[1])
+            rows.append([e.name, f"{least:.1f}", f"{truth} against {rival}"])
+        lines = [
+            f"to tell apart: {', '.join(self.members)}",
+            table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
+        ]
+        if self.experiments[0].worst < searching().very_strong:
+            lines.append(
+                "None of these is expected to tell them apart (a log Bayes factor of "
+                f"{searching().very_strong:g} would)."
+            )
+        return "\n".join(lines)
 
 
 def next_experiment(

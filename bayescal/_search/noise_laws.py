@@ -66,6 +66,9 @@ def log_prior(laws: Mapping[str, Noise], name: str) -> float:
     return -math.log(len(set(kinds)) * kinds.count(laws[name].law))
 
 
+_Maximum = tuple[float, np.ndarray, np.ndarray]  # log density, where it is, minus its curvature
+
+
 class OnResiduals(NamedTuple):
     """Log evidence of a noise law alone, and the coordinates of its parameters at the maximum, by name."""
 
@@ -74,14 +77,25 @@ class OnResiduals(NamedTuple):
 
 
 @on_one_thread
-def on_residuals_in_time(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> OnResiduals:
-    """A correlated Gaussian law of known expected output, by Laplace, its maximum found along exact slopes.
+def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> OnResiduals:
+    """A law of known expected output, by Laplace; no evidence where nothing is left of the readings.
 
     Args:
         law: which.
         record: the readings.
         left: what the expected output leaves of them.
     """
+    found = (_independent if law.independent else _correlated)(law, record, left)
+    if found is None:
+        return OnResiduals(-math.inf, {})
+    value, v, bent = found
+    weights = np.maximum(np.linalg.eigvalsh(bent), FLAT)
+    volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
+    return OnResiduals(value + volume, dict(zip(law.parameters(), v.tolist(), strict=True)))
+
+
+def _correlated(law: Noise, record: Record, left: np.ndarray) -> _Maximum | None:
+    """Of a correlated Gaussian law, found along exact slopes."""
     priors = law.parameters()
     names, table = list(priors), left[:, None]
 
@@ -107,7 +121,7 @@ def on_residuals_in_time(law: Noise, record: Record, left: Float[np.ndarray, "n"
     jumps = np.diff(left[record.in_time[0]])
     narrow = float(np.median(np.abs(jumps))) or float(np.sqrt(np.mean(left**2)))
     if not narrow > 0:
-        return OnResiduals(-math.inf, {})
+        return None
     stated = law.starts(record.frame.in_time(), left[record.in_time[0]])
     starts = np.array(
         [
@@ -119,28 +133,17 @@ def on_residuals_in_time(law: Noise, record: Record, left: Float[np.ndarray, "n"
         ]
     )
     if not len(starts):
-        return OnResiduals(-math.inf, {})
+        return None
     hyper = {name: p.value(starts[:, i]) for i, (name, p) in enumerate(priors.items())}
     there = total_log_density(law, record, left[None], hyper) + of_priors(starts)
     found = minimize(
         down, starts[int(np.argmax(there))], jac=True, method="L-BFGS-B", tol=TOLERANCE
     )
-    v = found.x
-    weights = np.linalg.eigvalsh(curvature(lambda at: -down(at)[1], v, CURVED))
-    weights = np.maximum(weights, FLAT)
-    volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
-    return OnResiduals(-float(found.fun) + volume, dict(zip(priors, v.tolist(), strict=True)))
+    return -float(found.fun), found.x, curvature(lambda at: -down(at)[1], found.x, CURVED)
 
 
-@on_one_thread
-def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> OnResiduals:
-    """An independent law of known expected output, by Laplace.
-
-    Args:
-        law: which.
-        record: the readings.
-        left: what the expected output leaves of them.
-    """
+def _independent(law: Noise, record: Record, left: np.ndarray) -> _Maximum | None:
+    """Of an independent law, by Newton's steps on differences."""
     priors = law.parameters()
 
     def values(v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
@@ -154,7 +157,7 @@ def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> On
     narrow = 1.5 * float(np.median(np.abs(left)))
     scales = [white.coordinate(s) for s in (scale, narrow) if s > 0]
     if not scales:
-        return OnResiduals(-math.inf, {})
+        return None
     starts = np.array(list(itertools.product(scales, *[LEVELS] * (len(priors) - 1))))
     v = starts[int(np.argmax(values(starts)))]
     value, slope, bent = _quadratic(values, v)
@@ -169,9 +172,7 @@ def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> On
             break
         v = trials[int(np.argmax(there))]
         value, slope, bent = _quadratic(values, v)
-    weights = np.maximum(np.linalg.eigvalsh(bent), FLAT)
-    volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
-    return OnResiduals(value + volume, dict(zip(priors, v.tolist(), strict=True)))
+    return value, v, bent
 
 
 def _quadratic(values, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:

@@ -99,7 +99,38 @@ class ReadingPlan:
         return self.gain < searching().worth
 
     def __str__(self) -> str:
-        return plan_text(self)
+        """Campaigns by what they leave, the readings of the best one, and whether any is worth it."""
+        unit = unit_label(self.unit)
+        rows = [
+            [c.name, str(len(c.readings)), number(c.u), f"{100 * (1 - c.u / self.u):.0f} %"]
+            for c in self.campaigns
+        ]
+        head = ["campaign", "readings", _head_of_u("after", unit), "less by"]
+        lines = [f"{self.limit.text}\nstandard uncertainty now: {number(self.u)} {unit}".rstrip()]
+        if np.isfinite(self.tolerance):
+            lines[0] += f", {self.u / self.tolerance:.2g} of the tolerance"
+        lines += [f"Note: {note}." for note in self.notes]
+        lines.append(table(head, rows, fold=30))
+        if self.enough:
+            lines.append(
+                f"Enough: none of these is expected to take off {100 * searching().worth:.0f} %."
+            )
+            return "\n".join(lines)
+        best = self.campaigns[0]
+        if self.picked:
+            names = list(self.picked[0].at)
+            head = ["#", *(f"{n}, {u}" if (u := unit_label(self.units[n])) else n for n in names)]
+            rows = [
+                [str(i), *(number(p.at[n]) for n in names), number(p.u)]
+                for i, p in enumerate(self.picked, 1)
+            ]
+            share = (self.u - self.picked[-1].u) / (self.u - best.u)
+            lines.append(
+                f"{len(self.picked)} of the {len(best.readings)} readings of {best.name!r} give "
+                f"{100 * share:.0f} % of that:"
+            )
+            lines.append(table([*head, _head_of_u("with", unit)], rows))
+        return "\n".join(lines)
 
     def data(self) -> dict[str, object]:
         """Everything as plain data, for JSON."""
@@ -119,41 +150,6 @@ class ReadingPlan:
                 {"row": p.row, "at": p.at, "standard_uncertainty": p.u} for p in self.picked
             ],
         }
-
-
-def plan_text(plan: ReadingPlan) -> str:
-    """Campaigns by what they leave, the readings of the best one, and whether any is worth it."""
-    unit = unit_label(plan.unit)
-    rows = [
-        [c.name, str(len(c.readings)), number(c.u), f"{100 * (1 - c.u / plan.u):.0f} %"]
-        for c in plan.campaigns
-    ]
-    head = ["campaign", "readings", _head_of_u("after", unit), "less by"]
-    lines = [f"{plan.limit.text}\nstandard uncertainty now: {number(plan.u)} {unit}".rstrip()]
-    if np.isfinite(plan.tolerance):
-        lines[0] += f", {plan.u / plan.tolerance:.2g} of the tolerance"
-    lines += [f"Note: {note}." for note in plan.notes]
-    lines.append(table(head, rows, fold=30))
-    if plan.enough:
-        lines.append(
-            f"Enough: none of these is expected to take off {100 * searching().worth:.0f} %."
-        )
-        return "\n".join(lines)
-    best = plan.campaigns[0]
-    if plan.picked:
-        names = list(plan.picked[0].at)
-        head = ["#", *(f"{n}, {u}" if (u := unit_label(plan.units[n])) else n for n in names)]
-        rows = [
-            [str(i), *(number(p.at[n]) for n in names), number(p.u)]
-            for i, p in enumerate(plan.picked, 1)
-        ]
-        share = (plan.u - plan.picked[-1].u) / (plan.u - best.u)
-        lines.append(
-            f"{len(plan.picked)} of the {len(best.readings)} readings of {best.name!r} give "
-            f"{100 * share:.0f} % of that:"
-        )
-        lines.append(table([*head, _head_of_u("with", unit)], rows))
-    return "\n".join(lines)
 
 
 def _head_of_u(when: str, unit: str) -> str:

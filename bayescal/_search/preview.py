@@ -201,11 +201,6 @@ class Previews:
         return linear_model(assembly, found.mode), np.asarray(found.covariance), evidence
 
 
-def _spread_of_draws(made: Calibration) -> np.ndarray:
-    x, _, _ = made.draws()
-    return np.atleast_2d(np.cov(x, rowvar=False))
-
-
 def _size(effect: Effect, line: LinearModel, covariance: np.ndarray) -> tuple[float, float]:
     """What says how large the effect is, with its standard uncertainty, in the unit of its first coefficient."""
     assembly, mode = line.assembly, line.mode

@@ -168,7 +168,39 @@ class SearchPath(Printed):
             """Write result.json, calibration.nc (of the last step) and loop.png; `save_search` attaches it."""
 
     def __str__(self) -> str:
-        return trail_text(self)
+        """The error, step by step: as fitted, of a new run, held out, and the floor."""
+        unit = unit_label(self.final.calibration.unit)
+        held_out = self.holdout is not None
+        group = next((s.left_out.group for s in self.steps if s.left_out), "group")
+        head = [
+            *(
+                "step",
+                f"as fitted [{unit}]",
+                "new run",
+                scheme(group),
+                *(["held-out"] if held_out else []),
+            ),
+            *("floor", "log evidence", "P(complete)"),
+        ]
+        rows, rises = [], [False, *(a.raises_holdout(b) for b, a in pairwise(self.steps))]
+        for i, s in enumerate(self.steps):
+            evidence = s.calibration.log_evidence
+            rows.append(
+                [
+                    f"{i} {s.title}",
+                    number(s.rmse_fitted),
+                    number(s.rmse),
+                    number(s.left_out.rmse if s.left_out else None),
+                    *([f"{number(s.holdout_rmse)}{RISES * rises[i]}"] if held_out else []),
+                    number(s.noise_floor),
+                    "–" if evidence is None else f"{evidence[0]:z.1f}",
+                    probability(s.discovery.nothing_missing if s.discovery else None),
+                ]
+            )
+        note = (
+            f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
+        )
+        return table(head, rows) + (note if any(rises) else "")
 
     def _brief(self) -> str:
         unit = unit_label(self.final.calibration.unit)
@@ -193,40 +225,6 @@ class SearchPath(Printed):
                 s.discovery.nothing_missing if s.discovery else None for s in steps
             ],
         }
-
-
-def trail_text(trail: SearchPath) -> str:
-    """The error, step by step: as fitted, of a new run, held out, and the floor."""
-    unit = unit_label(trail.final.calibration.unit)
-    held_out = trail.holdout is not None
-    group = next((s.left_out.group for s in trail.steps if s.left_out), "group")
-    head = [
-        *(
-            "step",
-            f"as fitted [{unit}]",
-            "new run",
-            scheme(group),
-            *(["held-out"] if held_out else []),
-        ),
-        *("floor", "log evidence", "P(complete)"),
-    ]
-    rows, rises = [], [False, *(a.raises_holdout(b) for b, a in pairwise(trail.steps))]
-    for i, s in enumerate(trail.steps):
-        evidence = s.calibration.log_evidence
-        rows.append(
-            [
-                f"{i} {s.title}",
-                number(s.rmse_fitted),
-                number(s.rmse),
-                number(s.left_out.rmse if s.left_out else None),
-                *([f"{number(s.holdout_rmse)}{RISES * rises[i]}"] if held_out else []),
-                number(s.noise_floor),
-                "–" if evidence is None else f"{evidence[0]:z.1f}",
-                probability(s.discovery.nothing_missing if s.discovery else None),
-            ]
-        )
-    note = f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
-    return table(head, rows) + (note if any(rises) else "")
 
 
 def ending(found: Discovery | None, added: int, most: int | None, stopped: str) -> str:

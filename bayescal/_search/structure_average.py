@@ -22,7 +22,7 @@ from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference.assembly import Point
-from bayescal._inference.method import CHAINS, Draws, by_chain
+from bayescal._inference.method import CHAINS, Draws
 from bayescal._inference.mode import Mode
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model.effect import Effect
@@ -184,7 +184,7 @@ def _together(
     return replace(
         last,
         model=model,
-        joint=Draws(by_chain(x[order]), by_chain(rows[order]), by_chain(v[order])),
+        joint=Draws.of(x[order], rows[order], v[order]),
         verdict=replace(verdict, notes=notes),
         method=f"{last.method}, averaged",
         layout=layout,

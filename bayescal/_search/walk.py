@@ -16,7 +16,7 @@ from bayescal._core.deadline import Deadline
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.linear_model import linear_model
 from bayescal._search.library import Library
-from bayescal._search.noise_laws import log_prior, on_residuals, on_residuals_in_time
+from bayescal._search.noise_laws import log_prior, on_residuals
 from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
 from bayescal._search.structures import Structure, Structures, Weighed
 
@@ -164,9 +164,9 @@ def _finer_laws(structures: Structures, at: Weighed) -> Iterator[Move]:
     left = linear_model(at.assembly, at.mode).residual
     # Evidence of either law on the residuals alone: what both leave out, the coefficients' volume, is nearly the
     # same.
-    own = on_residuals_in_time(here, structures.record, left)
+    own = on_residuals(here, structures.record, left)
     for name in finer:
-        found = on_residuals_in_time(structures.laws[name], structures.record, left)
+        found = on_residuals(structures.laws[name], structures.record, left)
         odds = log_prior(structures.laws, name) - log_prior(structures.laws, here.name)
         gain = found.log_evidence - own.log_evidence
         yield Move(at.structure.under(name), at.total + gain + odds, (found.hint,))

@@ -67,15 +67,8 @@ def quadratic(
 ) -> Effect:
     """c·(T − T0)²: curvature, symmetric about T0.
 
-    Args:
-        slot: that it adds to, such as "bias".
-        size: prior standard deviation of c, in `unit`: how large it plausibly is.
-        unit: of c, such as "deg/s/degC^2"; of the dimension of the slot's unit over a squared temperature.
-        source: where the size comes from: a document, or whose estimate it is.
-        column: the temperature T, °C; T0 is its rounded mean in the fit, printed and stored with the result.
-        name: of the effect, after the slot: `slot.name_quadratic`.
-
-    Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
+    Arguments and source as of `linear`; the unit of c is over a squared temperature, such as "deg/s/degC^2", and the
+    name is `slot.name_quadratic`.
     """
     return _power(slot, 2, column, size, unit, name, source)
 
@@ -91,15 +84,8 @@ def cubic(
 ) -> Effect:
     """c·(T − T0)³: curvature, antisymmetric about T0.
 
-    Args:
-        slot: that it adds to, such as "bias".
-        size: prior standard deviation of c, in `unit`: how large it plausibly is.
-        unit: of c, such as "deg/s/degC^3"; of the dimension of the slot's unit over a cubed temperature.
-        source: where the size comes from: a document, or whose estimate it is.
-        column: the temperature T, °C; T0 is its rounded mean in the fit, printed and stored with the result.
-        name: of the effect, after the slot: `slot.name_cubic`.
-
-    Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
+    Arguments and source as of `linear`; the unit of c is over a cubed temperature, such as "deg/s/degC^3", and the
+    name is `slot.name_cubic`.
     """
     return _power(slot, 3, column, size, unit, name, source)
 
@@ -115,14 +101,7 @@ def quartic(
 ) -> Effect:
     """c·(T − T0)⁴: curvature that grows towards both ends.
 
-    Args:
-        slot: that it adds to, such as "bias".
-        size: prior standard deviation of c, in `unit`: how large it plausibly is.
-        unit: of c, such as "deg/s/degC^4"; of the dimension of the slot's unit over the fourth power of a temperature.
-        source: where the size comes from: a document, or whose estimate it is.
-        column: the temperature T, °C; T0 is its rounded mean in the fit, printed and stored with the result.
-        name: of the effect, after the slot: `slot.name_quartic`.
-
-    Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
+    Arguments and source as of `linear`; the unit of c is over the fourth power of a temperature, such as
+    "deg/s/degC^4", and the name is `slot.name_quartic`.
     """
     return _power(slot, 4, column, size, unit, name, source)

@@ -16,6 +16,7 @@ from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from bayescal._use.inversion import first_order
 from benchmarks.accuracy.chunks import PROPOSALS, ROUNDS, fingerprint_of, promoted, seed_of
+from benchmarks.accuracy.ranks import draw_prior
 
 CHUNK = 20  # campaigns a line of the file
 DRAWS = 400
@@ -80,7 +81,7 @@ class Trial:
 
         def one(key):
             k = jax.random.split(key, 4)
-            x, rows, v = forward.draw_prior(layout, frame, k[0])
+            x, rows, v = draw_prior(layout, frame, k[0])
             hyper = forward.hyper_values(layout, v)
             z = jax.random.normal(k[1], (later.size,))
             new = forward.prior_mean(later) + forward.prior_sd(later, hyper) * z

@@ -8,7 +8,6 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.check import autocorrelation
-from bayescal._calibration.efficient_score import fitted_directions
 from bayescal._model import forward
 from bayescal_models import still_sensor
 
@@ -55,7 +54,7 @@ def test_z_is_standard_under_the_model(rng) -> None:
         [3] * 12 + [2, 1, 9], rng.standard_normal(48), 20 * rng.standard_normal(15), 60.0
     )
     found, _ = of(LEVELS, data)
-    g = fitted_directions(found)
+    g = found.linear.directions
     layout, mode = found.layout, found.mode
     hyper = forward.hyper_values(layout, jnp.asarray(mode.v))
     line = forward.linearise(layout, found.frame, mode.point.x, mode.point.rows, hyper)

@@ -7,7 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._model.summed_noise import over_octaves
-from bayescal._search.noise_laws import on_residuals_in_time
+from bayescal._search.noise_laws import on_residuals
 from bayescal_models import still_sensor
 
 STEP, ROWS = 0.5, 3000
@@ -39,7 +39,7 @@ def evidence(amplitude: float, seed: int) -> tuple[float, dict[str, float]]:
         )
         for terms in (("correlated",), ("correlated", "tone"))
     }
-    plain, with_it = (on_residuals_in_time(law, fit.assembly.record, left) for law in sums.values())
+    plain, with_it = (on_residuals(law, fit.assembly.record, left) for law in sums.values())
     priors = sums["correlated", "tone"].parameters()
     values = {name: float(priors[name].value(v)) for name, v in with_it.hint.items()}
     return with_it.log_evidence - plain.log_evidence, values

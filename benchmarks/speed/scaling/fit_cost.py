@@ -136,12 +136,11 @@ def problem_of(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
     import jax
     import jax.numpy as jnp
 
-    from bayescal._inference.least_squares import split_hypers
     from bayescal._model import forward
 
     layout, frame, mode = found.layout, found.frame, found.mode
     prior = found.assembly.prior(found.assembly.hyper(mode.v), mode.flat)
-    _, places = split_hypers(layout)
+    places = layout.positions("shape", "promoted")
     if layout.row_blocks or layout.improper:
         raise RuntimeError(f"{kind}: has flat priors or one coefficient for each reading")
     hyper = forward.hyper_values(layout, mode.v)
