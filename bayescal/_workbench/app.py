@@ -51,6 +51,7 @@ class Workbench:
         self.session = session
         self.work = Work(self._tell)
         self.work.on_busy.append(self._busy)
+        self.beside: int | None = None  # the step that is compared with; None: the one before
         self._found, self._ending = "", False  # of the last search; whether it was stopped
         self.fails = Fails(lambda rows: self.tabs.selected(rows))
         self.model = ModelPane(self.act, self._ask)
@@ -89,9 +90,13 @@ class Workbench:
     def refresh(self, *_: Any) -> None:
         """Show the session's current state."""
         states, state = self.session.states, self.session.current
-        before = None if state.parent is None else states[state.parent].step
+        other = states.get(state.parent if self.beside is None else self.beside)
         self.model.show(state)
-        self.fails.show(state.step, before)
+        self.fails.show(
+            state.step,
+            None if other is None else other.step,
+            (f"step {state.number}", "none" if other is None else f"step {other.number}"),
+        )
         self.missing.show(state.discovery)
         self.error.show(states, state.number)
         self.tabs.show(state)
@@ -177,6 +182,7 @@ class Workbench:
         self.work.preview(lambda: self.session.preview(effect), drawn)
 
     def _find_all(self) -> None:
+        self.beside: int | None = None  # the step that is compared with; None: the one before
         self._found, self._ending = "", False
         self.error.searching(True, "searching …")
 

@@ -17,6 +17,7 @@ from bayescal._workbench.panes.file import safe_name
 from bayescal._workbench.panes.missing import candidate_rows
 from bayescal._workbench.panes.tabs import ERROR
 from bayescal._workbench.parts.decimate import MANY, PIXELS, drawn_rows, sentence
+from bayescal._workbench.parts.gaps import CutAxis
 from bayescal._workbench.parts.pieces import words
 from bayescal._workbench.parts.rows import Rows
 from bayescal._workbench.parts.style import new_figure
@@ -151,3 +152,20 @@ def test_every_pane_is_made_without_a_browser(session: Session) -> None:
     file.given()
     assert bench.view.get_root()
     assert "dark" in bench.view.css_classes
+
+
+def test_long_gaps_between_runs_are_left_out_of_the_time_axis() -> None:
+    """Three hours of readings, a day apart."""
+    times = np.concatenate([np.arange(0.0, 3600, 30) + day * 86_400 for day in range(3)])
+    cut = CutAxis.of(times[::-1])
+    assert cut.starts.tolist() == [0, 86_400, 172_800]
+    at = cut.place(times)
+    assert np.all(np.diff(at) > 0), "the order of readings stays"
+    assert np.ptp(at) < 1.5 * 3 * 3600
+    np.testing.assert_allclose(np.diff(at)[np.diff(times) == 30], 30), "stretches stay as they are"
+    assert np.all(cut.taken % 1000 == 0), "marks of the axis stay round numbers"
+
+
+@pytest.mark.parametrize("times", [np.arange(10.0), np.array([3.0]), np.array([0.0, 1, 2, 7])])
+def test_a_time_axis_without_long_gaps_is_left_as_it_is(times) -> None:
+    assert CutAxis.of(times).place(times).tolist() == times.tolist()
