@@ -121,6 +121,15 @@ def session_in(folder: Path) -> dict[str, Any]:
         ) from None
 
 
+def last_step(folder: Path) -> str:
+    """What was done last in a session that is not open, in words; empty where its folder does not say."""
+    try:
+        told = read_json(folder / f"state_{session_in(folder)['current']:03d}" / STATE, STATE_SHAPE)
+        return f"step {told['number']}: {told['title']}"
+    except (OSError, ValueError, InputError):
+        return ""
+
+
 def states_in(
     folder: Path, effects: Mapping[str, Effect], instrument: Instrument | None
 ) -> Iterator[tuple[dict[str, Any], Calibration]]:

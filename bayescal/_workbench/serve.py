@@ -16,18 +16,30 @@ from typing import Any
 
 import panel as pn
 from bokeh.document import Document
+from jinja2 import Template
 from panel.io.state import set_curdoc
 from tornado.web import ErrorHandler
 
 from bayescal._core.errors import BayescalError, InputError
+from bayescal._core.quoting import html_text
 from bayescal._workbench import kept
 from bayescal._workbench.app import page
 from bayescal._workbench.parts.pieces import words
+from bayescal._workbench.parts.style import INSIDE
 from bayescal._workbench.session import Session
-from bayescal._workbench.start import Address, kept_sessions
+from bayescal._workbench.start import Address, kept_sessions, skeleton
 
 MOST = 64 * 2**20  # bytes of one message of a browser's; files come in pieces that are far smaller
+MOST_LINKS = 4  # other sessions that are named; the others are in the folder
 MOST_ASKED = 2**16  # bytes of a request beside its messages: the page asks without a body
+
+# Scripts come last: what stands before them is seen while they load.
+PAGE = Template(
+    "{% from macros import embed %}"
+    + skeleton("", "Loading the page …")
+    + "{{ bokeh_css }}{{ bokeh_js }}{% for root in docs[0].roots %}{{ embed(root) }}{% endfor %}"
+    + "{{ plot_script }}</body></html>"
+)
 
 
 class Sessions:
@@ -80,6 +92,26 @@ class Sessions:
         """The session of a name, if it is open."""
         return self._open.get(name)
 
+    def links(self, shown: str) -> pn.pane.HTML:
+        """The way to the other sessions of the folder, the last first, and to a new one."""
+        names = [n for n in reversed(kept_sessions(self.folder)) if n != shown][:MOST_LINKS]
+        said = "".join(
+            f'<a href="?session={n}" title="{html_text(self._last_step(n))}">{n}</a> '
+            for n in names
+        )
+        return pn.pane.HTML(
+            f'{said}<a href="?">new session</a>',
+            css_classes=["links"],
+            stylesheets=[INSIDE],
+            margin=0,
+        )
+
+    def _last_step(self, name: str) -> str:
+        """What was done last in a session."""
+        if (session := self.there(name)) is not None:
+            return f"step {session.current.number}: {session.current.title}"
+        return kept.last_step(self.folder / name)
+
     def stop(self) -> None:
         """End the searches that are under way."""
         for session in self._open.values():
@@ -94,13 +126,13 @@ def application(sessions: Sessions) -> Callable[[], Any]:
         assert document is not None
         asked = pn.state.session_args.get("session", [b""])[0].decode("utf-8", "replace")
         place = pn.Column(sizing_mode="stretch_both", margin=0)
-        document.title = "bayescal workbench"
+        document.title, document.template = "bayescal workbench", PAGE
 
         def show(session: Session) -> None:
             with set_curdoc(document):
                 if location is not None:
                     location.update_query(**{"session": session.folder.name})  # pyright: ignore[reportArgumentType]
-                place[:] = [page(session)]
+                place[:] = [page(session, others=sessions.links(session.folder.name))]
 
         if (session := sessions.there(asked)) is not None:
             show(session)

@@ -141,7 +141,7 @@ def test_every_pane_is_made_without_a_browser(session: Session) -> None:
         assert bench.view.get_root()
     session.add(bench.missing.rows.rows[0]["id"])
     bench.refresh()
-    bench.ground.param.update(dark=True, wide=True, seen=True)
+    bench.browser.param.update(dark=True, wide=True, seen=True)
     bench.fails.when.value = "both"
     bench.fails.select(np.arange(30))
     assert "30 readings selected" in bench.tabs.describe.chosen.object

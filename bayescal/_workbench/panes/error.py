@@ -37,24 +37,30 @@ class ErrorPane:
     """
 
     def __init__(
-        self, go_to: Callable[[int], None], find_all: Callable[[], None], stop: Callable[[], None]
+        self,
+        go_to: Callable[[int], None],
+        compare: Callable[[int], None],
+        find_all: Callable[[], None],
+        stop: Callable[[], None],
+        undo: Callable[[], None],
     ) -> None:
-        self._go_to = go_to
+        to = {"go": go_to, "compare": compare}
         self.palette: Palette = LIGHT
         self.rows = Rows(
-            lambda state, _: self._go_to(int(state)),
+            lambda state, action: to[action](int(state)),
             table=True,
             kind="table",
             label="Steps",
         )
         self.find = button("Find all", lambda _: find_all(), color="primary")
         self.halt = button("Stop", lambda _: stop(), disabled=True)
+        self.undo = button("Undo", lambda _: undo(), disabled=True)
         self.progress = words("", "small")
         empty: dict[str, Any] = {name: [] for name in (*(s[0] for s in SERIES), "step", "floor")}
         self.source: Any = ColumnDataSource(empty)
         self.figure = self._figure()
         self.view = column(
-            row(self.find, self.halt, self.progress),
+            row(self.find, self.halt, self.undo, self.progress),
             halves(plot(self.figure), self.rows),
         )
 
@@ -204,12 +210,15 @@ def step_rows(
                 "title": "probability that the model is complete",
             },
         ]
-        here = {"id": "go", "label": "Go back", "title": "what is done next branches off here"}
+        here = [
+            {"id": "compare", "label": "Compare", "title": "with the step that is shown"},
+            {"id": "go", "label": "Go back", "title": "what is done next branches off here"},
+        ]
         rows.append(
             {
                 "id": str(n),
                 "cells": cells,
-                "actions": [] if n == current else [here],
+                "actions": [] if n == current else here,
                 "current": n == current,
             }
         )
