@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, get_args
+from typing import Any, ClassVar, get_args
 
 import panel as pn
 
@@ -24,11 +24,6 @@ from bayescal._workbench.parts.pieces import (
 )
 from bayescal._workbench.parts.style import LIGHT, Palette, dress, new_figure
 
-LIMITS = (
-    "Limits, one a line: “bias: ±0.5 °/s”, “corrected reading: ±0.1 °/s over -20..60 °C”; names are those of the model "
-    "on the left, and of its slots."
-)
-
 
 class AskPane:
     """A question with its fields, and the answer, which is marked when the model is no longer the one it is of.
@@ -38,6 +33,8 @@ class AskPane:
         answered: called on the page with what came.
         view: what Panel shows.
     """
+
+    KINDS: ClassVar[tuple[str, ...]] = ("bare",)  # classes of the style of the answer's room
 
     def __init__(
         self,
@@ -63,7 +60,7 @@ class AskPane:
         self.age = words("", "small")
         self.fields = column(*fields, sizing_mode="stretch_width", styles={"flex": "0 0 auto"})
         self.answer = words("", "table", styles={"overflow": "auto"}, sizing_mode="stretch_both")
-        self.right = column(self.answer)
+        self.right = column(self.answer, kinds=self.KINDS)
         buttons = row(self.begin, self.age)
         left = column(words(told, "small"), self.fields, buttons, kinds=("bare", "scrolls"))
         self.view = halves(left, self.right)
@@ -90,7 +87,7 @@ class AskPane:
         stale = self._of not in (-1, self._now)
         told = f"This answer is of step {self._of}; step {self._now} is shown." if stale else ""
         self.age.object = told or (f"Of step {self._of}." if self._of >= 0 else "")
-        self.right.css_classes = ["bare", *["stale"] * stale]
+        self.right.css_classes = [*self.KINDS, *["stale"] * stale]
 
 
 class VerdictPane(AskPane):
@@ -160,7 +157,12 @@ class BudgetPane(AskPane):
         if list(self._at) == list(found.at):
             return
         self._at = {
-            n: field(pn.widgets.FloatInput, f"{n} [{found.at_units[n] or '1'}]", value=v, width=120)
+            n: field(
+                pn.widgets.FloatInput,
+                f"{n} [{found.at_units[n] or '1'}]",
+                value=float(f"{v:.6g}"),
+                width=120,
+            )
             for n, v in found.at.items()
         }
         self.room[:] = list(self._at.values())
@@ -170,7 +172,9 @@ class DecisionPane(AskPane):
     """Whether it conforms to limits."""
 
     def __init__(self, run: Callable[..., None], session: Callable[[], Any]) -> None:
-        self.limits = code_field(LIMITS, max_length=10_000, height=74, sizing_mode="stretch_width")
+        self.limits = code_field(
+            "Limits, one a line", max_length=10_000, height=74, sizing_mode="stretch_width"
+        )
         self.rule = field(
             pn.widgets.Select, "rule", options=list(get_args(Rule)), value="guarded", width=110
         )
@@ -190,13 +194,18 @@ class DecisionPane(AskPane):
             }
             return lambda: session().decide(limits, **asked)
 
-        told = "Does it meet its specification, and until when? What is decided here stands first in the report."
+        told = (
+            "Does it meet its specification, and until when? Limits such as “bias: ±0.5 °/s”, “corrected reading: "
+            "±0.1 °/s over -20..60 °C”. What is decided stands first in the report."
+        )
         how = row(self.rule, self.risk, self.until, self.devices)
         super().__init__(run, "Decide", ask, told, self.limits, how)
 
 
 class PlanPane(AskPane):
     """Where to measure next: the readings that make a stated uncertainty small."""
+
+    KINDS = ("bare", "drawn")
 
     def __init__(self, run: Callable[..., None], session: Callable[[], Any]) -> None:
         self.limit = field(
@@ -226,11 +235,12 @@ class PlanPane(AskPane):
         """What is left of the uncertainty with each reading of the best campaign."""
         left = [found.u, *(p.u for p in found.picked)]
         unit = unit_label(found.unit) or "1"
-        made = new_figure("readings of the best campaign", f"u [{unit}]", tools="")
-        made.line(range(len(left)), left, color=self.palette.blue, line_width=2)
-        made.scatter(range(len(left)), left, color=self.palette.blue, size=6)
+        made = new_figure("readings picked", f"u [{unit}]", tools="")
+        count = list(range(len(left)))
+        made.line(count, left, color=self.palette.blue, line_width=2)
+        made.scatter(count, left, color=self.palette.blue, size=6)
         made.line([0, len(left) - 1], [found.campaigns[0].u] * 2, color=NOISE, line_dash="dashed")
         made.y_range.start, made.y_range.end = 0.0, 1.05 * found.u
         dress(made, self.palette)
         self._drawn = made
-        self.right[:] = [halves(plot(made), self.answer)]
+        self.right[:] = [plot(made), self.answer]
