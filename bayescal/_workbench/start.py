@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from bayescal._model.model import Model
 
 LOOPBACK = "127.0.0.1"
-SESSION = "session.json"
+SESSION, FIRST = "session.json", "session_1"
 
 # What is seen before the page is, its panes empty; also while the browser loads Panel's scripts.
 SKELETON = (Path(__file__).parent / "parts" / "skeleton.html").read_text("utf-8")
