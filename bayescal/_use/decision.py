@@ -35,8 +35,8 @@ class Decision:
         why: in words.
         risk: the specific risk: that the decision is wrong; None where none was made.
         at: name → lowest value, highest value, unit of the operating point.
-        population: mean and standard deviation of the devices; None where none is given.
-        global_risks: over them.
+        population: mean and standard deviation of the devices; None where none is given, and over a range.
+        global_risks: over the devices of a population; None where none is given.
         recalibration: when to calibrate again.
         notes: what to know, each a sentence.
     """
@@ -177,10 +177,10 @@ def statement_lines(d: Decision) -> list[str]:
         said.append(
             f"  at {', '.join(_place(name, *place) for name, place in d.at.items())}{scatter}"
         )
-    if d.global_risks is not None and d.population is not None:
-        g, (mean, sd) = d.global_risks, d.population
+    if (g := d.global_risks) is not None:
+        which = f" {with_error(*d.population)} {unit_label(d.unit)}" if d.population else ""
         said.append(
-            f"  of devices {with_error(mean, sd)} {unit_label(d.unit)}: {percent(g.conforming)} conform, "
+            f"  of devices{which or ' calibrated so'}: {percent(g.conforming)} conform, "
             f"{percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
             f"{percent(g.consumer)}, producer's risk (conforms, not accepted) {percent(g.producer)}"
         )
