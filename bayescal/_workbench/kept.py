@@ -22,6 +22,8 @@ from typing import Any
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._calibration.fit import load
+from bayescal._calibration.posterior_tree import build_tree
+from bayescal._calibration.storage import save
 from bayescal._core.atomic_file import to_disk, write_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import OneOf, mismatch, read_json
@@ -44,6 +46,8 @@ STATE_SHAPE = {
     **{"number": int, "parent": OneOf(None, int), "title": str, "at": str},
     **{"added": OneOf(None, str), "changed": str},
 }
+# Replicated readings that a step keeps, in draws: of 500 at 2,000 readings they took half the time of *Add*.
+REPLICATED = 20
 _NUMBERED = re.compile(r"session_(\d+)")
 _STATE = re.compile(r"\.?state_(\d{3,})(\..*)?")
 
@@ -72,7 +76,8 @@ def keep_state(folder: Path, name: str, state: State, script: str) -> None:
         "changed": state.step.changed,
     }
     with whole_folder(own, identity(state.calibration)) as hidden:
-        state.calibration.save(hidden / CALIBRATION)
+        cells = REPLICATED * len(state.calibration.readings)
+        save(state.calibration, build_tree(state.calibration, cells), hidden / CALIBRATION)
         write_text(script, hidden / SCRIPT)
         write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", hidden / STATE)
     to_disk(folder)

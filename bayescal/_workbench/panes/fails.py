@@ -13,6 +13,7 @@ from bokeh.models import ColumnDataSource, Range1d
 from bayescal._workbench.panes.fails_data import AGAINST, ResidualsOfState
 from bayescal._workbench.panes.fails_panel import (
     AT,
+    CURVE,
     FIT,
     dress_panel,
     output_panel,
@@ -44,6 +45,7 @@ class Fails:
         self.palette: Palette = LIGHT
         self.selected = np.array([], int)
         self.source: Any = ColumnDataSource({})
+        self._curves: Any = ColumnDataSource({})  # of the preview: only what has it is drawn anew
         self._curve: np.ndarray | None = None
         self._views: dict[str, tuple[float, float]] = {}
         self._figures: dict[str, Any] = {}
@@ -100,8 +102,7 @@ class Fails:
         """Lay an effect's curve over the residuals, output unit, (n,); None takes it away."""
         self._curve = None if curve is None else np.asarray(curve, float)
         if self.shown is not None:
-            rows = self.source.data["row"]
-            self.source.data["curve"] = self._curve_at(rows)
+            self._curves.data[CURVE] = self._curve_at(self.source.data["row"])
             for made in self._figures.values():
                 show_curve(made, self._curve is not None)
 
@@ -135,7 +136,8 @@ class Fails:
     def _begin(self) -> None:
         """A source and panels of another state: those that go keep theirs."""
         assert self.shown is not None
-        self._y, self.source = fixed_range(-1, 1), ColumnDataSource({})
+        self._y = fixed_range(-1, 1)
+        self.source, self._curves = ColumnDataSource({}), ColumnDataSource({})
         self._figures, self._outputs, self._panes = {}, {}, {}
         self._fit_range()  # before the panels are laid out: a change after it may overtake them
         self._lay_out()
@@ -199,12 +201,13 @@ class Fails:
             FIT: (shown.measured - residual)[rows],
             "before": other,
             "fit before": shown.measured[rows] - other,
-            "curve": self._curve_at(rows),
             "colour": shown.colours(self.palette)[rows],
             "marker": shown.markers()[rows],
         }
         chosen = self.selected
         self.source.data = data
+        at = {n: values for n, values in data.items() if n.startswith(AT)}
+        self._curves.data = {**at, CURVE: self._curve_at(rows)}
         self.source.selected.indices = np.flatnonzero(np.isin(rows, chosen)).tolist()
         self.drawn.object = sentence(rows.size, residual.size)
 
@@ -224,7 +227,7 @@ class Fails:
     def _panel(self, name: str) -> Any:
         shown = self.shown
         assert shown is not None
-        made = residual_panel(shown, name, self.source, self._y)
+        made = residual_panel(shown, name, self.source, self._curves, self._y)
         show_curve(made, self._curve is not None)
         for end in ("start", "end"):
             made.x_range.on_change(end, lambda attr, old, new: self._moved(name, made.x_range))

@@ -19,7 +19,11 @@ NOISE, CURVE, FIT, AT = "#8a939b", "curve", "fit", "at "
 
 
 def residual_panel(
-    shown: ResidualsOfState, name: str, source: ColumnDataSource, y_range: Range1d
+    shown: ResidualsOfState,
+    name: str,
+    source: ColumnDataSource,
+    curves: ColumnDataSource,
+    y_range: Range1d,
 ) -> Any:
     """A figure of one column; its readings come from the source of all panels, which are so brushed together.
 
@@ -27,6 +31,7 @@ def residual_panel(
         shown: the state.
         name: of the column, or AGAINST: measured against predicted.
         source: of all panels; the column stands in it as `AT` and its name.
+        curves: the same of a preview's curve.
         y_range: of the residuals, the same in all panels.
     """
     if name == AGAINST:
@@ -35,7 +40,7 @@ def residual_panel(
     _ground(made, shown, name)
     _other(made, AT + name, "before", source)
     _points(made, AT + name, "residual", source)
-    _dots(made, AT + name, CURVE, source)
+    _dots(made, AT + name, CURVE, curves)
     return made
 
 
