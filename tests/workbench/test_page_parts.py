@@ -37,7 +37,7 @@ def many() -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 def test_extremes_of_every_column_of_pixels_are_drawn(many) -> None:
     columns, residual = many
-    rows = drawn_rows(columns, residual)
+    rows = drawn_rows(columns, [residual])
     assert rows.size <= MANY + len(columns) * 2 * PIXELS
     assert 41_234 in rows
     for values in columns.values():
@@ -53,13 +53,13 @@ def test_extremes_of_every_column_of_pixels_are_drawn(many) -> None:
 def test_of_few_readings_all_are_drawn(many) -> None:
     columns, residual = many
     few = {name: values[:MANY] for name, values in columns.items()}
-    assert drawn_rows(few, residual[:MANY]).size == MANY
+    assert drawn_rows(few, [residual[:MANY]]).size == MANY
     assert sentence(MANY, MANY) == ""
 
 
 def test_a_view_of_a_part_draws_more_of_it(many) -> None:
     columns, residual = many
-    near = drawn_rows(columns, residual, {"time": (1000.0, 1500.0)})
+    near = drawn_rows(columns, [residual], {"time": (1000.0, 1500.0)})
     inside = (columns["time"][near] >= 1000) & (columns["time"][near] <= 1500)
     assert inside.sum() == 501, "all readings in view are drawn where they are few"
 

@@ -185,7 +185,9 @@ class Fails:
         assert shown is not None
         residual = self._now()
         covariates = {n: shown.places[n] for n in names}
-        rows = drawn_rows(covariates, residual, self._views) if names else np.array([], int)
+        rows = np.array([], int)
+        if names:
+            rows = drawn_rows(covariates, [residual, shown.measured], self._views)
         drawn = dict.fromkeys([*names, *self._figures])  # panels that go are drawn once more
         data: dict[str, Any] = {AT + n: shown.places[n][rows] for n in drawn}
         both = self.when.value == BOTH and shown.before is not None
