@@ -153,7 +153,15 @@ class Workbench:
         self.work.forget_preview()
         self.error.searching(False)  # what the last search found is of another path
         told = f"{_DOING.get(name, name)} {' '.join(map(str, arguments))} …"
-        self.work.begin(told, lambda: getattr(self.session, name)(*arguments), self.done)
+        self._make_stale(True)
+        job = lambda: getattr(self.session, name)(*arguments)  # noqa: E731
+        self.work.begin(told, job, self.done, failed=lambda: self._make_stale(False))
+
+    def _make_stale(self, stale: bool) -> None:
+        """Whether what is shown is of a model that is being left: it is dimmed until the next one stands there."""
+        for one in (self.model.view, self.fails.view, self.missing.view, self.error.view):
+            kept = [kind for kind in one.css_classes if kind != "stale"]
+            one.css_classes = [*kept, *["stale"] * stale]
 
     def begin_with(self, readings: Any) -> None:
         """Begin anew with other readings: a session of its own, in the place of this one."""
@@ -209,6 +217,7 @@ class Workbench:
 
     def done(self, _: Any = None) -> None:
         """Something was done: show the state that it led to, and look for what is missing from it."""
+        self._make_stale(False)
         self.refresh()
         self.look()
 
