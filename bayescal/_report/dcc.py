@@ -221,7 +221,7 @@ def _statements(parent: ET.Element, decisions: Decisions) -> None:
             made,
             "declaration",
             f"Limit: {one.limit}. Decision rule: {decisions.rule_in_words}. Decision: {one.decision}; {one.why}.",
-            *statement_lines(one)[1:],
+            *(line.strip() for line in statement_lines(one)[1:]),
             *one.notes,
         )
         if one.decision in CONFORMITY:
