@@ -113,10 +113,13 @@ class Workbench:
 
     def _changed(self) -> None:
         """A state was made or gone to, here or by another page: what is done here is shown when it is done."""
-        self.work.on_page(lambda: self.work.busy or self._is_shown() or self.done())
 
-    def _is_shown(self) -> bool:
-        return self._shown == (self.session.current.number, len(self.session.states))
+        def show() -> None:
+            shown = self.session.current.number, len(self.session.states)
+            if not self.work.busy and shown != self._shown:
+                self.done()
+
+        self.work.on_page(show)
 
     def compare(self, number: int) -> None:
         """Compare another step with this one: in the panels, and in numbers."""

@@ -165,7 +165,7 @@ class Fails:
             upper = [self._outputs[name]] if name in self._outputs else []
             wanted = [*upper * (WHAT[0] in self.what.value)]
             wanted += [made] * (WHAT[1] in self.what.value or not wanted)
-            if [pane.object for pane in room] != wanted:
+            if [getattr(pane, "object", None) for pane in room] != wanted:
                 room[:] = [plot(one) for one in wanted]
 
     def _fill(self) -> None:

@@ -62,7 +62,11 @@ class CutAxis:
         args = {"starts": starts.tolist(), "ends": ends.tolist(), "taken": self.taken.tolist()}
         figure.xaxis.formatter = CustomJSTickFormatter(args=args, code=LABEL)
         for middle in 0.5 * (ends[:-1] + starts[1:]):
-            cut = {"dimension": "height", "line_dash": "dotted", "line_color": colour}
+            cut: dict[str, Any] = {
+                "dimension": "height",
+                "line_dash": "dotted",
+                "line_color": colour,
+            }
             figure.add_layout(Span(location=float(middle), line_width=2, **cut))
 
 
