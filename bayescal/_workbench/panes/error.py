@@ -125,7 +125,7 @@ class ErrorPane:
         self.source.data = {"step": list(range(len(path))), "floor": [floor] * len(path), **values}
         largest = max(v for series in values.values() for v in series if v == v)
         deepest, highest = self._show_branches(states, path)
-        self.figure.y_range.end = 1.1 * max(largest, floor, highest)
+        self.figure.y_range.end = 1.2 * max(largest, floor, highest)
         self.figure.x_range.start, self.figure.x_range.end = -0.3, max(1, deepest) + 0.3
         self.figure.yaxis.axis_label = f"rms error [{unit}]"
         self._floor.location = floor
