@@ -20,8 +20,8 @@ PRIOR_DRAWS = 1000
 STEP = 1e-3  # of a coordinate, for the slope of a prior's value
 
 
-def build_tree(calibration: Fitted) -> xr.DataTree:
-    """All groups of a calibration's tree.
+def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTree:
+    """All groups of a calibration's tree, with so many replicated readings at most.
 
     `draws` beside ArviZ's own groups holds the same joint draws as plain vectors x, rows and v, from which
     everything else can be computed again.
@@ -35,7 +35,7 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
             "v": (("chain", "draw", "v_entry"), draws.v),
         }
     )
-    predictive = _predictive(c)
+    predictive = _predictive(c, cells)
     groups = {
         "posterior": c.posterior,
         "log_prior": _log_prior(layout, c.posterior, draws),
@@ -120,11 +120,11 @@ def _slope(prior: Any, v: np.ndarray) -> np.ndarray:
     return (8 * (value(v + h) - value(v - h)) - (value(v + 2 * h) - value(v - 2 * h))) / (12 * h)
 
 
-def _predictive(calibration: Fitted) -> np.ndarray:
+def _predictive(calibration: Fitted, cells: int) -> np.ndarray:
     """Replicated readings, draws thinned so that they stay within a stated size."""
     draws, size = calibration.joint, len(calibration.readings)
     chains, count = draws.x.shape[:2]
-    keep = max(1, min(count, PREDICTIVE_CELLS // (chains * size)))
+    keep = max(1, min(count, cells // (chains * size)))
     step = -(-count // keep)
     thin = Vectors(*(flat(a[:, ::step]) for a in (draws.x, draws.rows, draws.v)))
     random = np.random.default_rng([calibration.seed, 1])

@@ -59,6 +59,7 @@ def calibrate(
 @commands.example("bayescal workbench readings.csv --instrument mems_gyro")
 def workbench(
     *,
+    channels: options.Channels = None,
     asked: SearchRequest,
     out: Annotated[
         Path,
@@ -83,27 +84,31 @@ def workbench(
     """The same loop in a browser, step by step: look, add, compare, go back. Ctrl-C ends it.
 
     It is served to this computer alone, under an address that nobody guesses, unless --address says otherwise.
+    Channels of a unit have each a page of its own, with links to the others.
     """
     from bayescal._cli import request
+    from bayescal._report.whole_folder import folders_of
     from bayescal._workbench import start
 
     start.refuse_without_panel()
     at = start.Address.new(address)
     print_notes([at.exposed] if at.exposed else [])
     # A file that cannot be used is refused before a browser opens.
-    early = request.read_early(asked)
+    names = [] if channels is None else options.channel_names(channels)
+    early = request.read_early(asked, **({"outputs": names} if names else {}))
     method = None if asked.method == "marginal" else request.method_named(asked.method)
     settings = {**asked.settings(), "method": method, "time_limit": asked.time_limit}
     with result_folder(out) as folder:
         assert folder is not None
-        name = ["session_1", *start.kept_sessions(folder)][-1]
+        folders = {n: folder / inner for n, inner in folders_of(names).items()} or {"": folder}
+        name = [start.FIRST, *start.kept_sessions(next(iter(folders.values())))][-1]
         told = ", ".join(p.name for p in asked.files)
         said = f"bayescal workbench of {told}: {at.of(name)}\n(Ctrl-C ends it; kept in {folder})"
         with start.Waiting(at, told, "Loading the instrument …") as waiting:
             print(said, flush=True)
             if not no_open:
                 webbrowser.open(at.of(name))
-            sessions = _sessions(asked, early, folder, name, settings, waiting, trust or [])
+            sessions = _sessions(asked, early, folders, name, settings, waiting, trust or [])
         from bayescal._workbench.serve import serve
 
         serve(sessions, at)
@@ -113,50 +118,67 @@ def workbench(
 def _sessions(
     asked: SearchRequest,
     early: Early,
-    folder: Path,
+    folders: Mapping[str, Path],
     name: str,
     settings: dict[str, Any],
     waiting: Waiting,
     trust: Sequence[Path],
-) -> Sessions:
-    """The sessions of a server, the first of them open."""
+) -> dict[str, Sessions]:
+    """The sessions of a server, by channel ("" where there is one output); the first of them is open."""
     from bayescal._cli import request
 
-    chosen, model, readings = request.open_request(asked, early)
-    kept = request.open_kept(chosen, asked)
-    print_notes(readings.flags)
-    own_files = [] if asked.choice.effects_file is None else [asked.choice.effects_file]
-    own = request.own_effects(asked.choice, model.instrument, readings)
-    if asked.choice.typed:
-        own_files.append(_written(own, folder))
-    settings["reference"] = request.reference_of(asked.choice.reference, readings) or None
+    if names := [n for n in folders if n]:
+        general, models, readings = request.open_channels(names, asked, early)
+        kept = request.open_kept_channels(names, general, asked) or {}
+    else:
+        chosen, model, one = request.open_request(asked, early)
+        models, readings = {"": model}, {"": one}
+        kept = {"": request.open_kept(chosen, asked)}
+    print_notes(_flags(readings))
     waiting.doing = "Loading the page …"
     from bayescal._workbench.origin import Origin
     from bayescal._workbench.serve import Sessions
     from bayescal._workbench.session import Session
 
-    origin = Origin.of(
-        asked.instrument,
-        asked.files,
-        asked.holdout,
-        asked.columns.for_read(),
-        own_files,
-        average=asked.average,
-        keep_spikes=asked.keep_spikes,
-    )
-
-    def begin(folder: Path) -> Session:
-        return Session.begin(
-            model, readings, holdout=kept, effects=own, folder=folder, origin=origin, **settings
+    def of_channel(channel: str, folder: Path) -> Sessions:
+        own_files = [] if asked.choice.effects_file is None else [asked.choice.effects_file]
+        own = request.own_effects(asked.choice, models[channel].instrument, readings[channel])
+        if asked.choice.typed:
+            own_files.append(_written(own, folder))
+        reference = request.reference_of(asked.choice.reference, readings[channel]) or None
+        outputs = {"outputs": names} if channel else {}
+        origin = Origin.of(
+            asked.instrument,
+            asked.files,
+            asked.holdout,
+            {**asked.columns.for_read(), **outputs},
+            own_files,
+            average=asked.average,
+            keep_spikes=asked.keep_spikes,
+            channel=channel,
         )
 
-    def resume(folder: Path) -> Session:
-        return Session.resume(folder, of=origin, trust=trust)
+        def begin(inner: Path) -> Session:
+            return Session.begin(
+                models[channel],
+                readings[channel],
+                holdout=kept.get(channel),
+                effects=own,
+                folder=inner,
+                origin=origin,
+                reference=reference,
+                **settings,
+            )
 
-    sessions = Sessions(folder, begin, resume)
+        def resume(inner: Path) -> Session:
+            return Session.resume(inner, of=origin, trust=trust)
+
+        return Sessions(folder, begin, resume)
+
+    found = {channel: of_channel(channel, folder) for channel, folder in folders.items()}
     waiting.doing = "Fitting the first model …"
-    sessions.first(name)
-    return sessions
+    next(iter(found.values())).open(name)
+    return found
 
 
 def _written(own: Sequence[Effect], folder: Path) -> Path:
@@ -166,6 +188,7 @@ def _written(own: Sequence[Effect], folder: Path) -> Path:
 
     lines = [f"    bc.effect({e.basis.text!r})," for e in own if isinstance(e.basis, Formula)]
     code = ["import bayescal as bc", "", "EFFECTS = (", *lines, ")", ""]
+    folder.mkdir(exist_ok=True)  # of a channel
     return write_text("\n".join(code), folder / "typed_effects.py")
 
 

@@ -147,6 +147,8 @@ def export(
     ] = None,
     local_gravity: Gravity = None,
     certificate: options.Certificate = None,
+    limit: options.AlsoLimit = None,
+    by: DecisionRule,
     own: InUse,
 ) -> None:
     """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate."""
@@ -165,7 +167,8 @@ def export(
         return
     chosen = saved.single(calibrations or [], axis, device_id, own)
     if format_ == saved.DCC:
-        text = saved.certified(chosen, certificate, local_gravity or STANDARD_GRAVITY)
+        gravity = local_gravity or STANDARD_GRAVITY
+        text = saved.certified(chosen, certificate, gravity, limit, by)
         print(text.rstrip("\n") if out is None else f"written: {write_text(text, out)}")
         return
     if out is None:
@@ -287,12 +290,7 @@ def report(
     ),
     title: Annotated[str, typer.Option("--title", help="Of the report.")] = "",
     certificate: options.Certificate = None,
-    limit: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--limit", help="Also decide whether it conforms, as `bayescal decide`; of one result."
-        ),
-    ] = None,
+    limit: options.AlsoLimit = None,
     by: DecisionRule,
     output_unit: options.OutputUnit = None,
     own: OwnParts,

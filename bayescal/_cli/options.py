@@ -288,6 +288,12 @@ Certificate = Annotated[
         "standards, dates.",
     ),
 ]
+AlsoLimit = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--limit", help="Also decide whether it conforms, as `bayescal decide`; of one result."
+    ),
+]
 Rule = Annotated[
     str,
     typer.Option(

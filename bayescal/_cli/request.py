@@ -87,14 +87,14 @@ def typed_effects(
 
 
 def open_channels(
-    names: Sequence[str], asked: ReadRequest
+    names: Sequence[str], asked: ReadRequest, early: Early | None = None
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
     """Instrument, models and readings of the channels of one unit; a model has it tailored to its readings.
 
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
-    general, read_ = _opened(asked, outputs=list(names))
+    general, read_ = _opened(asked, early, outputs=list(names))
     own = {effect.name: effect for effect in user_effects(asked.choice.effects_file)}
     asked.columns.keep()
     if asked.average is None:

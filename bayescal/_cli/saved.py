@@ -6,7 +6,7 @@ from pathlib import Path
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import load
-from bayescal._cli.options import InUse, OwnParts, UsedParts, named_values
+from bayescal._cli.options import DecisionRule, InUse, OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
 from bayescal._fleet.batch_result import load_batch
@@ -20,6 +20,7 @@ from bayescal._search.own_files import instrument_named, user_effects
 from bayescal._use.autopilots import AUTOPILOTS
 from bayescal._use.code_writer import FORMATS
 from bayescal._use.compensator import Compensator, compensator, load_compensator
+from bayescal._use.decide import decide
 from bayescal._use.firmware_parameters import FirmwareParameters, axis_of, firmware_parameters
 
 PROGRAMS, PARAMETERS, DCC = tuple(FORMATS.values()), tuple(AUTOPILOTS), "dcc"
@@ -207,8 +208,14 @@ def parameters(
     return firmware_parameters(given, format, devices=numbers, local_gravity=local_gravity)
 
 
-def certified(chosen: Compensator, certificate: Path | None, local_gravity: float) -> str:
-    """The digital calibration certificate of a saved calibration, as XML.
+def certified(
+    chosen: Compensator,
+    certificate: Path | None,
+    local_gravity: float,
+    limits: list[str] | None,
+    by: DecisionRule,
+) -> str:
+    """The digital calibration certificate of a saved calibration, as XML, with what is decided about limits, if any.
 
     Raises:
         InputError: no certificate is given, an export, or what `dcc_text` refuses.
@@ -219,7 +226,10 @@ def certified(chosen: Compensator, certificate: Path | None, local_gravity: floa
         )
     if chosen.calibration is None:
         raise InputError("an export is no calibration: give the saved calibration (.nc)")
-    return dcc_text(chosen.calibration, certificate, local_gravity)
+    decided = None
+    if limits:
+        decided = decide(chosen.calibration, limits, local_gravity=local_gravity, **vars(by))
+    return dcc_text(chosen.calibration, certificate, local_gravity, decided)
 
 
 def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:

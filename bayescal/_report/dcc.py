@@ -24,6 +24,7 @@ from bayescal._core.version import __version__
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._report.certificate import Certificate, read_certificate
 from bayescal._report.d_si import d_si
+from bayescal._use.decision import ACCEPT, REJECT, Decisions, statement_lines
 
 SCHEMA = "3.2.1"
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
@@ -32,6 +33,9 @@ NEEDED = (
     *("laboratory.name", "laboratory.country", "laboratory.responsible"),
     *("customer.name", "customer.country"),
 )
+# Of decisions; the schema has no word for one that was not made: then the declaration alone says so.
+CONFORMITY = {ACCEPT: "pass", REJECT: "fail"}
+NORMS = ("ISO/IEC 17025:2017, 7.8.6", "JCGM 106:2012")
 K, PROBABILITY = 2.0, 0.9545  # coverage of k = 2 for a normal distribution (JCGM 100, table G.1)
 
 
@@ -39,6 +43,7 @@ def dcc_text(
     calibration: Calibration,
     certificate: Certificate | str | Path,
     local_gravity: float = STANDARD_GRAVITY,
+    decisions: Decisions | None = None,
 ) -> str:
     """The certificate as XML.
 
@@ -46,6 +51,7 @@ def dcc_text(
         calibration: a reliable fit.
         certificate: what it states beside the numbers, or the TOML file of it.
         local_gravity: m/s², that one g of the calibration is.
+        decisions: statements of conformity, with their rule.
 
     Raises:
         InputError: the result is not reliable, or the certificate does not state what the schema needs.
@@ -68,7 +74,10 @@ def dcc_text(
     root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=SCHEMA)
     _administrative(root, calibration, stated)
     results = _add(root, "measurementResults")
-    _results(_add(results, "measurementResult"), calibration, stated, local_gravity)
+    result = _add(results, "measurementResult")
+    _results(result, calibration, stated, local_gravity)
+    if decisions is not None:
+        _statements(_add(result, "measurementMetaData"), decisions)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
@@ -200,6 +209,23 @@ def _results(
     ):  # positive quantities: their posterior is skewed, and no multiple of u covers
         quantity = _listed(data, "quantity", row["name"])
         real(quantity, row["mean"], row["unit"], local_gravity, row["sd"], row["interval95"])
+
+
+def _statements(parent: ET.Element, decisions: Decisions) -> None:
+    """A statement of conformity a limit, with its rule (ISO/IEC 17025:2017, 7.8.6.2)."""
+    for one in decisions.decisions:
+        made = _add(parent, "metaData")
+        for norm in NORMS:
+            _add(made, "norm", norm)
+        _said(
+            made,
+            "declaration",
+            f"Limit: {one.limit}. Decision rule: {decisions.rule_in_words}. Decision: {one.decision}; {one.why}.",
+            *(line.strip() for line in statement_lines(one)[1:]),
+            *one.notes,
+        )
+        if one.decision in CONFORMITY:
+            _add(made, "conformity", CONFORMITY[one.decision])
 
 
 def _listed(parent: ET.Element, element: str, name: str) -> ET.Element:

@@ -6,8 +6,6 @@ they are saved as, so the methods are attached here, and `bayescal` takes them f
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from bayescal._report.under_way import RESULT, UNDER_WAY
 from bayescal._report.whole_folder import (
     AVERAGED,
     CHANNELS,
+    folders_of,
     is_inside,
     remove_results,
     whole_folder,
@@ -100,18 +99,6 @@ def channels_data(found: Channels) -> dict[str, Any]:
             "ok": found.ok,
         }
     )
-
-
-def folders_of(names: Iterable[str]) -> dict[str, str]:
-    """A folder's name for each channel: its own, without what a file system may not take."""
-    found: dict[str, str] = {}
-    for name in names:
-        plain = re.sub(r"[^\w.-]+", "_", name).strip("._") or "channel"
-        taken, folder, number = set(found.values()), plain, 2
-        while folder in taken:
-            folder, number = f"{plain}_{number}", number + 1
-        found[name] = folder
-    return found
 
 
 def save_channels(self: Channels, folder: Path) -> None:

@@ -12,9 +12,10 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
+import re
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,18 @@ SHAPE = {
     **{"schema": str, "identity": str, "calibration": OneOf(None, str)},
     "files": {str: str},
 }
+
+
+def folders_of(names: Iterable[str]) -> dict[str, str]:
+    """A folder's name for each channel: its own, without what a file system may not take."""
+    found: dict[str, str] = {}
+    for name in names:
+        plain = re.sub(r"[^\w.-]+", "_", name).strip("._") or "channel"
+        taken, folder, number = set(found.values()), plain, 2
+        while folder in taken:
+            folder, number = f"{plain}_{number}", number + 1
+        found[name] = folder
+    return found
 
 
 def is_inside(name: str) -> bool:

@@ -172,6 +172,29 @@ def global_risks(
     )
 
 
+def risks_of_curves(
+    devices: Float[np.ndarray, "n g"],
+    errors: Float[np.ndarray, "d g"],
+    limits: Limits,
+    accepted: Acceptance,
+    seed: int,
+) -> GlobalRisks:
+    """Risks of a quantity over a range, which conforms, and is accepted, where all of its curve is inside: by counting.
+
+    Args:
+        devices: true curves of devices of the population.
+        errors: of the measurement of one, drawn.
+        limits, accepted: tolerance interval, and estimates that are accepted.
+        seed: of the errors that devices get.
+    """
+    drawn = np.random.default_rng(seed).integers(len(errors), size=len(devices))
+    read = devices + errors[drawn]
+    good = (devices.min(axis=1) >= limits.low) & (devices.max(axis=1) <= limits.high)
+    taken = (read.min(axis=1) >= accepted.low) & (read.max(axis=1) <= accepted.high)
+    counted = (good, taken, taken & ~good, good & ~taken)
+    return GlobalRisks(*(float(one.mean()) for one in counted))
+
+
 Pieces = list[tuple[float, float]]
 
 

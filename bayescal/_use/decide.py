@@ -27,9 +27,11 @@ from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._use.conformity import (
     Acceptance,
     DrawnQuantity,
+    GlobalRisks,
     Limits,
     acceptance,
     global_risks,
+    risks_of_curves,
 )
 from bayescal._use.decision import ACCEPT, REJECT, UNDECIDED, Decision, Decisions, percent
 from bayescal._use.limit import SpreadOfDevices, StatedLimit, spread_of_devices, stated_limit
@@ -42,6 +44,8 @@ Rule = Literal["simple", "guarded", "shared-risk"]
 FALSE_ACCEPT = 0.025
 # Where U, k = 2, is at most a third of the maximum permissible error, as OIML R 111-1 asks of weights (JCGM 106, 8.2).
 CAPABILITY = 3.0
+# Drawn anew where risks over a range are counted: a risk of 2.5 % has then a standard error of 0.05 percentage points.
+DEVICES = 100_000
 CONFORMITY = 0.95  # of which a recalibration interval is stated: the usual coverage of a statement
 
 
@@ -100,10 +104,11 @@ def decide(
         )
         spread = None
         for i, given in enumerate(devices):
-            if (spread := with_population(quantity, given)) is not None:
+            if (spread := with_population(quantity, given)) is not None or quantity.is_error:
                 used.add(i)
                 break
-        found.append(_decision(calibration, quantity, how, spread, bool(devices)))
+        tables = (given for given in devices if not isinstance(given, SpreadOfDevices))
+        found.append(_decision(calibration, quantity, how, spread, next(tables, {}), bool(devices)))
     for i, given in enumerate(devices):
         if i not in used and isinstance(given, SpreadOfDevices):
             raise InputError(
@@ -177,6 +182,7 @@ def _decision(
     quantity: LimitedQuantity,
     how: _How,
     devices: tuple[float, float] | None,
+    table: Mapping[str, tuple[float, float]],
     asked: bool,
 ) -> Decision:
     drawn, limits = quantity.drawn(), quantity.limits
@@ -186,14 +192,23 @@ def _decision(
     decision, why = _decided(calibration, quantity, drawn, p, how)
     uncertainty = float(max(np.std(drawn.low), np.std(drawn.high)))
     notes = list(quantity.notes)
-    if asked and devices is None:
-        notes.append(
-            "No global risk is stated: the population is of another quantity, or the limit holds over a range."
-        )
+    within = accepted or Acceptance(math.inf, math.inf)  # where no estimate is accepted
     risks = None
     if devices is not None:
-        none = Acceptance(math.inf, math.inf)  # where no estimate is accepted
-        risks = global_risks(*devices, uncertainty, limits, accepted or none)
+        risks = global_risks(*devices, uncertainty, limits, within)
+    elif asked and quantity.is_error:
+        # Each device is corrected by what was found of it: its error is estimated as zero, and the decision the same.
+        took = decision == ACCEPT
+        risks = GlobalRisks(p, float(took), (1 - p) * took, p * (not took))
+    elif (curves := quantity.of_devices(table, DEVICES)) is not None:
+        values = quantity.values()
+        errors = values - values.mean(axis=0)
+        risks = risks_of_curves(curves, errors, limits, within, calibration.seed)
+    elif asked:
+        notes.append(
+            "No global risk is stated: the population is of another quantity, or the limit holds over a range and no "
+            "fleet says how the coefficients differ between devices."
+        )
     return Decision(
         limit=quantity.limit.text,
         quantity=quantity.limit.quantity,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,8 +35,8 @@ class Decision:
         why: in words.
         risk: the specific risk: that the decision is wrong; None where none was made.
         at: name → lowest value, highest value, unit of the operating point.
-        population: mean and standard deviation of the devices; None where none is given.
-        global_risks: over them.
+        population: mean and standard deviation of the devices; None where none is given, and over a range.
+        global_risks: over the devices of a population; None where none is given.
         recalibration: when to calibrate again.
         notes: what to know, each a sentence.
     """
@@ -145,7 +144,7 @@ def _text(found: Decisions) -> str:
     rows = [decision_cells(d) for d in found.decisions]
     head = ["limit", "estimate", "p(conforms)", "accepted from … to", "decision"]
     parts = [_fill(f"Decision rule: {found.rule_in_words}."), table(head, rows)]
-    parts += ["\n".join(_fill(line) for line in _said(d)) for d in found.decisions]
+    parts += ["\n".join(_fill(line) for line in statement_lines(d)) for d in found.decisions]
     of_each = (note for d in found.decisions for note in (*d.recalibration.notes, *d.notes))
     parts += [_fill(note) for note in dict.fromkeys((*of_each, *found.notes))]
     return "\n\n".join(parts)
@@ -168,22 +167,24 @@ def _accepted(d: Decision) -> str:
     return f"{number(low, 4)} … {number(high, 4)} {unit}".strip()
 
 
-def _said(d: Decision) -> Iterator[str]:
+def statement_lines(d: Decision) -> list[str]:
     """Each in a line: the decision and its risk, where it holds, the population's risks, when to calibrate again."""
-    yield f"{d.limit}: {d.decision}; {d.why}."
+    said = [f"{d.limit}: {d.decision}; {d.why}."]
     if d.at:
         scatter = f"; single readings scatter by {number(d.scatter)} {unit_label(d.unit)}" * (
             d.scatter > 0
         )
-        yield f"  at {', '.join(_place(name, *place) for name, place in d.at.items())}{scatter}"
-    if d.global_risks is not None and d.population is not None:
-        g, (mean, sd) = d.global_risks, d.population
-        yield (
-            f"  of devices {with_error(mean, sd)} {unit_label(d.unit)}: {percent(g.conforming)} conform, "
+        said.append(
+            f"  at {', '.join(_place(name, *place) for name, place in d.at.items())}{scatter}"
+        )
+    if (g := d.global_risks) is not None:
+        which = f" {with_error(*d.population)} {unit_label(d.unit)}" if d.population else ""
+        said.append(
+            f"  of devices{which or ' calibrated so'}: {percent(g.conforming)} conform, "
             f"{percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
             f"{percent(g.consumer)}, producer's risk (conforms, not accepted) {percent(g.producer)}"
         )
-    yield f"  next calibration: {d.recalibration}"
+    return [*said, f"  next calibration: {d.recalibration}"]
 
 
 def _place(name: str, low: float, high: float, unit: str) -> str:

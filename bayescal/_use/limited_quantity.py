@@ -86,6 +86,20 @@ class LimitedQuantity:
         """Mean and standard deviation over devices whose coefficients have these; None where that cannot be said."""
         raise NotImplementedError
 
+    @property
+    def is_error(self) -> bool:
+        """Whether it is what a correction leaves: then it is estimated as zero, whichever the device."""
+        return self.limit.quantity in (READING, MEAN)
+
+    def of_devices(
+        self, table: Mapping[str, tuple[float, float]], count: int
+    ) -> Float[np.ndarray, "n g"] | None:
+        """Its value at each place for devices drawn anew, whose coefficients have these means and standard deviations.
+
+        None where it has a single place, or none of its coefficients is named.
+        """
+        return None
+
 
 @dataclass(frozen=True)
 class LimitedUnknown(LimitedQuantity):
@@ -122,9 +136,7 @@ class QuantityInUse(LimitedQuantity):
         units = {self._chosen.stimulus: self._chosen.unit}
         units |= {i.name: i.unit for i in self._chosen.inputs if i.kind != "lag slope"}
         names = [
-            n
-            for n in units
-            if n in self._acting or n in (self._chosen.stimulus,) * self._is_corrected
+            n for n in units if n in self._acting or n in (self._chosen.stimulus,) * self.is_error
         ]
         return {
             n: (float(v.min()), float(v.max()), units[n])
@@ -135,7 +147,7 @@ class QuantityInUse(LimitedQuantity):
     @cached_property
     def _acting(self) -> set[str]:
         """Inputs, and the stimulus, that it depends on."""
-        if self._is_corrected:
+        if self.is_error:
             return set(self._chosen._inverse.inputs)
         equation, reference = self._chosen._equation, self._chosen._inverse.reference
         theta = {u.key: jnp.ones(()) for u in equation.unknowns()}
@@ -166,23 +178,29 @@ class QuantityInUse(LimitedQuantity):
         return self._values(self._chosen._moments.draws, 0.0)[0]
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
-        if self._is_corrected or self._size > 1:
+        if self._size > 1:
             return None
-        chosen, moments = self._chosen, self._chosen._moments
-        theta = np.tile(moments.mean, (len(moments.draws), 1))
-        random = np.random.default_rng(chosen._calibration.seed)
+        values = self._drawn_anew(table, len(self._chosen._moments.draws))
+        return None if values is None else (float(values.mean()), float(values.std()))
+
+    def of_devices(
+        self, table: Mapping[str, tuple[float, float]], count: int
+    ) -> Float[np.ndarray, "n g"] | None:
+        return None if self._size == 1 else self._drawn_anew(table, count)
+
+    def _drawn_anew(
+        self, table: Mapping[str, tuple[float, float]], count: int
+    ) -> Float[np.ndarray, "n g"] | None:
+        chosen = self._chosen
         known = [i for i, u in enumerate(chosen._equation.unknowns()) if u.name in table]
-        if not known:
+        if not known or self.is_error:
             return None
+        theta = np.tile(chosen._moments.mean, (count, 1))
+        random = np.random.default_rng(chosen._calibration.seed)
         for i in known:
             mean, sd = table[chosen._equation.unknowns()[i].name]
-            theta[:, i] = mean + sd * random.standard_normal(len(theta))
-        values, _ = self._values(theta, 0.0)
-        return float(values.mean()), float(values.std())
-
-    @property
-    def _is_corrected(self) -> bool:
-        return self.limit.quantity in (READING, MEAN)
+            theta[:, i] = mean + sd * random.standard_normal(count)
+        return self._values(theta, 0.0)[0]
 
     @property
     def _chosen(self) -> Compensator:
@@ -210,7 +228,7 @@ class QuantityInUse(LimitedQuantity):
             inputs["time"] = inputs["time"] + later
         stimulus, draws = jnp.asarray(self._places[chosen.stimulus]), jnp.asarray(theta)
         start = inverse.equation, inverse.reference
-        if not self._is_corrected:
+        if not self.is_error:
             name = self.limit.quantity
             found = inversion.slots_over_draws(*start, name, draws, stimulus, inputs)
             return np.asarray(found), 0.0
@@ -458,7 +476,7 @@ def with_population(
     if not isinstance(given, SpreadOfDevices):
         return quantity.over_devices(given)
     limit = quantity.limit
-    if limit.quantity in (READING, MEAN) or any(r.high > r.low for r in limit.over):
+    if quantity.is_error or any(r.high > r.low for r in limit.over):
         return None
     unit, own = given.unit or "1", quantity.unit or "1"
     if given.quantity not in ("", limit.quantity) or not same_dimension(unit, own):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import panel as pn
@@ -19,23 +20,27 @@ from bayescal._workbench.parts.pieces import choice, row, words
 from bayescal._workbench.parts.style import CSS, DARK, INSIDE, LIGHT
 from bayescal._workbench.parts.work import Work
 
+HERE = Path(__file__).parent
 
-class Ground(JSComponent):
-    """Whether the browser prefers a dark ground, and has room; seen once, when the page opens."""
+
+class Browser(JSComponent):
+    """What the browser prefers, sees and is given: its ground, its room, a server that is gone, a dropped file.
+
+    Attributes:
+        dark, wide, seen: whether it prefers a dark ground, has room for a further panel, and has said so.
+        kept: folder in which everything is, for the words when the server is gone.
+        files: how often a file was dropped on the page.
+        undone: how often Ctrl-Z was pressed outside a field.
+    """
 
     dark = param.Boolean(default=False)
     wide = param.Boolean(default=False)
     seen = param.Boolean(default=False)
+    kept = param.String(default="")
+    files = param.Integer(default=0)
+    undone = param.Integer(default=0)
 
-    _esm = """
-    export function render({ model, el }) {
-      document.body.style.margin = "0";
-      model.dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
-      model.wide = window.innerWidth >= 1700;
-      model.seen = true;
-      return document.createElement("span");
-    }
-    """
+    _esm = HERE / "parts" / "browser.js"
 
 
 class Workbench:
@@ -46,34 +51,45 @@ class Workbench:
         view: what Panel serves, or shows in a notebook.
     """
 
-    def __init__(self, session: Any, *, framed: bool = False) -> None:
-        """`framed`: part of another page, such as a notebook; else it takes the whole screen."""
-        self.session = session
+    def __init__(self, session: Any, *, framed: bool = False, others: Any = None) -> None:
+        """Args:
+        session: what it is over.
+        framed: part of another page, such as a notebook; else it takes the whole screen.
+        others: what else stands at the top, such as the way to other sessions.
+        """
+        self.session, self._others = session, others
         self.work = Work(self._tell)
         self.work.on_busy.append(self._busy)
+        self.beside: int | None = None  # the step that is compared with; None: the one before
         self._found, self._ending = "", False  # of the last search; whether it was stopped
         self.fails = Fails(lambda rows: self.tabs.selected(rows))
         self.model = ModelPane(self.act, self._ask)
         self.missing = Missing(lambda e: self.act("add", e), self._point, self.look)
-        self.error = ErrorPane(lambda n: self.act("go_to", n), self._find_all, self._stop)
+        self.error = ErrorPane(
+            lambda n: self.act("go_to", n), self.compare, self._find_all, self._stop, self._undo
+        )
         self.tabs = Tabs(self, self.error.view)
         self.view = self._page(framed)
         self._wear(False)
-        self.refresh()
+        self._listen()
         pn.state.onload(self._opened)
         document = pn.state.curdoc
         if document is not None and document.session_context is not None:
-            document.on_session_destroyed(lambda _: self.work.close())
+            document.on_session_destroyed(lambda _: self._close())
 
     def _page(self, framed: bool) -> pn.Column:
         self.told = words(readings_in_words(self.session), "small", "about")
         self.status = words("", "small", "status")
-        self.ground = Ground(margin=0, width=0, height=0)
+        kept = str(self.session.folder.parent)
+        self.browser = Browser(margin=0, width=0, height=0, kept=kept)
         self.light = choice(["light", "dark"], "light", "Ground")
         self.light.param.watch(lambda event: self._wear(event.new == "dark"), "value")
-        self.ground.param.watch(lambda _: self._prefer(), "seen")
+        self.browser.param.watch(lambda _: self._prefer(), "seen")
+        self.browser.param.watch(lambda _: self.tabs.open("File"), "files")
+        self.browser.param.watch(lambda _: self._undo(), "undone")
         title = pn.pane.HTML("<h1>bayescal workbench</h1>", stylesheets=[INSIDE], margin=0)
-        top = row(title, self.told, self.status, self.light, self.ground, kinds=("top",))
+        others = [] if self._others is None else [self._others]
+        top = row(title, self.told, self.status, *others, self.light, self.browser, kinds=("top",))
         return pn.Column(
             top,
             self.model.view,
@@ -86,14 +102,53 @@ class Workbench:
             margin=0,
         )
 
+    def _listen(self) -> None:
+        """Show the session, and whatever another page does to it."""
+        self.session.on_change.append(self._changed)
+        self.refresh()
+
+    def _close(self) -> None:
+        self.session.on_change.remove(self._changed)
+        self.work.close()
+
+    def _changed(self) -> None:
+        """A state was made or gone to, here or by another page: what is done here is shown when it is done."""
+
+        def show() -> None:
+            shown = self.session.current.number, len(self.session.states)
+            if not self.work.busy and shown != self._shown:
+                self.done()
+
+        self.work.on_page(show)
+
+    def compare(self, number: int) -> None:
+        """Compare another step with this one: in the panels, and in numbers."""
+        self.beside = number
+        self.refresh()
+        self.fails.when.value = "both"
+        self.tabs.open("Side by side")
+
+    def _undo(self) -> None:
+        if self.session.before is not None and not self.work.busy:
+            self.act("undo")
+
     def refresh(self, *_: Any) -> None:
         """Show the session's current state."""
         states, state = self.session.states, self.session.current
-        before = None if state.parent is None else states[state.parent].step
+        self._shown = (state.number, len(states))
+        if self.beside == state.number:
+            self.beside = None
+        other = states.get(state.parent if self.beside is None else self.beside)
         self.model.show(state)
-        self.fails.show(state.step, before)
+        self.fails.show(
+            state.step,
+            None if other is None else other.step,
+            (f"step {state.number}", "none" if other is None else f"step {other.number}"),
+        )
         self.missing.show(state.discovery)
         self.error.show(states, state.number)
+        self.error.undo.disabled = self.session.before is None
+        self.tabs.compare.beside(None if other is None else other.number)
         self.tabs.show(state)
 
     def act(self, name: str, *arguments: Any) -> None:
@@ -101,7 +156,15 @@ class Workbench:
         self.work.forget_preview()
         self.error.searching(False)  # what the last search found is of another path
         told = f"{_DOING.get(name, name)} {' '.join(map(str, arguments))} …"
-        self.work.begin(told, lambda: getattr(self.session, name)(*arguments), self.done)
+        self._make_stale(True)
+        job = lambda: getattr(self.session, name)(*arguments)  # noqa: E731
+        self.work.begin(told, job, self.done, failed=lambda: self._make_stale(False))
+
+    def _make_stale(self, stale: bool) -> None:
+        """Whether what is shown is of a model that is being left: it is dimmed until the next one stands there."""
+        for one in (self.model.view, self.fails.view, self.missing.view, self.error.view):
+            kept = [kind for kind in one.css_classes if kind != "stale"]
+            one.css_classes = [*kept, *["stale"] * stale]
 
     def begin_with(self, readings: Any) -> None:
         """Begin anew with other readings: a session of its own, in the place of this one."""
@@ -112,7 +175,9 @@ class Workbench:
         )
 
     def _begun(self, session: Any) -> None:
-        self.session = session
+        self.session.on_change.remove(self._changed)
+        self.session, self.beside = session, None
+        session.on_change.append(self._changed)
         self.told.object = readings_in_words(session)
         self.error.searching(False)
         self.tabs.open("The error")
@@ -155,6 +220,7 @@ class Workbench:
 
     def done(self, _: Any = None) -> None:
         """Something was done: show the state that it led to, and look for what is missing from it."""
+        self._make_stale(False)
         self.refresh()
         self.look()
 
@@ -177,6 +243,7 @@ class Workbench:
         self.work.preview(lambda: self.session.preview(effect), drawn)
 
     def _find_all(self) -> None:
+        self.beside: int | None = None  # the step that is compared with; None: the one before
         self._found, self._ending = "", False
         self.error.searching(True, "searching …")
 
@@ -216,15 +283,15 @@ class Workbench:
         self.status.css_classes = ["small", "status", *(["refused"] if refused else [])]
 
     def _prefer(self) -> None:
-        if self.ground.seen and self.ground.dark:
+        if self.browser.seen and self.browser.dark:
             self.light.value = "dark"
-        elif self.ground.seen:
+        elif self.browser.seen:
             self._wear(False)
-        self.fails.widen(self.ground.wide)  # the further panel is made in the page's colours
+        self.fails.widen(self.browser.wide)  # the further panel is made in the page's colours
 
     def _wear(self, dark: bool) -> None:
         """Take a light or a dark ground."""
-        seen = self.ground.seen or dark
+        seen = self.browser.seen or dark
         kept = [c for c in self.view.css_classes if c not in ("dark", "light", "unsaid")]
         self.view.css_classes = [*kept, ("dark" if dark else "light") if seen else "unsaid"]
         palette = DARK if dark else LIGHT
@@ -240,6 +307,7 @@ _DOING = {
     "resize": "Resizing",
     "noise": "Fitting with noise",
     "go_to": "Going back to step",
+    "undo": "Going back",
 }
 
 

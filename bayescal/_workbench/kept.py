@@ -22,6 +22,8 @@ from typing import Any
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._calibration.fit import load
+from bayescal._calibration.posterior_tree import build_tree
+from bayescal._calibration.storage import save
 from bayescal._core.atomic_file import to_disk, write_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import OneOf, mismatch, read_json
@@ -44,6 +46,8 @@ STATE_SHAPE = {
     **{"number": int, "parent": OneOf(None, int), "title": str, "at": str},
     **{"added": OneOf(None, str), "changed": str},
 }
+# Replicated readings that a step keeps, in draws: of 500 at 2,000 readings they took half the time of *Add*.
+REPLICATED = 20
 _NUMBERED = re.compile(r"session_(\d+)")
 _STATE = re.compile(r"\.?state_(\d{3,})(\..*)?")
 
@@ -72,7 +76,8 @@ def keep_state(folder: Path, name: str, state: State, script: str) -> None:
         "changed": state.step.changed,
     }
     with whole_folder(own, identity(state.calibration)) as hidden:
-        state.calibration.save(hidden / CALIBRATION)
+        cells = REPLICATED * len(state.calibration.readings)
+        save(state.calibration, build_tree(state.calibration, cells), hidden / CALIBRATION)
         write_text(script, hidden / SCRIPT)
         write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", hidden / STATE)
     to_disk(folder)
@@ -119,6 +124,15 @@ def session_in(folder: Path) -> dict[str, Any]:
         raise InputError(
             f"{folder} holds no session that can be gone on with ({error}): begin one in another folder"
         ) from None
+
+
+def last_step(folder: Path) -> str:
+    """What was done last in a session that is not open, in words; empty where its folder does not say."""
+    try:
+        told = read_json(folder / f"state_{session_in(folder)['current']:03d}" / STATE, STATE_SHAPE)
+        return f"step {told['number']}: {told['title']}"
+    except (OSError, ValueError, InputError):
+        return ""
 
 
 def states_in(

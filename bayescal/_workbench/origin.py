@@ -27,11 +27,12 @@ METHODS = ("LeastSquares", "Marginal", "NUTS")
 READ = {
     **{"columns?": {str: str}, "units?": {str: str}, "ignore?": [str]},
     **{"local_gravity?": float, "nominal_scale?": str, "nominal_zero?": str},
+    "outputs?": [str],
     **{"missing?": str, "decimal?": str, "date_order?": str},
 }
 SHAPE = {  # of `Origin.data`
     "instrument": str,
-    **{"files": [str], "holdout": [str], "effect_files": [str]},
+    **{"files": [str], "holdout": [str], "effect_files": [str], "channel?": str},
     "read": READ,
     "average": OneOf(None, str),
     "keep_spikes": bool,
@@ -56,6 +57,7 @@ class Origin:
         average: time over which means are taken; None for single readings.
         keep_spikes: whether single readings far from both neighbours stay.
         effect_files: Python files with effects of the user's own, in full.
+        channel: which of the outputs that `read` names; empty where there is one.
     """
 
     instrument: str
@@ -65,6 +67,7 @@ class Origin:
     average: str | None = None
     keep_spikes: bool = False
     effect_files: tuple[str, ...] = ()
+    channel: str = ""
 
     @classmethod
     def of(
@@ -130,7 +133,8 @@ class Origin:
         """The hold-out data as they were; None without."""
         if not self.holdout:
             return None
-        kept = read(list(self.holdout), instrument, **self.read)
+        found = read(list(self.holdout), instrument, **self.read)
+        kept = found[self.channel] if self.channel else found
         if self.average is not None:
             kept = set_aside(kept, self.keep_spikes).average(self.average)
         return kept
@@ -160,12 +164,13 @@ class Origin:
         spikes = ", keep_spikes=True" if self.keep_spikes else ""
         options = "".join(f", {name}={value!r}" for name, value in self.read.items())
         lines = [*self._code_of_instrument(), *self._code_of_effects(), ""]
+        channel = f"[{self.channel!r}]" if self.channel else ""
         parts = {"readings": self.files, "holdout": self.holdout}
         for name, files in parts.items():
             if not files:
                 lines.append(f"{name} = None")
                 continue
-            lines.append(f"{name} = bc.read({list(files)!r}, instrument{options})")
+            lines.append(f"{name} = bc.read({list(files)!r}, instrument{options}){channel}")
             if self.average is not None:
                 lines.append(f"{name} = bc.set_aside({name}{spikes}).average({self.average!r})")
         if tailored:

@@ -73,8 +73,10 @@ class RunningSearch:
         steps = [self.first]
         yield self.first, self._missing(way[0])
         for before, at in pairwise(way):
-            model = structures.weigh(at).model
-            steps.append(self.loop.step(model, before, at, method=self.loop.quick(model)))
+            weighed = structures.weigh(at)
+            model, start = weighed.sized_model, weighed.phi
+            method = self.loop.quick(model)
+            steps.append(self.loop.step(model, before, at, method=method, start=start))
             yield steps[-1], self._missing(at)
             self._follow(self.loop.trail(steps, structures, complete=False))
 

@@ -10,24 +10,37 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 import panel as pn
 from bokeh.document import Document
+from jinja2 import Template
 from panel.io.state import set_curdoc
 from tornado.web import ErrorHandler
 
 from bayescal._core.errors import BayescalError, InputError
+from bayescal._core.quoting import html_text
 from bayescal._workbench import kept
 from bayescal._workbench.app import page
 from bayescal._workbench.parts.pieces import words
+from bayescal._workbench.parts.style import INSIDE
 from bayescal._workbench.session import Session
-from bayescal._workbench.start import Address, kept_sessions
+from bayescal._workbench.start import FIRST, Address, kept_sessions, skeleton
 
 MOST = 64 * 2**20  # bytes of one message of a browser's; files come in pieces that are far smaller
+MOST_LINKS = 4  # other sessions that are named; the others are in the folder
 MOST_ASKED = 2**16  # bytes of a request beside its messages: the page asks without a body
+
+# Scripts come last: what stands before them is seen while they load.
+PAGE = Template(
+    "{% from macros import embed %}"
+    + skeleton("", "Loading the page …")
+    + "{{ bokeh_css }}{{ bokeh_js }}{% for root in docs[0].roots %}{{ embed(root) }}{% endfor %}"
+    + "{{ plot_script }}</body></html>"
+)
 
 
 class Sessions:
@@ -50,7 +63,7 @@ class Sessions:
         self._lock = threading.Lock()
 
     def open(self, name: str = "") -> Session:
-        """The session of a name, resumed if need be; a new one if it has none.
+        """The session of a name, resumed if need be; the first is begun where there is none. Without a name a new one.
 
         Raises:
             InputError: there is none of that name, or it cannot be resumed.
@@ -63,22 +76,35 @@ class Sessions:
             lock = self._locks.setdefault(name, threading.Lock())
         with lock:
             if name not in self._open:
-                if name not in kept_sessions(self.folder):
+                there = name in kept_sessions(self.folder)
+                if not there and name != FIRST:
                     raise InputError(
                         f"there is no session {name!r} here: open the address without it"
                     )
-                self._open[name] = self._resume(self.folder / name)
+                make = self._resume if there else self._begin
+                self._open[name] = make(self.folder / name)
             return self._open[name]
 
-    def first(self, name: str) -> Session:
-        """The session of the first tab: resumed if the folder has it, else begun under that name."""
-        if name not in kept_sessions(self.folder):
-            self._open[name] = self._begin(self.folder / name)
-        return self.open(name)
+    @property
+    def last(self) -> str:
+        """Name of the session that was worked with last; of the first where there is none."""
+        return [FIRST, *kept_sessions(self.folder)][-1]
 
     def there(self, name: str) -> Session | None:
         """The session of a name, if it is open."""
         return self._open.get(name)
+
+    def links(self, shown: str, channel: str) -> str:
+        """HTML of the way to the other sessions of the folder, the last first, and to a new one."""
+        names = [n for n in reversed(kept_sessions(self.folder)) if n != shown][:MOST_LINKS]
+        told = [(n, {"session": n}, self._last_step(n)) for n in names]
+        return "".join(_link(*one, channel=channel) for one in [*told, ("new session", {}, "")])
+
+    def _last_step(self, name: str) -> str:
+        """What was done last in a session."""
+        if (session := self.there(name)) is not None:
+            return f"step {session.current.number}: {session.current.title}"
+        return kept.last_step(self.folder / name)
 
     def stop(self) -> None:
         """End the searches that are under way."""
@@ -86,21 +112,49 @@ class Sessions:
             session.stop()
 
 
-def application(sessions: Sessions) -> Callable[[], Any]:
-    """What a tab is given: the page of its session, or a word until that is ready."""
+def _link(text: str, query: Mapping[str, str], title: str, channel: str) -> str:
+    """A link within the address."""
+    address = urlencode({**query, **({"channel": channel} if channel else {})})
+    return f'<a href="?{html_text(address)}" title="{html_text(title)}">{html_text(text)}</a> '
+
+
+def application(channels: Mapping[str, Sessions]) -> Callable[[], Any]:
+    """What a tab is given: the page of its session, or a word until that is ready.
+
+    Args:
+        channels: the sessions of each channel of a unit, by its name; of a single one, by "".
+    """
 
     def tab() -> Any:
         document, location = pn.state.curdoc, pn.state.location
         assert document is not None
-        asked = pn.state.session_args.get("session", [b""])[0].decode("utf-8", "replace")
+        asked, channel = (
+            pn.state.session_args.get(name, [b""])[0].decode("utf-8", "replace")
+            for name in ("session", "channel")
+        )
+        channel = channel if channel in channels else next(iter(channels))
+        sessions = channels[channel]
         place = pn.Column(sizing_mode="stretch_both", margin=0)
-        document.title = "bayescal workbench"
+        document.title, document.template = "bayescal workbench", PAGE
 
         def show(session: Session) -> None:
+            name = session.folder.name
+            told = "".join(
+                f"<b>{html_text(n)}</b> " if n == channel else _link(n, {"session": s.last}, "", n)
+                for n, s in channels.items()
+                if n
+            )
+            links = pn.pane.HTML(
+                told + sessions.links(name, channel),
+                css_classes=["links"],
+                stylesheets=[INSIDE],
+                margin=0,
+            )
             with set_curdoc(document):
                 if location is not None:
-                    location.update_query(**{"session": session.folder.name})  # pyright: ignore[reportArgumentType]
-                place[:] = [page(session)]
+                    query = {"session": name, **({"channel": channel} if channel else {})}
+                    location.update_query(**query)  # pyright: ignore[reportArgumentType]
+                place[:] = [page(session, others=links)]
 
         if (session := sessions.there(asked)) is not None:
             show(session)
@@ -153,10 +207,10 @@ def answer_only(application: Any, names: Collection[str]) -> None:
     application.find_handler = find
 
 
-def serve(sessions: Sessions, address: Address) -> None:
+def serve(channels: Mapping[str, Sessions], address: Address) -> None:
     """Serve the workbench until Ctrl-C."""
     server = pn.io.server.get_server(
-        {"/": application(sessions)},
+        {"/": application(channels)},
         port=address.port,
         address=address.host,
         websocket_origin=list(address.names),
@@ -172,5 +226,6 @@ def serve(sessions: Sessions, address: Address) -> None:
     try:
         server.io_loop.start()
     finally:
-        sessions.stop()
+        for sessions in channels.values():
+            sessions.stop()
         server.stop()

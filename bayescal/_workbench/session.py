@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,6 +14,7 @@ import numpy as np
 
 from bayescal._core import deadline
 from bayescal._core.errors import BayescalError
+from bayescal._core.formatting import WIDTH
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import set_aside
 from bayescal._model.effect import Effect
@@ -24,13 +26,18 @@ from bayescal._search.describe import Draft, describe
 from bayescal._search.discover import Discovery, discover
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.own_files import user_effects
+from bayescal._search.plan_readings import ReadingPlan, plan_readings
 from bayescal._search.posterior import ShownStructure
 from bayescal._search.preview import Preview, Previews
-from bayescal._search.search_path import SearchPath
+from bayescal._search.search_path import SearchPath, Step
+from bayescal._use.budget import Budget, budget
+from bayescal._use.decide import decide
+from bayescal._use.decision import Decisions
 from bayescal._workbench import kept, take_away
 from bayescal._workbench.change import Change, changed
 from bayescal._workbench.origin import Origin, Settings
 from bayescal._workbench.search_thread import RunningSearch
+from bayescal._workbench.side_by_side import side_by_side
 from bayescal._workbench.state import State
 from bayescal._workbench.tree import Tree
 
@@ -54,7 +61,11 @@ class Session:
     own: dict[str, Effect] = field(default_factory=dict)
     _previews: dict[int, Previews] = field(default_factory=dict)
     _seeds: dict[int, tuple[ShownStructure, ...]] = field(default_factory=dict)
+    _finals: dict[int, Step] = field(default_factory=dict)
+    _decisions: dict[int, Decisions] = field(default_factory=dict)
+    _fitting: threading.Lock = field(default_factory=threading.Lock)
     _beside: threading.RLock = field(default_factory=threading.RLock)
+    _looking: threading.Lock = field(default_factory=threading.Lock)
     _ending: threading.Event = field(default_factory=threading.Event)
 
     @classmethod
@@ -159,6 +170,20 @@ class Session:
         return self.tree.go_to(number)
 
     @property
+    def before(self) -> int | None:
+        """The state that `undo` goes back to; None where nothing was done."""
+        return self.tree.before
+
+    def undo(self) -> State:
+        """Go back to the state that was current before; what was done since stays, as a branch."""
+        return self.tree.undo()
+
+    @property
+    def on_change(self) -> list[Callable[[], None]]:
+        """Called when a state is made or gone to, by whichever page."""
+        return self.tree.on_change
+
+    @property
     def laws(self) -> Mapping[str, Noise]:
         """Noise laws that the readings can tell, by name, that of the first model among them."""
         first = self.states[0].calibration
@@ -199,17 +224,19 @@ class Session:
 
     def look(self) -> Discovery:
         """What is missing from the current state, with probabilities: `bc.discover`; kept in the state."""
-        state, asked = self.current, self.tree.settings
-        if state.discovery is not None:
-            return state.discovery
-        found = discover(
-            state.calibration,
-            effects=tuple(self.own.values()),
-            max_effects=asked.max_effects,
-            widen_noise=asked.widen_noise,
-            time_limit=asked.time_limit,
-        )
-        self.tree.found(state.number, found)
+        number, asked = self.current.number, self.tree.settings
+        with self._looking:  # another page may look for the same
+            state = self.states[number]
+            if state.discovery is not None:
+                return state.discovery
+            found = discover(
+                state.calibration,
+                effects=tuple(self.own.values()),
+                max_effects=asked.max_effects,
+                widen_noise=asked.widen_noise,
+                time_limit=asked.time_limit,
+            )
+            self.tree.found(number, found)
         return found
 
     def find_all(self, follow: Callable[[SearchPath], None] = lambda _: None) -> None:
@@ -271,10 +298,52 @@ class Session:
         """Python that does what was clicked on the way to the current state, with equal numbers."""
         return self.tree.script(self.path())
 
+    def final(self) -> Step:
+        """The current model fitted by the method that was asked for, as `calibrate` leaves its last; kept."""
+        state = self.current
+        with self._fitting:
+            if state.number not in self._finals:
+                loop = self._loop
+                step = loop.step(state.model, method=loop.method)
+                step = replace(step, added=state.step.added, changed=state.step.changed)
+                self._finals[state.number] = step
+            return self._finals[state.number]
+
+    def verdict(self) -> str:
+        """Whether the current model may be used as it is, and how its fit went."""
+        trail = self._trail()
+        verdict = trail.final.calibration.verdict
+        said = "This result may be used." if trail.ok else "Not to be used as it is."
+        return "\n\n".join(
+            [
+                *(textwrap.fill(t, WIDTH) for t in (said, trail.gate.reason, str(verdict)) if t),
+                str(trail),
+            ]
+        )
+
+    def compare(self, number: int) -> str:
+        """The current model beside another step's: `bc.compare`, and their coefficients side by side."""
+        return side_by_side(self.current, self.states[number])
+
+    def budget(self, at: Mapping[str, float]) -> Budget:
+        """`bc.budget` of the current model."""
+        return budget(self.final().calibration, at)
+
+    def plan(self, limit: str, count: int) -> ReadingPlan:
+        """`bc.plan_readings` for the current model."""
+        return plan_readings(self.final().calibration, limit, count=count)
+
+    def decide(self, limits: Sequence[str], **how: Any) -> Decisions:
+        """`bc.decide` about the current model; its report begins with it."""
+        number, found = self.current.number, decide(self.final().calibration, limits, **how)
+        self._decisions[number] = found
+        return found
+
     def report(self, certificate: str | Path | None = None) -> Path:
-        """The report for sign-off, in the folder: what `bayescal report` writes of it."""
+        """The report for sign-off, in the folder: what `bayescal report` writes of it, with what was decided."""
         folder, _ = self._result()
-        return take_away.write_report(folder, self.tree.origin, self.own, certificate)
+        decided = self._decisions.get(self.current.number)
+        return take_away.write_report(folder, self.tree.origin, self.own, certificate, decided)
 
     def export(self, what: str, certificate: str | Path | None = None) -> Path:
         """An export of the current model, in the folder: what `bayescal export` writes; `what` is one of its formats.
@@ -284,7 +353,8 @@ class Session:
         """
         take_away.refuse_unknown(what)
         folder, trail = self._result()
-        return take_away.write_export(folder, trail, what, certificate)
+        decided = self._decisions.get(self.current.number)
+        return take_away.write_export(folder, trail, what, certificate, decided)
 
     @property
     def _loop(self) -> Loop:
@@ -305,9 +375,11 @@ class Session:
 
     def _result(self) -> tuple[Path, SearchPath]:
         """The current state's folder of results as `bayescal calibrate --out` leaves it, made anew; the trail in it."""
-        path = self.path()
-        trail = take_away.trail_of(path, self._loop)
-        folder = self.folder / f"result_{path[-1].number:03d}"
+        trail, number = self._trail(), self.current.number
+        folder = self.folder / f"result_{number:03d}"
         folder.mkdir(exist_ok=True)
         save_search(trail, folder)
         return folder, trail
+
+    def _trail(self) -> SearchPath:
+        return take_away.trail_of(self.path(), self.final(), self.holdout)

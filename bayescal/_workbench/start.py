@@ -26,34 +26,37 @@ if TYPE_CHECKING:
     from bayescal._model.model import Model
 
 LOOPBACK = "127.0.0.1"
-SESSION = "session.json"
+SESSION, FIRST = "session.json", "session_1"
 
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>bayescal workbench</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style>
-:root {{ color-scheme: light dark; }}
-body {{ font: 16px/1.5 system-ui, sans-serif; margin: 12vh auto; max-width: 36rem; padding: 0 1rem; }}
-h1 {{ font-size: 1.3rem; }}
-</style></head>
-<body><h1>bayescal workbench</h1><p>{readings}</p><p role="status" aria-live="polite">{doing}</p>
-<script>
-const look = async () => {{
-  try {{
-    const there = await fetch(location.href, {{ cache: "no-store" }});
+# What is seen before the page is, its panes empty; also while the browser loads Panel's scripts.
+SKELETON = (Path(__file__).parent / "parts" / "skeleton.html").read_text("utf-8")
+LOOK = """<script>
+const look = async () => {
+  try {
+    const there = await fetch(location.href, { cache: "no-store" });
     if (!there.headers.has("X-Bayescal-Waiting")) return location.reload();
     const told = new DOMParser().parseFromString(await there.text(), "text/html");
     document.querySelector("[role=status]").textContent = told.querySelector("[role=status]").textContent;
     window.missed = 0;
-  }} catch {{
+  } catch {
     window.missed = (window.missed || 0) + 1;
     if (window.missed > 30) document.querySelector("[role=status]").textContent =
       "The workbench has ended; the terminal says why.";
-  }}
+  }
   setTimeout(look, 250);
-}};
+};
 setTimeout(look, 250);
-</script></body></html>"""
+</script>"""
+HEAD = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>bayescal workbench</title>
+<meta name="viewport" content="width=device-width, initial-scale=1"></head><body>
+"""
+
+
+def skeleton(readings: str, doing: str) -> str:
+    """The page before there is one: HTML of its empty panes, with what is opened and what is being done."""
+    told = SKELETON.replace("{readings}", html_text(readings))
+    return HEAD + told.replace("{doing}", html_text(doing))
 
 
 @dataclass(frozen=True)
@@ -122,10 +125,14 @@ def refuse_without_panel() -> None:
 
 
 def kept_sessions(folder: Path) -> list[str]:
-    """Names of the sessions that a folder holds, session_1 and so on, the latest last."""
-    there = [path.parent.name for path in folder.glob(f"session_*/{SESSION}")]
-    numbers = (name.removeprefix("session_") for name in there)
-    return [f"session_{n}" for n in sorted(int(n) for n in numbers if n.isdecimal())]
+    """Names of the sessions that a folder holds, session_1 and so on, the one worked with last at the end."""
+    there = [
+        p
+        for p in folder.glob(f"session_*/{SESSION}")
+        if p.parent.name.removeprefix("session_").isdecimal()
+    ]
+    there.sort(key=lambda p: (p.stat().st_mtime_ns, p.parent.name))
+    return [p.parent.name for p in there]
 
 
 class Waiting:
@@ -171,7 +178,7 @@ class Waiting:
         self._thread.start()
 
     def _page(self, readings: str) -> str:
-        return PAGE.format(readings=html_text(readings), doing=html_text(self.doing))
+        return f"{skeleton(readings, self.doing)}{LOOK}</body></html>"
 
     def __enter__(self) -> Waiting:
         return self

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -34,13 +34,16 @@ class Tree:
         folder: that keeps them.
         settings: as of `calibrate`.
         origin: where readings and effects come from.
+        on_change: called when a state is made or gone to, from whatever thread.
     """
 
     folder: Path
     settings: Settings
     origin: Origin = NOWHERE
+    on_change: list[Callable[[], None]] = field(default_factory=list)
     _states: dict[int, State] = field(default_factory=dict)
     _at: int = 0
+    _been: list[int] = field(default_factory=list)  # current states before this one, the last last
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
     @classmethod
@@ -127,9 +130,34 @@ class Tree:
         with self._lock:
             if number not in self._states:
                 raise InputError(f"there is no step {number}: there are 0 to {max(self._states)}")
-            self._at = number
-            self._keep()
+            self._been.append(self._at)
+            self._be(number)
             return self.current
+
+    @property
+    def before(self) -> int | None:
+        """The state that was current before this one, its parent if that is not known; None for a first one."""
+        return self._been[-1] if self._been else self.current.parent
+
+    def undo(self) -> State:
+        """Make the state current that was so before; what was done since stays, as a branch.
+
+        Raises:
+            InputError: nothing was done.
+        """
+        with self._lock:
+            if (before := self.before) is None:
+                raise InputError("nothing was done that could be undone")
+            del self._been[-1:]
+            self._be(before)
+            return self.current
+
+    def _be(self, number: int) -> None:
+        """Make a state the current one."""
+        self._at = number
+        self._keep()
+        for call in tuple(self.on_change):
+            call()
 
     def append(self, step: Step, parent: int | None, discovery: Discovery | None = None) -> State:
         """A step as a child of a state: kept, and then the current one.
@@ -144,8 +172,10 @@ class Tree:
             if not number:
                 self._keep()
             kept.keep_state(self.folder, folder_name(number), state, self.script([*path, state]))
-            self._states[number], self._at = state, number
-            self._keep()
+            self._states[number] = state
+            if number:
+                self._been.append(self._at)
+            self._be(number)
             return state
 
     def found(self, number: int, discovery: Discovery | None) -> None:

@@ -139,6 +139,7 @@ def test_one_identity_and_one_hash_of_the_readings_in_every_artefact(
     np.testing.assert_array_equal(loaded.readings["output"], calibration.readings["output"])
 
 
+LIMIT = "bias.temperature: ±1 g/°C"
 SCHEMA = os.environ.get(
     "BAYESCAL_DCC_SCHEMA", ""
 )  # a folder with the PTB's dcc.xsd and SI_Format.xsd
@@ -153,7 +154,8 @@ def written(saved, tmp_path):
     """A digital certificate, as text."""
     stated, out = tmp_path / "stated.toml", tmp_path / "dcc.xml"
     stated.write_text(STATED, "utf-8")
-    ran = run("export", saved, "--format", "dcc", "--certificate", stated, "--out", out)
+    asked = ("--limit", LIMIT, "--limit", "bias.temperature: ±1e-9 g/°C")
+    ran = run("export", saved, "--format", "dcc", "--certificate", stated, "--out", out, *asked)
     assert ran.status == 0, ran.err
     return out.read_text("utf-8")
 
@@ -175,6 +177,15 @@ def test_a_digital_certificate_is_valid_by_the_schema_of_the_ptb(written, tmp_pa
     schema.assertValid(etree.fromstring(written.encode()))
     broken = written.replace("<dcc:coreData>", "<dcc:coreData><dcc:colour/>")
     assert not schema.validate(etree.fromstring(broken.encode()))
+
+
+def test_a_digital_certificate_states_conformity_with_its_rule(written) -> None:
+    space = {"dcc": "https://ptb.de/dcc"}
+    said = ElementTree.fromstring(written).findall(".//dcc:measurementMetaData/dcc:metaData", space)
+    assert [one.findtext("dcc:conformity", "", space) for one in said] == ["pass", "fail"]
+    declared = said[0].findtext("dcc:declaration/dcc:content", "", space)
+    assert LIMIT in declared and "probability of false acceptance at most 2.5 %" in declared
+    assert "JCGM 106:2012" in [norm.text for norm in said[0].findall("dcc:norm", space)]
 
 
 def test_a_digital_certificate_states_coefficients_in_si(calibration, written) -> None:
@@ -219,7 +230,8 @@ def test_a_digital_certificate_without_what_it_needs_is_refused(
     stated = tmp_path / "stated.toml"
     stated.write_text(STATED.replace(*change), "utf-8")
     out = tmp_path / "dcc.xml"
-    ran = run("export", saved, "--format", "dcc", "--certificate", stated, "--out", out)
+    asked = ("--limit", LIMIT, "--limit", "bias.temperature: ±1e-9 g/°C")
+    ran = run("export", saved, "--format", "dcc", "--certificate", stated, "--out", out, *asked)
     assert ran.status == 2 and not out.exists()
     assert re.search(said, ran.err), ran.err
     ran = run("export", saved, "--format", "dcc")

@@ -162,10 +162,14 @@ class Seen:
         return self
 
     def steps(self) -> list[list[str]]:
-        """The table of steps: a row's cells as text."""
-        self.page.locator("tr[data-row]").first.wait_for()
-        rows = self.page.locator("tr[data-row]").all()
+        """The table of steps, by their numbers: a row's cells as text."""
+        self.page.locator('tr[data-row="0"]').wait_for()
+        rows = [self.page.locator(f'tr[data-row="{n}"]') for n in range(self.count())]
         return [row.locator("td").all_inner_texts() for row in rows]
+
+    def count(self) -> int:
+        """How many steps there are."""
+        return self.page.locator("table[aria-label=Steps] tr[data-row]").count()
 
     def tab(self, name: str) -> Seen:
         self.page.get_by_text(name, exact=True).click()

@@ -14,7 +14,10 @@ from tests.support.command_line import needs_installation
 from tests.workbench.real_page import Bench, Seen, opened
 
 pytestmark = [needs_installation, pytest.mark.slow]
-TABS = ("Next experiment", "Allan deviation", "Report", "Export", "Python", "File", "Describe")
+TABS = (
+    *("Side by side", "Verdict", "Budget", "Decision", "Where to measure", "Next experiment"),
+    *("Allan deviation", "Report", "Export", "Python", "File", "Describe"),
+)
 SIZES = {"1280": (1280, 800), "768": (768, 1024), "1920": (1920, 1080)}
 SHOWN = {  # by the docs
     "start 1280": "start",

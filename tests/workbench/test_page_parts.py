@@ -17,6 +17,7 @@ from bayescal._workbench.panes.file import safe_name
 from bayescal._workbench.panes.missing import candidate_rows
 from bayescal._workbench.panes.tabs import ERROR
 from bayescal._workbench.parts.decimate import MANY, PIXELS, drawn_rows, sentence
+from bayescal._workbench.parts.gaps import CutAxis
 from bayescal._workbench.parts.pieces import words
 from bayescal._workbench.parts.rows import Rows
 from bayescal._workbench.parts.style import new_figure
@@ -36,7 +37,7 @@ def many() -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 def test_extremes_of_every_column_of_pixels_are_drawn(many) -> None:
     columns, residual = many
-    rows = drawn_rows(columns, residual)
+    rows = drawn_rows(columns, [residual])
     assert rows.size <= MANY + len(columns) * 2 * PIXELS
     assert 41_234 in rows
     for values in columns.values():
@@ -52,13 +53,13 @@ def test_extremes_of_every_column_of_pixels_are_drawn(many) -> None:
 def test_of_few_readings_all_are_drawn(many) -> None:
     columns, residual = many
     few = {name: values[:MANY] for name, values in columns.items()}
-    assert drawn_rows(few, residual[:MANY]).size == MANY
+    assert drawn_rows(few, [residual[:MANY]]).size == MANY
     assert sentence(MANY, MANY) == ""
 
 
 def test_a_view_of_a_part_draws_more_of_it(many) -> None:
     columns, residual = many
-    near = drawn_rows(columns, residual, {"time": (1000.0, 1500.0)})
+    near = drawn_rows(columns, [residual], {"time": (1000.0, 1500.0)})
     inside = (columns["time"][near] >= 1000) & (columns["time"][near] <= 1500)
     assert inside.sum() == 501, "all readings in view are drawn where they are few"
 
@@ -93,7 +94,8 @@ def test_a_press_that_the_page_does_not_offer_is_not_taken() -> None:
 def test_steps_stand_after_their_parents_and_branches_are_set_in() -> None:
     parents = {0: None, 1: 0, 2: 1, 3: 0, 4: 3, 5: 1}
     states = {n: SimpleNamespace(parent=parent) for n, parent in parents.items()}
-    assert in_order(states) == [(0, 0), (1, 0), (2, 0), (5, 1), (3, 1), (4, 1)]
+    order = [(0, ""), (3, "├ "), (4, "│ "), (1, ""), (5, "├ "), (2, "")]
+    assert in_order(states) == order
     assert path_to(states, 5) == [0, 1, 5]
 
 
@@ -140,7 +142,7 @@ def test_every_pane_is_made_without_a_browser(session: Session) -> None:
         assert bench.view.get_root()
     session.add(bench.missing.rows.rows[0]["id"])
     bench.refresh()
-    bench.ground.param.update(dark=True, wide=True, seen=True)
+    bench.browser.param.update(dark=True, wide=True, seen=True)
     bench.fails.when.value = "both"
     bench.fails.select(np.arange(30))
     assert "30 readings selected" in bench.tabs.describe.chosen.object
@@ -151,3 +153,20 @@ def test_every_pane_is_made_without_a_browser(session: Session) -> None:
     file.given()
     assert bench.view.get_root()
     assert "dark" in bench.view.css_classes
+
+
+def test_long_gaps_between_runs_are_left_out_of_the_time_axis() -> None:
+    """Three hours of readings, a day apart."""
+    times = np.concatenate([np.arange(0.0, 3600, 30) + day * 86_400 for day in range(3)])
+    cut = CutAxis.of(times[::-1])
+    assert cut.starts.tolist() == [0, 86_400, 172_800]
+    at = cut.place(times)
+    assert np.all(np.diff(at) > 0), "the order of readings stays"
+    assert np.ptp(at) < 1.5 * 3 * 3600
+    assert np.allclose(np.diff(at)[np.diff(times) == 30], 30), "stretches stay as they are"
+    assert np.all(cut.taken % 1000 == 0), "marks of the axis stay round numbers"
+
+
+@pytest.mark.parametrize("times", [np.arange(10.0), np.array([3.0]), np.array([0.0, 1, 2, 7])])
+def test_a_time_axis_without_long_gaps_is_left_as_it_is(times) -> None:
+    assert CutAxis.of(times).place(times).tolist() == times.tolist()

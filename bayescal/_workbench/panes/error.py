@@ -1,4 +1,4 @@
-"""The error: the path so far, every step to go back to, and the whole search with its progress."""
+"""The error: the tree of steps with the path so far, every step to go back to, the whole search with its progress."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormat
 from bayescal._core.formatting import number, probability
 from bayescal._data.unit_conversion import unit_label
 from bayescal._search.search_path import RISES
+from bayescal._workbench.panes.fails_panel import NOISE
 from bayescal._workbench.parts.pieces import button, column, halves, plot, row, words
 from bayescal._workbench.parts.rows import Rows
 from bayescal._workbench.parts.style import (
@@ -37,24 +38,32 @@ class ErrorPane:
     """
 
     def __init__(
-        self, go_to: Callable[[int], None], find_all: Callable[[], None], stop: Callable[[], None]
+        self,
+        go_to: Callable[[int], None],
+        compare: Callable[[int], None],
+        find_all: Callable[[], None],
+        stop: Callable[[], None],
+        undo: Callable[[], None],
     ) -> None:
-        self._go_to = go_to
+        to = {"go": go_to, "compare": compare}
         self.palette: Palette = LIGHT
         self.rows = Rows(
-            lambda state, _: self._go_to(int(state)),
+            lambda state, action: to[action](int(state)),
             table=True,
             kind="table",
             label="Steps",
         )
         self.find = button("Find all", lambda _: find_all(), color="primary")
         self.halt = button("Stop", lambda _: stop(), disabled=True)
+        self.undo = button("Undo", lambda _: undo(), disabled=True)
         self.progress = words("", "small")
         empty: dict[str, Any] = {name: [] for name in (*(s[0] for s in SERIES), "step", "floor")}
         self.source: Any = ColumnDataSource(empty)
+        self.branches: Any = ColumnDataSource({"xs": [], "ys": []})
+        self.numbers: Any = ColumnDataSource({"x": [], "y": [], "text": []})
         self.figure = self._figure()
         self.view = column(
-            row(self.find, self.halt, self.progress),
+            row(self.find, self.halt, self.undo, self.progress),
             halves(plot(self.figure), self.rows),
         )
 
@@ -67,6 +76,10 @@ class ErrorPane:
         made.xaxis.ticker.mantissas = [1, 2, 5]
         made.xaxis.ticker.min_interval = 1
         made.xaxis.formatter = NumeralTickFormatter(format="0")
+        made.multi_line("xs", "ys", source=self.branches, color=NOISE, line_width=1.5)
+        self._numbers = made.text(
+            "x", "y", "text", source=self.numbers, x_offset=5, y_offset=-4, text_font_size="11px"
+        )
         items = []
         for name, marker, colour in SERIES:
             own = {"source": self.source, "color": colour or self.palette.blue}
@@ -111,8 +124,9 @@ class ErrorPane:
         floor = errors[-1]["noise_floor"]
         self.source.data = {"step": list(range(len(path))), "floor": [floor] * len(path), **values}
         largest = max(v for series in values.values() for v in series if v == v)
-        self.figure.y_range.end = 1.1 * max(largest, floor)
-        self.figure.x_range.start, self.figure.x_range.end = -0.3, max(1, len(path) - 1) + 0.3
+        deepest, highest = self._show_branches(states, path)
+        self.figure.y_range.end = 1.2 * max(largest, floor, highest)
+        self.figure.x_range.start, self.figure.x_range.end = -0.3, max(1, deepest) + 0.3
         self.figure.yaxis.axis_label = f"rms error [{unit}]"
         self._floor.location = floor
         kept_apart = any(v is not None for v in held_out)
@@ -129,10 +143,27 @@ class ErrorPane:
         ]
         self.rows.rows = step_rows(states, current, kept_apart, largest)
 
+    def _show_branches(self, states: Mapping[int, Any], path: list[int]) -> tuple[int, float]:
+        """Draw the steps off the path, each from its parent, and number all; the longest way, the largest error."""
+        depth = {n: len(path_to(states, n)) - 1 for n in states}
+        error = {n: float(states[n].step.errors()["rmse_fitted"]) for n in states}
+        off = [(states[n].parent, n) for n in states if n not in path]
+        self.branches.data = {
+            "xs": [[depth[a], depth[b]] for a, b in off],
+            "ys": [[error[a], error[b]] for a, b in off],
+        }
+        self.numbers.data = {
+            "x": list(depth.values()),
+            "y": list(error.values()),
+            "text": [str(n) for n in depth],
+        }
+        return max(depth.values()), max(error.values())
+
     def wear(self, palette: Palette) -> None:
         """Take the colours of a ground."""
         self.palette = palette
         dress(self.figure, palette)
+        self._numbers.glyph.text_color = palette.ink
         self._blue[0].glyph.line_color = palette.blue
         self._blue[1].glyph.fill_color = self._blue[1].glyph.line_color = palette.blue
 
@@ -154,20 +185,22 @@ def path_to(states: Mapping[int, Any], number: int) -> list[int]:
     return path
 
 
-def in_order(states: Mapping[int, Any]) -> list[tuple[int, int]]:
-    """(number, branchings before it), each state after its parent: a first child stays at its parent's depth."""
+def in_order(states: Mapping[int, Any]) -> list[tuple[int, str]]:
+    """(number, the lines of the tree before it), each state after its parent.
+
+    A first child stands in its parent's column; every other begins a branch, drawn between the two.
+    """
     children: dict[int | None, list[int]] = {}
     for n in sorted(states):
         children.setdefault(states[n].parent, []).append(n)
-    found: list[tuple[int, int]] = []
-    waiting = [(n, 0) for n in reversed(children.get(None, []))]
+    found: list[tuple[int, str]] = []
+    waiting = [(n, "", "") for n in reversed(children.get(None, []))]
     while waiting:
-        n, depth = waiting.pop()
-        found.append((n, depth))
-        own = children.get(n, [])
-        first, others = own[:1], own[1:]
-        waiting += [(c, depth + 1) for c in reversed(others)]
-        waiting += [(c, depth) for c in first]  # on top: it comes next
+        n, before, below = waiting.pop()
+        found.append((n, before))
+        first, others = children.get(n, [])[:1], children.get(n, [])[1:]
+        waiting += [(c, below, below) for c in first]
+        waiting += [(c, f"{below}├ ", f"{below}│ ") for c in reversed(others)]
     return found
 
 
@@ -176,12 +209,11 @@ def step_rows(
 ) -> list[dict[str, Any]]:
     """A row a state: its errors, and the way back to it."""
     rows = []
-    for n, depth in in_order(states):
+    for n, before in in_order(states):
         state = states[n]
         e = state.step.errors()
-        indent = "  " * depth + ("└ " if depth else "")
         cells: list[dict[str, Any]] = [
-            {"text": f"{indent}{n}  {state.title}"},
+            {"text": f"{before}{n}  {state.title}"},
             {"text": number(e["rmse_fitted"]), "kind": "number"},
             {"text": number(e["rmse"]), "kind": "number"},
         ]
@@ -204,12 +236,15 @@ def step_rows(
                 "title": "probability that the model is complete",
             },
         ]
-        here = {"id": "go", "label": "Go back", "title": "what is done next branches off here"}
+        here = [
+            {"id": "compare", "label": "Compare", "title": "with the step that is shown"},
+            {"id": "go", "label": "Go back", "title": "what is done next branches off here"},
+        ]
         rows.append(
             {
                 "id": str(n),
                 "cells": cells,
-                "actions": [] if n == current else [here],
+                "actions": [] if n == current else here,
                 "current": n == current,
             }
         )

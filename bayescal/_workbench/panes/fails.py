@@ -1,4 +1,4 @@
-"""Where it fails: residuals against columns side by side, brushed together, the worst region shaded."""
+"""Where it fails: output with the fit, and residuals, over columns side by side, brushed together."""
 
 from __future__ import annotations
 
@@ -11,12 +11,21 @@ from bokeh.events import Reset, SelectionGeometry
 from bokeh.models import ColumnDataSource, Range1d
 
 from bayescal._workbench.panes.fails_data import AGAINST, ResidualsOfState
-from bayescal._workbench.panes.fails_panel import AT, dress_panel, residual_panel, show_curve
+from bayescal._workbench.panes.fails_panel import (
+    AT,
+    CURVE,
+    FIT,
+    dress_panel,
+    output_panel,
+    residual_panel,
+    show_curve,
+)
 from bayescal._workbench.parts.decimate import drawn_rows, sentence
 from bayescal._workbench.parts.pieces import choice, column, plot, row, several, words
 from bayescal._workbench.parts.style import LIGHT, Palette, fixed_range, span
 
-AFTER, BEFORE, BOTH = "after", "before", "both"
+AFTER, BEFORE, BOTH = "after", "before", "both"  # this step, the one beside it
+WHAT = ["output", "residuals"]
 MOST = 4  # panels side by side, at most
 LEGEND = 6  # runs that are named beside their colour
 SIGNS = "●■▲◆▼⬢"  # as MARKERS
@@ -36,21 +45,25 @@ class Fails:
         self.palette: Palette = LIGHT
         self.selected = np.array([], int)
         self.source: Any = ColumnDataSource({})
+        self._curves: Any = ColumnDataSource({})  # of the preview: only what has it is drawn anew
         self._curve: np.ndarray | None = None
         self._views: dict[str, tuple[float, float]] = {}
         self._figures: dict[str, Any] = {}
-        self._panes: dict[str, pn.pane.Bokeh] = {}
+        self._outputs: dict[str, Any] = {}
+        self._panes: dict[str, pn.Column] = {}
         self._y = Range1d()
         self._waiting = self._showing = False
         self.choice = several([], [], "Columns that residuals are laid against")
-        self.when = choice([AFTER, BEFORE, BOTH], AFTER, "Residuals and the last step")
+        self.when = choice([AFTER, BEFORE, BOTH], AFTER, "Of which step")
+        self.what = several(WHAT, WHAT, "What is drawn")
+        self.what.css_classes = ["short"]
         self.said = words()
         self.drawn = words("", "small")
         self.brushed = words("", "small")
         self.legend = row(kinds=("tight",))
         self.panels = column(kinds=("panels",))
         self.view = column(
-            row(words("Where it fails", "title"), self.when, kinds=("spread",)),
+            row(words("Where it fails", "title"), self.what, self.when, kinds=("spread",)),
             self.choice,
             self.said,
             self.panels,
@@ -59,20 +72,23 @@ class Fails:
         )
         self.choice.param.watch(self._chosen, "value")
         self.when.param.watch(lambda _: self._showing or self._fill(), "value")
+        self.what.param.watch(lambda _: self._place(), "value")
 
-    def show(self, step: Any, before: Any | None) -> None:
-        """Show a state; `before` is the step of the one it came from."""
+    def show(self, step: Any, before: Any | None, names: tuple[str, str] = (AFTER, BEFORE)) -> None:
+        """Show a state; `before` is the step that it is compared with, `names` are those of both."""
         earlier = None if before is None else np.asarray(before.check.residuals, float)
         same = earlier is not None and earlier.size == len(step.check.residuals)
         self.shown = ResidualsOfState(step, earlier if same else None)
         self._curve = None
         self._views = {}
         self.said.object = self.shown.sentence()
-        names = list(self.shown.covariates)
-        kept = [n for n in self.choice.value if n in names]
+        columns = list(self.shown.covariates)
+        kept = [n for n in self.choice.value if n in columns]
         self._showing = True
-        self.when.param.update(disabled=not same, value=self.when.value if same else AFTER)
-        self.choice.param.update(options=names, value=kept or self.shown.start())
+        options = dict(zip((*names, BOTH), (AFTER, BEFORE, BOTH), strict=True))
+        value = self.when.value if same else AFTER
+        self.when.param.update(options=options, disabled=not same, value=value)
+        self.choice.param.update(options=columns, value=kept or self.shown.start())
         self._showing = False
         self._begin()
         self._say_selected()
@@ -86,8 +102,7 @@ class Fails:
         """Lay an effect's curve over the residuals, output unit, (n,); None takes it away."""
         self._curve = None if curve is None else np.asarray(curve, float)
         if self.shown is not None:
-            rows = self.source.data["row"]
-            self.source.data["curve"] = self._curve_at(rows)
+            self._curves.data[CURVE] = self._curve_at(self.source.data["row"])
             for made in self._figures.values():
                 show_curve(made, self._curve is not None)
 
@@ -97,7 +112,7 @@ class Fails:
         if self.shown is not None:
             self.source.data["colour"] = self.shown.colours(palette)[self.source.data["row"]]
             self._say_runs()
-        for made in self._figures.values():
+        for made in (*self._figures.values(), *self._outputs.values()):
             dress_panel(made, palette)
 
     def select(self, rows: np.ndarray) -> None:
@@ -121,8 +136,9 @@ class Fails:
     def _begin(self) -> None:
         """A source and panels of another state: those that go keep theirs."""
         assert self.shown is not None
-        self._y, self.source = fixed_range(-1, 1), ColumnDataSource({})
-        self._figures, self._panes = {}, {}
+        self._y = fixed_range(-1, 1)
+        self.source, self._curves = ColumnDataSource({}), ColumnDataSource({})
+        self._figures, self._outputs, self._panes = {}, {}, {}
         self._fit_range()  # before the panels are laid out: a change after it may overtake them
         self._lay_out()
         self.source.selected.on_change("indices", self._brushed_in_source)
@@ -135,13 +151,22 @@ class Fails:
         names = [n for n in self.choice.value if n in self.shown.covariates]
         self._fill_source(names)
         self._figures = {name: self._figures.get(name) or self._panel(name) for name in names}
-        for name in names:
-            if name not in self._panes:
-                dress_panel(self._figures[name], self.palette)
-                self._panes[name] = plot(self._figures[name])
-        self._panes = {name: self._panes[name] for name in names}
+        self._panes = {name: self._panes.get(name) or column(kinds=("stack",)) for name in names}
+        self._place()
         self.panels.css_classes = ["panels", f"of{len(names)}"]
         self.panels[:] = list(self._panes.values())
+
+    def _place(self) -> None:
+        """In the room of each column its output, its residuals, or both."""
+        for name, room in self._panes.items():
+            made = self._figures[name]
+            if name not in self._outputs and name != AGAINST and WHAT[0] in self.what.value:
+                self._outputs[name] = self._output(name, made)
+            upper = [self._outputs[name]] if name in self._outputs else []
+            wanted = [*upper * (WHAT[0] in self.what.value)]
+            wanted += [made] * (WHAT[1] in self.what.value or not wanted)
+            if [getattr(pane, "object", None) for pane in room] != wanted:
+                room[:] = [plot(one) for one in wanted]
 
     def _fill(self) -> None:
         """The same panels with other residuals."""
@@ -159,26 +184,32 @@ class Fails:
         shown = self.shown
         assert shown is not None
         residual = self._now()
-        covariates = {n: shown.covariates[n] for n in names}
-        rows = drawn_rows(covariates, residual, self._views) if names else np.array([], int)
+        covariates = {n: shown.places[n] for n in names}
+        rows = np.array([], int)
+        if names:
+            rows = drawn_rows(covariates, [residual, shown.measured], self._views)
         drawn = dict.fromkeys([*names, *self._figures])  # panels that go are drawn once more
-        data: dict[str, Any] = {AT + n: shown.covariates[n][rows] for n in drawn}
+        data: dict[str, Any] = {AT + n: shown.places[n][rows] for n in drawn}
         both = self.when.value == BOTH and shown.before is not None
+        other = np.full(rows.size, np.nan)
+        if both and shown.before is not None:
+            other = shown.before[rows]
         data |= {
             "row": rows,
             "reading": rows + 1,
             "run": [shown.runs[0][k] for k in shown.runs[1][rows]],
             "residual": residual[rows],
             "measured": shown.measured[rows],
-            "before": shown.before[rows]
-            if both and shown.before is not None
-            else np.full(rows.size, np.nan),
-            "curve": self._curve_at(rows),
+            FIT: (shown.measured - residual)[rows],
+            "before": other,
+            "fit before": shown.measured[rows] - other,
             "colour": shown.colours(self.palette)[rows],
             "marker": shown.markers()[rows],
         }
         chosen = self.selected
         self.source.data = data
+        at = {n: values for n, values in data.items() if n.startswith(AT)}
+        self._curves.data = {**at, CURVE: self._curve_at(rows)}
         self.source.selected.indices = np.flatnonzero(np.isin(rows, chosen)).tolist()
         self.drawn.object = sentence(rows.size, residual.size)
 
@@ -198,12 +229,20 @@ class Fails:
     def _panel(self, name: str) -> Any:
         shown = self.shown
         assert shown is not None
-        made = residual_panel(shown, name, self.source, self._y)
+        made = residual_panel(shown, name, self.source, self._curves, self._y)
         show_curve(made, self._curve is not None)
-        made.on_event(SelectionGeometry, lambda event: self._brushed_in_panel(name, event))
-        made.on_event(Reset, lambda _: self.select(np.array([], int)))
         for end in ("start", "end"):
             made.x_range.on_change(end, lambda attr, old, new: self._moved(name, made.x_range))
+        return self._brushable(made, name, name == AGAINST)
+
+    def _output(self, name: str, beneath: Any) -> Any:
+        assert self.shown is not None
+        return self._brushable(output_panel(self.shown, name, self.source, beneath), name, True)
+
+    def _brushable(self, made: Any, name: str, output: bool) -> Any:
+        dress_panel(made, self.palette)
+        made.on_event(SelectionGeometry, lambda event: self._brushed_in_panel(name, output, event))
+        made.on_event(Reset, lambda _: self.select(np.array([], int)))
         return made
 
     def _moved(self, name: str, view: Any) -> None:
@@ -225,14 +264,14 @@ class Fails:
 
         document.add_timeout_callback(rested, 120)
 
-    def _brushed_in_panel(self, name: str, event: Any) -> None:
+    def _brushed_in_panel(self, name: str, output: bool, event: Any) -> None:
         """Of many readings those that are not drawn belong to a region too."""
         shown, place = self.shown, event.geometry
         if shown is None or not event.final or place.get("type") != "rect":
             return
         if shown.residual.size == len(self.source.data["row"]):
             return  # the browser's own selection has them all
-        x, y = shown.covariates[name], shown.measured if name == AGAINST else self._now()
+        x, y = shown.places[name], shown.measured if output else self._now()
         low, high = sorted((place["x0"], place["x1"]))
         bottom, top = sorted((place["y0"], place["y1"]))
         self.selected = np.flatnonzero((x >= low) & (x <= high) & (y >= bottom) & (y <= top))
@@ -248,20 +287,20 @@ class Fails:
     def _say_runs(self) -> None:
         """Which colour and shape is which run."""
         assert self.shown is not None
-        levels = self.shown.runs[0]
-        if not 1 < len(levels) <= LEGEND:
-            many = f"{len(levels)} runs; colours and shapes repeat" if len(levels) > 1 else ""
-            self.legend[:] = [words(many, "small")]
-            return
-        cycle = self.palette.cycle
-        self.legend[:] = [
-            row(
-                words(SIGNS[k % len(SIGNS)], styles={"color": cycle[k % len(cycle)]}),
-                words(f"run {level[:16]}", "small"),
-                kinds=("tight",),
-            )
-            for k, level in enumerate(levels)
+        levels, cycle = self.shown.runs[0], self.palette.cycle
+        told = [("•", self.palette.ink, "fit")]
+        if 1 < len(levels) <= LEGEND:
+            signs = [(SIGNS[k % len(SIGNS)], cycle[k % len(cycle)]) for k in range(len(levels))]
+            told += [
+                (*sign, f"run {level[:16]}") for sign, level in zip(signs, levels, strict=True)
+            ]
+        parts: list[Any] = [
+            row(words(sign, styles={"color": colour}), words(text, "small"), kinds=("tight",))
+            for sign, colour, text in told
         ]
+        if len(levels) > LEGEND:
+            parts.append(words(f"{len(levels)} runs; colours and shapes repeat", "small"))
+        self.legend[:] = parts
 
     def _say_selected(self) -> None:
         rows = self.selected

@@ -12,9 +12,11 @@ import numpy as np
 from bayescal._calibration.check import covariates_of
 from bayescal._calibration.check_result import Check, Entry, place_in_words
 from bayescal._data.unit_conversion import unit_label
+from bayescal._workbench.parts.gaps import CutAxis
 from bayescal._workbench.parts.style import MARKERS, Palette
 
 AGAINST = "measured against predicted"
+TIME = "time"  # the column whose long gaps are left out
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class ResidualsOfState:
 
     Attributes:
         step: the state's fit with its check.
-        before: residuals before the last step, output unit, (n,); None at the first.
+        before: residuals of the step that it is compared with, output unit, (n,); None where there is none.
     """
 
     step: Any
@@ -55,6 +57,17 @@ class ResidualsOfState:
         """(n,) each, by name; a group's members as numbers 0, 1, …; at last what the model predicts."""
         columns = {c.name: np.asarray(c.values, float) for c in self._columns}
         return {**columns, AGAINST: self.measured - self.residual}
+
+    @cached_property
+    def cut(self) -> CutAxis | None:
+        """The axis of time; None without one."""
+        return CutAxis.of(self.covariates[TIME]) if TIME in self.covariates else None
+
+    @cached_property
+    def places(self) -> Mapping[str, np.ndarray]:
+        """(n,) each: where readings stand on the axis of a covariate."""
+        cut = {} if self.cut is None else {TIME: self.cut.place(self.covariates[TIME])}
+        return {**self.covariates, **cut}
 
     @cached_property
     def units(self) -> Mapping[str, str]:

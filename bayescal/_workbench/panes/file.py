@@ -1,4 +1,4 @@
-"""A file dropped on the page: what `calibrate` would say of it, and a form for its columns and units."""
+"""A file dropped on the page: what `calibrate` would say of it, and one form for how it is to be read."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ import panel.models.file_dropper  # its scripts come with the page
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
 from bayescal._data.read import read
-from bayescal._data.read_options import expected_columns
+from bayescal._data.read_options import MISSING_READINGS, expected_columns
+from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._tables.dates import ORDERS
 from bayescal._tables.mapping_file import save_mapping
 from bayescal._tables.open_table import TEXT, open_table
 from bayescal._tables.raw_table import bytes_text
@@ -28,6 +30,12 @@ MOST = 200_000_000  # bytes of one file; larger ones are given on the command li
 OFFERED = 300  # columns of a file that a list offers; others are typed
 TOLD = 6000  # letters of what is wrong
 AS_FOUND = "as found"
+INSTEAD = (  # of an option
+    (r"--columns '?([^='\s]+)=([^'\n]+?)'?(?=\s*\n|\s{2}|$)", r"left: \1 is \2"),
+    (r"--unit '?([^='\n]+)=([^'\n]+?)'?(?=\s*\n|\s{2}|$)", r"left: \1 in \2"),
+    (r"--(\w+)-(\w+)\b", r"left: \1 \2"),
+    (r"--(missing|decimal)\b", r"left: \1"),
+)
 
 
 class Upload(pn.widgets.FileDropper):
@@ -67,6 +75,7 @@ class FilePane:
             margin=0,
             sizing_mode="stretch_width",
             width=None,
+            height=62,
             stylesheets=[INSIDE],
             chunk_size=4_000_000,
         )
@@ -82,8 +91,9 @@ class FilePane:
         self.mapping = download(
             "Save the mapping", callback=self._mapping, filename="mapping.toml", visible=False
         )
-        self.form = pn.GridBox(ncols=3, margin=0, sizing_mode="stretch_width", visible=False)
+        self.form = row(visible=False)
         self._fields: dict[str, tuple[Any, Any]] = {}
+        self._others = other_fields()
         intro = f"Drop a file of readings of {instrument.name}, up to {bytes_text(MOST)}; nothing leaves this computer."
         buttons = row(self.use, self.again, self.mapping)
         kinds = ("bare", "scrolls")
@@ -126,7 +136,7 @@ class FilePane:
         well = isinstance(found, Measurements)
         self._readings = found if well else None
         flags = "".join(f"\nwarning: {flag}" for flag in found.flags) if well else ""
-        self._say(f"{len(found):,} readings\n{found}{flags}" if well else str(found))
+        self._say(f"{len(found):,} readings\n{found}{flags}" if well else in_the_form(str(found)))
         self.use.visible = well
         self.again.visible = self.mapping.visible = bool(headers)
         if not self._fields and headers:
@@ -138,20 +148,18 @@ class FilePane:
 
     def _make_form(self, headers: tuple[str, ...]) -> None:
         """A line a column that the instrument reads: which of the file's it is, and in which unit."""
-        cells: list[Any] = []
-        room, text = {"margin": (0, 8, 2, 0)}, pn.widgets.TextInput
+        pairs: list[Any] = []
+        text = pn.widgets.TextInput
         for name, known in expected_columns(self._instrument).items():
             kind, how = pn.widgets.Select, {"options": [AS_FOUND, *headers]}
             if len(headers) > OFFERED:
                 kind, how = text, {"placeholder": AS_FOUND}
-            which = field(kind, f"{name} is", width=150, **room, **how)
-            place = "as in the header"
-            unit = field(
-                text, "in", placeholder=place, width=110, disabled=known.unit is None, **room
-            )
+            which = field(kind, f"{name} is", width=150, **how)
+            unit = field(text, "in", placeholder="as in the file", width=100)
+            unit.disabled = known.unit is None
             self._fields[name] = (which, unit)
-            cells += [which, unit, pn.Spacer(width=1)]
-        self.form[:] = cells
+            pairs.append(row(which, unit, kinds=("tight",)))
+        self.form[:] = [*pairs, *self._others.values()]
 
     def given(self) -> dict[str, Any]:
         """What the form says, as arguments of `read`."""
@@ -163,7 +171,8 @@ class FilePane:
             for n, (_, u) in self._fields.items()
             if u.value.strip()
         }
-        return {"columns": columns, "units": units}
+        others = {n: f.value for n, f in self._others.items() if f.value not in ("", None)}
+        return {"columns": columns, "units": units, **others}
 
     def _mapping(self) -> BytesIO:
         path = self._folder / "mapping.toml"
@@ -173,6 +182,30 @@ class FilePane:
     def _go_on(self) -> None:
         if self._readings is not None:
             self._begin(self._readings)
+
+
+def other_fields() -> dict[str, Any]:
+    """What `read` takes beside columns and units, by its names."""
+    text, choose = pn.widgets.TextInput, pn.widgets.Select
+    return {
+        "nominal_scale": field(text, "nominal scale", placeholder="250 V/g", width=110),
+        "nominal_zero": field(text, "nominal zero", placeholder="1.21 V", width=110),
+        "local_gravity": field(
+            pn.widgets.FloatInput, "local gravity [m/s²]", value=STANDARD_GRAVITY, width=130
+        ),
+        "missing": field(choose, "missing readings", options=list(MISSING_READINGS), width=110),
+        "decimal": field(choose, "decimal sign", options={"as found": "", ".": ".", ",": ","}),
+        "date_order": field(
+            choose, "dates are", options={"as found": "", **{o: o for o in ORDERS}}
+        ),
+    }
+
+
+def in_the_form(said: str) -> str:
+    """What is wrong, in words of the form where it names options of the command line."""
+    for option, instead in INSTEAD:
+        said = re.sub(option, instead, said)
+    return said
 
 
 def safe_name(name: str) -> str:

@@ -8,6 +8,13 @@ import numpy as np
 import panel as pn
 
 from bayescal._workbench.panes.allan_pane import AllanPane
+from bayescal._workbench.panes.ask_pane import (
+    BudgetPane,
+    ComparePane,
+    DecisionPane,
+    PlanPane,
+    VerdictPane,
+)
 from bayescal._workbench.panes.describe_pane import DescribePane
 from bayescal._workbench.panes.experiment import ExperimentPane
 from bayescal._workbench.panes.file import FilePane
@@ -23,6 +30,8 @@ class Tabs:
 
     def __init__(self, bench: Any, error: Any) -> None:
         session = lambda: bench.session  # noqa: E731
+        self.compare = ComparePane(bench.run, session, bench.compare)
+        self.plan = PlanPane(bench.run, session)
         self.experiment = ExperimentPane(bench.run)
         self.allan = AllanPane()
         self.report = ReportPane(bench.run, session)
@@ -33,6 +42,11 @@ class Tabs:
         numbers = lambda: bench.fails.shown.numbers  # noqa: E731
         self.describe = DescribePane(bench.run, session, bench.fails.select, numbers, bench.done)
         self._panes: dict[str, Any] = {
+            "Side by side": self.compare,
+            "Verdict": VerdictPane(bench.run, session),
+            "Budget": BudgetPane(bench.run, session),
+            "Decision": DecisionPane(bench.run, session),
+            "Where to measure": self.plan,
             "Next experiment": self.experiment,
             "Allan deviation": self.allan,
             "Report": self.report,
@@ -66,6 +80,7 @@ class Tabs:
     def wear(self, palette: Palette) -> None:
         """Take the colours of a ground."""
         self.allan.wear(palette)
+        self.plan.wear(palette)
 
     def open(self, name: str) -> None:
         """Bring one to the front."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,40 +12,42 @@ PIXELS = 300  # columns of pixels of a panel, about
 
 def drawn_rows(
     covariates: Mapping[str, np.ndarray],
-    residual: np.ndarray,
+    drawn: Sequence[np.ndarray],
     views: Mapping[str, tuple[float, float]] | None = None,
 ) -> np.ndarray:
-    """Rows to draw: all; or, of many, those with the lowest and the highest residual in each column of pixels, and
-    evenly spaced ones between them.
+    """Rows to draw: all; or, of many, the lowest and the highest in each column of pixels, and evenly spaced ones
+    between them.
 
     The same rows are drawn in every panel, so that what is brushed in one lights up in the others: the union over the
     panels. Extremes are never lost; of what lies between them, an even share is drawn.
 
     Args:
         covariates: (n,) each, by panel.
-        residual: (n,).
+        drawn: what is drawn over them, (n,) each: residuals, output.
         views: lowest and highest covariate in view, by panel; all of it where none is named.
 
     Returns:
         Indices in rising order.
     """
-    if residual.size <= MANY:
-        return np.arange(residual.size)
-    chosen, seen = np.zeros(residual.size, bool), np.ones(residual.size, bool)
+    size = drawn[0].size
+    if size <= MANY:
+        return np.arange(size)
+    rising = [np.argsort(values) for values in drawn]
+    chosen, seen = np.zeros(size, bool), np.ones(size, bool)
     for name, values in covariates.items():
         low, high = (views or {}).get(name, (float(values.min()), float(values.max())))
         in_view = (values >= low) & (values <= high)
         seen &= in_view if name in (views or {}) else True
-        inside = np.flatnonzero(in_view)
-        if inside.size <= MANY // len(covariates):
-            chosen[inside] = True
+        if np.count_nonzero(in_view) <= MANY // len(covariates):
+            chosen |= in_view
             continue
-        place = (values[inside] - low) / max(high - low, 1e-300)
-        pixel = np.minimum((place * PIXELS).astype(int), PIXELS - 1)
-        order = inside[np.lexsort((residual[inside], pixel))]
-        edges = np.flatnonzero(np.diff(np.sort(pixel))) + 1
-        chosen[order[np.r_[0, edges]]] = True  # the lowest of each column
-        chosen[order[np.r_[edges - 1, order.size - 1]]] = True  # and the highest
+        place = (values - low) / max(high - low, 1e-300)
+        pixel = np.where(in_view, np.clip(place * PIXELS, 0, PIXELS - 1), PIXELS).astype(int)
+        for order in rising:
+            end = np.full(PIXELS + 1, -1)  # of each column of pixels, and of what is out of view
+            for way in (order, order[::-1]):  # the last that is put there stays: highest, lowest
+                end[pixel[way]] = way
+                chosen[end[:PIXELS][end[:PIXELS] >= 0]] = True
     between = np.flatnonzero(seen & ~chosen)
     chosen[between[:: max(1, -(-between.size // (MANY - min(int(chosen.sum()), MANY // 2))))]] = (
         True

@@ -34,6 +34,11 @@ class Work:
         self.on_busy: list[Callable[[bool], None]] = []
         self._under_way = 0
 
+    @property
+    def busy(self) -> bool:
+        """Whether a job is under way."""
+        return bool(self._under_way)
+
     def on_page(self, call: Callable[[], None]) -> None:
         """Call something in the page's own thread, soon; from any thread."""
         document = self._document

@@ -1,0 +1,54 @@
+// What the browser prefers and sees, once when the page opens; a banner while the server is gone; files that are dropped
+// anywhere on the page go to the field of the tab File; Ctrl-Z outside a field undoes.
+const LATE = 20000; // ms within which that field comes
+
+function find(selector, root = document) {
+  const here = root.querySelector(selector);
+  if (here) return here;
+  for (const one of root.querySelectorAll("*")) {
+    const inside = one.shadowRoot && find(selector, one.shadowRoot);
+    if (inside) return inside;
+  }
+  return null;
+}
+
+function give(files, until) {
+  const input = find("input[type=file]");
+  if (!input) return Date.now() < until && setTimeout(() => give(files, until), 50);
+  input.files = files;
+  input.dispatchEvent(new Event("change", { bubbles: true }));
+}
+
+export function render({ model, view }) {
+  document.body.style.margin = "0";
+  model.dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+  model.wide = window.innerWidth >= 1700;
+  model.seen = true;
+
+  const banner = document.createElement("div");
+  banner.setAttribute("role", "alert");
+  banner.hidden = true;
+  banner.style.cssText = "position: fixed; inset: 0 0 auto; z-index: 99; padding: 8px 14px; background: #b23c00; color: #fff; font: 14px/1.4 system-ui, sans-serif";
+  banner.textContent = `The workbench has ended or cannot be reached: nothing that is pressed here is done. ` +
+    `Every step is kept in ${model.kept}; the same command goes on with it.`;
+  document.body.append(banner);
+  const page = view.model.document;
+  page.on_event("connection_lost", () => { banner.hidden = false; });
+  page.on_event("client_reconnected", () => { banner.hidden = true; });
+
+  window.addEventListener("dragover", (event) => event.preventDefault());
+  window.addEventListener("drop", (event) => {
+    if (!event.dataTransfer.files.length) return;
+    event.preventDefault();  // else the browser leaves the page for the file
+    if (event.composedPath().some((one) => one.classList && one.classList.contains("filepond--root"))) return;
+    model.files += 1;
+    give(event.dataTransfer.files, Date.now() + LATE);
+  });
+  window.addEventListener("keydown", (event) => {
+    const typed = event.composedPath()[0].matches("input:not([type=radio]):not([type=checkbox]), textarea");
+    if (event.key !== "z" || event.shiftKey || !(event.ctrlKey || event.metaKey) || typed) return;
+    event.preventDefault();
+    model.undone += 1;
+  });
+  return document.createElement("span");
+}
