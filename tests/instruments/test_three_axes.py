@@ -188,6 +188,31 @@ def test_intervals_cover(campaign: Campaign) -> None:
     assert abs(each.mean() - 0.95) < 4 * error
 
 
+def test_corrections_that_are_alike_are_computed_for_a_few_draws_only(monkeypatch) -> None:
+    """The same posterior to a hundredth of a standard deviation, the response computed for 256 draws of 8,192."""
+    from bayescal._core import importance_weights
+    from bayescal._inference import sampling
+
+    counts = []
+
+    def counted(assembly, mode, found, *args):
+        counts.append(len(found.x))
+        return draw_joint(assembly, mode, found, *args)
+
+    draw_joint = sampling.draw_joint
+    monkeypatch.setattr(sampling, "draw_joint", counted)
+    readings = accelerometer_triad.simulate(seed=4, campaign=Campaign(poses=40))
+    quick = bc.fit(MODEL, readings)
+    assert sum(counts) <= sampling.FIRST
+    monkeypatch.setattr(importance_weights, "ALIKE", 0.0)
+    counts.clear()
+    full = bc.fit(MODEL, readings)
+    assert sum(counts) > 2000
+    (few, sd), (all_of_it, _) = estimates(quick), estimates(full)
+    assert np.max(np.abs(few - all_of_it) / sd) < 0.02
+    assert quick.log_evidence == pytest.approx(full.log_evidence, abs=0.01)
+
+
 # what leaves ----------------------------------------------------------------------------------------------------
 
 
