@@ -205,7 +205,9 @@ def null_directions(calibration: Fitted) -> list[dict[str, str]]:
     sd = calibration.linear.sd[:count]
     white = calibration.linear.white_nuisance[:, :count]
     names = _entry_names(calibration)
-    main = np.concatenate([np.full(b.size, _single(b)) for b in calibration.layout.x_blocks])
+    main = np.concatenate(
+        [np.full(b.size, _single(b, calibration)) for b in calibration.layout.x_blocks]
+    )
     exact = null_space.exact(white)
     weak = null_space.weak(white, exact, guarding().weak, guarding().unmeasured)
     found = [_exact_words(v * sd, names) for v in exact if _concerns(v, main)]
@@ -214,9 +216,11 @@ def null_directions(calibration: Fitted) -> list[dict[str, str]]:
     return [*found, *([_deviations_words(others, calibration)] if others else [])]
 
 
-def _single(block: CoefficientBlock) -> bool:
-    """Whether a coefficient stands for itself: no deviation of learned spread, no part of an unknown function."""
-    return block.coefficient.group_sd is None and not block.effect.is_placeholder
+def _single(block: CoefficientBlock, calibration: Fitted) -> bool:
+    """Whether a coefficient stands for itself: no deviation of learned spread or of a rig, no part of a function."""
+    vector = calibration.model.instrument.vector
+    rigs = vector is not None and block.slot in vector.rig
+    return block.coefficient.group_sd is None and not block.effect.is_placeholder and not rigs
 
 
 def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
@@ -230,7 +234,8 @@ def _deviations_words(vectors: list[np.ndarray], calibration: Fitted) -> dict[st
     large = [
         b
         for b in calibration.layout.x_blocks
-        if not _single(b) and size[b.start : b.start + b.size].max() > TRACE * size.max()
+        if not _single(b, calibration)
+        and size[b.start : b.start + b.size].max() > TRACE * size.max()
     ]
     names = ", ".join(dict.fromkeys(b.effect.name for b in large))
     words = (

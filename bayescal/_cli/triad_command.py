@@ -24,12 +24,15 @@ def triad(
     instrument: Annotated[
         str,
         typer.Option(
-            "--instrument", "-i", help="Of three axes: accelerometer_triad, magnetometer_triad."
+            "--instrument",
+            help="Of three axes: accelerometer_triad, gyro_triad, magnetometer_triad.",
         ),
     ] = "accelerometer_triad",
     poses: Annotated[
         bool,
-        typer.Option("--poses", help="Each row is a pose; else the still stretches of a log are."),
+        typer.Option(
+            "--poses", help="Each row is a pose or a rate; else steady stretches of a log."
+        ),
     ] = False,
     shortest: Annotated[float, typer.Option(help="Shortest pose in a log, s.")] = 2.0,
     baseline: Annotated[
@@ -40,7 +43,7 @@ def triad(
     out: options.Folder = None,
     json_: options.Json = False,
 ) -> None:
-    """Calibrate three axes by poses at rest; corrections as C99, Python, JSON and YAML."""
+    """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
     from bayescal._cli.request import open_request
     from bayescal._core.errors import InputError
     from bayescal._use.vector_export import data

@@ -374,6 +374,10 @@ def _placed(
         if width:
             rows[pick[some]] = own[some]
         log_weight[pick[some]] = (of_phi + correction)[some]
+    if (
+        judged.alike and density.exact
+    ):  # of those that were looked at too: their scatter would pass for a tail
+        log_weight = np.where(log_weight > NOWHERE, log_weight_phi + judged.mean, NOWHERE)
     # The mean of the unnormalised weights is the evidence; its relative error is that of a mean of so many.
     evidence = logsumexp(log_weight) - math.log(count)  # pyright: ignore[reportOperatorIssue]
     error = np.std(np.exp(log_weight - evidence)) / math.sqrt(count)

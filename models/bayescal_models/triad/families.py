@@ -33,6 +33,7 @@ def family(
     basis: Callable[[int, bc.Frame], Any] = _constant,
     equation: str = "c",
     per: str | None = None,
+    learned: bool = True,
     **more: Any,
 ) -> bc.Effect:
     """An effect with one coefficient for each of some slots.
@@ -45,16 +46,17 @@ def family(
         source: where the size comes from.
         basis: function of the number of coefficients and of the readings.
         equation: for people.
-        per: a group, for one value for each member, their standard deviation estimated.
+        per: a group, for one value for each member.
+        learned: whether the standard deviation of these is estimated; it is `size` if not.
     """
-    learned = {"per": per, "group_sd": bc.HalfNormal(size)} if per else {}
+    group = {"per": per, "group_sd": bc.HalfNormal(size) if learned else None} if per else {}
     return bc.Effect(
         name,
         slots[0],
         basis=partial(basis, len(slots)),
         coefficients=tuple(
             bc.Coefficient(
-                unit, bc.Normal(0.0, size), part=slot.partition("_")[2], slot=slot, **learned
+                unit, bc.Normal(0.0, size), part=slot.partition("_")[2], slot=slot, **group
             )
             for slot in slots
         ),
