@@ -7,8 +7,8 @@ Equations of what reads them, and their sources:
   there. A gyroscope has that rotation, ω_measured = M·C_gyro_i·ω + A·C_gyro_i·a + b, in rad/s and m/s².
 * OpenVINS (kalibr_imu_chain.yaml, ov_msckf/VioManagerOptions.h): a_measured = Ta·R_IMUtoACC·a + b, ω_measured =
   Tw·R_IMUtoGYRO·ω + Tg·a + b; of T it keeps the lower triangle under the model "kalibr".
-* PX4 (src/lib/sensor_calibration): corrected = (raw − OFF)·SCALE on each axis of an accelerometer, in m/s², raw − OFF of
-  a gyroscope, in rad/s; a symmetric matrix with ODIAG beside it for a magnetometer, in gauss.
+* PX4 (src/lib/sensor_calibration): corrected = (raw − OFF)·SCALE on each axis of an accelerometer, in m/s², raw −
+  OFF of a gyroscope, in rad/s; a symmetric matrix with ODIAG beside it for a magnetometer, in gauss.
 * ArduPilot (AP_InertialSensor_Backend, AP_Compass_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s², raw − INS_GYROFFS
   in rad/s; for a compass DIA/ODI·(raw + OFS), symmetric, in mG.
 """
@@ -113,7 +113,7 @@ def kalibr_yaml_of(correction: VectorCorrection) -> str:
         f"    # bias, {unit}, and its standard uncertainty",
         f"    bias: {_list(correction.offset * factor)}",
         f"    bias_uncertainty: {_list(correction.uncertainty[0, :3] * factor)}",
-        "    # measured = matrix*f + bias in the body axes of this calibration, and standard uncertainty of its entries",
+        "    # measured = matrix*f + bias, in the body axes of this calibration, and standard uncertainties",
         "    matrix:",
         *_rows(m),
         "    matrix_uncertainty:",

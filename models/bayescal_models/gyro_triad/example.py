@@ -3,8 +3,6 @@
 python example.py
 """
 
-import numpy as np
-
 import bayescal as bc
 from bayescal_models import gyro_triad as triad
 
@@ -18,4 +16,6 @@ found = bc.discover(first)  # which effects are missing
 print(found)
 
 better = bc.fit(first.model + found.best, readings)
-print(better)
+correct = bc.vector_correction(better)
+rate = correct([[10.0, -50.0, 3.0]], temperature=40.0, beside=[0.0, 0.0, 1.0])  # °/s, °C, g
+print(rate.vector[0], rate.covariance[0])

@@ -30,8 +30,8 @@ which are; on a table of two or three axes all of them are.
 One effect on a family is one effect: its coefficients are found or dropped together.
 
 **What readings determine.** At rest: bias alone and, in poses of which gravity is known, its g-sensitivity. About one
-axis: the column of G of that axis. About three: all of G, its off-diagonals no better than the mounting. A rate that the
-table states wrongly is a scale factor of all three axes, and nothing here tells the two apart. The Earth turns at
+axis: the column of G of that axis. About three: all of G, its off-diagonals no better than the mounting. A rate that
+the table states wrongly is a scale factor of all three axes, and nothing here tells the two apart. The Earth turns at
 15.04 °/h, 0.0042 °/s: averaged over whole turns of the table its part along the axis remains.
 
 Noise: white, one standard deviation for all three axes.
