@@ -35,6 +35,12 @@ def triad(
         ),
     ] = False,
     shortest: Annotated[float, typer.Option(help="Shortest pose in a log, s.")] = 2.0,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run", help="Say what these poses do not determine and which to add; fit nothing."
+        ),
+    ] = False,
     baseline: Annotated[
         bool,
         typer.Option("--baseline", help="Look for no effect beside bias, scale, misalignment."),
@@ -58,6 +64,12 @@ def triad(
         if not poses:
             readings = bc.poses(readings, chosen, shortest=shortest)
             print_notes(readings.flags)
+        untold = bc.undetermined(model, readings)
+        if dry_run:
+            print(untold)
+            return
+        if untold.add:
+            print_notes([str(untold)])
         calibration = bc.fit(model, readings, seed=seed, strict=False)
         if not baseline:
             found = bc.discover(calibration)

@@ -144,6 +144,13 @@ def test_yaml_and_parameters_say_the_same(tmp_path: Path) -> None:
         )
 
 
+def test_axes_to_turn_about_are_said_before_a_fit() -> None:
+    readings = gyro_triad.simulate(seed=1, campaign=Campaign(mountings=("x", "y")))
+    found = bc.undetermined(MODEL, readings)
+    assert [str(pose) for pose in found.add] == ["100 about the axis along z"]
+    assert not found.left
+
+
 def test_refusals_say_what_to_do() -> None:
     given: dict[str, Any] = {f"output_{a}": np.ones(4) for a in "xyz"}
     with pytest.raises(bc.InputError, match="row 2, column rate: a rate needs the direction"):

@@ -158,6 +158,61 @@ def test_what_poses_do_not_tell_keeps_the_width_of_its_prior(
         assert "not measured: scale.constant[y]" in str(calibration)
 
 
+@pytest.mark.parametrize(
+    ("kind", "count", "poses"),
+    [
+        (
+            "six",
+            6,
+            ["at 45° between x and y", "at 45° between x and z", "at 45° between y and z"],
+        ),
+        ("twelve", 12, []),
+        ("planar", 24, ["along y", "along −y", "at 45° between x and y", "at 45° between y and z"]),
+        ("level", 24, ["along x", "along y", "along −z"]),
+    ],
+)
+def test_poses_to_add_are_said_before_a_fit(kind: str, count: int, poses: list[str]) -> None:
+    readings = accelerometer_triad.simulate(seed=1, campaign=Campaign(kind=kind, poses=count))
+    found = bc.undetermined(MODEL, readings)
+    assert [str(pose) for pose in found.add] == poses
+    assert found.left == 0
+    assert found.readings == count
+    if kind == "six":
+        assert "misalignment.constant[xy]: these readings say nothing of it" in str(found)
+    if not poses:
+        assert str(found) == "12 readings determine every coefficient."
+    # With them all is determined.
+    y = outputs(readings)
+    more = np.array([pose.direction for pose in found.add]).reshape(-1, 3)
+    y = np.concatenate([y, more / np.linalg.norm(more, axis=1)[:, None]])
+    columns: dict[str, Any] = {f"output_{a}": y[:, i] for i, a in enumerate("xyz")}
+    again = bc.Measurements.from_arrays(accelerometer_triad.INSTRUMENT, **columns)
+    assert not bc.undetermined(MODEL, again).combinations
+
+
+def test_a_further_temperature_is_asked_for() -> None:
+    readings = accelerometer_triad.simulate(seed=1)
+    found = bc.undetermined(MODEL + "bias.temperature", readings)
+    assert [str(p) for p in found.add] == [f"along {a}, at 55 °C" for a in "xyz"]
+
+
+def test_what_no_pose_determines_is_said() -> None:
+    """y·z on x and x·z on y and x·y on z are one product while |f| is what is known."""
+    found = bc.undetermined(MODEL + "cross.constant", accelerometer_triad.simulate(seed=1))
+    assert found.left
+    assert "are determined by no further pose" in str(found)
+
+
+def test_directions_that_shrink_an_uncertainty_are_planned() -> None:
+    readings = accelerometer_triad.simulate(seed=1, campaign=Campaign(kind="six", poses=12))
+    plan = bc.plan_readings(
+        bc.fit(MODEL, readings), "misalignment.constant[xy]: ±0.5 mrad", count=2
+    )
+    for picked in plan.picked:
+        assert abs(picked.at["output_x"] * picked.at["output_y"]) == pytest.approx(0.5)
+    assert plan.picked[-1].u < 0.1 * plan.u
+
+
 def test_a_family_is_found_as_one_effect() -> None:
     readings = accelerometer_triad.simulate({"bias.temperature": 0.3}, seed=7, campaign=THERMAL)
     found = bc.discover(bc.fit(MODEL, readings))

@@ -43,6 +43,7 @@ from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS, effects
 from bayescal_models.accelerometer_triad.campaign import Campaign
 from bayescal_models.accelerometer_triad.simulator import simulated_columns
 from bayescal_models.triad.equation import equation, second_order, slots
+from bayescal_models.triad.experiments import experiments
 
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation)
 
@@ -71,6 +72,7 @@ INSTRUMENT = bc.Instrument(
     ),
     noise=bc.White(bc.HalfCauchy(1e-3)),
     simulator=simulated_columns,
+    experiments=experiments(1.0),
     vector=VECTOR,
     source="IEEE Std 1293-2018; D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014 (poses at rest)",
 )

@@ -48,6 +48,7 @@ from bayescal_models.gyro_triad import COLUMNS, OUTPUTS, effects
 from bayescal_models.gyro_triad.campaign import Campaign
 from bayescal_models.gyro_triad.simulator import simulated_columns
 from bayescal_models.triad.equation import SQUARE, equation, slots
+from bayescal_models.triad.experiments import RATES
 
 
 def _stacked(values, names):
@@ -97,6 +98,7 @@ INSTRUMENT = bc.Instrument(
     ),
     noise=bc.White(bc.HalfCauchy(0.03)),
     simulator=simulated_columns,
+    experiments=RATES,
     vector=VECTOR,
     source="IEEE Std 1431-2004, model equation; rates about the axes of a table",
 )
