@@ -12,6 +12,7 @@ from bayescal._cli.console import exit_unless, print_notes, print_result, result
 from bayescal._cli.options import ColumnOptions, Commands, ModelOptions, ReadRequest
 
 commands = Commands()
+MOST = 5  # effects that are added
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 
@@ -70,25 +71,21 @@ def triad(
             return
         if untold.add:
             print_notes([str(untold)])
-        calibration = bc.fit(model, readings, seed=seed, strict=False)
-        if not baseline:
-            found = bc.discover(calibration)
-            if not json_:
-                print(f"{found}\n")
-            if found.best:
-                calibration = bc.fit(model + found.best, readings, seed=seed, strict=False)
+        trail = bc.calibrate(model, readings, seed=seed, max_effects=0 if baseline else MOST)
+        calibration = trail.final.calibration
         correction = bc.vector_correction(calibration)
         print_notes(correction.notes)
         if json_:
             print_result(data(correction))
         else:
-            print(calibration)
+            print(f"{trail}\n\n{calibration}")
         if folder is not None:
-            written = [bc.export_vector(correction, folder / name) for name in FILES]
-            written += [
-                calibration.save(folder / "calibration.nc"),
-                readings.write(folder / "poses.csv"),
-            ]
+            trail.save(folder)
+            bc.report(trail, folder / "report.html")
+            for name in FILES:
+                bc.export_vector(correction, folder / name)
+            readings.write(folder / "poses.csv")
             if not json_:
-                print(f"written: {', '.join(map(str, written))}")
-    exit_unless(calibration.verdict.ok, "; ".join(calibration.verdict.reasons))
+                names = ("result.json", "calibration.nc", "report.html", "poses.csv")
+                print(f"written: {folder}/{', '.join((*FILES, *names))}")
+    exit_unless(trail.ok, trail.gate.reason)

@@ -73,7 +73,8 @@ def scalar_readings(
     made |= {name: np.repeat(direction[:, i], 3) for i, name in enumerate(DIRECTION)}
     made |= {name: across[:, :, i].ravel() for i, name in enumerate(ACROSS)}
     made |= {"output": outputs.ravel(), UNCERTAINTY: uncertainty.ravel()}
-    made_units |= {**dict.fromkeys(ACROSS, "1"), UNCERTAINTY: made_units["output"]}
+    made |= {OF: np.tile(("magnitude", "across", "across too"), len(y))}
+    made_units |= {**dict.fromkeys(ACROSS, "1"), UNCERTAINTY: made_units["output"], OF: None}
     return made, made_units
 
 

@@ -125,9 +125,10 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
         return linear_model(assembly, Mode(point, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
 
     planned, vector = linear(readings), model.instrument.vector
-    found = tuple(one["in_words"] for one in untold(planned, levels, exactly=False))
     count = len(readings) // (3 if vector is not None and readings.has(ACROSS[0]) else 1)
     directions = null_vectors(planned, exactly=False)[1] if layout.size else []
+    words = untold(planned, levels, exactly=False)[: len(directions)]  # of a rig's own errors none
+    found = tuple(one["in_words"] for one in words)
     if vector is None or not directions:
         return Undetermined(count, found)
     poses, rows = _candidates(model, vector, readings)

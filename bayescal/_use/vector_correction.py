@@ -27,6 +27,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.joint import slots_of
 
 EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
+ROUNDING = 1e-13  # of it, up to which a term is none
 ORDERS = 3  # of the temperature
 PAIRS = (
     (0, 0),
@@ -106,7 +107,7 @@ class VectorCorrection:
         terms: for each power of T − T0, offset (3), matrix by rows (9), then second order by rows (18) or none, then
             what acts beside, by rows (9) or none (k, p).
         covariance: of `terms`, raveled (k·p, k·p).
-        noise: standard deviation of an output as it was calibrated, `unit`.
+        noise: standard deviation of an output as it was calibrated, of the best reading, `unit`.
         notes: what to know, each a sentence.
         source: identity of the calibration.
         beside: columns of what acts beside; empty for none.
@@ -306,14 +307,11 @@ def vector_correction(
             "cannot be written as an offset and a matrix over temperature"
         )
     terms = np.moveaxis(fitted.reshape(order + 1, len(taylor), -1), 1, 0)  # (draws, k, p)
+    reach = np.max(np.abs(powers[:, : order + 1]), axis=0)[:, None]
+    terms[:, np.max(np.abs(terms), axis=0) * reach <= ROUNDING * np.max(np.abs(taylor))] = 0.0
     if not np.any(terms[:, :, 12:30]):
         terms = np.delete(terms, slice(12, 30), axis=2)
     spread = terms.reshape(len(terms), -1)
-    white = (
-        calibration.samples("noise.white")
-        if "noise.white" in calibration.posterior
-        else np.zeros(1)
-    )
     return VectorCorrection(
         outputs=vector.outputs,
         unit=model.instrument.unit,
@@ -322,7 +320,7 @@ def vector_correction(
         high=high,
         terms=np.mean(terms, axis=0),
         covariance=np.atleast_2d(np.cov(spread.T)),
-        noise=float(np.sqrt(np.mean(white**2))),
+        noise=float(np.sqrt(np.min(calibration.linear.variance))),
         notes=_notes(calibration, order, low, high),
         source=identity(calibration),
         beside=beside,

@@ -149,6 +149,7 @@ def test_axes_to_turn_about_are_said_before_a_fit() -> None:
     found = bc.undetermined(MODEL, readings)
     assert [str(pose) for pose in found.add] == ["100 about the axis along z"]
     assert not found.left
+    assert not bc.undetermined(MODEL, gyro_triad.simulate(seed=1)).combinations
 
 
 def test_refusals_say_what_to_do() -> None:

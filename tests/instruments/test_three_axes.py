@@ -292,6 +292,25 @@ def test_a_corrected_vector_is_what_acts_within_its_uncertainty() -> None:
     assert np.max(np.abs(np.sin(roll - np.arctan2(force[:, 1], force[:, 2]))) / sd) < 5
 
 
+def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -> None:
+    from bayescal._report.plot_sphere import residuals_on_sphere
+    from bayescal._report.result_json import vector_data
+
+    calibration = thermal()
+    found = vector_data(calibration)
+    assert found is not None
+    terms, sds = np.array(found["terms"]), np.array(found["uncertainty"])
+    assert np.array_equal(terms, bc.vector_correction(calibration).terms)
+    assert np.count_nonzero(terms[1, 3:]) == 0  # nothing but the bias depends on the temperature
+    assert np.allclose(sds.ravel() ** 2, np.diag(found["covariance"]), rtol=1e-9, atol=0)
+    direction, residual = residuals_on_sphere(calibration)
+    assert np.allclose(np.linalg.norm(direction, axis=1), 1.0)
+    assert 0.7 < residual.std() < 1.1
+    text = bc.report(calibration, tmp_path / "report.html").read_text("utf-8")
+    assert "matrix xy" in text
+    assert "Residuals of the magnitude along the sphere of poses" in text
+
+
 def test_slopes_of_tilt_and_heading() -> None:
     """Standard uncertainties of angles are those of vectors drawn about the mean."""
     random = np.random.default_rng(4)
