@@ -18,6 +18,7 @@ toward z, y toward z) in place of six. `misalignment.frame` holds the other thre
 | `scale.temperature` | x, y, z | 200 ppm/°C |
 | `misalignment.temperature` | xy, xz, yz | 20 µrad/°C |
 | `bias.temperature_quadratic` | x, y, z | 5 µg/°C² |
+| `bias.thermal_lag` | x, y, z, one time | 0.5 mg/°C |
 | `square.constant` (K2) | x, y, z | 1 mg/g² |
 | `cross.constant` | nine | 1 mg/g² |
 | `misalignment.frame` | yx, zx, zy | 20 mrad |
@@ -67,6 +68,7 @@ INSTRUMENT = bc.Instrument(
         effects.SQUARES,
         effects.PRODUCTS,
         effects.TURNED,
+        effects.LAG,
         effects.DRIFT,
         effects.RUN,
     ),

@@ -8,7 +8,13 @@ import jax.numpy as jnp
 
 import bayescal as bc
 from bayescal_models.triad.equation import AXES, BIAS, LOWER, SCALE, SQUARE, UPPER
-from bayescal_models.triad.families import drift, family, over_temperature, run
+from bayescal_models.triad.families import (
+    drift,
+    family,
+    over_temperature,
+    run,
+    thermal_lag,
+)
 
 SHEETS = "data sheets of BMI088, ICM-20948 and ADXRS645, zero-rate offset, sensitivity and cross axis; size ours"
 TEMPCO = "the same data sheets, change with temperature; size ours"
@@ -17,7 +23,6 @@ TURN = tuple(f"turn_{a}" for a in AXES)
 DIRECTION = tuple(f"direction_{a}" for a in AXES)
 EARTH = tuple(f"earth_{a}" for a in AXES)
 ACROSS = tuple(f"across_{a}" for a in AXES)
-MINUTE = 60.0
 
 
 def _at_each_mounting(count: int, r: bc.Frame) -> Any:
@@ -26,10 +31,6 @@ def _at_each_mounting(count: int, r: bc.Frame) -> Any:
 
 def _by_gravity(r: bc.Frame) -> Any:
     return jnp.stack([r[name] for _ in AXES for name in GRAVITY], axis=1)
-
-
-def _behind(count: int, r: bc.Frame, tau: Any) -> Any:
-    return jnp.broadcast_to(r.lag(tau)[:, None], (r.size, count))
 
 
 CONSTANT = family("bias.constant", BIAS, 3.0, "deg/s", SHEETS)
@@ -73,18 +74,7 @@ G_SENSITIVITY = bc.Effect(
     source="IEEE Std 1431-2004, acceleration-sensitive drift; data sheet of BMI088; size ours",
     along="",
 )
-LAG = family(
-    "bias.thermal_lag",
-    BIAS,
-    0.03,
-    "deg/s/degC",
-    TEMPCO,
-    basis=_behind,
-    equation="c·(T̃ − T),  τ·dT̃/dt = T − T̃",
-    shapes=(bc.Shape("tau", "s", MINUTE, 20 * MINUTE, shared=True),),
-    columns=("time", "temperature"),
-    varies=("temperature",),
-)
+LAG = thermal_lag(BIAS, 0.03, "deg/s/degC", TEMPCO)
 SQUARES = family(
     "square.constant",
     SQUARE,

@@ -56,9 +56,7 @@ def simulated_columns(
     for name, size in given.items():
         if not np.all(np.isfinite(size)):
             raise ValueError(f"{name}: its size {size!r} is no number")
-        sizes[name] = np.broadcast_to(size, COUNTS[name]) * (
-            SHARES[: COUNTS[name]] if np.ndim(size) == 0 else 1.0
-        )
+        sizes[name] = size * SHARES[: COUNTS[name]] if np.ndim(size) == 0 else np.asarray(size)
     rng = np.random.default_rng(seed)
     of_run = rng.standard_normal((plan.runs, 3))
     rows: list[dict[str, Any]] = []

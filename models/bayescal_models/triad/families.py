@@ -23,6 +23,10 @@ def _progress(count: int, r: bc.Frame) -> Any:
     return jnp.broadcast_to(r.progress[:, None], (r.size, count))
 
 
+def _behind(count: int, r: bc.Frame, tau: Any) -> Any:
+    return jnp.broadcast_to(r.lag(tau)[:, None], (r.size, count))
+
+
 def family(
     name: str,
     slots: Sequence[str],
@@ -30,7 +34,7 @@ def family(
     unit: str,
     source: str,
     *,
-    basis: Callable[[int, bc.Frame], Any] = _constant,
+    basis: Callable[..., Any] = _constant,
     equation: str = "c",
     per: str | None = None,
     learned: bool = True,
@@ -44,7 +48,7 @@ def family(
         size: prior standard deviation of each, in `unit`; with `per` scale of the prior of the group's.
         unit: of each.
         source: where the size comes from.
-        basis: function of the number of coefficients and of the readings.
+        basis: function of the number of coefficients, of the readings and of shapes.
         equation: for people.
         per: a group, for one value for each member.
         learned: whether the standard deviation of these is estimated; it is `size` if not.
@@ -96,6 +100,22 @@ def drift(name: str, slots: Sequence[str], size: float, unit: str, source: str) 
         equation="c·progress",
         columns=("time",),
         varies=("time",),
+    )
+
+
+def thermal_lag(slots: Sequence[str], size: float, unit: str, source: str) -> bc.Effect:
+    """c·(T̃ − T) for each of some slots, one time for all: dies that follow the thermometer late."""
+    return family(
+        "bias.thermal_lag",
+        slots,
+        size,
+        unit,
+        source,
+        basis=_behind,
+        equation="c·(T̃ − T),  τ·dT̃/dt = T − T̃",
+        shapes=(bc.Shape("tau", "s", 60.0, 1200.0, shared=True),),
+        columns=("time", "temperature"),
+        varies=("temperature",),
     )
 
 
