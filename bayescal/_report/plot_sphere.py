@@ -5,6 +5,8 @@ Each is an equal-area map (Lambert's azimuthal), so that poses that are spread e
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
@@ -27,7 +29,7 @@ def sphere(calibration: Calibration) -> Figure:
     direction, residual = residuals_on_sphere(calibration)
     figure = new_figure(8.4, 4.2)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    points = None
+    points: Any = None
     for ax, up in zip(panels, (1, -1), strict=True):
         own = direction[:, 2] * up >= 0
         x, y, z = direction[own].T

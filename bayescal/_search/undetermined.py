@@ -134,7 +134,7 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     poses, rows = _candidates(model, vector, readings)
     basis = np.linalg.qr(np.array(directions).T)[0]
     columns = linear(rows).white_nuisance[:, : len(basis)] @ basis
-    effort = [np.count_nonzero(p.direction) for p in poses]
+    effort = [sum(d != 0 for d in p.direction) for p in poses]
     chosen, left = _greedy(columns.reshape(len(poses), -1, basis.shape[1]), effort)
     return Undetermined(count, found, tuple(poses[i] for i in chosen), left)
 

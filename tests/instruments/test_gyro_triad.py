@@ -48,7 +48,7 @@ def test_misalignments_are_known_as_well_as_the_mountings_are() -> None:
 
 
 def test_readings_of_one_direction_are_of_one_mounting_unless_it_is_said() -> None:
-    columns = INSTRUMENT.simulator(seed=2)  # pyright: ignore[reportOptionalCall]
+    columns = dict(INSTRUMENT.simulator(seed=2))  # pyright: ignore[reportOptionalCall]
     del columns["mounting"]
     readings = bc.Measurements.from_arrays(INSTRUMENT, **columns)
     members, _ = readings.groups("mounting")
