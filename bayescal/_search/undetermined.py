@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import null_vectors, untold
 from bayescal._core.formatting import Printed
 from bayescal._data.measurements import Measurements
@@ -32,10 +33,6 @@ DIRECTIONS = np.array(
     sorted((d for d in product((1, 0, -1), repeat=3) if any(d)), key=lambda d: sum(map(abs, d))),
     dtype=float,
 )
-NEARLY = (
-    0.5  # of the log volume that the best pose takes off, from which a plainer one does as well
-)
-ENOUGH = 1.0  # information against the prior, from which a direction is determined: its width is then below 0.7
 TURNING = 100.0  # output unit, where no reading turns
 WARMER = 30.0  # °C, where all readings are at one temperature
 
@@ -178,16 +175,16 @@ def _greedy(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tuple[lis
         columns: whitened, of each candidate's readings by each direction.
         effort: of setting each: those of less are taken where they add nearly as much.
     """
-    k = columns.shape[2]
+    k, given = columns.shape[2], searching()
     information, chosen = np.zeros((k, k)), list[int]()
     while True:
         weights, vectors = np.linalg.eigh(information)
-        open_ = columns @ vectors[:, weights < ENOUGH]  # of what is not determined yet
+        open_ = columns @ vectors[:, weights < given.determined]  # of what is not determined yet
         inner = open_ @ open_.transpose(0, 2, 1)
         gain = np.linalg.slogdet(np.eye(columns.shape[1]) + inner)[1]
         gain[chosen] = 0.0
-        if not gain.max() > np.log1p(ENOUGH):
+        if not gain.max() > np.log1p(given.determined):
             return chosen, open_.shape[2]
-        near = [i for i in range(len(gain)) if gain[i] > NEARLY * gain.max()]
+        near = [i for i in range(len(gain)) if gain[i] > given.plainer * gain.max()]
         chosen.append(min(near, key=lambda i: (effort[i], i)))
         information = information + columns[chosen[-1]].T @ columns[chosen[-1]]
