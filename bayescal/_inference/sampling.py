@@ -353,7 +353,8 @@ def _placed(
     log_weight_phi, log_weight = np.empty(count), np.full(count, NOWHERE)
     judged, highest = Corrections(), NOWHERE
     together = max(32, min(density.together, IN_CACHE // size))
-    first = FIRST if density.exact and not density.assembly.affine else 0
+    bends = density.exact and not density.assembly.affine
+    first = FIRST if bends and count > FIRST else 0
     parts = np.array_split(np.arange(first, count), -(-(count - first) // together))
     for stretch in ([np.arange(first)] if first else []) + parts:
         deadline.current().ask()
@@ -374,9 +375,8 @@ def _placed(
         if width:
             rows[pick[some]] = own[some]
         log_weight[pick[some]] = (of_phi + correction)[some]
-    if (
-        judged.alike and density.exact
-    ):  # of those that were looked at too: their scatter would pass for a tail
+    # Of those that were looked at too: their scatter would pass for a tail.
+    if judged.alike and density.exact:
         log_weight = np.where(log_weight > NOWHERE, log_weight_phi + judged.mean, NOWHERE)
     # The mean of the unnormalised weights is the evidence; its relative error is that of a mean of so many.
     evidence = logsumexp(log_weight) - math.log(count)  # pyright: ignore[reportOperatorIssue]
