@@ -16,4 +16,5 @@ from bayescal._report.plot_residuals import residuals as residuals
 from bayescal._report.plot_search import loop as loop
 from bayescal._report.plot_search import missing as missing
 from bayescal._report.plot_search import trail as trail
+from bayescal._report.plot_sphere import sphere as sphere
 from bayescal._report.plot_style import save as save

@@ -56,6 +56,9 @@ class SearchSettings(OutcomeSettings):
         narrow: of a covariate's range, below which a selection of readings is said to lie at part of it.
         stands_for: of what the best dependence explains in a selection, that another must explain to stand for it.
         fewest_for_noise: readings from which a noise law can be told at all: a fourth moment is then known to a half.
+        determined: information on a combination of coefficients, in units of its prior's, that poses to add must come
+            to: its standard deviation is then below 0.7 of the prior's.
+        plainer: of the log volume that the best pose takes off, from which one that is easier to set does as well.
     """
 
     found: float = 0.95
@@ -84,6 +87,8 @@ class SearchSettings(OutcomeSettings):
     narrow: float = 0.8
     stands_for: float = 0.5
     fewest_for_noise: int = 30
+    determined: float = 1.0
+    plainer: float = 0.5
 
 
 @dataclass(frozen=True)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.settings import guarding
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, number, table, with_error
 from bayescal._data.unit_conversion import unit_label
+from bayescal._inference.linear_model import LinearModel
 from bayescal._model.departure import Departure
 from bayescal._model.frame import derived
-from bayescal._model.parameters import CoefficientBlock
+from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.prior import deviation
+
+Direction = Float[np.ndarray, "p"]
 
 LONGEST = 8  # terms of a combination that are written out
 TRACE = 0.01  # of the largest entry, from which a coefficient is named
@@ -199,25 +204,48 @@ def null_directions(calibration: Fitted) -> list[dict[str, str]]:
     there the posterior is the prior. What concerns next to nothing but deviations of a group's members, or the
     coefficients of unknown functions, is counted in one line for all.
     """
-    count = calibration.layout.size
-    if count == 0:
+    return untold(calibration.linear, calibration.levels)
+
+
+def untold(
+    linear: LinearModel, levels: Mapping[str, Sequence[str]], exactly: bool = True
+) -> list[dict[str, str]]:
+    """`null_directions` of a structure about any point.
+
+    Args:
+        linear: the structure.
+        levels: names of the members of its groups.
+        exactly: whether combinations that change no reading at all are told apart from those that hardly do.
+    """
+    layout = linear.assembly.layout
+    if layout.size == 0:
         return []
-    sd = calibration.linear.sd[:count]
-    white = calibration.linear.white_nuisance[:, :count]
-    x_blocks, levels = calibration.layout.x_blocks, calibration.levels
-    names = [name for b in x_blocks for name in b.member_names(levels)]
-    main = np.concatenate([np.full(b.size, _single(b)) for b in x_blocks])
-    exact = null_space.exact(white)
-    weak = null_space.weak(white, exact, guarding().weak, guarding().unmeasured)
-    found = [_exact_words(v * sd, names) for v in exact if _concerns(v, main)]
-    found += [_weak_words(v, names) for v in weak if _concerns(v, main)]
-    others = [v for v in (*exact, *weak) if not _concerns(v, main)]
-    return [*found, *([_deviations_words(others, calibration)] if others else [])]
+    names = [name for b in layout.x_blocks for name in b.member_names(levels)]
+    exact, weak, others = null_vectors(linear, exactly)
+    found = [_exact_words(v * linear.sd[: len(v)], names) for v in exact]
+    found += [_weak_words(v, names) for v in weak]
+    return [*found, *([_deviations_words(others, layout)] if others else [])]
 
 
-def _single(block: CoefficientBlock) -> bool:
-    """Whether a coefficient stands for itself: no deviation of learned spread, no part of an unknown function."""
-    return block.coefficient.group_sd is None and not block.effect.is_placeholder
+def null_vectors(
+    linear: LinearModel, exactly: bool = True
+) -> tuple[list[Direction], list[Direction], list[Direction]]:
+    """Directions that are not told, in prior standard deviations: exactly; nearly; of members of groups alone."""
+    layout = linear.assembly.layout
+    main = np.concatenate([np.full(b.size, _single(b, layout)) for b in layout.x_blocks])
+    white = linear.white_nuisance[:, : layout.size]
+    exact = null_space.exact(white) if exactly else np.zeros((0, layout.size))
+    both = exact, null_space.weak(white, exact, guarding().weak, guarding().unmeasured)
+    others = [v for found in both for v in found if not _concerns(v, main)]
+    exact, weak = ([v for v in found if _concerns(v, main)] for found in both)
+    return exact, weak, others
+
+
+def _single(block: CoefficientBlock, layout: Layout) -> bool:
+    """Whether a coefficient stands for itself: no deviation of learned spread or of a rig, no part of a function."""
+    vector = layout.model.instrument.vector
+    rigs = vector is not None and block.slot in vector.rig
+    return block.coefficient.group_sd is None and not block.effect.is_placeholder and not rigs
 
 
 def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
@@ -225,13 +253,13 @@ def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
     return float(np.sum(vector[main] ** 2)) > guarding().concerned * float(np.sum(vector**2))
 
 
-def _deviations_words(vectors: list[np.ndarray], calibration: Fitted) -> dict[str, str]:
+def _deviations_words(vectors: list[np.ndarray], layout: Layout) -> dict[str, str]:
     """Of all directions among deviations of groups and unknown functions' coefficients."""
     size = np.max(np.abs(vectors), axis=0)
     large = [
         b
-        for b in calibration.layout.x_blocks
-        if not _single(b) and size[b.start : b.start + b.size].max() > TRACE * size.max()
+        for b in layout.x_blocks
+        if not _single(b, layout) and size[b.start : b.start + b.size].max() > TRACE * size.max()
     ]
     names = ", ".join(dict.fromkeys(b.effect.name for b in large))
     words = (

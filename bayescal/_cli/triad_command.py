@@ -12,6 +12,7 @@ from bayescal._cli.console import exit_unless, print_notes, print_result, result
 from bayescal._cli.options import ColumnOptions, Commands, ModelOptions, ReadRequest
 
 commands = Commands()
+MOST = 5  # effects that are added
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 
@@ -24,14 +25,23 @@ def triad(
     instrument: Annotated[
         str,
         typer.Option(
-            "--instrument", "-i", help="Of three axes: accelerometer_triad, magnetometer_triad."
+            "--instrument",
+            help="Of three axes: accelerometer_triad, gyro_triad, magnetometer_triad.",
         ),
     ] = "accelerometer_triad",
     poses: Annotated[
         bool,
-        typer.Option("--poses", help="Each row is a pose; else the still stretches of a log are."),
+        typer.Option(
+            "--poses", help="Each row is a pose or a rate; else steady stretches of a log."
+        ),
     ] = False,
     shortest: Annotated[float, typer.Option(help="Shortest pose in a log, s.")] = 2.0,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run", help="Say what these poses do not determine and which to add; fit nothing."
+        ),
+    ] = False,
     baseline: Annotated[
         bool,
         typer.Option("--baseline", help="Look for no effect beside bias, scale, misalignment."),
@@ -40,7 +50,7 @@ def triad(
     out: options.Folder = None,
     json_: options.Json = False,
 ) -> None:
-    """Calibrate three axes by poses at rest; corrections as C99, Python, JSON and YAML."""
+    """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
     from bayescal._cli.request import open_request
     from bayescal._core.errors import InputError
     from bayescal._use.vector_export import data
@@ -55,25 +65,27 @@ def triad(
         if not poses:
             readings = bc.poses(readings, chosen, shortest=shortest)
             print_notes(readings.flags)
-        calibration = bc.fit(model, readings, seed=seed, strict=False)
-        if not baseline:
-            found = bc.discover(calibration)
-            if not json_:
-                print(f"{found}\n")
-            if found.best:
-                calibration = bc.fit(model + found.best, readings, seed=seed, strict=False)
+        untold = bc.undetermined(model, readings)
+        if dry_run:
+            print(untold)
+            return
+        if untold.add:
+            print_notes([str(untold)])
+        trail = bc.calibrate(model, readings, seed=seed, max_effects=0 if baseline else MOST)
+        calibration = trail.final.calibration
         correction = bc.vector_correction(calibration)
         print_notes(correction.notes)
         if json_:
             print_result(data(correction))
         else:
-            print(calibration)
+            print(f"{trail}\n\n{calibration}")
         if folder is not None:
-            written = [bc.export_vector(correction, folder / name) for name in FILES]
-            written += [
-                calibration.save(folder / "calibration.nc"),
-                readings.write(folder / "poses.csv"),
-            ]
+            trail.save(folder)
+            bc.report(trail, folder / "report.html")
+            for name in FILES:
+                bc.export_vector(correction, folder / name)
+            readings.write(folder / "poses.csv")
             if not json_:
-                print(f"written: {', '.join(map(str, written))}")
-    exit_unless(calibration.verdict.ok, "; ".join(calibration.verdict.reasons))
+                names = ("result.json", "calibration.nc", "report.html", "poses.csv")
+                print(f"written: {folder}/{', '.join((*FILES, *names))}")
+    exit_unless(trail.ok, trail.gate.reason)

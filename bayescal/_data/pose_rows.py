@@ -1,4 +1,8 @@
-"""Poses of three outputs as scalar readings: the magnitude and, where the direction is known, two projections."""
+"""Readings of three outputs as scalar ones.
+
+What acts has a known magnitude (gravity, a field): a pose becomes its magnitude and, where its direction is known, two
+projections. What acts is known, or nothing (a rate table): each output is a reading of its own.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,10 @@ AXES = ("x", "y", "z")
 ACROSS = tuple(f"across_{a}" for a in AXES)  # the direction that a reading is the projection on
 DIRECTION = tuple(f"direction_{a}" for a in AXES)  # of what acts, in the body's axes
 POSE_UNCERTAINTY = "pose_uncertainty"  # of that direction, rad
-MAGNITUDE = "magnitude"  # of what acts, output unit
+MAGNITUDE = "magnitude"  # of what acts, output unit, where it is all that is known
+RATE = "rate"  # of what acts about the direction, output unit
+MOUNTING = "mounting"  # readings that share an error of the direction
+OF = "axis"  # which of the readings of one moment
 
 
 def scalar_readings(
@@ -24,6 +31,8 @@ def scalar_readings(
     file: str,
 ) -> tuple[dict[str, np.ndarray], dict[str, str | None]]:
     """Poses as scalar readings: of each its magnitude and, where its direction is known, two projections.
+
+    Without a column `magnitude` what acts is known: see `component_readings`.
 
     Args:
         names: of the three outputs.
@@ -36,6 +45,8 @@ def scalar_readings(
     """
     if "output" in values:  # they are so already
         return dict(values), dict(units)
+    if MAGNITUDE not in values:
+        return component_readings(names, values, units, file)
     y = np.stack([values[name] for name in names], axis=1)
     size = _lengths(
         y, file, names, "all three read zero, so nothing acts on them: take the row out"
@@ -62,7 +73,8 @@ def scalar_readings(
     made |= {name: np.repeat(direction[:, i], 3) for i, name in enumerate(DIRECTION)}
     made |= {name: across[:, :, i].ravel() for i, name in enumerate(ACROSS)}
     made |= {"output": outputs.ravel(), UNCERTAINTY: uncertainty.ravel()}
-    made_units |= {**dict.fromkeys(ACROSS, "1"), UNCERTAINTY: made_units["output"]}
+    made |= {OF: np.tile(("magnitude", "across", "across too"), len(y))}
+    made_units |= {**dict.fromkeys(ACROSS, "1"), UNCERTAINTY: made_units["output"], OF: None}
     return made, made_units
 
 
@@ -79,6 +91,55 @@ def _lengths(
         row = int(np.argmin(length > 0)) + 1
         raise InputError(f"{file}, row {row}, columns {', '.join(names)}: {none}")
     return length
+
+
+def component_readings(
+    names: Sequence[str],
+    values: Mapping[str, np.ndarray],
+    units: Mapping[str, str | None],
+    file: str,
+) -> tuple[dict[str, np.ndarray], dict[str, str | None]]:
+    """Each of three outputs as a reading of its own, of a known rate about a direction in the body's axes.
+
+    Readings about one direction, forward or back, are of one mounting, unless a column says which are.
+
+    Args: as of `scalar_readings`.
+
+    Raises:
+        InputError: a rate without its direction, or about one of no length.
+    """
+    count = len(values[names[0]])
+    turning = values[RATE] != 0
+    lacking = [name for name in DIRECTION if name not in values]
+    if lacking and turning.any():
+        row = int(np.argmax(turning)) + 1
+        raise InputError(
+            f"{file}, row {row}, column {RATE}: a rate needs the direction that it is about, and "
+            f"{', '.join(lacking)} is missing: give the table's axis in the body's axes, of length one"
+        )
+    direction = np.zeros((count, 3))
+    if not lacking:
+        direction = np.stack([values[name] for name in DIRECTION], axis=1)
+    length = np.linalg.norm(direction, axis=1)
+    if np.any(turning & ~(length > 0)):
+        row = int(np.argmax(turning & ~(length > 0))) + 1
+        raise InputError(
+            f"{file}, row {row}, columns {', '.join(DIRECTION)}: a rate about a direction of length zero: give the "
+            "table's axis in the body's axes"
+        )
+    direction = direction / np.where(length > 0, length, 1.0)[:, None]
+    made = {name: np.repeat(v, 3) for name, v in values.items()}
+    made |= {name: np.repeat(direction[:, i], 3) for i, name in enumerate(DIRECTION)}
+    if MOUNTING not in values:
+        first = np.argmax(np.abs(direction) > 0.5, axis=1)  # one sign for both ways round
+        way = direction * np.sign(direction[np.arange(count), first])[:, None]
+        labels = ["about " + " ".join(f"{c + 0.0:.3f}" for c in one) for one in np.round(way, 3)]
+        made[MOUNTING] = np.repeat(np.where(length > 0, labels, "at rest"), 3)
+    made |= {name: np.tile(np.eye(3)[i], count) for i, name in enumerate(ACROSS)}
+    made |= {"output": np.stack([values[n] for n in names], axis=1).ravel()}
+    made |= {OF: np.tile(AXES, count)}
+    own = {**dict.fromkeys((*ACROSS, *DIRECTION), "1"), MOUNTING: None, OF: None}
+    return made, {**units, **own, "output": units[names[0]]}
 
 
 def _tangents(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:

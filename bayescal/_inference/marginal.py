@@ -70,8 +70,8 @@ class Marginal(Method):
     def run(self, layout, frame, y, seed, start=NOTHING_KNOWN):
         record = Record(layout.model.instrument, frame, np.asarray(y))
         with stage("finding the mode"):
-            layout, notes = sampled_products.choose_on(layout, record, self.promote, start)
-            mode = find_mode(Assembly(layout, record), start=start)
+            layout, notes, mode = sampled_products.choose_on(layout, record, self.promote, start)
+            mode = find_mode(Assembly(layout, record), start=start) if mode is None else mode
         noise, assembly = layout.model.noise, Assembly(layout, record)
         deadline.offer(lambda why: self.about_the_mode(assembly, mode, seed, notes, why))
         if not noise.gaussian and layout.row_blocks:

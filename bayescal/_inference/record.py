@@ -76,6 +76,7 @@ class Record:
     _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
     _bases: dict[Any, Basis | None] = field(default_factory=dict)
     _bytes: int = 0
+    _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
     _for_laws: dict[Any, programs.Leaves] = field(default_factory=dict)
     plain: dict[Any, Any] = field(default_factory=dict)  # what assemblies know of a coefficient
 
@@ -212,6 +213,14 @@ class Record:
         return self._response(slots, moves)
 
     def _response(self, slots, moves):
+        """The last one is kept: a mode's value, its products and its residuals ask for the same point."""
+        key = [(name, np.asarray(v).tobytes()) for name, v in (*slots.items(), *moves.items())]
+        last = self._last
+        if last is None or last[0] != key:
+            self._last = last = key, self._responded(slots, moves)
+        return last[1]
+
+    def _responded(self, slots, moves):
         full = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
         made = programs.response_slopes(
             self.instrument.response, self.padded, self._longer(full), self._longer(moves)

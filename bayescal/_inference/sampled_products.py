@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from bayescal._core.errors import ModelError
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
-from bayescal._inference.joint import expected
 from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.trust import sampling
@@ -34,7 +33,7 @@ def choose(
     layout: Layout, frame: Frame, y: ArrayLike, asked: tuple[str, ...] | None
 ) -> tuple[Layout, tuple[str, ...]]:
     """`choose_on` a record that is made for it."""
-    return choose_on(layout, Record(layout.model.instrument, frame, np.asarray(y)), asked)
+    return choose_on(layout, Record(layout.model.instrument, frame, np.asarray(y)), asked)[:2]
 
 
 def choose_on(
@@ -42,8 +41,8 @@ def choose_on(
     record: Record,
     asked: tuple[str, ...] | None,
     start: Mapping[str, float] = NOTHING_KNOWN,
-) -> tuple[Layout, tuple[str, ...]]:
-    """The layout with what must be promoted, and what to say about it.
+) -> tuple[Layout, tuple[str, ...], Mode | None]:
+    """The layout with what must be promoted, what to say about it, and its mode where that was sought.
 
     Args:
         layout: of the model.
@@ -61,15 +60,16 @@ def choose_on(
                 raise ModelError(
                     f"promote: nothing that could be promoted is called {name!r}; there is: {', '.join(known)}"
                 )
-        return layout.promote(*asked), ()
+        return layout.promote(*asked), (), None
     assembly, notes = Assembly(layout, record), ()
     while _bends(assembly):
         candidates = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MEMBERS]
         free = MOST - sum(h.kind == "promoted" for h in layout.hypers)
         candidates = [b for b in candidates if b.size <= free]
         if not candidates:
-            return layout, notes
-        sizes = _second_order(assembly, find_mode(assembly, start=start))
+            return layout, notes, None
+        mode = find_mode(assembly, start=start)
+        sizes = _second_order(assembly, mode)
         strength = [
             float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in candidates
         ]
@@ -82,7 +82,7 @@ def choose_on(
         if free_of_spread[best] < sampling().product:
             best = int(np.argmax(strength))
         if strength[best] < sampling().product:
-            return layout, notes
+            return layout, notes, mode
         chosen = _with_its_parts(candidates, strength, best, free)
         layout = layout.promote(*(b.name for b in chosen))
         several = len(chosen) > 1
@@ -93,7 +93,7 @@ def choose_on(
             "standard deviations.",
         )
         assembly = Assembly(layout, record)
-    return layout, notes
+    return layout, notes, None
 
 
 def _with_its_parts(
@@ -119,16 +119,16 @@ def is_nonlinear(layout: Layout, frame: Frame) -> bool:
 def _bends(assembly: Assembly) -> bool:
     if assembly.affine or not assembly.size:
         return False
-    random, v = np.random.default_rng(1), np.zeros((1, len(assembly.hypers)))
-    widths = assembly.row_sd
+    random, v = np.random.default_rng(1), np.zeros(len(assembly.hypers))
+    widths, hyper = assembly.row_sd, assembly.hyper(v)
     rows = widths * random.standard_normal((assembly.record.size, len(widths)))
-    sd = assembly.sizes.at_several(assembly.hyper(v.T), len(v), np.ones(assembly.size))
+    sd = assembly.sizes.at_several(assembly.hyper(v[:, None]), 1, np.ones(assembly.size))[0]
     # An affine f has f(a + b) − f(0) = (f(a) − f(0)) + (f(b) − f(0)) for all a and b: tried at random ones of prior
     # size.
     one, two = sd * random.standard_normal((2, assembly.size))
-    x = assembly.mean_of_x + np.stack([0 * one, one, two, one + two])
-    share = np.array([0.0, 1.0, 0.0, 1.0])[:, None, None]
-    base, a, b, both = expected(assembly, x, share * rows, assembly.hyper(np.repeat(v, 4, 0).T))
+    moves = ((0 * one, 0.0), (one, 1.0), (two, 0.0), (one + two, 1.0))
+    points = (Point(assembly.mean_of_x + x, share * rows) for x, share in moves)
+    base, a, b, both = (assembly.linearise(point, hyper).mean for point in points)
     scale = np.max(np.abs(a - base)) + np.max(np.abs(b - base)) + 1e-300
     return bool(np.max(np.abs((both - base) - (a - base) - (b - base))) > AFFINE * scale)
 

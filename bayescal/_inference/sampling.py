@@ -41,6 +41,7 @@ ADAPTED = (
 )
 NUMBERS = 1_000_000  # in what is computed at once, to bound memory,
 IN_CACHE = 150_000  # and to stay in the cache
+FIRST = 256  # draws of a nonlinear model whose corrections are looked at before those of the others are computed
 TOGETHER = 512  # draws whose distances to all kernels are taken at once
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
 FAR = 10.0  # below the largest log density, from which products need not be exact where polynomials end
@@ -164,7 +165,9 @@ class ManyPhi:
         return total, found
 
     def inside(self, v: Float[np.ndarray, "b d"]) -> np.ndarray:
-        """Which φ lie where polynomials were fitted, of a record on which a draw's own correction costs more."""
+        """Which φ nothing but nonlinearity corrects, or lie where polynomials were fitted to a long record."""
+        if self.exact:
+            return np.ones(len(v), dtype=bool)
         if self.size <= LONG or not self.polynomial:
             return np.zeros(len(v), dtype=bool)
         assert self.products is not None
@@ -353,7 +356,10 @@ def _placed(
     log_weight_phi, log_weight = np.empty(count), np.full(count, NOWHERE)
     judged, highest = Corrections(), NOWHERE
     together = max(32, min(density.together, IN_CACHE // size))
-    for stretch in np.array_split(np.arange(count), -(-count // together)):
+    bends = density.exact and not density.assembly.affine
+    first = FIRST if bends and count > FIRST else 0
+    parts = np.array_split(np.arange(first, count), -(-(count - first) // together))
+    for stretch in ([np.arange(first)] if first else []) + parts:
         deadline.current().ask()
         normal = normal_numbers(density.assembly.size, len(stretch), heavy, random)
         log_phi, found = density.at(v[stretch], normal)
@@ -372,6 +378,9 @@ def _placed(
         if width:
             rows[pick[some]] = own[some]
         log_weight[pick[some]] = (of_phi + correction)[some]
+    # Of those that were looked at too: their scatter would pass for a tail.
+    if judged.alike and density.exact:
+        log_weight = np.where(log_weight > NOWHERE, log_weight_phi + judged.mean, NOWHERE)
     # The mean of the unnormalised weights is the evidence; its relative error is that of a mean of so many.
     evidence = logsumexp(log_weight) - math.log(count)  # pyright: ignore[reportOperatorIssue]
     error = np.std(np.exp(log_weight - evidence)) / math.sqrt(count)
@@ -389,7 +398,7 @@ def _drawn(
     """
     assembly, mode, exact = density.assembly, density.mode, density.exact
     hyper, inside = assembly.hyper(v.T), density.inside(v)
-    if exact or len(assembly.row_sd) or not judged.alike:
+    if len(assembly.row_sd) or not judged.alike:
         made = draw_joint(assembly, mode, found, normal, hyper, exact, heavy, random)
         judged.add(of_phi[inside], made[2][inside])
         return made

@@ -19,6 +19,9 @@ becomes scalar readings of independent noise, so that everything that takes a sc
 
 A direction that is unknown leaves one reading of three; a rotation of the triad then moves no reading, so that only
 three of six misalignments are determined (an upper triangle by convention).
+
+Where what acts is known but for errors of the rig (a rate about a table's axis), these are unknowns of the model, and
+each output is a reading of its own: the projection on its axis.
 """
 
 from __future__ import annotations
@@ -46,13 +49,22 @@ class Vector:
     Attributes:
         outputs: the three columns that files hold, in the output's unit; `output` is made of them.
         equation: h of slots and frame: a function of what acts (n, 3), output unit, to the three outputs expected.
+        acting: what acts (n, 3), output unit, of a frame, where it is known; None where its magnitude is.
+        rig: slots of the rig's own errors, which do not act in use and which the equation does not hold.
+        beside: three columns of what else acts, linearly, in use too: gravity on gyroscopes.
     """
 
     outputs: tuple[str, str, str]
     equation: Callable[[Mapping[str, Any], Frame], Outputs]
+    acting: Callable[[Frame], Float[Array, "n 3"]] | None = None
+    rig: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
 
     def response(self, slots: Mapping[str, Float[Array, "n"]], frame: Frame) -> Float[Array, "n"]:
         """The expected output of each reading, magnitude or projection, output unit."""
+        if self.acting is not None:
+            across = jnp.stack([frame[name] for name in ACROSS], axis=1)
+            return jnp.sum(across * self.equation(slots, frame)(self.acting(frame)), axis=1)
         y = jnp.stack([frame[name] for name in self.outputs], axis=1)
         size = frame[MAGNITUDE]
         outputs = self.equation(slots, frame)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 from markupsafe import Markup, escape
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -18,7 +19,7 @@ from bayescal._calibration.check_result import Check
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._data.unit_conversion import unit_label
-from bayescal._report import plot_allan, plot_posterior, plot_residuals, plot_search
+from bayescal._report import plot_allan, plot_posterior, plot_residuals, plot_search, plot_sphere
 from bayescal._report.section import Chapter
 
 SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
@@ -81,6 +82,19 @@ class Pictures:
             lambda: plot_allan.allan(found),
             f"Allan deviation of the residuals of {which}, and what its noise law lets one expect (grey, 95 %)",
             f"Allan deviation over averaging time: {found.allan.sentence()}.",
+        )
+
+    def sphere(self, calibration: Calibration) -> Picture | None:
+        """Residuals along the sphere of poses, of three axes that are read so."""
+        vector = calibration.model.instrument.vector
+        if vector is None or vector.acting is not None:
+            return None
+        residual = np.abs(plot_sphere.residuals_on_sphere(calibration)[1])
+        return self.draw(
+            lambda: plot_sphere.sphere(calibration),
+            "Residuals of the magnitude along the sphere of poses, in standard deviations",
+            f"Two hemispheres with {len(residual)} poses; the largest residual is {number(residual.max())} standard "
+            f"deviations, {int(np.sum(residual > 2))} are beyond 2.",
         )
 
     def error(self, chapter: Chapter) -> Picture:

@@ -162,6 +162,7 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
             if isinstance(v, float) and n.endswith("0")
         ],
         "coefficients": rows[: 4 * MANY],
+        "matrix": tables.matrix(chapter),
         "skewed": tables.skewed(chapter),
         "check": chapter.check,
         "checks": _checks(data, last),
@@ -272,6 +273,7 @@ def _pictures(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
     return {
         "first": first,
         "last": pictures.residuals(c, chapter.check, "the last model"),
+        "sphere": pictures.sphere(c),
         "error": pictures.error(chapter),
         **{name: pictures.of_fit(name, c) for name in figures.OF_FIT},
         "allan": pictures.allan(chapter.check, "the last model"),

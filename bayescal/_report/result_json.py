@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity
 from bayescal._calibration.leave_group_out import groups_of
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.as_json import as_json
+from bayescal._core.errors import ModelError
 from bayescal._core.settings_in_force import unusual
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import GROUPS
@@ -21,6 +23,8 @@ from bayescal._model.noise_law import Noise
 from bayescal._search.discover import Discovery
 from bayescal._search.next_experiment import NextExperiment
 from bayescal._search.search_path import SearchPath, Step
+from bayescal._use.vector_correction import vector_correction
+from bayescal._use.vector_export import data
 
 SCHEMA = "bayescal.result/2"
 FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
@@ -87,6 +91,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             ],
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
+            "vector": vector_data(final),
             "identifiability": {"null_directions": null_directions(final)},
             "verdict": {
                 "ok": trail.ok,
@@ -95,6 +100,18 @@ def result(trail: SearchPath) -> dict[str, Any]:
             },
         }
     )
+
+
+def vector_data(calibration: Calibration) -> dict[str, Any] | None:
+    """Offset and 3 × 3 matrix over temperature, with standard uncertainties, of three axes; None of one output."""
+    if calibration.model.instrument.vector is None:
+        return None
+    try:
+        correction = vector_correction(calibration)
+    except ModelError as error:
+        return {"unavailable": str(error)}
+    whole = {k: v for k, v in data(correction).items() if k != "made_by"}
+    return {**whole, "uncertainty": correction.uncertainty.tolist()}
 
 
 def search_data(trail: SearchPath) -> dict[str, Any] | None:

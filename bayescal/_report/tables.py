@@ -201,3 +201,26 @@ def _prior(prior: Any) -> str:
         Flat: lambda p: "flat prior",
     }
     return words.get(type(prior), repr)(prior)
+
+
+def matrix(chapter: Chapter) -> list[tuple[str, str, str, str]]:
+    """Of three axes, terms of the correction at T0 and by temperature: name, power of T − T0, value ± u, unit."""
+    found = chapter.data.get("vector")
+    if not found or "terms" not in found:
+        return []
+    axes = "xyz"
+    names = [f"offset {a}" for a in axes] + [f"matrix {a}{b}" for a in axes for b in axes]
+    width = len(found["terms"][0])
+    if width - 9 * bool(found["beside"]) > 12:
+        names += [
+            f"second order {a}·{p}" for a in axes for p in ("xx", "yy", "zz", "xy", "xz", "yz")
+        ]
+    if found["beside"]:
+        names += [f"{g} on {a}" for a in axes for g in found["beside"]]
+    rows = []
+    for power, (values, sds) in enumerate(zip(found["terms"], found["uncertainty"], strict=True)):
+        for name, value, sd in zip(names, values, sds, strict=True):
+            if value or sd:
+                of = found["unit"] if name.startswith("offset") else ""
+                rows.append((name, str(power), with_error(value, sd), unit_label(of)))
+    return rows

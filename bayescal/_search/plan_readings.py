@@ -22,6 +22,7 @@ from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number, table
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
+from bayescal._data.pose_rows import ACROSS
 from bayescal._data.unit_conversion import unit_label
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._search.next_experiment import MOST, expected_readings
@@ -209,7 +210,9 @@ def plan_readings(
     # when a reading is taken is not chosen.
     acting = dict.fromkeys(c for effect in calibration.model.effects for c in effect.columns)
     acting.update(dict.fromkeys(c.name for c in calibration.model.instrument.columns))
-    numbers = [c for c in acting if c != "time" and _differs(best.readings, c)]
+    vector = calibration.model.instrument.vector
+    made = {"time", *ACROSS, *(vector.outputs if vector is not None and vector.acting else ())}
+    numbers = [c for c in acting if c not in made and _differs(best.readings, c)]
     picked = tuple(
         PickedReading(
             int(kept[i]), {c: float(best.readings[c][kept[i]]) for c in numbers}, float(left)

@@ -9,6 +9,7 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
+from bayescal._data.pose_rows import ACROSS, OF
 from bayescal._data.still_stretches import still_stretches
 from bayescal._model.instrument import Instrument
 
@@ -17,6 +18,8 @@ def poses(
     log: Measurements, instrument: Instrument, *, shortest: float | None = None
 ) -> Measurements:
     """Still stretches of a log, averaged, a row each; other numeric columns are averaged beside them.
+
+    Of gyroscopes on a rate table they are stretches of a steady rate.
 
     Args:
         log: samples of the three outputs, read with the instrument, with a column `time`.
@@ -30,6 +33,8 @@ def poses(
         raise InputError(f"instrument {instrument.name!r} has one output: poses are of three axes")
     if not log.has("time"):
         raise InputError(f"{log.file}: still stretches need the column 'time', in s")
+    if log.has(ACROSS[0]):  # each sample is three readings
+        log = log.select(np.arange(0, len(log), 3))
     _, runs = log.groups("run")
     rows: dict[str, list[np.ndarray]] = {}
     ratios = []
@@ -39,7 +44,7 @@ def poses(
         found = still_stretches(log["time"][own], outputs, shortest)
         ratios.append(found.ratio)
         for name in log.columns:
-            if name in ("output", UNCERTAINTY):
+            if name in ("output", UNCERTAINTY, OF, *ACROSS):
                 continue
             values = log[name][own]
             pairs = zip(found.first, found.last, strict=True)

@@ -4,6 +4,8 @@ The calibrated equation h is taken as its Taylor series in what acts, offset, 3 
 terms of second order, each a polynomial of T − T0. That is exact for terms that are polynomials of both.
 
     f̂ = h⁻¹(y),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
+
+What acts beside it (gravity on gyroscopes) adds to the offset, linearly.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.joint import slots_of
 
 EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
+ROUNDING = 1e-13  # of it, up to which a term is none
 ORDERS = 3  # of the temperature
 PAIRS = (
     (0, 0),
@@ -101,11 +104,13 @@ class VectorCorrection:
         unit: of the outputs and of what acts.
         reference: T0, °C.
         low, high: temperatures of the calibration, °C; equal where there was one, or none was recorded.
-        terms: for each power of T − T0, offset (3), matrix by rows (9), then second order by rows (18) or none (k, p).
+        terms: for each power of T − T0, offset (3), matrix by rows (9), then second order by rows (18) or none, then
+            what acts beside, by rows (9) or none (k, p).
         covariance: of `terms`, raveled (k·p, k·p).
-        noise: standard deviation of an output as it was calibrated, `unit`.
+        noise: standard deviation of an output as it was calibrated, of the best reading, `unit`.
         notes: what to know, each a sentence.
         source: identity of the calibration.
+        beside: columns of what acts beside; empty for none.
     """
 
     outputs: tuple[str, ...]
@@ -118,6 +123,12 @@ class VectorCorrection:
     noise: float
     notes: tuple[str, ...] = ()
     source: str = ""
+    beside: tuple[str, ...] = ()
+
+    @property
+    def order(self) -> int:
+        """Of the equation in what acts, 1 or 2."""
+        return 2 if self.terms.shape[1] - 9 * bool(self.beside) > 12 else 1
 
     def at(self, temperature: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
@@ -150,6 +161,7 @@ class VectorCorrection:
         temperature: ArrayLike | None = None,
         *,
         noise: float | None = None,
+        beside: ArrayLike | None = None,
     ) -> CorrectedVector:
         """What acts, by three outputs.
 
@@ -158,11 +170,14 @@ class VectorCorrection:
             temperature: °C, one each or one for all; T0 if not given.
             noise: standard deviation of each output, `unit`; that of the calibration's poses if not given, 0 for the
                 uncertainty of the calibration alone.
+            beside: what acts beside, (n, 3) or (3,), in the unit of its columns, where the model has it.
 
         Raises:
-            InputError: not three outputs, or a temperature for each is missing where the model needs it.
+            InputError: not three outputs, or a temperature or what acts beside is missing where the model needs it.
         """
         if isinstance(outputs, Measurements):
+            if self.beside and beside is None and outputs.has(self.beside[0]):
+                beside = np.stack([outputs[name] for name in self.beside], axis=1)
             temperature = (
                 outputs["temperature"]
                 if temperature is None and outputs.has("temperature")
@@ -179,15 +194,25 @@ class VectorCorrection:
         warm = np.broadcast_to(
             self.reference if temperature is None else np.asarray(temperature, float), len(y)
         )
+        if self.beside and beside is None:
+            raise InputError(
+                f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
+            )
         terms, own = self.at(warm)
+        by_beside = []
+        if self.beside:
+            acts = np.broadcast_to(np.asarray(beside, float), y.shape)
+            by_beside = [_by_rows(acts)]
+            terms, last = terms[:, :-9].copy(), terms[:, -9:]
+            terms[:, :3] += (by_beside[0] @ last[..., None])[..., 0]
         force = y.copy()
         for _ in range(NEWTON):
             there, slopes = _outputs(terms, force)
             force = force - np.linalg.solve(slopes, (there - y)[..., None])[..., 0]
         inverse = np.linalg.inv(_outputs(terms, force)[1])
         by_terms = [np.broadcast_to(np.eye(3), (len(y), 3, 3)), _by_rows(force)]
-        by_terms += [_by_rows(_products(force))] if terms.shape[1] > 12 else []
-        slope = inverse @ np.concatenate(by_terms, axis=2)
+        by_terms += [_by_rows(_products(force))] if self.order > 1 else []
+        slope = inverse @ np.concatenate([*by_terms, *by_beside], axis=2)
         sd = self.noise if noise is None else noise
         covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
             0, 2, 1
@@ -254,16 +279,19 @@ def vector_correction(
             f"instrument {model.instrument.name!r} has one output: bayescal.compensator corrects it"
         )
     for effect in model.effects:
-        if other := sorted(set(effect.columns) - set(USED)):
+        if all((c.slot or effect.slot) in vector.rig for c in effect.coefficients):
+            continue
+        if other := sorted(set(effect.columns) - {*USED, *vector.beside}):
             raise ModelError(
                 f"effect {effect.name!r} needs {', '.join(other)}, which a correction by the temperature alone has "
                 f"not: fit the model without it, model - {effect.name!r}, and its part is noise"
             )
+    beside = vector.beside if any(set(e.columns) & {*vector.beside} for e in model.effects) else ()
     warm = readings["temperature"] if readings.has("temperature") else np.zeros(1)
     low, high, reference = float(np.min(warm)), float(np.max(warm)), float(np.round(np.mean(warm)))
     reference = float(calibration.reference.get("T0", reference))  # pyright: ignore[reportArgumentType]
     grid = np.linspace(low, high, 2 * ORDERS + 1) if high > low else np.array([low])
-    taylor = _taylor(calibration, grid, draws, seed)  # (draws, grid, p)
+    taylor = _taylor(calibration, grid, beside, draws, seed)  # (draws, grid, p)
     powers = (grid - reference)[:, None] ** np.arange(ORDERS + 1)
     for order in range(min(ORDERS, len(grid) - 1) + 1):
         own = powers[:, : order + 1]
@@ -279,14 +307,11 @@ def vector_correction(
             "cannot be written as an offset and a matrix over temperature"
         )
     terms = np.moveaxis(fitted.reshape(order + 1, len(taylor), -1), 1, 0)  # (draws, k, p)
-    if not np.any(terms[:, :, 12:]):
-        terms = terms[:, :, :12]
+    reach = np.max(np.abs(powers[:, : order + 1]), axis=0)[:, None]
+    terms[:, np.max(np.abs(terms), axis=0) * reach <= ROUNDING * np.max(np.abs(taylor))] = 0.0
+    if not np.any(terms[:, :, 12:30]):
+        terms = np.delete(terms, slice(12, 30), axis=2)
     spread = terms.reshape(len(terms), -1)
-    white = (
-        calibration.samples("noise.white")
-        if "noise.white" in calibration.posterior
-        else np.zeros(1)
-    )
     return VectorCorrection(
         outputs=vector.outputs,
         unit=model.instrument.unit,
@@ -295,9 +320,10 @@ def vector_correction(
         high=high,
         terms=np.mean(terms, axis=0),
         covariance=np.atleast_2d(np.cov(spread.T)),
-        noise=float(np.sqrt(np.mean(white**2))),
+        noise=float(np.sqrt(np.min(calibration.linear.variance))),
         notes=_notes(calibration, order, low, high),
         source=identity(calibration),
+        beside=beside,
     )
 
 
@@ -321,14 +347,17 @@ def _notes(calibration: Calibration, order: int, low: float, high: float) -> tup
 
 
 def _taylor(
-    calibration: Calibration, grid: np.ndarray, draws: int, seed: int
+    calibration: Calibration, grid: np.ndarray, beside: tuple[str, ...], draws: int, seed: int
 ) -> Float[np.ndarray, "s g p"]:
-    """Offset, matrix and second order of the equation at temperatures, of draws."""
+    """Offset, matrix, second order and what acts beside at temperatures, of draws."""
+    each, grid = len(grid), np.tile(grid, 1 + len(beside))  # at none, then at one of each
     readings, vector = calibration.readings, calibration.model.instrument.vector
     assert vector is not None
     like = readings.select(np.zeros(len(grid), dtype=int))
     if readings.has("temperature"):
         like = like.with_column("temperature", grid)
+    for i, name in enumerate(beside):
+        like = like.with_column(name, 1.0 * (np.arange(len(grid)) // each == 1 + i))
     x, rows, v = calibration.draws(draws)
     rows = np.zeros((len(x), len(grid), rows.shape[2]))
     assembly = calibration.assembly_on(like, calibration.frame_of(like))
@@ -360,4 +389,7 @@ def _taylor(
         parts = h(zero), slope(zero).reshape(len(grid), 9), own.reshape(len(grid), 18)
         return jnp.concatenate(parts, axis=1)
 
-    return np.asarray(jax.jit(jax.vmap(terms))({n: jnp.asarray(s) for n, s in slots.items()}))
+    found = np.asarray(jax.jit(jax.vmap(terms))({n: jnp.asarray(s) for n, s in slots.items()}))
+    none, others = found[:, :each], found[:, each:, :3].reshape(len(x), len(beside), each, 3)
+    further = np.moveaxis(others - none[:, None, :, :3], 1, 3).reshape(len(x), each, -1)
+    return np.concatenate([none, further], axis=2)

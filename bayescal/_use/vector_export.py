@@ -4,12 +4,13 @@ Equations of what reads them, and their sources:
 
 * Kalibr (imu_models, scale-misalignment): a_measured = M·a + b + n, M lower triangular, the body's x axis that of the
   sensor x; https://github.com/ethz-asl/kalibr/wiki/Multi-IMU-and-IMU-intrinsic-calibration. A rotation takes ours
-  there.
-* OpenVINS (kalibr_imu_chain.yaml): Tw and Ta in ω_measured = Tw·ω + …, a_measured = Ta·a + …, of any form.
-* PX4 (src/lib/sensor_calibration): corrected = (raw − OFF)·SCALE on each axis of an accelerometer, in m/s²; a symmetric
-  matrix with ODIAG beside it for a magnetometer, in gauss.
-* ArduPilot (AP_InertialSensor_Backend, AP_Compass_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s²; for a compass
-  DIA/ODI·(raw + OFS), symmetric, in mG.
+  there. A gyroscope has that rotation, ω_measured = M·C_gyro_i·ω + A·C_gyro_i·a + b, in rad/s and m/s².
+* OpenVINS (kalibr_imu_chain.yaml, ov_msckf/VioManagerOptions.h): a_measured = Ta·R_IMUtoACC·a + b, ω_measured =
+  Tw·R_IMUtoGYRO·ω + Tg·a + b; of T it keeps the lower triangle under the model "kalibr".
+* PX4 (src/lib/sensor_calibration): corrected = (raw − OFF)·SCALE on each axis of an accelerometer, in m/s², raw −
+  OFF of a gyroscope, in rad/s; a symmetric matrix with ODIAG beside it for a magnetometer, in gauss.
+* ArduPilot (AP_InertialSensor_Backend, AP_Compass_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s², raw − INS_GYROFFS
+  in rad/s; for a compass DIA/ODI·(raw + OFS), symmetric, in mG.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import c_comment, identifier, number_text
 from bayescal._core.version import __version__
 from bayescal._data.unit_conversion import convert, same_dimension
+from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._use.autopilots import AUTOPILOTS
 from bayescal._use.languages import template
 from bayescal._use.vector_correction import NEWTON, VectorCorrection
@@ -40,8 +42,9 @@ def data(correction: VectorCorrection) -> dict[str, Any]:
         "calibration": correction.source,
         "outputs": list(correction.outputs),
         "unit": correction.unit,
-        "equation": "outputs = offset + matrix·f (+ second order), each a polynomial of T − reference",
-        "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows",
+        "equation": "outputs = offset + matrix·f (+ second order) (+ beside·g), each a polynomial of T − reference",
+        "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; beside by rows",
+        "beside": list(correction.beside),
         "reference_degC": correction.reference,
         "temperatures_degC": [correction.low, correction.high],
         "terms": correction.terms.tolist(),
@@ -63,7 +66,7 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
         covariance = np.array(found["covariance"], dtype=float)
         if (
             terms.ndim != 2
-            or terms.shape[1] not in (12, 30)
+            or terms.shape[1] - 9 * bool(found.get("beside")) not in (12, 30)
             or covariance.shape != 2 * (terms.size,)
         ):
             raise ValueError(
@@ -81,6 +84,7 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
             noise=float(found["noise"]),
             notes=tuple(map(str, found["notes"])),
             source=str(found["calibration"]),
+            beside=tuple(map(str, found.get("beside", ()))),
         )
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(
@@ -88,36 +92,45 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
         ) from None
 
 
-def kalibr_yaml_of(correction: VectorCorrection, kind: str = "accelerometers") -> str:
-    """The intrinsics as Kalibr and OpenVINS state them, in m/s² or rad/s where the unit is one of these.
-
-    Args:
-        correction: at T0.
-        kind: "accelerometers" or "gyroscopes".
-    """
+def kalibr_yaml_of(correction: VectorCorrection) -> str:
+    """The intrinsics at T0 as Kalibr and OpenVINS state them, in m/s² or rad/s where the unit is one of these."""
     m, sd = correction.matrix, correction.uncertainty[0, 3:12].reshape(3, 3)
     lower = np.linalg.cholesky(m @ m.T)
     turn = np.linalg.solve(lower, m)
     factor, unit = _si(correction.unit)
+    turns = unit == "rad/s"
     lines = [
         f"# Intrinsics of three axes at {correction.reference:g} degC, made by bayescal {__version__}",
         *(f"# {c_comment(note)}" for note in correction.notes),
         "imu0:",
-        f"  {kind}:",
+        f"  {'gyroscopes' if turns else 'accelerometers'}:",
         "    # Kalibr, scale-misalignment: measured = M*f + bias, M lower triangular, x axis of the body = sensor x",
         "    M:",
         *_rows(lower),
-        "    # from the body axes of this calibration (z = sensor z) to those: f_kalibr = R*f",
-        "    R:",
+        "    # from the body axes of this calibration to those: f_kalibr = R*f",
+        f"    {'C_gyro_i' if turns else 'R'}:",
         *_rows(turn),
         f"    # bias, {unit}, and its standard uncertainty",
         f"    bias: {_list(correction.offset * factor)}",
         f"    bias_uncertainty: {_list(correction.uncertainty[0, :3] * factor)}",
-        "  # OpenVINS: measured = T*f + bias, in the body axes of this calibration; standard uncertainty below",
-        f"  {'Ta' if kind == 'accelerometers' else 'Tw'}:",
+        "    # measured = matrix*f + bias, in the body axes of this calibration, and standard uncertainties",
+        "    matrix:",
         *_rows(m),
-        "  # standard uncertainty of its entries",
-        *(f"  #   {_list(row)}" for row in sd),
+        "    matrix_uncertainty:",
+        *_rows(sd),
+    ]
+    by_gravity = np.zeros((3, 3))
+    if turns and correction.beside:
+        by_gravity = correction.terms[0, -9:].reshape(3, 3) * factor / STANDARD_GRAVITY
+        lines += ["    # sensitivity to specific force in the axes of M, rad/s per m/s^2", "    A:"]
+        lines += _rows(by_gravity @ turn.T)
+    lines += [
+        "  # OpenVINS: measured = T*R*f + bias, of gyroscopes + Tg*a, in the body axes of this calibration",
+        f"  {'Tw' if turns else 'Ta'}:",
+        *_rows(lower),
+        f"  {'R_IMUtoGYRO' if turns else 'R_IMUtoACC'}:",
+        *_rows(turn),
+        *(["  Tg:", *_rows(by_gravity)] if turns else []),
     ]
     return "\n".join(lines) + "\n"
 
@@ -127,7 +140,7 @@ def autopilot_parameters(
 ) -> dict[str, float]:
     """Parameters of PX4 ("px4-params") or ArduPilot ("ardupilot-params") at T0, by their names.
 
-    Of an accelerometer misalignments are left out, for which these have no parameters.
+    Of an accelerometer misalignments are left out, for which these have no parameters, of a gyroscope all but offsets.
 
     Raises:
         InputError: another autopilot, or a quantity that it has no such parameters for.
@@ -146,6 +159,11 @@ def autopilot_parameters(
         )
         found = {off.format(a): correction.offset[i] * factor for i, a in enumerate("XYZ")}
         return found | {scale.format(a): back[i, i] for i, a in enumerate("XYZ")}
+    if same_dimension(correction.unit, "rad/s"):
+        factor, _ = _si(correction.unit)
+        number = "" if sensor == 0 else str(sensor + 1)
+        off = f"CAL_GYRO{sensor}_{{}}OFF" if px4 else f"INS_GYR{number}OFFS_{{}}"
+        return {off.format(a): correction.offset[i] * factor for i, a in enumerate("XYZ")}
     if same_dimension(correction.unit, "uT"):
         values, vectors = np.linalg.eigh(back.T @ back)
         symmetric = (vectors * np.sqrt(values)) @ vectors.T
@@ -161,7 +179,7 @@ def autopilot_parameters(
         found |= {f"COMPASS_DIA{number}_{a}": symmetric[i, i] for i, a in enumerate("XYZ")}
         return found | {f"COMPASS_ODI{number}_{a}": v for a, v in beside.items()}
     raise InputError(
-        f"{autopilot}: there are parameters for accelerometers and magnetometers, and these outputs are in "
+        f"{autopilot}: there are parameters for accelerometers, gyroscopes and magnetometers, and these outputs are in "
         f"[{correction.unit}]"
     )
 

@@ -18,4 +18,5 @@ INSTRUMENTS = (
     "still_sensor",
     "accelerometer_triad",
     "magnetometer_triad",
+    "gyro_triad",
 )

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._data import unit_conversion
 from bayescal._model import forward
+from bayescal._model.instrument import factor_of
 from tests.contract.data_sheet import listed
 from tests.support.contract_cases import Case
 
@@ -141,8 +141,7 @@ def test_every_slot_is_linear_in_its_coefficients(case: Case) -> None:
         per = block.coefficient.per
         codes = np.zeros(b.frame.size, int) if per is None else np.asarray(b.frame.codes[per])
         share = np.where(codes >= 0, values[codes], 0.0)
-        unit = case.instrument.slot(block.slot).unit
-        factor = unit_conversion.coefficient_factor(block.coefficient.unit, unit)
+        factor = factor_of(case.instrument, block.effect, block.coefficient)
         expected[block.slot] += basis * share * factor
     for slot, value in expected.items():
         scale = np.abs(value).max() + 1e-300

@@ -158,6 +158,61 @@ def test_what_poses_do_not_tell_keeps_the_width_of_its_prior(
         assert "not measured: scale.constant[y]" in str(calibration)
 
 
+@pytest.mark.parametrize(
+    ("kind", "count", "poses"),
+    [
+        (
+            "six",
+            6,
+            ["at 45° between x and y", "at 45° between x and z", "at 45° between y and z"],
+        ),
+        ("twelve", 12, []),
+        ("planar", 24, ["along y", "along −y", "at 45° between x and y", "at 45° between y and z"]),
+        ("level", 24, ["along x", "along y", "along −z"]),
+    ],
+)
+def test_poses_to_add_are_said_before_a_fit(kind: str, count: int, poses: list[str]) -> None:
+    readings = accelerometer_triad.simulate(seed=1, campaign=Campaign(kind=kind, poses=count))
+    found = bc.undetermined(MODEL, readings)
+    assert [str(pose) for pose in found.add] == poses
+    assert found.left == 0
+    assert found.readings == count
+    if kind == "six":
+        assert "misalignment.constant[xy]: these readings say nothing of it" in str(found)
+    if not poses:
+        assert str(found) == "12 readings determine every coefficient."
+    # With them all is determined.
+    y = outputs(readings)
+    more = np.array([pose.direction for pose in found.add]).reshape(-1, 3)
+    y = np.concatenate([y, more / np.linalg.norm(more, axis=1)[:, None]])
+    columns: dict[str, Any] = {f"output_{a}": y[:, i] for i, a in enumerate("xyz")}
+    again = bc.Measurements.from_arrays(accelerometer_triad.INSTRUMENT, **columns)
+    assert not bc.undetermined(MODEL, again).combinations
+
+
+def test_a_further_temperature_is_asked_for() -> None:
+    readings = accelerometer_triad.simulate(seed=1)
+    found = bc.undetermined(MODEL + "bias.temperature", readings)
+    assert [str(p) for p in found.add] == [f"along {a}, at 55 °C" for a in "xyz"]
+
+
+def test_what_no_pose_determines_is_said() -> None:
+    """y·z on x and x·z on y and x·y on z are one product while |f| is what is known."""
+    found = bc.undetermined(MODEL + "cross.constant", accelerometer_triad.simulate(seed=1))
+    assert found.left
+    assert "are determined by no further pose" in str(found)
+
+
+def test_directions_that_shrink_an_uncertainty_are_planned() -> None:
+    readings = accelerometer_triad.simulate(seed=1, campaign=Campaign(kind="six", poses=12))
+    plan = bc.plan_readings(
+        bc.fit(MODEL, readings), "misalignment.constant[xy]: ±0.5 mrad", count=2
+    )
+    for picked in plan.picked:
+        assert abs(picked.at["output_x"] * picked.at["output_y"]) == pytest.approx(0.5)
+    assert plan.picked[-1].u < 0.1 * plan.u
+
+
 def test_a_family_is_found_as_one_effect() -> None:
     readings = accelerometer_triad.simulate({"bias.temperature": 0.3}, seed=7, campaign=THERMAL)
     found = bc.discover(bc.fit(MODEL, readings))
@@ -188,6 +243,32 @@ def test_intervals_cover(campaign: Campaign) -> None:
     assert abs(each.mean() - 0.95) < 4 * error
 
 
+def test_corrections_that_are_alike_are_computed_for_a_few_draws_only(monkeypatch) -> None:
+    """The same posterior to a hundredth of a standard deviation, the response computed for 256 draws of 8,192."""
+    from bayescal._core import importance_weights
+    from bayescal._inference import sampling
+
+    counts = []
+
+    def counted(assembly, mode, found, *args):
+        counts.append(len(found.x))
+        return draw_joint(assembly, mode, found, *args)
+
+    draw_joint = sampling.draw_joint
+    monkeypatch.setattr(sampling, "draw_joint", counted)
+    readings = accelerometer_triad.simulate(seed=4, campaign=Campaign(poses=40))
+    quick = bc.fit(MODEL, readings)
+    assert sum(counts) <= sampling.FIRST
+    monkeypatch.setattr(importance_weights, "ALIKE", 0.0)
+    counts.clear()
+    full = bc.fit(MODEL, readings)
+    assert sum(counts) > 2000
+    (few, sd), (all_of_it, _) = estimates(quick), estimates(full)
+    assert np.max(np.abs(few - all_of_it) / sd) < 0.02
+    assert quick.log_evidence == pytest.approx(full.log_evidence, abs=0.01)
+    assert bc.fit(MODEL, readings, bc.Marginal(proposals=200), strict=False).verdict.pareto_k < 0.7
+
+
 # what leaves ----------------------------------------------------------------------------------------------------
 
 
@@ -210,6 +291,25 @@ def test_a_corrected_vector_is_what_acts_within_its_uncertainty() -> None:
     assert np.max(np.abs(size - 1) / uncertainty) < 5
     roll, sd = found.tilt["roll"]
     assert np.max(np.abs(np.sin(roll - np.arctan2(force[:, 1], force[:, 2]))) / sd) < 5
+
+
+def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -> None:
+    from bayescal._report.plot_sphere import residuals_on_sphere
+    from bayescal._report.result_json import vector_data
+
+    calibration = thermal()
+    found = vector_data(calibration)
+    assert found is not None
+    terms, sds = np.array(found["terms"]), np.array(found["uncertainty"])
+    assert np.array_equal(terms, bc.vector_correction(calibration).terms)
+    assert np.count_nonzero(terms[1, 3:]) == 0  # nothing but the bias depends on the temperature
+    assert np.allclose(sds.ravel() ** 2, np.diag(found["covariance"]), rtol=1e-9, atol=0)
+    direction, residual = residuals_on_sphere(calibration)
+    assert np.allclose(np.linalg.norm(direction, axis=1), 1.0)
+    assert 0.7 < residual.std() < 1.1
+    text = bc.report(calibration, tmp_path / "report.html").read_text("utf-8")
+    assert "matrix xy" in text
+    assert "Residuals of the magnitude along the sphere of poses" in text
 
 
 def test_slopes_of_tilt_and_heading() -> None:

@@ -51,6 +51,7 @@ COLUMNS = (
         bc.Column(f"across_{a}", "1", "of a reading that is a projection", required=False)
         for a in "xyz"
     ),
+    bc.Column("axis", None, "which reading of a pose it is", required=False),
     bc.Column("output", "g", "magnitude or projection, made of the three outputs", required=False),
 )
 

@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from bayescal_models.triad.equation import BIAS, CROSS, LOWER, SCALE, SQUARE, UPPER
-from bayescal_models.triad.families import drift, family, over_temperature, run, unknown_directions
+from bayescal_models.triad.families import (
+    drift,
+    family,
+    over_temperature,
+    run,
+    thermal_lag,
+    unknown_directions,
+)
 
 SHEETS = "data sheets of ADXL355, BMI088 and ICM-20948, zero-g offset, sensitivity and cross axis; size ours"
 TEMPCO = "the same data sheets, change with temperature; size ours"
@@ -34,6 +41,7 @@ BIAS_QUADRATIC = over_temperature(
 )
 SQUARES = family("square.constant", SQUARE, 1.0, "mg/g^2", SECOND, equation="K2·f²")
 PRODUCTS = family("cross.constant", CROSS, 1.0, "mg/g^2", SECOND, equation="K·f_i·f_j")
+LAG = thermal_lag(BIAS, 0.5, "mg/degC", TEMPCO)
 DRIFT = drift("bias.drift", BIAS, 1.0, "mg", "ours")
 RUN = run(
     BIAS,

@@ -18,6 +18,7 @@ toward z, y toward z) in place of six. `misalignment.frame` holds the other thre
 | `scale.temperature` | x, y, z | 200 ppm/°C |
 | `misalignment.temperature` | xy, xz, yz | 20 µrad/°C |
 | `bias.temperature_quadratic` | x, y, z | 5 µg/°C² |
+| `bias.thermal_lag` | x, y, z, one time | 0.5 mg/°C |
 | `square.constant` (K2) | x, y, z | 1 mg/g² |
 | `cross.constant` | nine | 1 mg/g² |
 | `misalignment.frame` | yx, zx, zy | 20 mrad |
@@ -43,6 +44,7 @@ from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS, effects
 from bayescal_models.accelerometer_triad.campaign import Campaign
 from bayescal_models.accelerometer_triad.simulator import simulated_columns
 from bayescal_models.triad.equation import equation, second_order, slots
+from bayescal_models.triad.experiments import experiments
 
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation)
 
@@ -66,11 +68,13 @@ INSTRUMENT = bc.Instrument(
         effects.SQUARES,
         effects.PRODUCTS,
         effects.TURNED,
+        effects.LAG,
         effects.DRIFT,
         effects.RUN,
     ),
     noise=bc.White(bc.HalfCauchy(1e-3)),
     simulator=simulated_columns,
+    experiments=experiments(1.0),
     vector=VECTOR,
     source="IEEE Std 1293-2018; D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014 (poses at rest)",
 )

@@ -35,6 +35,7 @@ from bayescal_models.magnetometer_triad import COLUMNS, OUTPUTS, effects
 from bayescal_models.magnetometer_triad.campaign import Campaign
 from bayescal_models.magnetometer_triad.simulator import simulated_columns
 from bayescal_models.triad.equation import equation, slots
+from bayescal_models.triad.experiments import experiments
 
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation)
 
@@ -61,6 +62,7 @@ INSTRUMENT = bc.Instrument(
     ),
     noise=bc.White(bc.HalfCauchy(0.3)),
     simulator=simulated_columns,
+    experiments=experiments(50.0),
     vector=VECTOR,
     source="D. Gebre-Egziabher et al., J. Aerosp. Eng. 19 (2006) 87 (calibration in the magnetic field domain)",
 )

@@ -65,16 +65,18 @@ def equation(given: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
         return jnp.stack([given[name] for name in names], axis=1).reshape(r.size, 3, -1)
 
     bias, first = stacked(BIAS)[:, :, 0], stacked(FIRST)
-    second = (stacked(SQUARE)[:, :, 0], stacked(CROSS)) if SQUARE[0] in given else None
+    square = stacked(SQUARE)[:, :, 0] if SQUARE[0] in given else None
+    cross = stacked(CROSS) if CROSS[0] in given else None
 
     def outputs(force: Any) -> Any:
         total = force + bias + jnp.sum(first * force[:, None, :], axis=2)
-        if second is None:
+        if square is not None:
+            total = total + square * force**2
+        if cross is None:
             return total
-        square, cross = second
         products = jnp.stack(
             [force[:, i] * force[:, j] for i, j in ((0, 1), (0, 2), (1, 2))], axis=1
         )
-        return total + square * force**2 + jnp.sum(cross * products[:, None, :], axis=2)
+        return total + jnp.sum(cross * products[:, None, :], axis=2)
 
     return outputs

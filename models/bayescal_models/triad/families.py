@@ -23,6 +23,10 @@ def _progress(count: int, r: bc.Frame) -> Any:
     return jnp.broadcast_to(r.progress[:, None], (r.size, count))
 
 
+def _behind(count: int, r: bc.Frame, tau: Any) -> Any:
+    return jnp.broadcast_to(r.lag(tau)[:, None], (r.size, count))
+
+
 def family(
     name: str,
     slots: Sequence[str],
@@ -30,9 +34,10 @@ def family(
     unit: str,
     source: str,
     *,
-    basis: Callable[[int, bc.Frame], Any] = _constant,
+    basis: Callable[..., Any] = _constant,
     equation: str = "c",
     per: str | None = None,
+    learned: bool = True,
     **more: Any,
 ) -> bc.Effect:
     """An effect with one coefficient for each of some slots.
@@ -43,18 +48,19 @@ def family(
         size: prior standard deviation of each, in `unit`; with `per` scale of the prior of the group's.
         unit: of each.
         source: where the size comes from.
-        basis: function of the number of coefficients and of the readings.
+        basis: function of the number of coefficients, of the readings and of shapes.
         equation: for people.
-        per: a group, for one value for each member, their standard deviation estimated.
+        per: a group, for one value for each member.
+        learned: whether the standard deviation of these is estimated; it is `size` if not.
     """
-    learned = {"per": per, "group_sd": bc.HalfNormal(size)} if per else {}
+    group = {"per": per, "group_sd": bc.HalfNormal(size) if learned else None} if per else {}
     return bc.Effect(
         name,
         slots[0],
         basis=partial(basis, len(slots)),
         coefficients=tuple(
             bc.Coefficient(
-                unit, bc.Normal(0.0, size), part=slot.partition("_")[2], slot=slot, **learned
+                unit, bc.Normal(0.0, size), part=slot.partition("_")[2], slot=slot, **group
             )
             for slot in slots
         ),
@@ -94,6 +100,22 @@ def drift(name: str, slots: Sequence[str], size: float, unit: str, source: str) 
         equation="c·progress",
         columns=("time",),
         varies=("time",),
+    )
+
+
+def thermal_lag(slots: Sequence[str], size: float, unit: str, source: str) -> bc.Effect:
+    """c·(T̃ − T) for each of some slots, one time for all: dies that follow the thermometer late."""
+    return family(
+        "bias.thermal_lag",
+        slots,
+        size,
+        unit,
+        source,
+        basis=_behind,
+        equation="c·(T̃ − T),  τ·dT̃/dt = T − T̃",
+        shapes=(bc.Shape("tau", "s", 60.0, 1200.0, shared=True),),
+        columns=("time", "temperature"),
+        varies=("temperature",),
     )
 
 

@@ -6,6 +6,7 @@ own equation. All of it is computed pose by pose in NumPy, independently of the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from bayescal_models.triad.campaign import Campaign
 from bayescal_models.triad.poses import beside, directions
 
+BODY = 200.0  # s
 REFERENCE = 25.0  # °C, where bias, scale and misalignment are those
 # A hidden effect of size c comes at these multiples of it on the members of its family.
 SHARES = np.array([1.0, -0.6, 0.8, -1.0, 0.5, 0.9, -0.7, 1.0, -0.4])
@@ -23,6 +25,7 @@ COUNTS = {
     "bias.constant": 3,
     "bias.temperature": 3,
     "bias.temperature_quadratic": 3,
+    "bias.thermal_lag": 3,
     "bias.drift": 3,
     "bias.run": 3,
     "scale.constant": 3,
@@ -39,7 +42,7 @@ def poses_of(
     baseline: Mapping[str, Any],
     known: Sequence[str],
     small: float,
-    effects: Mapping[str, float] | None,
+    effects: Mapping[str, Any] | None,
     seed: int,
     campaign: Campaign,
 ) -> dict[str, Any]:
@@ -49,7 +52,7 @@ def poses_of(
         baseline: what is there unless effects say otherwise, by its canonical name: sizes of its three members.
         known: effects of the instrument.
         small: output units in the unit of biases and terms of second order, such as 10⁻³ for mg.
-        effects: canonical name → size.
+        effects: canonical name → size, or one for each member of the family.
         seed: of every random number.
         campaign: the poses.
 
@@ -60,7 +63,7 @@ def poses_of(
     if unknown := sorted(set(given) - {*known}):
         raise ValueError(f"no law for {', '.join(unknown)}: choose among {', '.join(known)}")
     for name, size in given.items():
-        if not np.isfinite(size):
+        if not np.all(np.isfinite(size)):
             raise ValueError(f"{name}: its size {size!r} is no number")
     rng = np.random.default_rng(seed)
     each = len(campaign.temperatures) * campaign.poses
@@ -80,11 +83,12 @@ def poses_of(
     sizes = {name: np.zeros(members) for name, members in COUNTS.items()}
     sizes |= {name: np.asarray(members, float) for name, members in baseline.items()}
     for name, size in given.items():
-        sizes[name] = size * SHARES[: len(sizes[name])]
+        sizes[name] = size * SHARES[: COUNTS[name]] if np.ndim(size) == 0 else np.asarray(size)
     warm = (temperature - REFERENCE)[:, None]
     progress = ((time - time.mean()) / max(float(np.ptp(time)), 1.0))[:, None]
     bias = sizes["bias.constant"] + sizes["bias.temperature"] * warm
     bias = bias + sizes["bias.temperature_quadratic"] * warm**2 + sizes["bias.drift"] * progress
+    bias = bias + sizes["bias.thermal_lag"] * behind(temperature, run, campaign.interval)[:, None]
     bias = small * (bias + sizes["bias.run"] * of_run[run])
     scale = 1e-6 * (sizes["scale.constant"] + sizes["scale.temperature"] * warm)
     upper = 1e-3 * (sizes["misalignment.constant"] + sizes["misalignment.temperature"] * warm)
@@ -106,3 +110,13 @@ def poses_of(
         made |= {f"direction_{a}": nominal[:, i] for i, a in enumerate("xyz")}
         made["pose_uncertainty"] = np.full(count, angle)
     return made
+
+
+def behind(temperature: np.ndarray, run: np.ndarray, interval: float) -> np.ndarray:
+    """By how much dies that follow in `BODY` are off the thermometer, °C: at it when each run begins."""
+    found = np.zeros(len(temperature))
+    for i in range(1, len(found)):
+        if run[i] == run[i - 1]:
+            before = found[i - 1] + temperature[i - 1] - temperature[i]
+            found[i] = before * math.exp(-interval / BODY)
+    return found

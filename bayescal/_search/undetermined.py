@@ -1,0 +1,190 @@
+"""What readings cannot tell of a model, before anything is measured or fitted, and which poses would.
+
+The model, linearised at the means of its priors, says which combinations of its coefficients move no planned reading,
+or move it by less than its noise. Of an instrument of three axes a reading in each of 26 directions (along the axes, at
+45° between two, along the diagonals), at the ends of the temperatures, adds some information on these; one after the
+other those are taken that add most. Among such as add nearly as much the plainest is, because it has to be set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._calibration.settings import searching
+from bayescal._calibration.summary import null_vectors, untold
+from bayescal._core.formatting import Printed
+from bayescal._data.measurements import Measurements
+from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, MAGNITUDE, RATE
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.linear_model import LinearModel, linear_model
+from bayescal._inference.mode import Mode, flat_scales
+from bayescal._inference.record import Record
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.model import Model
+from bayescal._model.parameters import bind
+from bayescal._model.vector import Vector
+
+DIRECTIONS = np.array(
+    sorted((d for d in product((1, 0, -1), repeat=3) if any(d)), key=lambda d: sum(map(abs, d))),
+    dtype=float,
+)
+TURNING = 100.0  # output unit, where no reading turns
+WARMER = 30.0  # °C, where all readings are at one temperature
+
+
+@dataclass(frozen=True)
+class AddedPose:
+    """A reading to add.
+
+    Attributes:
+        direction: of what acts, unit vector (3,).
+        temperature: °C; None where none is recorded.
+        rate: output unit, where what acts is a known rate.
+    """
+
+    direction: tuple[float, float, float]
+    temperature: float | None = None
+    rate: float | None = None
+
+    def __str__(self) -> str:
+        parts = [
+            f"{'−' if d < 0 else ''}{a}" for a, d in zip(AXES, self.direction, strict=True) if d
+        ]
+        where = {
+            1: f"along {parts[0]}",
+            2: f"at 45° between {' and '.join(parts)}",
+            3: f"along the diagonal of {', '.join(parts)}",
+        }[len(parts)]
+        where = where if self.rate is None else f"{self.rate:g} about the axis {where}"
+        return where if self.temperature is None else f"{where}, at {self.temperature:.4g} °C"
+
+
+@dataclass(frozen=True, repr=False)
+class Undetermined(Printed):
+    """What planned readings do not tell.
+
+    Attributes:
+        readings: how many there are; poses, of an instrument of three axes.
+        combinations: of coefficients, each a sentence.
+        add: poses that would determine them, the most telling first.
+        left: combinations that none of these poses determines; zero where no pose was sought.
+    """
+
+    readings: int
+    combinations: tuple[str, ...]
+    add: tuple[AddedPose, ...] = ()
+    left: int = 0
+
+    def __str__(self) -> str:
+        if not self.combinations:
+            return f"{self.readings} readings determine every coefficient."
+        lines = [f"{self.readings} readings do not determine:"]
+        lines += [f"  {words}" for words in self.combinations]
+        if self.add:
+            lines += ["Add one each:", *(f"  {pose}" for pose in self.add)]
+        if self.left:
+            lines.append(f"{self.left} combination(s) are determined by no further pose.")
+        return "\n".join(lines)
+
+    def _brief(self) -> str:
+        return f"{len(self.combinations)} combinations not determined, {len(self.add)} poses to add"
+
+    def _columns(self) -> dict[str, list[str]]:
+        return {"combination": list(self.combinations)}
+
+
+def undetermined(model: Model, readings: Measurements) -> Undetermined:
+    """What planned readings would not tell of a model; nothing is fitted, and outputs count as nominal.
+
+    Args:
+        model: with its priors: what is not determined against these.
+        readings: as planned. Of an instrument of three axes outputs are what acts in the poses; of poses that were
+            taken they may be as measured.
+
+    Raises:
+        ModelError: an effect needs a column that the readings lack.
+    """
+    model.require(readings)
+    layout, levels = bind(model, readings)
+    reference = reference_of(readings)
+
+    def linear(rows: Measurements) -> LinearModel:
+        """About the means of the priors."""
+        frame = build_frame(rows, reference, levels)
+        assembly = Assembly(layout, Record(model.instrument, frame, np.asarray(rows["output"])))
+        v, point = np.zeros(len(layout.hypers)), assembly.start
+        flat = flat_scales(assembly, point, v)
+        return linear_model(assembly, Mode(point, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
+
+    planned, vector = linear(readings), model.instrument.vector
+    count = len(readings) // (3 if vector is not None and readings.has(ACROSS[0]) else 1)
+    directions = null_vectors(planned, exactly=False)[1] if layout.size else []
+    words = untold(planned, levels, exactly=False)[: len(directions)]  # of a rig's own errors none
+    found = tuple(one["in_words"] for one in words)
+    if vector is None or not directions:
+        return Undetermined(count, found)
+    poses, rows = _candidates(model, vector, readings)
+    basis = np.linalg.qr(np.array(directions).T)[0]
+    columns = linear(rows).white_nuisance[:, : len(basis)] @ basis
+    effort = [sum(d != 0 for d in p.direction) for p in poses]
+    chosen, left = _greedy(columns.reshape(len(poses), -1, basis.shape[1]), effort)
+    return Undetermined(count, found, tuple(poses[i] for i in chosen), left)
+
+
+def _candidates(
+    model: Model, vector: Vector, readings: Measurements
+) -> tuple[list[AddedPose], Measurements]:
+    """Poses that may be added, and readings of them, in all else as the first."""
+    warm: list[float | None] = [None]
+    if any("temperature" in effect.columns for effect in model.effects):
+        low, high = float(readings["temperature"].min()), float(readings["temperature"].max())
+        warm = [low, high if high > low else low + WARMER]
+    each, first, rate = 1, 0, None
+    if vector.acting is not None:
+        each, rate = 3, float(np.max(np.abs(readings[RATE]))) or TURNING
+    elif readings.has(ACROSS[0]):  # a magnitude: what an unknown direction leaves
+        first = int(np.argmin(np.any([readings[n] != 0 for n in ACROSS], axis=0)))
+    poses = [AddedPose((d[0], d[1], d[2]), t, rate) for t in warm for d in DIRECTIONS.tolist()]
+    units = np.array([p.direction for p in poses])
+    units = units / np.linalg.norm(units, axis=1)[:, None]
+    columns: dict[str, Any] = {}
+    if warm[0] is not None:
+        columns["temperature"] = np.array([p.temperature for p in poses])
+    if rate is not None:
+        columns |= {RATE: np.full(len(poses), rate)}
+        columns |= {name: units[:, i] for i, name in enumerate(DIRECTION)}
+    else:
+        size = float(readings[MAGNITUDE][0])
+        columns |= {"output": np.full(len(poses), size)}
+        columns |= {name: size * units[:, i] for i, name in enumerate(vector.outputs)}
+    rows = readings.select(np.tile(first + np.arange(each), len(poses)))
+    for name, values in columns.items():
+        rows = rows.with_column(name, np.repeat(values, each))
+    return poses, rows
+
+
+def _greedy(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tuple[list[int], int]:
+    """Candidates that determine k directions, one after the other, and how many directions none determines.
+
+    Args:
+        columns: whitened, of each candidate's readings by each direction.
+        effort: of setting each: those of less are taken where they add nearly as much.
+    """
+    k, given = columns.shape[2], searching()
+    information, chosen = np.zeros((k, k)), list[int]()
+    while True:
+        weights, vectors = np.linalg.eigh(information)
+        open_ = columns @ vectors[:, weights < given.determined]  # of what is not determined yet
+        inner = open_ @ open_.transpose(0, 2, 1)
+        gain = np.linalg.slogdet(np.eye(columns.shape[1]) + inner)[1]
+        gain[chosen] = 0.0
+        if not gain.max() > np.log1p(given.determined):
+            return chosen, open_.shape[2]
+        near = [i for i in range(len(gain)) if gain[i] > given.plainer * gain.max()]
+        chosen.append(min(near, key=lambda i: (effort[i], i)))
+        information = information + columns[chosen[-1]].T @ columns[chosen[-1]]

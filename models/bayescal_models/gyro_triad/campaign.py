@@ -1,0 +1,47 @@
+"""A plan of rates about the axes of a table, and the unit that is mounted on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+MOUNTINGS = ("x", "y", "z", "-x", "-y", "-z")
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Rates about a vertical axis, in one mounting after the other, in each at one temperature after the other.
+
+    Attributes:
+        mountings: axes of the body that point up, such as "x" or "-z".
+        rates: of the table, °/s, at each temperature; 0 is at rest.
+        temperatures: °C.
+        noise: standard deviation of an averaged output, °/s.
+        mounting_uncertainty: standard deviation of the mounting's rotation about each axis, rad.
+        interval: between readings, s.
+        soak: before the first reading at a temperature, s.
+        body: time by which the unit's dies follow the thermometer where `bias.thermal_lag` is hidden, s.
+        runs: sessions, through all of it each.
+
+    Raises:
+        ValueError: an option is out of its range.
+    """
+
+    mountings: tuple[str, ...] = MOUNTINGS
+    rates: tuple[float, ...] = (0.0, 50.0, -50.0, 100.0, -100.0)
+    temperatures: tuple[float, ...] = (25.0,)
+    noise: float = 5e-3
+    mounting_uncertainty: float = 1e-3
+    interval: float = 30.0
+    soak: float = 60.0
+    body: float = 200.0
+    runs: int = 1
+
+    def __post_init__(self) -> None:
+        if unknown := sorted(set(self.mountings) - set(MOUNTINGS)):
+            raise ValueError(f"Campaign(mountings={unknown}): choose among {', '.join(MOUNTINGS)}.")
+        if not (self.mountings and self.rates and self.temperatures) or self.runs < 1:
+            raise ValueError("Campaign: give at least one mounting, rate, temperature and run.")
+        if not min(self.noise, self.mounting_uncertainty) >= 0 or not self.interval > 0:
+            raise ValueError(
+                "Campaign: noise and uncertainties must be 0 or more, interval above 0."
+            )

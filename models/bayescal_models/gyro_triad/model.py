@@ -1,0 +1,121 @@
+"""Three gyroscopes on a rate table about known axes, and at rest.
+
+A reading is the mean of three outputs while the table turns about an axis u of the body at a known rate Ω, or rests:
+
+    y_a = ω_a + b_a + Σ_j G_aj·ω_j + K2_a·ω_a² + Ω·(θ × u)_a + e_a,     ω = Ω·u + ω_E
+
+G holds the deviations of the scale factors and six misalignments, θ is the rotation by which the mounting on the table
+is off, known to `pose_uncertainty` about each axis of the body, and ω_E the Earth's rotation where it is given. (G·θ,
+2 % of θ at most, is left out: the output is linear in all that is unknown.) All
+readings of one mounting share θ: turning more often about one axis does not tell its misalignments better than the
+mounting is known. Readings about one axis, forward or back, are of one mounting unless the column `mounting` says
+which are; on a table of two or three axes all of them are.
+
+| effect | coefficients | plausible size |
+|---|---|---|
+| `bias.constant` (baseline) | x, y, z | 3 °/s |
+| `scale.constant` (baseline) | x, y, z | 2 % |
+| `misalignment.constant` (baseline) | xy, xz, yz, yx, zx, zy | 20 mrad |
+| `turn.mounting` (baseline) | x, y, z of each mounting | `pose_uncertainty` |
+| `bias.temperature` | x, y, z | 0.03 °/s/°C |
+| `scale.temperature` | x, y, z | 200 ppm/°C |
+| `misalignment.temperature` | xy, xz, yz, yx, zx, zy | 20 µrad/°C |
+| `bias.temperature_quadratic` | x, y, z | 0.3 m°/s/°C² |
+| `bias.g_sensitivity` | nine | 0.1 °/s/g |
+| `bias.thermal_lag` | x, y, z, one time | 0.03 °/s/°C |
+| `square.constant` (K2) | x, y, z | 10 ppm/(°/s) |
+| `bias.drift` | x, y, z | 0.05 °/s |
+| `bias.run` | x, y, z for each run, learned | 0.1 °/s |
+
+One effect on a family is one effect: its coefficients are found or dropped together.
+
+**What readings determine.** At rest: bias alone and, in poses of which gravity is known, its g-sensitivity. About one
+axis: the column of G of that axis. About three: all of G, its off-diagonals no better than the mounting. A rate that
+the table states wrongly is a scale factor of all three axes, and nothing here tells the two apart. The Earth turns at
+15.04 °/h, 0.0042 °/s: averaged over whole turns of the table its part along the axis remains.
+
+Noise: white, one standard deviation for all three axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+
+import bayescal as bc
+from bayescal_models.gyro_triad import COLUMNS, OUTPUTS, effects
+from bayescal_models.gyro_triad.campaign import Campaign
+from bayescal_models.gyro_triad.simulator import simulated_columns
+from bayescal_models.triad.equation import SQUARE, equation, slots
+from bayescal_models.triad.experiments import RATES
+
+
+def _stacked(values, names):
+    return jnp.stack([values[name] for name in names], axis=1)
+
+
+def _acting(r):
+    rate = r["rate"][:, None] * _stacked(r, effects.DIRECTION)
+    return rate + _stacked(r, effects.EARTH) if effects.EARTH[0] in r.columns else rate
+
+
+VECTOR = bc.Vector(
+    outputs=OUTPUTS, equation=equation, acting=_acting, rig=effects.TURN, beside=effects.GRAVITY
+)
+
+
+def _response(slots, r):
+    aside = jnp.cross(_stacked(slots, effects.TURN), _stacked(r, effects.DIRECTION))
+    beside = r["rate"][:, None] * aside
+    return VECTOR.response(slots, r) + jnp.sum(_stacked(r, effects.ACROSS) * beside, axis=1)
+
+
+INSTRUMENT = bc.Instrument(
+    name="gyro_triad",
+    title="three gyroscopes on a rate table and at rest: bias, scale, misalignment",
+    columns=COLUMNS,
+    slots=(
+        *slots("deg/s", "rate"),
+        *(bc.Slot(n, "s/deg", f"of axis {n[-1]}, times its own input squared") for n in SQUARE),
+        *(
+            bc.Slot(n, "rad", f"of the mounting on the table, about axis {n[-1]}")
+            for n in effects.TURN
+        ),
+    ),
+    response=_response,
+    effects=(effects.CONSTANT, effects.FACTOR, effects.TURNED, effects.MOUNTING),
+    candidates=(
+        effects.BIAS_TEMPERATURE,
+        effects.SCALE_TEMPERATURE,
+        effects.TURNED_TEMPERATURE,
+        effects.BIAS_QUADRATIC,
+        effects.G_SENSITIVITY,
+        effects.LAG,
+        effects.SQUARES,
+        effects.DRIFT,
+        effects.RUN,
+    ),
+    noise=bc.White(bc.HalfCauchy(0.03)),
+    simulator=simulated_columns,
+    experiments=RATES,
+    vector=VECTOR,
+    source="IEEE Std 1431-2004, model equation; rates about the axes of a table",
+)
+
+
+def simulate(
+    effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
+) -> bc.Measurements:
+    """Readings of a campaign with these effects hidden in it.
+
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficients, whose members come at their own
+            `SHARES` of it; bias, scale and misalignment are there unless given otherwise.
+        seed: of every random number.
+        campaign: the readings; six mountings at five rates if not given.
+
+    Raises:
+        ValueError: an unknown effect, or a size that is no number.
+    """
+    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign)

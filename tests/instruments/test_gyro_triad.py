@@ -1,0 +1,186 @@
+"""Three gyroscopes on a rate table: what is measured, what a mounting leaves open, what is found, what leaves."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from shutil import which
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal_models import gyro_triad
+from bayescal_models.gyro_triad import Campaign
+from bayescal_models.gyro_triad.simulator import BASELINE
+from bayescal_models.triad.simulator import SHARES
+
+INSTRUMENT = gyro_triad.INSTRUMENT
+MODEL = INSTRUMENT.baseline()
+THERMAL = Campaign(temperatures=(-20.0, 0.0, 25.0, 50.0, 70.0))
+TRUE = {
+    f"{name}[{part}]": value
+    for name, parts in (
+        ("bias.constant", "xyz"),
+        ("scale.constant", "xyz"),
+        ("misalignment.constant", ("xy", "xz", "yz", "yx", "zx", "zy")),
+    )
+    for part, value in zip(parts, BASELINE[name], strict=True)
+}
+
+
+def stated(calibration: bc.Calibration, names: Any) -> tuple[np.ndarray, np.ndarray]:
+    draws = np.stack([calibration.samples(name) for name in names])
+    return draws.mean(axis=1), draws.std(axis=1)
+
+
+def test_misalignments_are_known_as_well_as_the_mountings_are() -> None:
+    """Forty rates about each axis leave 1 mrad of a mounting on the axes across, and hardly a ppm on the scale."""
+    rates = tuple(float(r) for r in np.linspace(-100, 100, 40))
+    readings = gyro_triad.simulate(
+        seed=2, campaign=Campaign(mountings=("x", "y", "z"), rates=rates)
+    )
+    mean, sd = stated(bc.fit(MODEL, readings), TRUE)
+    assert np.all(np.abs(mean - list(TRUE.values())) < 4 * sd)
+    assert np.allclose(sd[6:], 1.0, rtol=0.1)  # mrad
+    assert np.all(sd[3:6] < 30)  # ppm
+
+
+def test_readings_of_one_direction_are_of_one_mounting_unless_it_is_said() -> None:
+    columns = dict(INSTRUMENT.simulator(seed=2))  # pyright: ignore[reportOptionalCall]
+    del columns["mounting"]
+    readings = bc.Measurements.from_arrays(INSTRUMENT, **columns)
+    members, _ = readings.groups("mounting")
+    assert tuple(sorted(members)) == (
+        "about 0.000 0.000 1.000",
+        "about 0.000 1.000 0.000",
+        "about 1.000 0.000 0.000",
+    )
+    assert sorted(readings.groups("axis")[0]) == ["x", "y", "z"]
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("bias.g_sensitivity", 0.02),
+        ("bias.thermal_lag", (0.0, 0.005, 0.0)),  # of one axis
+        ("misalignment.temperature", 0.02),
+        ("square.constant", 1.0),
+    ],
+)
+def test_a_hidden_effect_is_found(name: str, size: Any) -> None:
+    readings = gyro_triad.simulate({name: size}, seed=3, campaign=THERMAL)
+    assert [e.name for e in bc.discover(bc.fit(MODEL, readings)).best] == [name]
+
+
+def test_nothing_is_invented() -> None:
+    readings = gyro_triad.simulate(seed=4, campaign=THERMAL)
+    assert not bc.discover(bc.fit(MODEL, readings)).best
+
+
+def test_what_leaves_counts_on_gravity_and_computes_the_same_everywhere(tmp_path: Path) -> None:
+    readings = gyro_triad.simulate({"bias.g_sensitivity": 0.05}, seed=5, campaign=THERMAL)
+    correct = bc.vector_correction(bc.fit(MODEL + "bias.g_sensitivity", readings))
+    assert correct.beside == ("gravity_x", "gravity_y", "gravity_z")
+    y, gravity = np.array([10.0, -50.0, 3.0]), np.array([0.1, -0.4, 0.9])
+    with pytest.raises(bc.InputError, match="gravity_x"):
+        correct(y, temperature=40.0)
+    found = correct(y, temperature=40.0, beside=gravity)
+    matrix = np.eye(3) + 1e-6 * np.diag(BASELINE["scale.constant"])
+    for angle, at in zip(
+        BASELINE["misalignment.constant"],
+        ((0, 1), (0, 2), (1, 2), (1, 0), (2, 0), (2, 1)),
+        strict=True,
+    ):
+        matrix[at] = 1e-3 * angle
+    bias = np.array(BASELINE["bias.constant"]) + 0.05 * SHARES.reshape(3, 3) @ gravity
+    apart = found.vector[0] - np.linalg.solve(matrix, y - bias)
+    assert apart @ np.linalg.solve(found.covariance[0], apart) < 16
+    for name in ("sensor.h", "sensor.py", "sensor.json", "sensor.yaml"):
+        bc.export_vector(correct, tmp_path / name)
+    again = bc.load_vector_correction(tmp_path / "sensor.json")(y, 40.0, beside=gravity)
+    assert np.array_equal(again.vector, found.vector)
+    space: dict[str, Any] = {}
+    exec((tmp_path / "sensor.py").read_text("utf-8"), space)
+    force, covariance = space["correct"](y, 40.0, beside=gravity)
+    assert force == pytest.approx(found.vector[0], abs=1e-12)
+    assert covariance == pytest.approx(found.covariance[0], rel=1e-9)
+    if (compiler := which("cc")) is None:
+        pytest.skip("no C compiler")
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include "sensor.h"\nint main(void) {\n'
+        "    double y[3] = {10, -50, 3}, g[3] = {0.1, -0.4, 0.9}, f[3], c[3][3];\n"
+        f"    sensor_correct(y, g, 40.0, {correct.noise!r}, f, c);\n"
+        '    printf("%.17g %.17g %.17g %.17g", f[0], f[1], f[2], c[1][2]);\n    return 0;\n}\n'
+    )
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror"]
+    subprocess.run([compiler, *flags, "main.c", "-o", "main"], cwd=tmp_path, check=True)
+    made = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout
+    numbers = np.array(made.split(), dtype=float)
+    assert numbers[:3] == pytest.approx(found.vector[0], abs=1e-12)
+    assert numbers[3] == pytest.approx(found.covariance[0, 1, 2], rel=1e-9)
+
+
+def test_yaml_and_parameters_say_the_same(tmp_path: Path) -> None:
+    yaml = pytest.importorskip("yaml")
+    readings = gyro_triad.simulate({"bias.g_sensitivity": 0.05}, seed=5)
+    correct = bc.vector_correction(bc.fit(MODEL + "bias.g_sensitivity", readings))
+    text = bc.export_vector(correct, tmp_path / "imu.yaml").read_text("utf-8")
+    found = yaml.safe_load(text)["imu0"]
+    kalibr = {n: np.array(v) for n, v in found["gyroscopes"].items()}
+    assert np.allclose(kalibr["M"], np.tril(kalibr["M"]))
+    assert np.allclose(kalibr["M"] @ kalibr["C_gyro_i"], correct.matrix, atol=1e-8)
+    assert np.allclose(np.array(found["Tw"]) @ found["R_IMUtoGYRO"], correct.matrix, atol=1e-8)
+    assert np.allclose(kalibr["A"] @ kalibr["C_gyro_i"], found["Tg"], atol=1e-9)
+    radians = np.deg2rad(correct.terms[0, -9:].reshape(3, 3)) / 9.80665
+    assert np.allclose(found["Tg"], radians, atol=1e-9)
+    for format, name in (("px4-params", "CAL_GYRO0_XOFF"), ("ardupilot-params", "INS_GYROFFS_X")):
+        text = bc.export_vector(correct, tmp_path / "p", format).read_text("utf-8")
+        line = next(one for one in text.splitlines() if name in one)
+        value = [w for w in line.replace(",", " ").split() if w[:1] in "-0123456789"]
+        assert any(
+            float(w) == pytest.approx(np.deg2rad(correct.offset[0]), rel=1e-5) for w in value
+        )
+
+
+def test_axes_to_turn_about_are_said_before_a_fit() -> None:
+    readings = gyro_triad.simulate(seed=1, campaign=Campaign(mountings=("x", "y")))
+    found = bc.undetermined(MODEL, readings)
+    assert [str(pose) for pose in found.add] == ["100 about the axis along z"]
+    assert not found.left
+    assert not bc.undetermined(MODEL, gyro_triad.simulate(seed=1)).combinations
+
+
+def test_refusals_say_what_to_do() -> None:
+    given: dict[str, Any] = {f"output_{a}": np.ones(4) for a in "xyz"}
+    with pytest.raises(bc.InputError, match="row 2, column rate: a rate needs the direction"):
+        bc.Measurements.from_arrays(INSTRUMENT, **given, rate=[0.0, 10.0, 10.0, 10.0])
+    directions: dict[str, Any] = {f"direction_{a}": np.zeros(4) for a in "xyz"}
+    with pytest.raises(bc.InputError, match="row 3, columns direction_x"):
+        bc.Measurements.from_arrays(INSTRUMENT, **given, **directions, rate=[0.0, 0.0, 5.0, 0.0])
+
+
+def test_at_rest_the_bias_alone_is_measured() -> None:
+    random = np.random.default_rng(1)
+    given: dict[str, Any] = {
+        f"output_{a}": b + 5e-3 * random.standard_normal(20)
+        for a, b in zip("xyz", (0.1, 0.2, 0.3), strict=True)
+    }
+    calibration = bc.fit(MODEL, bc.Measurements.from_arrays(INSTRUMENT, **given))
+    mean, sd = stated(calibration, [f"bias.constant[{a}]" for a in "xyz"])
+    assert np.all(np.abs(mean - [0.1, 0.2, 0.3]) < 4 * sd)
+    assert "not measured: scale.constant[x]" in str(calibration)
+
+
+@pytest.mark.slow
+def test_intervals_cover() -> None:
+    covered = []
+    for seed in range(60):
+        readings = gyro_triad.simulate(seed=1000 + seed)
+        calibration = bc.fit(MODEL, readings, bc.Marginal(proposals=2048), seed=seed)
+        for name, true in TRUE.items():
+            low, high = np.quantile(calibration.samples(name), [0.025, 0.975])
+            covered.append(low <= true <= high)
+    each = np.mean(np.reshape(covered, (-1, len(TRUE))), axis=1)
+    assert abs(each.mean() - 0.95) < 4 * each.std() / np.sqrt(len(each))
