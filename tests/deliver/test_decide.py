@@ -13,6 +13,7 @@ from scipy import stats
 
 import bayescal as bc
 from bayescal import effects
+from bayescal._use.conformity import GlobalRisks
 from bayescal._use.inversion import at_point, errors_over_draws
 from bayescal._use.limit import LimitedRange, StatedLimit, stated_limit
 from bayescal._use.recalibration import DAY, first_below
@@ -334,9 +335,9 @@ def test_every_device_shares_the_risk_of_a_corrected_reading(gyro) -> None:
     limits = ["corrected reading: ±0.2 °/s over 30..80 °C", "corrected reading: ±0.1 °/s"]
     safe, narrow = bc.decide(gyro, limits, population="sd 0.2 °/s").decisions
     assert (safe.decision, narrow.decision) == ("accept", "undecided")
-    p = safe.probability
-    assert safe.global_risks == (p, 1.0, pytest.approx(1 - p), 0.0)
-    assert narrow.global_risks == (narrow.probability, 0.0, 0.0, narrow.probability)
+    p, q = safe.probability, narrow.probability
+    assert safe.global_risks == GlobalRisks(p, 1.0, 1 - p, 0.0)
+    assert narrow.global_risks == GlobalRisks(q, 0.0, 0.0, q)
     assert "of devices calibrated so" in str(bc.decide(gyro, limits, population="sd 0.2 °/s"))
 
 
