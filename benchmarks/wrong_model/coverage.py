@@ -96,6 +96,7 @@ def _covered(calibration: bc.Calibration, world: World, powers: Any) -> dict[str
         row[f"{kind}_sd"] = float(np.sqrt(np.mean(p.model_sd**2)))
         row[f"{kind}_error"] = float(np.sqrt(np.mean((p.mean - truth) ** 2)))
     reference = calibration.reference[THERMOMETER[calibration.model.instrument.name]]
+    assert isinstance(reference, float)
     for slot, names in powers.items():
         for name, truth in zip(names, world.about(slot, reference, len(names)), strict=True):
             draws = calibration.samples(f"{slot}.{name}")
