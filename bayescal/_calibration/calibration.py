@@ -35,6 +35,7 @@ class Calibration(Printed, Fitted):
         layout: where each unknown stands.
         mode: φ̂ and x̂, at which everything is linearised.
         log_evidence: (value, Monte-Carlo error or None), None where a prior is flat.
+        start: φ by name where its mode was looked for beside the prior draws; empty for most.
     """
 
     def __str__(self) -> str:

@@ -98,6 +98,7 @@ def fit(
         layout=outcome.layout,
         mode=outcome.mode,
         log_evidence=outcome.log_evidence,
+        start=dict(start),
     )
     _refuse_nothing(calibration)
     return _converged(calibration) if strict else calibration

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -45,6 +45,7 @@ class Fitted:
     layout: Layout
     mode: Mode
     log_evidence: tuple[float, float | None] | None
+    start: dict[str, float] = field(default_factory=dict)
 
     def judged(self, against: Sequence[str]) -> Self:
         """The same, with why it is not to be used though it converged."""

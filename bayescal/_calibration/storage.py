@@ -185,6 +185,7 @@ def _fields(
         "verdict": verdict,
         "method": described["method"],
         "seed": described["seed"],
+        "start": described.get("start", {}),
         "reference": described["reference"],
         "levels": levels,
         "layout": layout,

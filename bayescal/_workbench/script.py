@@ -28,9 +28,9 @@ FITTED = '''
 calibrations = []
 
 
-def fitted(title, model, method):
+def fitted(title, model, method, **start):
     """Fit a model, and print its errors: as fitted, and of the hold-out data."""
-    calibration = bc.fit(model, readings, method, {settings})
+    calibration = bc.fit(model, readings, method, {settings}, **start)
     calibrations.append(calibration)
     errors = {{"as fitted": bc.check(calibration).rms}}
     if holdout is not None:
@@ -87,7 +87,9 @@ def script(
         lines += [line for line in changed if line != AS_IT_IS]
         how = method_code(QUICK if state.model.noise.gaussian else method)
         title = f"{state.number} {state.title}"
-        lines.append(f"calibration = fitted({title!r}, model, {how})")
+        start = state.calibration.start
+        begun = f", start={start!r}" if start else ""
+        lines.append(f"calibration = fitted({title!r}, model, {how}{begun})")
         before = state.model
     return "\n".join(lines) + "\n" + LAST.format(method=method_code(method), settings=settings)
 
