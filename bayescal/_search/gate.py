@@ -301,8 +301,10 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
     """What an added effect made worse: the error as fitted, leave-one-group-out, of the hold-out data."""
     reasons, unit = [], unit_label(steps[-1].calibration.unit)
     *earlier, last = steps
-    # Under another noise law readings weigh differently: their plain error may well be larger.
-    alike = [s for s in earlier if s.calibration.model.noise == last.calibration.model.noise]
+    # Under another noise law readings weigh differently, and correlated noise takes up what an effect explained: their
+    # plain error may well be larger.
+    noise = last.calibration.model.noise
+    alike = [s for s in earlier if s.calibration.model.noise == noise and noise.independent]
     before = min((s.rmse_fitted for s in alike), default=math.inf)
     if last.added is not None and last.rmse_fitted > guarding().worse * before:
         reasons.append(
