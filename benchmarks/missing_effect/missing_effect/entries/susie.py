@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fminbound
 from scipy.special import logsumexp
 
 from missing_effect.regression import Regression
@@ -101,5 +101,5 @@ def _prior_variance(size: np.ndarray, variance: np.ndarray) -> float:
         gain = _log_bayes_factors(size, variance, np.exp(log_prior))
         return -float(logsumexp(gain) - np.log(len(gain)))
 
-    at = float(minimize_scalar(lost, bounds=(-30.0, 15.0), method="bounded")["x"])
+    at = float(fminbound(lost, -30.0, 15.0))
     return float(np.exp(at)) if lost(at) < 0 else 0.0
