@@ -101,5 +101,5 @@ def _prior_variance(size: np.ndarray, variance: np.ndarray) -> float:
         gain = _log_bayes_factors(size, variance, np.exp(log_prior))
         return -float(logsumexp(gain) - np.log(len(gain)))
 
-    at = float(fminbound(lost, -30.0, 15.0))
+    at = float(fminbound(lost, -30.0, 15.0))  # pyright: ignore[reportArgumentType]
     return float(np.exp(at)) if lost(at) < 0 else 0.0
