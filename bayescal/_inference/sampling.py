@@ -262,7 +262,7 @@ def explore(
         log_weight = there - log_proposal
         if effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
-        tried.add(mixture, v, there)
+        tried.add(mixture, v, there, log_proposal)
         mixture = _match(mode, tried.v, tried.log_weight)
         if k + 1 >= USUAL and smoothed(log_weight)[1] <= sampling().k_hat:
             break
@@ -276,11 +276,13 @@ class _Rounds:
         self.prior, self.mixtures = prior, list[_Mixture]()
         self.v, self.there, self.proposed = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
 
-    def add(self, mixture: _Mixture, v: Float[np.ndarray, "s d"], there: np.ndarray) -> None:
-        """A round's draws, and the log density there."""
+    def add(
+        self, mixture: _Mixture, v: Float[np.ndarray, "s d"], there: np.ndarray, own: np.ndarray
+    ) -> None:
+        """A round's draws, the log density there, and the log density that they were drawn from."""
         old = self.v.reshape(-1, v.shape[1])
+        here = np.array([*(_log_proposal(m, self.prior, v) for m in self.mixtures), own])
         self.mixtures.append(mixture)
-        here = np.array([_log_proposal(m, self.prior, v) for m in self.mixtures])
         before = (
             np.vstack([self.proposed, _log_proposal(mixture, self.prior, old)])
             if len(old)

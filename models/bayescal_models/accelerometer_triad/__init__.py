@@ -7,20 +7,16 @@ on first use.
 import lazy_loader
 
 import bayescal as bc
+from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
+from bayescal_models.triad.columns import SESSION, made_in_poses, three
 
-OUTPUTS = ("output_x", "output_y", "output_z")
 COLUMNS = (
-    bc.Column("run", None, "label of the session", required=False),
-    bc.Column("time", "s", "one origin over all runs", required=False),
-    bc.Column("temperature", "degC", "of the unit", required=False, low=-273.15, high=250.0),
-    *(
-        bc.Column(
-            f"output_{a}",
-            "g",
-            f"of axis {a}, averaged in a pose",
-            also=(f"accel_{a}", f"acc_{a}", f"a{a}"),
-        )
-        for a in "xyz"
+    *SESSION,
+    *three(
+        "output",
+        "g",
+        "of axis {axis}, averaged in a pose",
+        ("accel_{axis}", "acc_{axis}", "a{axis}"),
     ),
     bc.Column(
         "magnitude",
@@ -30,29 +26,13 @@ COLUMNS = (
         low=0.9,
         high=1.1,
     ),
-    *(
-        bc.Column(
-            f"direction_{a}",
-            "1",
-            f"of the specific force at rest (up), along axis {a}, where known",
-            required=False,
-        )
-        for a in "xyz"
-    ),
-    bc.Column(
-        "pose_uncertainty",
-        "rad",
-        "standard uncertainty of that direction",
+    *three(
+        "direction",
+        "1",
+        "of the specific force at rest (up), along axis {axis}, where known",
         required=False,
-        low=0.0,
-        high=1.0,
     ),
-    *(
-        bc.Column(f"across_{a}", "1", "of a reading that is a projection", required=False)
-        for a in "xyz"
-    ),
-    bc.Column("axis", None, "which reading of a pose it is", required=False),
-    bc.Column("output", "g", "magnitude or projection, made of the three outputs", required=False),
+    *made_in_poses("g"),
 )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,31 +7,19 @@ on first use.
 import lazy_loader
 
 import bayescal as bc
+from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
+from bayescal_models.triad.columns import SESSION, made, three
 
-OUTPUTS = ("output_x", "output_y", "output_z")
 COLUMNS = (
-    bc.Column("run", None, "label of the session", required=False),
-    bc.Column("time", "s", "one origin over all runs", required=False),
-    bc.Column("temperature", "degC", "of the unit", required=False, low=-273.15, high=250.0),
-    *(
-        bc.Column(
-            f"output_{a}",
-            "deg/s",
-            f"of axis {a}, averaged while the rate is steady",
-            also=(f"gyro_{a}", f"gyr_{a}", f"g{a}", f"w{a}"),
-        )
-        for a in "xyz"
+    *SESSION,
+    *three(
+        "output",
+        "deg/s",
+        "of axis {axis}, averaged while the rate is steady",
+        ("gyro_{axis}", "gyr_{axis}", "g{axis}", "w{axis}"),
     ),
     bc.Column("rate", "deg/s", "of the table; 0 at rest", default=0.0),
-    *(
-        bc.Column(
-            f"direction_{a}",
-            "1",
-            f"of the table's axis, along axis {a} of the body",
-            required=False,
-        )
-        for a in "xyz"
-    ),
+    *three("direction", "1", "of the table's axis, along axis {axis} of the body", required=False),
     bc.Column(
         "pose_uncertainty",
         "rad",
@@ -41,22 +29,16 @@ COLUMNS = (
         high=1.0,
     ),
     bc.Column("mounting", None, "readings that share that error", required=False),
-    *(
-        bc.Column(
-            f"gravity_{a}",
-            "g",
-            f"specific force at rest (up), along axis {a} of the body",
-            required=False,
-        )
-        for a in "xyz"
+    *three(
+        "gravity", "g", "specific force at rest (up), along axis {axis} of the body", required=False
     ),
-    *(
-        bc.Column(f"earth_{a}", "deg/s", f"rotation of the Earth, along axis {a}", required=False)
-        for a in "xyz"
+    *three("earth", "deg/s", "rotation of the Earth, along axis {axis}", required=False),
+    *made(
+        "deg/s",
+        "which output a reading is of",
+        "which output a reading is of",
+        "one of the three outputs",
     ),
-    *(bc.Column(f"across_{a}", "1", "which output a reading is of", required=False) for a in "xyz"),
-    bc.Column("axis", None, "which output a reading is of", required=False),
-    bc.Column("output", "deg/s", "one of the three outputs", required=False),
 )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

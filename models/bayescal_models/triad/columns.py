@@ -1,0 +1,68 @@
+"""Columns of the instruments of three axes: of a session, of three components, and of the readings made of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bayescal as bc
+
+AXES = "xyz"
+OUTPUTS = tuple(f"output_{a}" for a in AXES)
+SESSION = (
+    bc.Column("run", None, "label of the session", required=False),
+    bc.Column("time", "s", "one origin over all runs", required=False),
+    bc.Column("temperature", "degC", "of the unit", required=False, low=-273.15, high=250.0),
+)
+
+
+def three(
+    name: str, unit: str, words: str, also: tuple[str, ...] = (), **more: Any
+) -> tuple[bc.Column, ...]:
+    """A column for each component.
+
+    Args:
+        name: before the axis, as in `output_x`.
+        unit: of all three.
+        words: what they are, `{axis}` for the axis.
+        also: other names, likewise.
+        more: of `bc.Column`.
+    """
+    return tuple(
+        bc.Column(
+            f"{name}_{a}",
+            unit,
+            words.format(axis=a),
+            also=tuple(other.format(axis=a) for other in also),
+            **more,
+        )
+        for a in AXES
+    )
+
+
+def made(unit: str, across: str, axis: str, output: str) -> tuple[bc.Column, ...]:
+    """Columns of the readings that are made of the three outputs, each with what it is."""
+    return (
+        *three("across", "1", across, required=False),
+        bc.Column("axis", None, axis, required=False),
+        bc.Column("output", unit, output, required=False),
+    )
+
+
+def made_in_poses(unit: str) -> tuple[bc.Column, ...]:
+    """How well a pose's direction is known, and what is made of the outputs in it: a magnitude, or projections."""
+    return (
+        bc.Column(
+            "pose_uncertainty",
+            "rad",
+            "standard uncertainty of that direction",
+            required=False,
+            low=0.0,
+            high=1.0,
+        ),
+        *made(
+            unit,
+            "of a reading that is a projection",
+            "which reading of a pose it is",
+            "magnitude or projection, made of the three outputs",
+        ),
+    )
