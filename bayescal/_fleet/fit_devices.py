@@ -420,7 +420,8 @@ def drawn(
     assembly = Assembly(layout, Record(layout.model.instrument, frame, y))
     mode = find_mode(assembly)
     own = int(np.random.SeedSequence([seed, device]).generate_state(1)[0])
-    return weighted_draws(assembly, mode, own, method.proposals, method.rounds), mode
+    found = weighted_draws(assembly, mode, own, method.proposals, method.rounds)
+    return found, found.mode
 
 
 def _by_sampling(one: DeviceFrame, method: Marginal, seed: int, notes: tuple[str, ...]) -> _Solved:

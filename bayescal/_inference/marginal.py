@@ -81,7 +81,7 @@ class Marginal(Method):
             return self._exact(assembly, mode, seed, notes)
 
         def result(judged: _Judged, why: str = "") -> Outcome:
-            return self._from_weights(layout, judged, mode, notes, seed, why)
+            return self._from_weights(layout, judged, notes, seed, why)
 
         with stage("sampling"):
             judged = self._sampled(assembly, mode, seed, result)
@@ -136,7 +136,7 @@ class Marginal(Method):
             deadline.offer(partial(result, judged))
             proposals = min(2 * tried, limit)
 
-    def _from_weights(self, layout, judged: _Judged, mode, notes, seed, why: str) -> Outcome:
+    def _from_weights(self, layout, judged: _Judged, notes, seed, why: str) -> Outcome:
         """Draws by weights that are sound or, if `why` leaves no time for better ones, as they are."""
         found, weights, k_hat = judged.found, judged.weights, judged.k_hat
         effective, reasons = effective_size(weights), ()
@@ -153,8 +153,8 @@ class Marginal(Method):
         return Outcome(
             layout=layout,
             draws=Draws.of(found.x[pick], found.rows[pick], found.v[pick]),
-            mode=mode,
-            verdict=trust.weights_verdict(weights, k_hat, notes, mode, reasons),
+            mode=found.mode,
+            verdict=trust.weights_verdict(weights, k_hat, notes, found.mode, reasons),
             log_evidence=None if layout.improper else evidence,
         )
 

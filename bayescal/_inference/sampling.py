@@ -25,7 +25,7 @@ from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density, about
 from bayescal._inference.gaussian import Drawn, Gram, Prior, draw
 from bayescal._inference.joint import FREEDOM, Batch, draw_joint, linearise_draws, normal_numbers
-from bayescal._inference.mode import Mode
+from bayescal._inference.mode import Mode, find_mode
 from bayescal._inference.noise_on_record import grams
 from bayescal._inference.trust import sampling
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
@@ -62,6 +62,7 @@ class WeightedDraws(NamedTuple):
     log_weight_phi: Float[np.ndarray, "s"]  # of φ alone, before the correction
     log_evidence: Float[np.ndarray | np.float64, ""]
     log_evidence_error: Float[np.ndarray | np.float64, ""]
+    mode: Mode  # that they were proposed around, in the end
 
 
 class _Mixture(NamedTuple):
@@ -137,7 +138,7 @@ class ManyPhi:
         self.together = max(16, NUMBERS // (assembly.size + 1) ** 2)
         if self.products is None:  # few at a time, so that the deadline is asked
             self.together = min(self.together, max(16, IN_CACHE // self.size))
-        self.highest = float(mode.log_density)
+        self.highest, self.top = float(mode.log_density), mode.v
 
     def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
@@ -161,7 +162,8 @@ class ManyPhi:
             for all_of_it, new in zip(found, exact, strict=True):
                 all_of_it[beyond] = new
             total = _sum(found.log_marginal, prior)
-        self.highest = max(self.highest, float(np.max(total)))
+        if total[best := int(np.argmax(total))] > self.highest:
+            self.highest, self.top = float(total[best]), v[best]
         return total, found
 
     def inside(self, v: Float[np.ndarray, "b d"]) -> np.ndarray:
@@ -229,6 +231,7 @@ def explore(
     proposals: int,
     rounds: int,
     earlier: WeightedDraws | None = None,
+    higher: float = math.inf,
 ) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"]]:
     """Adapt to a density, then propose.
 
@@ -245,6 +248,7 @@ def explore(
         rounds: of adaptation at most; none follows one whose weights are even, nor a later than the `USUAL` whose
             weights are sound.
         earlier: draws of this density that were too few: adapted to as they are.
+        higher: log density above which nothing more is adapted: the mode was another.
 
     Returns:
         The proposals, and the log density that they are drawn from.
@@ -259,6 +263,8 @@ def explore(
     for k in range(rounds if len(mode.v) else 0):
         v, log_proposal = _propose(mixture, prior, random, proposals // 2)
         there = values(v)
+        if np.max(there) > higher:
+            break
         log_weight = there - log_proposal
         if effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
@@ -324,13 +330,29 @@ def weighted_draws(
         TimeIsUp: the deadline came first.
     """
     random = np.random.default_rng(seed)
-    density = ManyPhi(assembly, mode)
-    if proposals is None:
-        proposals = proposals_of(density)
-    share = _prior_share(assembly)
-    v, log_proposal = explore(mode, density.values, share, random, proposals, rounds, earlier)
+    density, share, above = ManyPhi(assembly, mode), _prior_share(assembly), sampling().higher
     heavy = heavy or not assembly.noise.gaussian
-    return _placed(density, v, log_proposal, heavy, random)
+    while True:
+        count = proposals_of(density) if proposals is None else proposals
+        higher = float(density.mode.log_density) + above
+        args = share, random, count, rounds, earlier, higher
+        v, log_proposal = explore(density.mode, density.values, *args)
+        found, start = None, density.top
+        if density.highest <= higher:
+            found = _placed(density, v, log_proposal, heavy, random)
+        if found is not None and density.highest <= higher:
+            if not smoothed(found.log_weight)[1] > sampling().k_hat:
+                return found
+            start = v[int(np.argmax(found.log_weight_phi))]
+        # No draw of a posterior lies above its mode, and one that counts for many more is on a hill that is not
+        # proposed: the climb may have ended on a lower one, and begins anew there.
+        mode = find_mode(assembly, [start], point=density.mode.point)
+        if mode.log_density > higher:
+            density, earlier = ManyPhi(assembly, mode), None
+        elif found is not None:
+            return found
+        else:  # higher in the linear form about the mode alone
+            above = math.inf
 
 
 def proposals_of(density: ManyPhi) -> int:
@@ -387,7 +409,7 @@ def _placed(
     evidence = logsumexp(log_weight) - math.log(count)  # pyright: ignore[reportOperatorIssue]
     error = np.std(np.exp(log_weight - evidence)) / math.sqrt(count)
     return WeightedDraws(
-        x, rows, v, log_weight, log_weight_phi, np.float64(evidence), np.float64(error)
+        x, rows, v, log_weight, log_weight_phi, np.float64(evidence), np.float64(error), mode
     )
 
 

@@ -42,6 +42,8 @@ class SamplingSettings(OutcomeSettings):
             of two unknowns, from which one of them is sampled: below it the log likelihood changes by
             less than ½·0.3² = 0.045 nats on average.
         moving: standard deviations that the mode's last round moved anything by, beyond which it was no mode.
+        higher: log density above the mode's, from which on a draw shows that it was not the highest: more than what
+            interpolated products are off by (0.03), less than would matter.
     """
 
     k_hat: float = 0.7
@@ -54,6 +56,7 @@ class SamplingSettings(OutcomeSettings):
     divergent: float = 0.005
     product: float = 0.3
     moving: float = 0.05
+    higher: float = 1.0
 
 
 def sampling() -> SamplingSettings:

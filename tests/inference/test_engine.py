@@ -18,7 +18,7 @@ from bayescal._inference.linear_model import sized
 from bayescal._inference.mode import across, find_mode
 from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.record import INTERPOLATED, Record
-from bayescal._inference.sampling import ManyPhi
+from bayescal._inference.sampling import ManyPhi, weighted_draws
 from bayescal._inference.terms import ColumnsOf
 from bayescal._model import forward
 from bayescal._model.correlated_noise import over_record
@@ -240,9 +240,8 @@ def test_the_mode_is_the_top_of_the_density() -> None:
     np.testing.assert_allclose(mode.v, best.x, atol=2e-3)
 
 
-@pytest.mark.parametrize("place", [0.23, 0.61, 0.88])
-def test_of_many_maxima_the_highest_is_the_mode(place: float) -> None:
-    """The moment of a step that few prior draws come near, in a record of correlated noise."""
+def stepped(place: float) -> Assembly:
+    """A step at a place of a record of correlated noise: few prior draws come near it."""
     random, t = np.random.default_rng(7), 10.0 * np.arange(600)
     wander = np.cumsum(0.02 * random.standard_normal(600))
     output = wander + 0.5 * (t > place * t[-1]) + 0.05 * random.standard_normal(600)
@@ -256,12 +255,28 @@ def test_of_many_maxima_the_highest_is_the_mode(place: float) -> None:
     model = (still(readings) + "unknown(time, jump)").with_noise(WANDER)
     frame = build_frame(readings, reference_of(readings))
     layout = bind(sized(model, readings, frame), readings)[0]
-    a = Assembly(layout, Record(model.instrument, frame, readings["output"]))
+    return Assembly(layout, Record(model.instrument, frame, readings["output"]))
+
+
+@pytest.mark.parametrize("place", [0.23, 0.61, 0.88])
+def test_of_many_maxima_the_highest_is_the_mode(place: float) -> None:
+    a = stepped(place)
     mode = find_mode(a)
     density = Density(a, mode.point, mode.flat)
     (along,) = across(a, mode.v)
     assert density.at(mode.v)[0] > max(density.at(v)[0] for v in along) - 1e-3
     assert a.hyper(mode.v)["unknown(time, jump).place"] == pytest.approx(place, abs=0.01)
+
+
+def test_a_lower_maximum_is_left_where_draws_show_a_higher_one() -> None:
+    a = stepped(0.61)
+    top, at = find_mode(a), [h.name for h in a.hypers].index("unknown(time, jump).place")
+    low = find_mode(a, [np.where(np.arange(len(top.v)) == at, top.v - 0.5, top.v)])
+    assert low.log_density < top.log_density - 5
+    drawn, right = (weighted_draws(a, mode, 0, 4096, 12) for mode in (low, top))
+    np.testing.assert_allclose(drawn.mode.v, top.v, atol=0.02)
+    error = float(np.hypot(drawn.log_evidence_error, right.log_evidence_error))
+    assert drawn.log_evidence == pytest.approx(right.log_evidence, abs=4 * error)
 
 
 def test_promoted_coefficients_stand_in_phi() -> None:
