@@ -41,7 +41,7 @@ from bayescal._fleet.engine import Engine, LocalEngine
 from bayescal._fleet.fleet_settings import fleet_settings
 from bayescal._inference import trust
 from bayescal._inference.mode import climb, gaussian_fit
-from bayescal._inference.sampling import PriorShare, explore
+from bayescal._inference.sampling import PriorShare, around_mode, propose
 from bayescal._model.effect import Coefficient
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
@@ -308,13 +308,6 @@ class _Density:
         return float(value[0]), 0.5 * slope + np.diff(ends)[:, 0] / (2 * NUDGE)
 
 
-class _LaplaceFit(NamedTuple):
-    """Where a density is greatest, and the covariance of its Gaussian fit there."""
-
-    v: np.ndarray
-    covariance: np.ndarray
-
-
 def _draws(density: Any, seed: int) -> tuple[np.ndarray, np.ndarray, float, Sums]:
     """Draws of the logarithms of τ, with smoothed weights and k̂, and the sums at each."""
     starts = [np.full(len(density.size), v) for v in STARTS]
@@ -326,8 +319,8 @@ def _draws(density: Any, seed: int) -> tuple[np.ndarray, np.ndarray, float, Sums
     count = int(np.clip(CELLS // max(1, density.count), 200, DRAWS))
     improper = any(isinstance(s, Flat) for s in density.priors)
     prior = None if improper else PriorShare(density.prior_draws, density.log_prior)
-    fit, random = _LaplaceFit(best, covariance), np.random.default_rng(seed)
-    v, log_proposal = explore(fit, density.values, prior, random, count, rounds=0)
+    random = np.random.default_rng(seed)
+    v, log_proposal = propose(around_mode(best, covariance), prior, random, count)
     log_density, given = density.log_density(v)
     log_weight = np.where(np.isfinite(log_density), log_density, -1e300) - log_proposal
     weights, k_hat = smoothed(log_weight)

@@ -134,7 +134,7 @@ class Marginal(Method):
             if not judged.why_not or tried >= limit:
                 return judged
             deadline.offer(partial(result, judged))
-            proposals = min(2 * tried, limit)
+            proposals = min(2 * tried, limit) - tried  # those that there are stay
 
     def _from_weights(self, layout, judged: _Judged, notes, seed, why: str) -> Outcome:
         """Draws by weights that are sound or, if `why` leaves no time for better ones, as they are."""

@@ -204,15 +204,16 @@ def grams(
     for start in range(0, count, together):
         pick = np.minimum(start + np.arange(together), count - 1)
         own = {name: np.asarray(hyper[name])[pick] for name in law.parameters()}
-        if single is None:
-            some = np.stack([_padded(law, record, tables[b]) for b in pick])
-        else:
-            some = single[None]
+        some = single[None] if single is not None else _stacked(law, record, tables[pick])
         made, log_sd = _grams(law.plain, record.padded_for(law), some, own)
         stop = min(start + together, count)
         found[start:stop] = np.asarray(made)[: stop - start, :m, :m]
         volume[start:stop] = 2 * np.sum(np.asarray(log_sd)[: stop - start, :n], axis=1)
     return found, volume
+
+
+def _stacked(law: Noise, record: Record, tables: Float[np.ndarray, "b n m"]) -> np.ndarray:
+    return np.stack([_padded(law, record, table) for table in tables])
 
 
 def _of_readings(what, law: Noise, values: Values, record: Record, *arrays: np.ndarray) -> Any:

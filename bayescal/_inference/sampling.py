@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -63,9 +63,10 @@ class WeightedDraws(NamedTuple):
     log_evidence: Float[np.ndarray | np.float64, ""]
     log_evidence_error: Float[np.ndarray | np.float64, ""]
     mode: Mode  # that they were proposed around, in the end
+    rounds: Rounds | None = None  # what they were drawn in, where further ones may join them
 
 
-class _Mixture(NamedTuple):
+class Mixture(NamedTuple):
     """Student-t components: equally likely ones of one shape, and a wide one with the rest of the probability."""
 
     centre: Float[np.ndarray, "m d"]
@@ -223,86 +224,116 @@ class PriorShare(NamedTuple):
     log_density: Callable[[Float[np.ndarray, "s d"]], Float[np.ndarray, "s"]]
 
 
-def explore(
-    mode: Any,
+def adapted(
+    mode: Mode,
     values: Callable[[Float[np.ndarray, "s d"]], Float[np.ndarray, "s"]],
     prior: PriorShare | None,
     random: np.random.Generator,
     proposals: int,
     rounds: int,
-    earlier: WeightedDraws | None = None,
-    higher: float = math.inf,
-) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"]]:
-    """Adapt to a density, then propose.
+    higher: float,
+) -> Mixture:
+    """What to propose from, adapted to a density that costs little.
 
     Draws of a round are weighed with those of the rounds before, each by what all rounds together propose there:
     of a density that bends away from its Laplace fit every round sees a further part.
     Source: J.-M. Cornuet et al., Scand. J. Statist. 39 (2012) 798 (adaptive multiple importance sampling).
 
     Args:
-        mode: anything with the density's mode `v` and the `covariance` of its Gaussian fit there.
+        mode: of the density.
         values: log density of several points, not normalised.
         prior: None where it is improper or cannot be drawn from.
         random: of every random number.
-        proposals: of the final round, half as many in each round of adaptation.
-        rounds: of adaptation at most; none follows one whose weights are even, nor a later than the `USUAL` whose
-            weights are sound.
-        earlier: draws of this density that were too few: adapted to as they are.
+        proposals: in each round.
+        rounds: at most; none follows one whose weights are even, nor a later than the `USUAL` whose weights are sound.
         higher: log density above which nothing more is adapted: the mode was another.
-
-    Returns:
-        The proposals, and the log density that they are drawn from.
     """
     # The Laplace fit proposes first; then, as often as weights are uneven, kernels about the weighted draws of all
     # rounds before (population Monte Carlo: O. Cappé et al., J. Comput. Graph. Stat. 13 (2004) 907).
-    if earlier is not None:
-        mixture, rounds = _match(mode, earlier.v, earlier.log_weight_phi), 0
-    else:
-        mixture = _around_mode(mode)
-    tried = _Rounds(prior)
+    mixture, tried = around_mode(mode.v, mode.covariance), Rounds(prior)
     for k in range(rounds if len(mode.v) else 0):
-        v, log_proposal = _propose(mixture, prior, random, proposals // 2)
+        v, log_proposal = propose(mixture, prior, random, proposals)
         there = values(v)
-        if np.max(there) > higher:
-            break
         log_weight = there - log_proposal
-        if effective_size(softmax(log_weight)) > ADAPTED * len(v):
+        if np.max(there) > higher or effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
-        tried.add(mixture, v, there, log_proposal)
-        mixture = _match(mode, tried.v, tried.log_weight)
+        none = np.zeros((len(v), 0))
+        tried.add(mixture, v, log_proposal, _Placed(v, there, none, none, none[:, :0]))
+        mixture = _match(mode, tried.all.v, tried.log_weight)
         if k + 1 >= USUAL and smoothed(log_weight)[1] <= sampling().k_hat:
             break
-    return _propose(mixture, prior, random, proposals)
+    return mixture
 
 
-class _Rounds:
-    """Draws of all rounds, each weighed by the mixture of what was drawn from."""
+class Rounds:
+    """Draws of all rounds, each weighed by the mixture of what was drawn from.
+
+    Each draw is weighed by the mean density of all mixtures, whichever it came from (deterministic mixture: E. Veach
+    and L. Guibas, SIGGRAPH 1995): a draw that its own mixture hardly proposes cannot count for thousands.
+    """
 
     def __init__(self, prior: PriorShare | None) -> None:
-        self.prior, self.mixtures = prior, list[_Mixture]()
-        self.v, self.there, self.proposed = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
+        self.prior, self.judged = prior, Corrections()
+        self.mixtures, self.proposed = (
+            list[Mixture](),
+            np.zeros((0, 0)),
+        )  # each mixture's density of all draws
+        self.counts, self.parts = list[int](), list[_Placed]()
 
     def add(
-        self, mixture: _Mixture, v: Float[np.ndarray, "s d"], there: np.ndarray, own: np.ndarray
+        self, mixture: Mixture, v: Float[np.ndarray, "s d"], own: np.ndarray, new: _Placed
     ) -> None:
-        """A round's draws, the log density there, and the log density that they were drawn from."""
-        old = self.v.reshape(-1, v.shape[1])
+        """A round's draws of a mixture, the log density that they were drawn from, and what there is at each."""
         here = np.array([*(_log_proposal(m, self.prior, v) for m in self.mixtures), own])
+        if self.mixtures:
+            before = np.vstack([self.proposed, _log_proposal(mixture, self.prior, self.all.v)])
+            here = np.concatenate([before, here], axis=1)
         self.mixtures.append(mixture)
-        before = (
-            np.vstack([self.proposed, _log_proposal(mixture, self.prior, old)])
-            if len(old)
-            else here[:, :0]
-        )
-        self.v, self.there = np.concatenate([old, v]), np.concatenate([self.there, there])
-        self.proposed = np.concatenate([before, here], axis=1)
+        self.proposed = here
+        self.counts.append(len(v))
+        self.parts.append(new)
+
+    @property
+    def all(self) -> _Placed:
+        if len(self.parts) > 1:
+            self.parts = [_Placed(*map(np.concatenate, zip(*self.parts, strict=True)))]
+        return self.parts[0]
 
     @property
     def log_weight(self) -> Float[np.ndarray, "s"]:
-        # Each draw is weighed by the mean density of all mixtures, whichever it came from (deterministic mixture: E.
-        # Veach and L. Guibas, SIGGRAPH 1995): a draw that its own mixture hardly proposes cannot count for thousands.
-        proposed = np.asarray(logsumexp(self.proposed, axis=0))
-        return self.there - proposed + math.log(len(self.mixtures))
+        share = np.log(self.counts) - math.log(sum(self.counts))
+        return self.all.log_density - np.asarray(logsumexp(self.proposed + share[:, None], axis=0))
+
+    def drawn(self, mode: Mode) -> WeightedDraws:
+        """All of them, weighed."""
+        v, _, x, rows, correction = self.all
+        log_weight_phi = self.log_weight
+        counting = correction > NOWHERE
+        log_weight = np.where(
+            counting, log_weight_phi + np.where(counting, correction, 0.0), NOWHERE
+        )
+        # The mean of the unnormalised weights is the evidence; its relative error is that of a mean of so many.
+        evidence = logsumexp(log_weight) - math.log(len(v))  # pyright: ignore[reportOperatorIssue]
+        error = np.std(np.exp(log_weight - evidence)) / math.sqrt(len(v))
+        evidence, error = np.float64(evidence), np.float64(error)
+        return WeightedDraws(x, rows, v, log_weight, log_weight_phi, evidence, error, mode, self)
+
+
+class _Placed(NamedTuple):
+    """Draws of φ with coefficients drawn for each that counts.
+
+    Attributes:
+        v: φ.
+        log_density: of φ, x integrated out.
+        x, rows: coefficients.
+        correction: of the log weight of the joint draw; `NOWHERE` where none counts.
+    """
+
+    v: Float[np.ndarray, "s d"]
+    log_density: Float[np.ndarray, "s"]
+    x: Float[np.ndarray, "s p"]
+    rows: Float[np.ndarray, "s n k"]
+    correction: Float[np.ndarray, "s"]
 
 
 @on_one_thread
@@ -321,38 +352,80 @@ def weighted_draws(
         assembly: the structure on its record.
         mode: its mode.
         seed: of every random number.
-        proposals: of the final round, half as many in each round of adaptation; by their cost if not given.
+        proposals: at least, half as many in each round of adaptation; by their cost if not given. Where each costs a
+            pass over the readings, rounds of adaptation count among them.
         rounds: of adaptation at most.
         heavy: whether coefficients are proposed with the tails of Student-t; always where the noise is not Gaussian.
-        earlier: draws that were too few: no further round of adaptation then.
+        earlier: draws that were too few: those made now join them.
 
     Raises:
         TimeIsUp: the deadline came first.
     """
-    random = np.random.default_rng(seed)
+    # Further draws have random numbers of their own: the same ones again would tell nothing.
+    random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
     density, share, above = ManyPhi(assembly, mode), _prior_share(assembly), sampling().higher
     heavy = heavy or not assembly.noise.gaussian
+    known = None if earlier is None else earlier.rounds
     while True:
         count = proposals_of(density) if proposals is None else proposals
         higher = float(density.mode.log_density) + above
-        args = share, random, count, rounds, earlier, higher
-        v, log_proposal = explore(density.mode, density.values, *args)
+        pool = Rounds(share) if known is None else known
+        _fill(pool, density, random, count, rounds, heavy, higher)
         found, start = None, density.top
         if density.highest <= higher:
-            found = _placed(density, v, log_proposal, heavy, random)
-        if found is not None and density.highest <= higher:
+            found = pool.drawn(density.mode)
             if not smoothed(found.log_weight)[1] > sampling().k_hat:
                 return found
-            start = v[int(np.argmax(found.log_weight_phi))]
+            start = found.v[int(np.argmax(found.log_weight_phi))]
         # No draw of a posterior lies above its mode, and one that counts for many more is on a hill that is not
         # proposed: the climb may have ended on a lower one, and begins anew there.
         mode = find_mode(assembly, [start], point=density.mode.point)
         if mode.log_density > higher:
-            density, earlier = ManyPhi(assembly, mode), None
+            density, known = ManyPhi(assembly, mode), None
         elif found is not None:
             return found
-        else:  # higher in the linear form about the mode alone
-            above = math.inf
+        else:  # higher in the linear form about the old mode alone
+            above, known = math.inf, None
+
+
+def _fill(
+    pool: Rounds,
+    density: ManyPhi,
+    random: np.random.Generator,
+    count: int,
+    rounds: int,
+    heavy: bool,
+    higher: float,
+) -> None:
+    """Add so many draws to a pool; more, as long as they are unsound, where none is thrown away.
+
+    Ends early where a draw lies higher than the mode may.
+    """
+    mode, prior, first = density.mode, pool.prior, not pool.mixtures
+    direct = density.products is None
+    if not first:
+        mixture = _match(mode, pool.all.v, pool.log_weight)
+    elif direct:
+        mixture = around_mode(mode.v, mode.covariance)
+    else:
+        args = density.values, prior, random, count // 2, rounds, higher
+        mixture = adapted(mode, *args)
+    # Where each φ costs a pass over the readings, what is drawn while adapting counts too.
+    halves = 2 if direct else 1
+    for k in range(max(halves, rounds if direct and first and len(mode.v) else 0)):
+        if density.highest > higher:
+            break
+        v, log_proposal = propose(mixture, prior, random, count // halves)
+        pool.add(
+            mixture, v, log_proposal, _placed(density, pool.judged, v, log_proposal, heavy, random)
+        )
+        if k + 1 >= halves:
+            weights, k_hat = smoothed(pool.log_weight)
+            enough = min(sampling().enough, count // 4)
+            if k_hat <= sampling().k_hat and effective_size(weights) >= enough:
+                break
+        if len(mode.v):
+            mixture = _match(mode, pool.all.v, pool.log_weight)
 
 
 def proposals_of(density: ManyPhi) -> int:
@@ -369,48 +442,46 @@ def proposals_of(density: ManyPhi) -> int:
 
 
 def _placed(
-    density: ManyPhi, v, log_proposal, heavy: bool, random: np.random.Generator
-) -> WeightedDraws:
-    """Coefficients drawn for each φ that counts, and the weights of both."""
+    density: ManyPhi,
+    judged: Corrections,
+    v: Float[np.ndarray, "s d"],
+    log_proposal: Float[np.ndarray, "s"],
+    heavy: bool,
+    random: np.random.Generator,
+) -> _Placed:
+    """Coefficients drawn for each φ that counts, and what corrects their weights."""
     mode = density.mode
     count, (size, width) = len(v), mode.point.rows.shape
     x = np.array(np.broadcast_to(mode.point.x, (count, len(mode.point.x))))
     rows = np.broadcast_to(mode.point.rows, (count, size, width))
     rows = np.array(rows) if width else rows
-    log_weight_phi, log_weight = np.empty(count), np.full(count, NOWHERE)
-    judged, highest = Corrections(), NOWHERE
+    log_density, correction, highest = np.empty(count), np.full(count, NOWHERE), NOWHERE
     together = max(32, min(density.together, IN_CACHE // size))
-    bends = density.exact and not density.assembly.affine
+    bends = density.exact and not density.assembly.affine and not judged.alike
     first = FIRST if bends and count > FIRST else 0
     parts = np.array_split(np.arange(first, count), -(-(count - first) // together))
     for stretch in ([np.arange(first)] if first else []) + parts:
         deadline.current().ask()
         normal = normal_numbers(density.assembly.size, len(stretch), heavy, random)
-        log_phi, found = density.at(v[stretch], normal)
-        log_weight_phi[stretch] = of_phi = log_phi - log_proposal[stretch]
+        log_density[stretch], found = density.at(v[stretch], normal)
+        of_phi = log_density[stretch] - log_proposal[stretch]
         highest = max(highest, float(np.max(of_phi)))
         # e⁻⁴⁰ = 4·10⁻¹⁸ of the largest weight is lost in the rounding of their sum: such a φ needs no x.
-        counting = (log_phi > NOWHERE) & (of_phi > highest - NEGLIGIBLE)
+        counting = (log_density[stretch] > NOWHERE) & (of_phi > highest - NEGLIGIBLE)
         if not counting.any():
             continue
         pick, found, normal = stretch[counting], found.of(counting), normal[counting]
-        of_phi = log_weight_phi[pick]
-        args = density, v[pick], found, normal, of_phi, judged, heavy, random
-        drawn, own, correction = _drawn(*args)
-        some = np.isfinite(correction)
+        args = density, v[pick], found, normal, of_phi[counting], judged, heavy, random
+        drawn, own, corrected = _drawn(*args)
+        some = np.isfinite(corrected)
         x[pick[some]] = drawn[some]
         if width:
             rows[pick[some]] = own[some]
-        log_weight[pick[some]] = (of_phi + correction)[some]
+        correction[pick[some]] = corrected[some]
     # Of those that were looked at too: their scatter would pass for a tail.
     if judged.alike and density.exact:
-        log_weight = np.where(log_weight > NOWHERE, log_weight_phi + judged.mean, NOWHERE)
-    # The mean of the unnormalised weights is the evidence; its relative error is that of a mean of so many.
-    evidence = logsumexp(log_weight) - math.log(count)  # pyright: ignore[reportOperatorIssue]
-    error = np.std(np.exp(log_weight - evidence)) / math.sqrt(count)
-    return WeightedDraws(
-        x, rows, v, log_weight, log_weight_phi, np.float64(evidence), np.float64(error), mode
-    )
+        correction = np.where(correction > NOWHERE, judged.mean, NOWHERE)
+    return _Placed(v, log_density, x, rows, correction)
 
 
 def _drawn(
@@ -437,8 +508,8 @@ def _drawn(
     return x, rows, correction
 
 
-def _propose(
-    mixture: _Mixture, prior: PriorShare | None, random: np.random.Generator, count: int
+def propose(
+    mixture: Mixture, prior: PriorShare | None, random: np.random.Generator, count: int
 ) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"]]:
     """Coordinates of φ with the log density that they are drawn from: near the mode and, where proper, the prior."""
     v = mixture.draw(random, count)
@@ -450,9 +521,9 @@ def _propose(
 
 
 def _log_proposal(
-    mixture: _Mixture, prior: PriorShare | None, v: Float[np.ndarray, "s d"]
+    mixture: Mixture, prior: PriorShare | None, v: Float[np.ndarray, "s d"]
 ) -> Float[np.ndarray, "s"]:
-    """Log density of what `_propose` draws."""
+    """Log density of what `propose` draws."""
     if prior is None:
         return mixture.log_density(v)
     parts = math.log1p(-PRIOR) + mixture.log_density(v), math.log(PRIOR) + prior.log_density(v)
@@ -478,12 +549,13 @@ def _prior_draws(prior, random: np.random.Generator, count: int) -> Float[np.nda
     return np.log(np.abs(normal)) if isinstance(prior, HalfNormal) else normal
 
 
-def _around_mode(mode: Any) -> _Mixture:
-    chol = np.linalg.cholesky(mode.covariance) if len(mode.v) else mode.covariance
-    return _Mixture(mode.v[None], chol, mode.v, WIDE * chol, 0.4)
+def around_mode(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]) -> Mixture:
+    """What to propose from first: about a mode, as wide as its Gaussian fit and wider."""
+    chol = np.linalg.cholesky(covariance) if len(v) else covariance
+    return Mixture(v[None], chol, v, WIDE * chol, 0.4)
 
 
-def _match(mode: Any, v: np.ndarray, log_weight: np.ndarray) -> _Mixture:
+def _match(mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
     """The next mixture: around the weighted draws, as wide as the Laplace fit where few of them count."""
     weight = softmax(log_weight)
     weight = np.minimum(weight, 1 / math.sqrt(weight.size))  # truncation, Ionides 2008
@@ -501,4 +573,4 @@ def _match(mode: Any, v: np.ndarray, log_weight: np.ndarray) -> _Mixture:
     ladder = (np.arange(kernels) + 0.5) / kernels
     pick = np.minimum(np.searchsorted(np.cumsum(weight), ladder), weight.size - 1)
     wide = WIDE * np.linalg.cholesky(mode.covariance)
-    return _Mixture(v[pick], KERNEL * chol, mode.v, wide, 0.1)
+    return Mixture(v[pick], KERNEL * chol, mode.v, wide, 0.1)
