@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
-from bayescal._cli import options
 from bayescal._cli.console import exit_unless, print_result
 from bayescal._cli.options import ColumnOptions, Commands, ModelOptions, named_numbers
 from bayescal._core.errors import InputError
@@ -24,64 +21,21 @@ if TYPE_CHECKING:
 commands = Commands()
 
 
-def _refuse_missing(paths: list[Path]) -> list[Path]:
-    """Folders may stand among the files.
-
-    Raises:
-        InputError: a path is not there.
-    """
-    options.refuse_missing([path for path in paths if not path.is_dir()])
-    return paths
-
-
-Sources = Annotated[
-    list[Path],
-    typer.Argument(
-        help="Files of readings, or folders of them: a Parquet dataset, CSVs, logs.",
-        show_default=False,
-        callback=_refuse_missing,
-    ),
-]
-
-
 @commands.example("bayescal batch lot.parquet --instrument mems_gyro -o results.parquet")
 def batch(
     *,
-    files: Sources,
-    instrument: options.Name,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            help="Parquet file to write; or a folder, for results partition by partition.",
-            show_default=False,
-        ),
-    ],
+    files: list[Path],
+    instrument: str,
+    out: Path,
     columns: ColumnOptions,
     choice: ModelOptions,
-    method: options.BatchMethod = "least-squares",
-    population: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--population",
-            help="Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat.",
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option("--workers", min=1, help="Processes of this machine that share the work."),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", help="tcp://host:8786: a Dask cluster that does the work."),
-    ] = None,
-    find: Annotated[
-        bool,
-        typer.Option("--find", help="Search each device's missing effects: a second a device."),
-    ] = False,
-    seed: options.Seed = 0,
-    json_: options.Json = False,
+    method: str = "least-squares",
+    population: list[str] | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    find: bool = False,
+    seed: int = 0,
+    json_: bool = False,
 ) -> None:
     """Fit every device of files with a column 'device' by itself: one table of coefficients."""
     from bayescal._cli.request import (

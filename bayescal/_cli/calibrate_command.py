@@ -5,9 +5,7 @@ from __future__ import annotations
 import webbrowser
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
 from bayescal._calibration.settings import SearchSettings
@@ -31,14 +29,14 @@ commands = Commands()
 @commands.example("bayescal calibrate readings.csv --instrument mems_gyro --out result")
 def calibrate(
     *,
-    channels: options.Channels = None,
+    channels: str | None = None,
     asked: SearchRequest,
-    simple_noise: options.SimpleNoise = False,
-    covariates: options.Covariates = None,
-    out: options.Folder = None,
-    verbose: options.Verbose = False,
-    output_unit: options.OutputUnit = None,
-    json_: options.Json = False,
+    simple_noise: bool = False,
+    covariates: str | None = None,
+    out: Path | None = None,
+    verbose: bool = False,
+    output_unit: str | None = None,
+    json_: bool = False,
 ) -> None:
     """The whole loop: fit, see where it fails, find what is missing, add it, see the error fall.
 
@@ -59,27 +57,12 @@ def calibrate(
 @commands.example("bayescal workbench readings.csv --instrument mems_gyro")
 def workbench(
     *,
-    channels: options.Channels = None,
+    channels: str | None = None,
     asked: SearchRequest,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            help="Folder that keeps every step; one that holds some is gone on with, as after a time limit.",
-        ),
-    ] = Path("workbench_output"),
-    trust: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Python file that a session kept in the folder may run, beside that of --effects; repeat for more."
-        ),
-    ] = None,
-    address: Annotated[
-        str, typer.Option(help="Address of this computer to serve at; others may then reach it.")
-    ] = "127.0.0.1",
-    no_open: Annotated[
-        bool, typer.Option("--no-open", help="Print the address, and open no browser.")
-    ] = False,
+    out: Path = Path("workbench_output"),
+    trust: list[Path] | None = None,
+    address: str = "127.0.0.1",
+    no_open: bool = False,
 ) -> None:
     """The same loop in a browser, step by step: look, add, compare, go back. Ctrl-C ends it.
 

@@ -8,9 +8,7 @@ import sys
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 import bayescal as bc
 from bayescal._cli import options
@@ -29,22 +27,10 @@ PAIR_SELECTIONS = "bayescal.pair_selections"
 
 @commands.example("bayescal instruments --check level.py:INSTRUMENT")
 def instruments(
-    check: Annotated[
-        str | None,
-        typer.Option(
-            metavar="my.py:INSTRUMENT",
-            help="Try this instrument on itself: simulate its plausible sizes, fit them, say what came back.",
-        ),
-    ] = None,
-    readings: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="With --check: files whose columns, the output aside, are taken in place of made-up ones.",
-            callback=options.refuse_missing,
-        ),
-    ] = None,
-    seed: options.Seed = 0,
-    json_: options.Json = False,
+    check: str | None = None,
+    readings: list[Path] | None = None,
+    seed: int = 0,
+    json_: bool = False,
 ) -> None:
     """List the installed instruments, or check one of your own."""
     from bayescal._cli import output
@@ -67,9 +53,9 @@ def instruments(
 
 @commands.example("bayescal effects --instrument mems_gyro")
 def effects(
-    instrument: options.Name,
-    effects_file: options.OwnEffects = None,
-    json_: options.Json = False,
+    instrument: str,
+    effects_file: Path | None = None,
+    json_: bool = False,
 ) -> None:
     """List an instrument's effects: equation, unit, plausible size, columns needed, source."""
     from bayescal._cli import output
@@ -88,15 +74,12 @@ def effects(
     "bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 --out sim.csv"
 )
 def simulate(
-    instrument: options.Name,
-    out: Annotated[
-        Path,
-        typer.Option("--out", help="File to write: .csv, .parquet or .nc.", show_default=False),
-    ],
-    effect: options.Hidden = None,
-    noise_law: options.NoiseLaw = "white",
-    seed: options.Seed = 0,
-    json_: options.Json = False,
+    instrument: str,
+    out: Path,
+    effect: list[str] | None = None,
+    noise_law: str = "white",
+    seed: int = 0,
+    json_: bool = False,
 ) -> None:
     """Simulate a test campaign, with effects hidden in it if you like."""
     from bayescal._cli.request import instrument_named
@@ -124,18 +107,14 @@ def simulate(
 @commands.example("bayescal pairs readings.csv")
 def pairs(
     *,
-    files: options.Files,
-    instrument: Annotated[
-        str, typer.Option("--instrument", help="Whose devices are chosen in pairs.")
-    ] = "differential_pair",
-    criterion: Annotated[
-        str, typer.Option(help="residual, ratio-variance or ratio-variance-raw.")
-    ] = "residual",
+    files: list[Path],
+    instrument: str = "differential_pair",
+    criterion: str = "residual",
     columns: ColumnOptions,
-    add: options.Add = None,
-    average: options.Average = None,
-    seed: options.Seed = 0,
-    json_: options.Json = False,
+    add: list[str] | None = None,
+    average: str | None = None,
+    seed: int = 0,
+    json_: bool = False,
 ) -> None:
     """Which two devices make the best pair, each pair with its probability."""
     from bayescal._cli.request import open_request
@@ -154,14 +133,10 @@ def pairs(
 
 @commands.example("bayescal demo --out demo_output")
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("demo_output"),
-    instrument: Annotated[
-        str, typer.Option("--instrument", help="Whose demonstration.")
-    ] = "mems_gyro",
-    seed: options.Seed = 0,
-    json_: Annotated[
-        bool, typer.Option("--json", help="Print result.json on stdout, and the story on stderr.")
-    ] = False,
+    out: Path = Path("demo_output"),
+    instrument: str = "mems_gyro",
+    seed: int = 0,
+    json_: bool = False,
 ) -> None:
     """A gyroscope's table against its published line, then a hidden effect found and added."""
     from bayescal._cli.request import instrument_named

@@ -7,18 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 import bayescal as bc
-from bayescal._cli import options
 from bayescal._cli.console import exit_unless, print_notes, print_result
 from bayescal._cli.options import (
     ColumnOptions,
     Commands,
     DecisionRule,
-    Gravity,
     InUse,
     OwnParts,
     named_numbers,
@@ -48,37 +45,14 @@ def exit_unless_conforms(found: bc.Decisions) -> None:
 @commands.example("bayescal compensate result/calibration.nc flight.csv --out done.csv")
 def compensate(
     *,
-    calibration: Annotated[
-        Path,
-        typer.Argument(
-            help="Folder of results, its calibration (.nc), or a JSON export.", show_default=False
-        ),
-    ],
-    file: Annotated[
-        Path,
-        typer.Argument(help="Readings: text, .parquet, .nc, .xlsx or .mat.", show_default=False),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            help="File to write, of the same format (Excel, MATLAB: .csv).",
-            show_default=False,
-        ),
-    ],
-    first_order: Annotated[
-        bool,
-        typer.Option(
-            "--first-order", help="Propagate mean and covariance, as exports do, not draws."
-        ),
-    ] = False,
-    without_noise: Annotated[
-        bool, typer.Option("--without-noise", help="Leave the noise of each reading out.")
-    ] = False,
+    calibration: Path,
+    file: Path,
+    out: Path,
+    first_order: bool = False,
+    without_noise: bool = False,
     columns: ColumnOptions,
     own: InUse,
-    json_: options.Json = False,
+    json_: bool = False,
 ) -> None:
     """Turn readings back into what was measured, with standard uncertainty: two columns more."""
     from bayescal._cli.saved import compensator_from
@@ -117,37 +91,14 @@ def compensate(
 @commands.example("bayescal export result/calibration.nc --format c --out gyro.h")
 def export(
     *,
-    calibrations: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            help="A folder of results, or its calibration (.nc); for parameters, one for each axis."
-        ),
-    ] = None,
-    format_: Annotated[
-        str | None,
-        typer.Option(
-            "--format",
-            help="json, c, python or html (a page with sliders), else by the suffix of --out; px4-params or "
-            "ardupilot-params; dcc.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="File to write; standard output if not given."),
-    ] = None,
-    axis: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--axis", help="gyro_x=a.nc: calibration of an axis, where its readings do not name it."
-        ),
-    ] = None,
-    device_id: Annotated[
-        list[str] | None,
-        typer.Option("--device-id", help="gyro=3670026: PX4's number of a sensor; repeat."),
-    ] = None,
-    local_gravity: Gravity = None,
-    certificate: options.Certificate = None,
-    limit: options.AlsoLimit = None,
+    calibrations: list[Path] | None = None,
+    format_: str | None = None,
+    out: Path | None = None,
+    axis: list[str] | None = None,
+    device_id: list[str] | None = None,
+    local_gravity: float | None = None,
+    certificate: Path | None = None,
+    limit: list[str] | None = None,
     by: DecisionRule,
     own: InUse,
 ) -> None:
@@ -183,21 +134,12 @@ def export(
 @commands.example("bayescal budget result/calibration.nc --at temperature=60")
 def budget(
     *,
-    calibration: options.Saved,
-    at: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--at", help="temperature=60: operating point, in fixed units; repeat for more."
-        ),
-    ] = None,
-    k: Annotated[
-        float, typer.Option("-k", help="Coverage factor of the expanded uncertainty.")
-    ] = 2.0,
-    prior_sensitivity: Annotated[
-        bool, typer.Option("--prior-sensitivity", help="Also how much the priors matter (psense).")
-    ] = False,
+    calibration: Path,
+    at: list[str] | None = None,
+    k: float = 2.0,
+    prior_sensitivity: bool = False,
     own: InUse,
-    json_: options.Json = False,
+    json_: bool = False,
 ) -> None:
     """The uncertainty budget of a compensated value (JCGM 100): who contributes how much."""
     from bayescal._calibration import prior_influence
@@ -221,37 +163,16 @@ def budget(
 @commands.example('bayescal decide result --limit "bias: ±0.5 °/s"')
 def decide(
     *,
-    calibration: options.Saved,
-    limit: Annotated[
-        list[str],
-        typer.Option(
-            "--limit",
-            help='"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.',
-            show_default=False,
-        ),
-    ],
+    calibration: Path,
+    limit: list[str],
     by: DecisionRule,
-    population: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--population",
-            help='Devices of this kind, for global risks: what `bayescal batch --population` wrote, or "sd 0.2 °/s"; '
-            'repeat, by name of a limit: "bias: sd 0.2 °/s".',
-        ),
-    ] = None,
-    capability: Annotated[
-        float, typer.Option("--capability", help="Least T/(4u) with which 'shared-risk' decides.")
-    ] = 3.0,
-    conformity: Annotated[
-        float,
-        typer.Option("--conformity", help="Probability of which the next calibration is stated."),
-    ] = 0.95,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="JSON file to write the decisions to.")
-    ] = None,
-    local_gravity: Gravity = None,
+    population: list[str] | None = None,
+    capability: float = 3.0,
+    conformity: float = 0.95,
+    out: Path | None = None,
+    local_gravity: float | None = None,
     own: InUse,
-    json_: options.Json = False,
+    json_: bool = False,
 ) -> None:
     """Does it conform? Decisions about limits, with guard bands, risks and when to calibrate again.
 
@@ -278,23 +199,15 @@ def decide(
 @commands.example("bayescal report result -o report.html")
 def report(
     *,
-    calibrations: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Saved calibrations (.nc), or folders that `bayescal calibrate --out` wrote.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="HTML file to write.")] = Path(
-        "report.html"
-    ),
-    title: Annotated[str, typer.Option("--title", help="Of the report.")] = "",
-    certificate: options.Certificate = None,
-    limit: options.AlsoLimit = None,
+    calibrations: list[Path],
+    out: Path = Path("report.html"),
+    title: str = "",
+    certificate: Path | None = None,
+    limit: list[str] | None = None,
     by: DecisionRule,
-    output_unit: options.OutputUnit = None,
+    output_unit: str | None = None,
     own: OwnParts,
-    json_: options.Json = False,
+    json_: bool = False,
 ) -> None:
     """Write the report for sign-off: a one-page summary with appendices, in one HTML file."""
     from bayescal._cli import saved

@@ -6,9 +6,6 @@ Imports stand where they are first needed: a bad file is refused before a sample
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 import bayescal as bc
 from bayescal._cli import options
@@ -31,12 +28,12 @@ commands = Commands()
 @commands.example("bayescal fit readings.csv --instrument mems_gyro --out result")
 def fit(
     asked: ReadRequest,
-    noise: options.NoiseName = None,
-    method: options.MethodName = "marginal",
-    time_limit: options.TimeLimit = None,
-    seed: options.Seed = 0,
-    out: options.Folder = None,
-    json_: options.Json = False,
+    noise: str | None = None,
+    method: str = "marginal",
+    time_limit: float | None = None,
+    seed: int = 0,
+    out: Path | None = None,
+    json_: bool = False,
 ) -> None:
     """Fit one model: coefficients with uncertainty."""
     from bayescal._cli.request import law_named, method_named, open_request, reference_of
@@ -75,9 +72,9 @@ def fit(
 
 @commands.example("bayescal check result/calibration.nc")
 def check(
-    calibration: options.Saved,
+    calibration: Path,
     own: OwnParts,
-    json_: options.Json = False,
+    json_: bool = False,
 ) -> None:
     """Where a fitted model fails."""
     from bayescal._cli.saved import load_saved
@@ -89,16 +86,16 @@ def check(
 
 @commands.example("bayescal discover result/calibration.nc")
 def discover(
-    calibration: options.Saved,
+    calibration: Path,
     own: OwnParts,
-    typed: options.Typed = None,
-    max_effects: options.MostEffects = 5,
-    time_limit: options.TimeLimit = None,
-    ignore: options.Ignore = None,
-    covariates: options.Covariates = None,
-    next_experiment: options.Next = False,
-    calibrate_screen: options.Screen = None,
-    json_: options.Json = False,
+    typed: list[str] | None = None,
+    max_effects: int = 5,
+    time_limit: float | None = None,
+    ignore: list[str] | None = None,
+    covariates: str | None = None,
+    next_experiment: bool = False,
+    calibrate_screen: int | None = None,
+    json_: bool = False,
 ) -> None:
     """Which effect is missing from a fitted model; and which experiment would tell rivals apart."""
     from bayescal._cli.output import unexplained_text
@@ -145,17 +142,17 @@ def discover(
 )
 def compare(
     *,
-    files: options.Files,
-    instrument: options.Name,
-    structure: options.Structures = None,
+    files: list[Path],
+    instrument: str,
+    structure: list[str] | None = None,
     columns: ColumnOptions,
-    reference: options.Ref = None,
-    effects_file: options.OwnEffects = None,
-    typed: options.Typed = None,
-    average: options.Average = None,
-    method: options.MethodName = "marginal",
-    seed: options.Seed = 0,
-    json_: options.Json = False,
+    reference: list[str] | None = None,
+    effects_file: Path | None = None,
+    typed: list[str] | None = None,
+    average: str | None = None,
+    method: str = "marginal",
+    seed: int = 0,
+    json_: bool = False,
 ) -> None:
     """Set model structures side by side: leave-one-group-out, leave-one-out, evidence, weights."""
     from bayescal._cli.request import (
@@ -191,23 +188,14 @@ def compare(
 @commands.example("bayescal predict result/calibration.nc new.csv --out predicted.csv")
 def predict(
     *,
-    calibration: options.Saved,
-    files: options.Files,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="File to write: .csv, .parquet or .nc.")
-    ] = None,
-    same_record: Annotated[
-        bool,
-        typer.Option(
-            "--same-record",
-            help="The readings are of the record that was fitted, on its clock: between fitted readings the correlated "
-            "noise that these show is given, in columns of its own.",
-        ),
-    ] = False,
+    calibration: Path,
+    files: list[Path],
+    out: Path | None = None,
+    same_record: bool = False,
     columns: ColumnOptions,
-    average: options.Average = None,
+    average: str | None = None,
     own: UsedParts,
-    json_: options.Json = False,
+    json_: bool = False,
 ) -> None:
     """Predict readings with a calibration, and compare."""
     from bayescal._cli.output import write_prediction

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 import bayescal as bc
 from bayescal._cli import options
@@ -23,26 +20,16 @@ AT_REST = (
     "bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --yaml imu.yaml"
 )
 def noise(
-    files: options.Files,
+    files: list[Path],
     columns: ColumnOptions,
-    channels: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME,NAME,…", help="Columns that are outputs, one after another: gyro_x,acc_x."
-        ),
-    ] = None,
-    yaml: Annotated[
-        Path | None,
-        typer.Option(help="File to write for Kalibr: noise densities and random walks."),
-    ] = None,
-    quantile: Annotated[
-        float, typer.Option(help="Of the posterior, that the numbers for Kalibr are.")
-    ] = 0.95,
-    topic: Annotated[str, typer.Option(help="Of the messages, for Kalibr.")] = "/imu0",
-    average: options.Average = None,
-    seed: options.Seed = 0,
-    out: options.Folder = None,
-    json_: options.Json = False,
+    channels: str | None = None,
+    yaml: Path | None = None,
+    quantile: float = 0.95,
+    topic: str = "/imu0",
+    average: str | None = None,
+    seed: int = 0,
+    out: Path | None = None,
+    json_: bool = False,
 ) -> None:
     """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals."""
     from bayescal._cli.request import open_channels, open_request

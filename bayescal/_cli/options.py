@@ -1,7 +1,7 @@
-"""Options that several commands share, one by one and in groups. Light: `bayescal --help` reads them.
+"""What every option says, in one table by its parameter's name, and options that several commands share in groups.
 
-A group is a data class of options, or of groups. `with_groups` shows typer its fields in place of a command's
-parameter of that class, so that each group is said once.
+A command's parameters have a type and a default, no more; `with_groups` shows them to typer with their words, and in
+place of a parameter of a group (a data class) the fields of the group. Light: `bayescal --help` reads it.
 """
 
 from __future__ import annotations
@@ -89,6 +89,11 @@ def refuse_missing(files: list[Path] | None) -> list[Path] | None:
     return files
 
 
+def _refuse_missing_beside_folders(paths: list[Path]) -> list[Path]:
+    refuse_missing([path for path in paths if not path.is_dir()])
+    return paths
+
+
 def _refuse_unknown_method(name: str) -> str:
     if name not in METHODS:
         raise InputError(f"--method {name!r} is not one of {', '.join(METHODS)}")
@@ -109,297 +114,199 @@ def _refuse_no_duration(text: str | None) -> str | None:
     return text
 
 
-Files = Annotated[
-    list[Path],
-    typer.Argument(
-        help="CSV, Parquet, NetCDF, Excel or MATLAB files of readings, or logs: .ulg, .bin, .bag, .mcap, .db3.",
-        show_default=False,
-        callback=refuse_missing,
-    ),
-]
-Saved = Annotated[
-    Path, typer.Argument(help="A folder of results, or its calibration (.nc).", show_default=False)
-]
-Name = Annotated[
-    str,
-    typer.Option(
-        "--instrument",
-        help="Name of an installed instrument, or my.py:INSTRUMENT.",
-        show_default=False,
-    ),
-]
-OwnInstrument = Annotated[
-    str | None,
-    typer.Option(
-        "--instrument",
-        help="my.py:INSTRUMENT, if the calibration is of an instrument that is not installed.",
-    ),
-]
-Fix = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--fix", help="bias.temperature=0.041: hold an unknown at a value, in its unit; repeat."
-    ),
-]
-Ref = Annotated[
-    list[str] | None,
-    typer.Option("--reference", help="T0=0: reference temperature of the bases, °C."),
-]
-Add = Annotated[
-    list[str] | None,
-    typer.Option("--add", help="Effect to add to the baseline; repeat for more."),
-]
-Structure = Annotated[
-    str | None,
-    typer.Option(help="A model structure of the instrument in place of its baseline."),
-]
-Structures = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--structure",
-        help="Structure to set beside the others, or with effects added, as "
-        "line+bias.thermal_lag; repeat. All of the instrument's if none is given.",
-    ),
-]
-OwnEffects = Annotated[
-    Path | None,
-    typer.Option("--effects", help="Python file with effects or a noise law of your own."),
-]
-Typed = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--effect",
-        metavar="'NAME: FORMULA; s = SIZE'",
-        help="An effect of your own in one line, as a candidate: 'supply: s * (supply_voltage - 5); s = 0.1 V/V'.",
-    ),
-]
-Members = Annotated[
-    list[str] | None,
-    typer.Option("--member", help="device=A17: which device is used; repeat for more."),
-]
-MethodName = Annotated[
-    str,
-    typer.Option(
-        "--method", help="marginal, least-squares or nuts.", callback=_refuse_unknown_method
-    ),
-]
-BatchMethod = Annotated[
-    str,
-    typer.Option("--method", help="least-squares or marginal.", callback=_refuse_unknown_method),
-]
-MostEffects = Annotated[
-    int, typer.Option("--max-effects", min=1, help="Most effects that may be missing.")
-]
-SimpleNoise = Annotated[
-    bool,
-    typer.Option(
-        "--simple-noise",
-        help="Where noise is correlated, leave out sums of terms (random walk, flicker, two times, a tone): faster on "
-        "long records.",
-    ),
-]
-Next = Annotated[
-    bool,
-    typer.Option(
-        "--next-experiment", help="Rank feasible campaigns by how well they tell rivals apart."
-    ),
-]
-Screen = Annotated[
-    int | None,
-    typer.Option(
-        "--calibrate-screen",
-        metavar="N",
-        min=1,
-        help="Search N campaigns simulated from this model, and print how often something is reported.",
-    ),
-]
-Hidden = Annotated[
-    list[str] | None,
-    typer.Option("--effect", help="name=size: an effect to hide; repeat for more."),
-]
-NoiseName = Annotated[
-    str | None,
-    typer.Option(
-        "--noise",
-        metavar="NAME",
-        help="Noise law by name: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of --effects.",
-    ),
-]
-NoiseLaw = Annotated[str, typer.Option(help="white, student_t or ornstein_uhlenbeck.")]
-Channels = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME,NAME,…",
-        help="Columns of the file that are outputs of one unit, searched together: gyro_x,gyro_y,gyro_z.",
-    ),
-]
-Holdout = Annotated[
-    list[Path] | None,
-    typer.Option(
-        help="Hold-out data, only read after the last step; repeat for more.",
-        callback=refuse_missing,
-    ),
-]
-TimeLimit = Annotated[
-    float | None,
-    typer.Option(
-        "--time-limit",
-        metavar="SECONDS",
-        help="End after this time with what there is, as Ctrl-C does at any time, and say what was left out.",
-        callback=_refuse_no_time,
-    ),
-]
-Average = Annotated[
-    str | None,
-    typer.Option(
-        "--average",
-        metavar="TIME",
-        help="1s, 0.5s or 2min: means over this time in place of single readings; spikes are set aside first.",
-        callback=_refuse_no_duration,
-    ),
-]
-KeepSpikes = Annotated[
-    bool, typer.Option("--keep-spikes", help="Keep single readings far from both neighbours.")
-]
-AcceptConflict = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--accept-conflict",
-        help="bias.constant: may differ greatly from its plausible size; repeat for others.",
-    ),
-]
-Ignore = Annotated[
-    list[str] | None,
-    typer.Option("--ignore", metavar="COLUMN", help="A column that is no cause; repeat for more."),
-]
-Covariates = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME,NAME,…",
-        help="Of the columns that the instrument does not know, those that may be causes; all but other channels "
-        "of the unit if not given.",
-    ),
-]
-Certificate = Annotated[
-    Path | None,
-    typer.Option(
-        "--certificate",
-        help="TOML file of what a certificate states: device, serial number, place, operator, conditions, "
-        "standards, dates.",
-    ),
-]
-AlsoLimit = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--limit", help="Also decide whether it conforms, as `bayescal decide`; of one result."
-    ),
-]
-Rule = Annotated[
-    str,
-    typer.Option(
-        "--rule", help="Of decisions: guarded, simple or shared-risk, as agreed on beforehand."
-    ),
-]
-FalseAccept = Annotated[
-    float,
-    typer.Option("--false-accept", help="Probability of a false acceptance that 'guarded' allows."),
-]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
-Folder = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
-Verbose = Annotated[
-    bool,
-    typer.Option("--verbose", help="With all candidates of every step, and drafts of effects."),
-]
-OutputUnit = Annotated[
-    str | None,
-    typer.Option(
-        "--output-unit",
-        help="Errors and coefficients in this unit of the output too, such as the file's mV; raw units by the nominal "
-        "scale. JSON stays as it is.",
-        show_default=False,
-    ),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+ARGUMENTS = ("files", "file", "calibration", "calibrations")  # which are no options
 
+# By the parameter's name; as "command.name" where a command means something else by it.
+HELP = {
+    "accept_conflict": "bias.constant: may differ greatly from its plausible size; repeat for others.",
+    "add": "Effect to add to the baseline; repeat for more.",
+    "address": "Address of this computer to serve at; others may then reach it.",
+    "at": "temperature=60: operating point, in fixed units; repeat for more.",
+    "average": "1s, 0.5s or 2min: means over this time in place of single readings; spikes are set aside first.",
+    "axis": "gyro_x=a.nc: calibration of an axis, where its readings do not name it.",
+    "baseline": "Look for no effect beside bias, scale, misalignment.",
+    "batch.files": "Files of readings, or folders of them: a Parquet dataset, CSVs, logs.",
+    "batch.method": "least-squares or marginal.",
+    "batch.out": "Parquet file to write; or a folder, for results partition by partition.",
+    "batch.population": (
+        "Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat."
+    ),
+    "calibrate_screen": "Search N campaigns simulated from this model, and print how often something is reported.",
+    "calibration": "A folder of results, or its calibration (.nc).",
+    "capability": "Least T/(4u) with which 'shared-risk' decides.",
+    "certificate": (
+        "TOML file of what a certificate states: device, serial number, place, operator, conditions, "
+        "standards, dates."
+    ),
+    "channels": "Columns of the file that are outputs of one unit, searched together: gyro_x,gyro_y,gyro_z.",
+    "check": "Try this instrument on itself: simulate its plausible sizes, fit them, say what came back.",
+    "columns": "output=gyro_x: our column = the file's; repeat for more.",
+    "compare.structure": (
+        "Structure to set beside the others, or with effects added, as line+bias.thermal_lag; repeat. All of the "
+        "instrument's if none is given."
+    ),
+    "compensate.calibration": "Folder of results, its calibration (.nc), or a JSON export.",
+    "compensate.out": "File to write, of the same format (Excel, MATLAB: .csv).",
+    "conformity": "Probability of which the next calibration is stated.",
+    "count": "Readings of the best campaign to pick.",
+    "covariates": (
+        "Of the columns that the instrument does not know, those that may be causes; all but other channels of the "
+        "unit if not given."
+    ),
+    "criterion": "residual, ratio-variance or ratio-variance-raw.",
+    "date_order": "Of dates such as 05/06/2026, where no day above 12 shows it.",
+    "decide.limit": '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.',
+    "decide.out": "JSON file to write the decisions to.",
+    "decide.population": (
+        'Devices of this kind, for global risks: what `bayescal batch --population` wrote, or "sd 0.2 °/s"; '
+        'repeat, by name of a limit: "bias: sd 0.2 °/s".'
+    ),
+    "decimal": "In numbers of text files, where they do not show it.",
+    "demo.instrument": "Whose demonstration.",
+    "demo.json_": "Print result.json on stdout, and the story on stderr.",
+    "device_id": "gyro=3670026: PX4's number of a sensor; repeat.",
+    "discover.ignore": "A column that is no cause; repeat for more.",
+    "dry_run": "Say what these poses do not determine and which to add; fit nothing.",
+    "effect": "name=size: an effect to hide; repeat for more.",
+    "effects_file": "Python file with effects or a noise law of your own.",
+    "export.calibrations": "A folder of results, or its calibration (.nc); for parameters, one for each axis.",
+    "export.out": "File to write; standard output if not given.",
+    "false_accept": "Probability of a false acceptance that 'guarded' allows.",
+    "file": "Readings: text, .parquet, .nc, .xlsx or .mat.",
+    "files": "CSV, Parquet, NetCDF, Excel or MATLAB files of readings, or logs: .ulg, .bin, .bag, .mcap, .db3.",
+    "find": "Search each device's missing effects: a second a device.",
+    "first_order": "Propagate mean and covariance, as exports do, not draws.",
+    "fix": "bias.temperature=0.041: hold an unknown at a value, in its unit; repeat.",
+    "format_": (
+        "json, c, python or html (a page with sliders), else by the suffix of --out; px4-params or "
+        "ardupilot-params; dcc."
+    ),
+    "holdout": "Hold-out data, only read after the last step; repeat for more.",
+    "ignore": "Column to leave out; repeat for more.",
+    "instrument": "Name of an installed instrument, or my.py:INSTRUMENT.",
+    "instrument_file": "my.py:INSTRUMENT, if the calibration is of an instrument that is not installed.",
+    "json_": "Print the result as JSON on stdout.",
+    "k": "Coverage factor of the expanded uncertainty.",
+    "keep_spikes": "Keep single readings far from both neighbours.",
+    "limit": "Also decide whether it conforms, as `bayescal decide`; of one result.",
+    "local_gravity": "Local gravity, m/s², for files in m/s²; 9.80665 if not given.",
+    "mapping": "TOML file that --save-mapping wrote; options on the command line take precedence.",
+    "max_effects": "Most effects that may be missing.",
+    "member": "device=A17: which device is used; repeat for more.",
+    "method": "marginal, least-squares or nuts.",
+    "missing": "Rows with a missing reading: refuse the file, or drop them (a gap).",
+    "next_experiment": "Rank feasible campaigns by how well they tell rivals apart.",
+    "no_open": "Print the address, and open no browser.",
+    "noise": "Noise law by name: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of --effects.",
+    "noise.channels": "Columns that are outputs, one after another: gyro_x,acc_x.",
+    "noise_law": "white, student_t or ornstein_uhlenbeck.",
+    "nominal_scale": (
+        "Raw output per unit of output, in place of the instrument's own: turns V, mV, Hz, counts into it."
+    ),
+    "nominal_zero": "Raw output at zero; 0 if not given.",
+    "one_structure": (
+        "'average' over the structures that share the probability, where the folder has several; or 'best', "
+        "the one of calibration.nc."
+    ),
+    "out": "Folder to write to.",
+    "output_unit": (
+        "Errors and coefficients in this unit of the output too, such as the file's mV; raw units by the nominal "
+        "scale. JSON stays as it is."
+    ),
+    "pairs.instrument": "Whose devices are chosen in pairs.",
+    "plan.limit": 'On what is to be known better, as `bayescal decide` takes it: "bias.temperature: ±1e-3 °/s/°C".',
+    "poses": "Each row is a pose or a rate; else steady stretches of a log.",
+    "predict.out": "File to write: .csv, .parquet or .nc.",
+    "prior_sensitivity": "Also how much the priors matter (psense).",
+    "quantile": "Of the posterior, that the numbers for Kalibr are.",
+    "readings": "With --check: files whose columns, the output aside, are taken in place of made-up ones.",
+    "reference": "T0=0: reference temperature of the bases, °C.",
+    "report.calibrations": "Saved calibrations (.nc), or folders that `bayescal calibrate --out` wrote.",
+    "report.out": "HTML file to write.",
+    "rule": "Of decisions: guarded, simple or shared-risk, as agreed on beforehand.",
+    "same_record": (
+        "The readings are of the record that was fitted, on its clock: between fitted readings the correlated "
+        "noise that these show is given, in columns of its own."
+    ),
+    "save_mapping": "TOML file to keep these options in, for --mapping.",
+    "scheduler": "tcp://host:8786: a Dask cluster that does the work.",
+    "seed": "Seed of every random number.",
+    "shortest": "Shortest pose in a log, s.",
+    "simple_noise": (
+        "Where noise is correlated, leave out sums of terms (random walk, flicker, two times, a tone): faster on "
+        "long records."
+    ),
+    "simulate.out": "File to write: .csv, .parquet or .nc.",
+    "structure": "A model structure of the instrument in place of its baseline.",
+    "time_limit": "End after this time with what there is, as Ctrl-C does at any time, and say what was left out.",
+    "title": "Of the report.",
+    "topic": "Of the messages, for Kalibr.",
+    "triad.instrument": "Of three axes: accelerometer_triad, gyro_triad, magnetometer_triad.",
+    "trust": "Python file that a session kept in the folder may run, beside that of --effects; repeat for more.",
+    "typed": "An effect of your own in one line, as a candidate: 'supply: s * (supply_voltage - 5); s = 0.1 V/V'.",
+    "unit": "gyro_x=rad/s: unit of a column; repeat for more.",
+    "verbose": "With all candidates of every step, and drafts of effects.",
+    "without_noise": "Leave the noise of each reading out.",
+    "workbench.out": "Folder that keeps every step; one that holds some is gone on with, as after a time limit.",
+    "workers": "Processes of this machine that share the work.",
+    "yaml": "File to write for Kalibr: noise densities and random walks.",
+}
 
-Columns = Annotated[
-    list[str] | None,
-    typer.Option("--columns", help="output=gyro_x: our column = the file's; repeat for more."),
-]
-Units = Annotated[
-    list[str] | None,
-    typer.Option("--unit", help="gyro_x=rad/s: unit of a column; repeat for more."),
-]
-Gravity = Annotated[
-    float | None,
-    typer.Option(min=1.0, help="Local gravity, m/s², for files in m/s²; 9.80665 if not given."),
-]
-Missing = Annotated[
-    str | None,
-    typer.Option(
-        "--missing",
-        metavar="refuse|drop",
-        help="Rows with a missing reading: refuse the file, or drop them (a gap).",
-    ),
-]
-Decimal = Annotated[
-    str | None,
-    typer.Option(
-        "--decimal", metavar=".|,", help="In numbers of text files, where they do not show it."
-    ),
-]
-Scale = Annotated[
-    str | None,
-    typer.Option(
-        "--nominal-scale",
-        metavar="'250 V/g'",
-        help="Raw output per unit of output, in place of the instrument's own: turns V, mV, Hz, counts into it.",
-    ),
-]
-Zero = Annotated[
-    str | None,
-    typer.Option("--nominal-zero", metavar="'1.21 V'", help="Raw output at zero; 0 if not given."),
-]
-DateOrder = Annotated[
-    str | None,
-    typer.Option(
-        "--date-order",
-        metavar="mdy|dmy|ymd",
-        help="Of dates such as 05/06/2026, where no day above 12 shows it.",
-    ),
-]
-LeftOut = Annotated[
-    list[str] | None,
-    typer.Option("--ignore", metavar="HEADER", help="Column to leave out; repeat for more."),
-]
-MappingFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--mapping",
-        help="TOML file that --save-mapping wrote; options on the command line take precedence.",
-    ),
-]
-SaveMapping = Annotated[
-    Path | None,
-    typer.Option("--save-mapping", help="TOML file to keep these options in, for --mapping."),
-]
+# What typer is told beside the words; `names` where an option is not called after its parameter.
+MORE: dict[str, dict[str, Any]] = {
+    "average": {"metavar": "TIME", "callback": _refuse_no_duration},
+    "batch.files": {"callback": _refuse_missing_beside_folders},
+    "batch.method": {"callback": _refuse_unknown_method},
+    "calibrate_screen": {"metavar": "N", "min": 1},
+    "channels": {"metavar": "NAME,NAME,…"},
+    "check": {"metavar": "my.py:INSTRUMENT"},
+    "count": {"min": 0},
+    "covariates": {"metavar": "NAME,NAME,…"},
+    "date_order": {"metavar": "mdy|dmy|ymd"},
+    "decimal": {"metavar": ".|,"},
+    "discover.ignore": {"metavar": "COLUMN"},
+    "effects_file": {"names": ["--effects"]},
+    "files": {"callback": refuse_missing},
+    "holdout": {"callback": refuse_missing},
+    "ignore": {"metavar": "HEADER"},
+    "instrument_file": {"names": ["--instrument"]},
+    "k": {"names": ["-k"]},
+    "local_gravity": {"min": 1.0},
+    "max_effects": {"min": 1},
+    "method": {"callback": _refuse_unknown_method},
+    "missing": {"metavar": "refuse|drop"},
+    "noise": {"metavar": "NAME"},
+    "noise.channels": {"metavar": "NAME,NAME,…"},
+    "nominal_scale": {"metavar": "'250 V/g'"},
+    "nominal_zero": {"metavar": "'1.21 V'"},
+    "one_structure": {"names": ["--structure"]},
+    "readings": {"callback": refuse_missing},
+    "seed": {"min": 0},
+    "time_limit": {"metavar": "SECONDS", "callback": _refuse_no_time},
+    "typed": {"names": ["--effect"], "metavar": "'NAME: FORMULA; s = SIZE'"},
+    "workers": {"min": 1},
+    **{
+        f"{c}.out": {"names": ["--out", "-o"]}
+        for c in ("batch", "compensate", "export", "decide", "report")
+    },
+}
 
 
 @dataclass(frozen=True)
 class ColumnOptions:
     """How the columns of the files are to be understood."""
 
-    columns: Columns = None
-    unit: Units = None
-    local_gravity: Gravity = None
-    missing: Missing = None
-    decimal: Decimal = None
-    date_order: DateOrder = None
-    nominal_scale: Scale = None
-    nominal_zero: Zero = None
-    ignore: LeftOut = None
-    mapping: MappingFile = None
-    save_mapping: SaveMapping = None
+    columns: list[str] | None = None
+    unit: list[str] | None = None
+    local_gravity: float | None = None
+    missing: str | None = None
+    decimal: str | None = None
+    date_order: str | None = None
+    nominal_scale: str | None = None
+    nominal_zero: str | None = None
+    ignore: list[str] | None = None
+    mapping: Path | None = None
+    save_mapping: Path | None = None
 
     def for_read(self) -> dict[str, Any]:
         """As the arguments of `read` that they are; those of the mapping where no option says otherwise.
@@ -434,43 +341,34 @@ class ColumnOptions:
 class ModelOptions:
     """Which model of an instrument: its structure, effects added, coefficients fixed, constants of the bases."""
 
-    fix: Fix = None
-    reference: Ref = None
-    add: Add = None
-    structure: Structure = None
-    effects_file: OwnEffects = None
-    typed: Typed = None
-
-
-OneStructure = Annotated[
-    str,
-    typer.Option(
-        help="'average' over the structures that share the probability, where the folder has several; or 'best', "
-        "the one of calibration.nc."
-    ),
-]
+    fix: list[str] | None = None
+    reference: list[str] | None = None
+    add: list[str] | None = None
+    structure: str | None = None
+    effects_file: Path | None = None
+    typed: list[str] | None = None
 
 
 @dataclass(frozen=True)
 class OwnParts:
     """What a saved calibration needs that is not installed: effects and an instrument of the user's own."""
 
-    effects_file: OwnEffects = None
-    instrument: OwnInstrument = None
+    effects_file: Path | None = None
+    instrument_file: str | None = None
 
 
 @dataclass(frozen=True)
 class UsedParts(OwnParts):
     """The same where a number leaves: it comes from all structures that share the probability, or from one."""
 
-    structure: OneStructure = "average"
+    one_structure: str = "average"
 
 
 @dataclass(frozen=True)
 class InUse(UsedParts):
     """The same of an instrument in use: which run, cell or device it is."""
 
-    member: Members = None
+    member: list[str] | None = None
 
     @property
     def members(self) -> dict[str, str]:
@@ -482,27 +380,19 @@ class InUse(UsedParts):
 class DecisionRule:
     """By which rule it is decided whether a limit is met."""
 
-    rule: Rule = "guarded"
-    false_accept: FalseAccept = 0.025
+    rule: str = "guarded"
+    false_accept: float = 0.025
 
 
 @dataclass(frozen=True)
 class ReadRequest:
-    """What a command is asked to fit.
+    """What a command is asked to fit: instrument, files, how these are understood, which model, means or readings."""
 
-    Attributes:
-        instrument: its name, or my.py:INSTRUMENT.
-        files: of readings.
-        columns: how the files are to be understood.
-        choice: which model.
-        average: time over which means are taken; None for single readings.
-    """
-
-    instrument: Name
-    files: Files
+    instrument: str
+    files: list[Path]
     columns: ColumnOptions
     choice: ModelOptions
-    average: Average = None
+    average: str | None = None
 
     keep_spikes = False  # single readings far from both neighbours are set aside
 
@@ -511,13 +401,13 @@ class ReadRequest:
 class SearchRequest(ReadRequest):
     """What a command is asked to search, and how."""
 
-    holdout: Holdout = None
-    method: MethodName = "marginal"
-    max_effects: MostEffects = 5
-    time_limit: TimeLimit = None
-    keep_spikes: KeepSpikes = False  # pyright: ignore[reportIncompatibleVariableOverride]
-    accept_conflict: AcceptConflict = None
-    seed: Seed = 0
+    holdout: list[Path] | None = None
+    method: str = "marginal"
+    max_effects: int = 5
+    time_limit: float | None = None
+    keep_spikes: bool = False  # pyright: ignore[reportIncompatibleVariableOverride]
+    accept_conflict: list[str] | None = None
+    seed: int = 0
 
     def settings(self) -> dict[str, Any]:
         """What a search takes by the same names, on the command line and in a browser."""
@@ -530,27 +420,22 @@ class SearchRequest(ReadRequest):
 
 
 class Commands(typer.Typer):
-    """Commands, each with a line of its use, whose groups of options typer sees one by one."""
+    """Commands, each with a line of its use, whose options have their words from the table here."""
 
     def example(self, line: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-        """A command, as `typer.Typer.command` takes it.
-
-        Args:
-            line: how it is called, for the end of its help.
-        """
+        """A command, as `typer.Typer.command` takes it; `line`: how it is called, for the end of its help."""
         return lambda command: self.command(epilog=f"Example: {line}")(with_groups(command))
 
 
 def with_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """The command as typer is to see it: each option of a group in place of the group, of groups in it too."""
+    """The command as typer is to see it: each option with its words, those of a group in place of the group."""
     declared = _parameters(command)
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
         command(**{name: _taken(p.annotation, name, values) for name, p in declared.items()})
 
-    keyword = inspect.Parameter.KEYWORD_ONLY  # a required option may then follow others
-    seen = [p.replace(kind=keyword) for one in declared.values() for p in _single(one)]
+    seen = [_told(p, command.__name__) for one in declared.values() for p in _single(one)]
     run.__signature__ = inspect.Signature(seen)  # pyright: ignore[reportAttributeAccessIssue]
     return run
 
@@ -566,6 +451,19 @@ def _single(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
         return
     for inner in _parameters(parameter.annotation).values():
         yield from _single(inner)
+
+
+def _told(parameter: inspect.Parameter, command: str) -> inspect.Parameter:
+    """A parameter with its words; by keyword alone, so that a required one may follow others."""
+    name = own if (own := f"{command}.{parameter.name}") in HELP else parameter.name
+    how = {"names": [f"--{parameter.name.strip('_').replace('_', '-')}"], **MORE.get(name, {})}
+    names, required = how.pop("names"), parameter.default is parameter.empty
+    kind: Any = typer.Option
+    if parameter.name in ARGUMENTS:
+        kind, names = typer.Argument, []
+    told = kind(*names, help=HELP[name], show_default=not required, **how)
+    shown = Annotated[parameter.annotation, told]
+    return parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=shown)
 
 
 def _taken(kind: Any, name: str, values: Mapping[str, Any]) -> Any:

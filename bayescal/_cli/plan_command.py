@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
+from pathlib import Path
 
 import bayescal as bc
 from bayescal._cli import options
@@ -16,21 +14,12 @@ commands = Commands()
 
 @commands.example('bayescal plan result --limit "corrected reading: ±0.1 °/s over -20..60 °C"')
 def plan(
-    calibration: options.Saved,
+    calibration: Path,
     own: OwnParts,
-    limit: Annotated[
-        str,
-        typer.Option(
-            "--limit",
-            help='On what is to be known better, as `bayescal decide` takes it: "bias.temperature: ±1e-3 °/s/°C".',
-            show_default=False,
-        ),
-    ],
-    count: Annotated[
-        int, typer.Option("--count", help="Readings of the best campaign to pick.", min=0)
-    ] = 12,
-    member: options.Members = None,
-    json_: options.Json = False,
+    limit: str,
+    count: int = 12,
+    member: list[str] | None = None,
+    json_: bool = False,
 ) -> None:
     """Where to measure next: campaigns, and their readings, by the uncertainty that they would leave."""
     from bayescal._cli import saved

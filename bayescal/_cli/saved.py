@@ -43,10 +43,10 @@ def load_saved(path: Path, own: OwnParts) -> Calibration:
         )
     path = inside if (inside := path / CALIBRATION).is_file() else path
     if isinstance(own, UsedParts) and path.name == CALIBRATION:
-        if own.structure not in ("average", "best"):
-            raise InputError(f"--structure {own.structure!r} is neither 'average' nor 'best'")
+        if own.one_structure not in ("average", "best"):
+            raise InputError(f"--structure {own.one_structure!r} is neither 'average' nor 'best'")
         refuse_mixed(path.parent, CALIBRATION)
-        if own.structure == "average" and AVERAGED in files_of(path.parent):
+        if own.one_structure == "average" and AVERAGED in files_of(path.parent):
             path = path.with_name(AVERAGED)
     refuse_mixed(path.parent, path.name)
     return load(path, effects=user_effects(own.effects_file), instruments=_own_instruments(own))
@@ -77,7 +77,7 @@ def load_decided(paths: list[Path], own: OwnParts) -> Calibration:
         raise InputError(
             f"--limit decides about one result, {len(paths)} were given: report each by itself"
         )
-    return load_saved(paths[0], UsedParts(own.effects_file, own.instrument))
+    return load_saved(paths[0], UsedParts(own.effects_file, own.instrument_file))
 
 
 def population_of(given: list[str] | None) -> Population | list[str] | None:
@@ -247,4 +247,4 @@ def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:
 
 
 def _own_instruments(own: OwnParts) -> tuple[Instrument, ...]:
-    return () if own.instrument is None else (instrument_named(own.instrument),)
+    return () if own.instrument_file is None else (instrument_named(own.instrument_file),)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
+from pathlib import Path
 
 import bayescal as bc
-from bayescal._cli import options
 from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
 from bayescal._cli.options import ColumnOptions, Commands, ModelOptions, ReadRequest
 
@@ -20,35 +17,16 @@ FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
     "bayescal triad log.csv --columns output_x=ax,output_y=ay,output_z=az --out result"
 )
 def triad(
-    files: options.Files,
+    files: list[Path],
     columns: ColumnOptions,
-    instrument: Annotated[
-        str,
-        typer.Option(
-            "--instrument",
-            help="Of three axes: accelerometer_triad, gyro_triad, magnetometer_triad.",
-        ),
-    ] = "accelerometer_triad",
-    poses: Annotated[
-        bool,
-        typer.Option(
-            "--poses", help="Each row is a pose or a rate; else steady stretches of a log."
-        ),
-    ] = False,
-    shortest: Annotated[float, typer.Option(help="Shortest pose in a log, s.")] = 2.0,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run", help="Say what these poses do not determine and which to add; fit nothing."
-        ),
-    ] = False,
-    baseline: Annotated[
-        bool,
-        typer.Option("--baseline", help="Look for no effect beside bias, scale, misalignment."),
-    ] = False,
-    seed: options.Seed = 0,
-    out: options.Folder = None,
-    json_: options.Json = False,
+    instrument: str = "accelerometer_triad",
+    poses: bool = False,
+    shortest: float = 2.0,
+    dry_run: bool = False,
+    baseline: bool = False,
+    seed: int = 0,
+    out: Path | None = None,
+    json_: bool = False,
 ) -> None:
     """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
     from bayescal._cli.request import open_request
