@@ -15,7 +15,7 @@ from bayescal._workbench.panes.error import ErrorPane
 from bayescal._workbench.panes.fails import Fails
 from bayescal._workbench.panes.missing import Missing
 from bayescal._workbench.panes.model_pane import ModelPane
-from bayescal._workbench.panes.tabs import Tabs
+from bayescal._workbench.panes.tabs import ERROR, Tabs
 from bayescal._workbench.parts.pieces import choice, row, words
 from bayescal._workbench.parts.style import CSS, DARK, INSIDE, LIGHT
 from bayescal._workbench.parts.work import Work
@@ -44,10 +44,11 @@ class Browser(JSComponent):
 
 
 class Workbench:
-    """One person's page over one session.
+    """One person's page over one session; its panes act through it.
 
     Attributes:
         session: what it shows and acts on.
+        palette: colours of its ground.
         view: what Panel serves, or shows in a notebook.
     """
 
@@ -57,27 +58,24 @@ class Workbench:
         framed: part of another page, such as a notebook; else it takes the whole screen.
         others: what else stands at the top, such as the way to other sessions.
         """
-        self.session, self._others = session, others
-        self.work = Work(self._tell)
-        self.work.on_busy.append(self._busy)
+        self.session, self.palette = session, LIGHT
+        self.work = Work(self._tell, self._set_busy)
         self.beside: int | None = None  # the step that is compared with; None: the one before
         self._found, self._ending = "", False  # of the last search; whether it was stopped
-        self.fails = Fails(lambda rows: self.tabs.selected(rows))
-        self.model = ModelPane(self.act, self._ask)
-        self.missing = Missing(lambda e: self.act("add", e), self._point, self.look)
-        self.error = ErrorPane(
-            lambda n: self.act("go_to", n), self.compare, self._find_all, self._stop, self._undo
-        )
-        self.tabs = Tabs(self, self.error.view)
-        self.view = self._page(framed)
+        self.model, self.fails = ModelPane(self), Fails(self)
+        self.missing, self.error = Missing(self), ErrorPane(self)
+        self.tabs = Tabs(self)
+        self._panes = (self.model, self.fails, self.missing, self.error, self.tabs)
+        self.view = self._page(framed, others)
+        session.on_change.append(self._changed)
+        self.refresh()
         self._wear(False)
-        self._listen()
         pn.state.onload(self._opened)
         document = pn.state.curdoc
         if document is not None and document.session_context is not None:
             document.on_session_destroyed(lambda _: self._close())
 
-    def _page(self, framed: bool) -> pn.Column:
+    def _page(self, framed: bool, others: Any) -> pn.Column:
         self.told = words(readings_in_words(self.session), "small", "about")
         self.status = words("", "small", "status")
         kept = str(self.session.folder.parent)
@@ -86,26 +84,17 @@ class Workbench:
         self.light.param.watch(lambda event: self._wear(event.new == "dark"), "value")
         self.browser.param.watch(lambda _: self._prefer(), "seen")
         self.browser.param.watch(lambda _: self.tabs.open("File"), "files")
-        self.browser.param.watch(lambda _: self._undo(), "undone")
+        self.browser.param.watch(lambda _: self.undo(), "undone")
         title = pn.pane.HTML("<h1>bayescal workbench</h1>", stylesheets=[INSIDE], margin=0)
-        others = [] if self._others is None else [self._others]
-        top = row(title, self.told, self.status, *others, self.light, self.browser, kinds=("top",))
+        beside = [self.status, *([] if others is None else [others]), self.light, self.browser]
         return pn.Column(
-            top,
-            self.model.view,
-            self.fails.view,
-            self.missing.view,
-            self.tabs.view,
+            row(title, self.told, *beside, kinds=("top",)),
+            *(self.model.view, self.fails.view, self.missing.view, self.tabs.view),
             css_classes=["unsaid", *(["framed"] if framed else [])],
             stylesheets=[CSS],
             sizing_mode="stretch_both",
             margin=0,
         )
-
-    def _listen(self) -> None:
-        """Show the session, and whatever another page does to it."""
-        self.session.on_change.append(self._changed)
-        self.refresh()
 
     def _close(self) -> None:
         self.session.on_change.remove(self._changed)
@@ -128,28 +117,22 @@ class Workbench:
         self.fails.when.value = "both"
         self.tabs.open("Side by side")
 
-    def _undo(self) -> None:
+    def undo(self) -> None:
+        """Go back to the state before, if there is one and nothing is under way."""
         if self.session.before is not None and not self.work.busy:
             self.act("undo")
 
-    def refresh(self, *_: Any) -> None:
+    def refresh(self) -> None:
         """Show the session's current state."""
         states, state = self.session.states, self.session.current
         self._shown = (state.number, len(states))
         if self.beside == state.number:
             self.beside = None
         other = states.get(state.parent if self.beside is None else self.beside)
-        self.model.show(state)
-        self.fails.show(
-            state.step,
-            None if other is None else other.step,
-            (f"step {state.number}", "none" if other is None else f"step {other.number}"),
-        )
-        self.missing.show(state.discovery)
-        self.error.show(states, state.number)
-        self.error.undo.disabled = self.session.before is None
+        self.fails.show(state, other)
         self.tabs.compare.beside(None if other is None else other.number)
-        self.tabs.show(state)
+        for pane in (self.model, self.missing, self.error, self.tabs):
+            pane.show(state)
 
     def act(self, name: str, *arguments: Any) -> None:
         """Do something to the session beside the page, then show the state that it led to."""
@@ -162,30 +145,32 @@ class Workbench:
 
     def _make_stale(self, stale: bool) -> None:
         """Whether what is shown is of a model that is being left: it is dimmed until the next one stands there."""
-        for one in (self.model.view, self.fails.view, self.missing.view, self.error.view):
-            kept = [kind for kind in one.css_classes if kind != "stale"]
-            one.css_classes = [*kept, *["stale"] * stale]
+        for pane in (self.model, self.fails, self.missing, self.error):
+            kept = [kind for kind in pane.view.css_classes if kind != "stale"]
+            pane.view.css_classes = [*kept, *["stale"] * stale]
 
     def begin_with(self, readings: Any) -> None:
         """Begin anew with other readings: a session of its own, in the place of this one."""
-        self.run(
-            "Fitting the new readings …",
-            lambda: self.session.with_readings(readings),
-            self._begun,
-        )
 
-    def _begun(self, session: Any) -> None:
-        self.session.on_change.remove(self._changed)
-        self.session, self.beside = session, None
-        session.on_change.append(self._changed)
-        self.told.object = readings_in_words(session)
-        self.error.searching(False)
-        self.tabs.open("The error")
-        self.done()
+        def begun(session: Any) -> None:
+            self.session.on_change.remove(self._changed)
+            self.session, self.beside = session, None
+            session.on_change.append(self._changed)
+            self.told.object = readings_in_words(session)
+            self.error.searching(False)
+            self.tabs.open(ERROR)
+            self.done()
+
+        begin = lambda: self.session.with_readings(readings)  # noqa: E731
+        self.run("Fitting the new readings …", begin, begun)
 
     def run(self, told: str, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
-        """Other work beside the page."""
+        """Other work beside the page; `then(result)` follows on it."""
         self.work.begin(told, job, then)
+
+    def ask(self, done: Callable[[Any], None], *action: Any) -> None:
+        """What an action would do."""
+        self.work.preview(lambda: self.session.consequences(*action), done)
 
     def _opened(self) -> None:
         """The browser has answered: what it is told before may be lost, and another page may have looked meanwhile."""
@@ -196,9 +181,8 @@ class Workbench:
     def _looked(self) -> None:
         """Show what is missing from the current state."""
         now = self.session.current
-        self.missing.show(now.discovery)
-        self.model.show(now)
-        self.error.show(self.session.states, now.number)
+        for pane in (self.missing, self.model, self.error):
+            pane.show(now)
         self.tabs.looked(now)
 
     def look(self) -> None:
@@ -206,10 +190,9 @@ class Workbench:
         state = self.session.current
         if state.discovery is not None:
             return
-        reason = ""
-        if not state.step.calibration.verdict.ok:
+        if not state.calibration.verdict.ok:
             reason = "Result not reliable: nothing is looked for until the fit has converged."
-            self.missing.show(None, looking=False, reason=reason)
+            self.missing.show(state, reason)
             return
 
         def found(_: Any) -> None:
@@ -224,11 +207,8 @@ class Workbench:
         self.refresh()
         self.look()
 
-    def _ask(self, done: Callable[[Any], None], *action: Any) -> None:
-        self.work.preview(lambda: self.session.consequences(*action), done)
-
-    def _point(self, effect: str) -> None:
-        """Lay a candidate's curve over the residuals."""
+    def point(self, effect: str) -> None:
+        """Lay a candidate's curve over the residuals; none if it is empty."""
         if not effect:
             self.work.forget_preview()
             self.fails.preview(None)
@@ -242,9 +222,9 @@ class Workbench:
 
         self.work.preview(lambda: self.session.preview(effect), drawn)
 
-    def _find_all(self) -> None:
-        self.beside: int | None = None  # the step that is compared with; None: the one before
-        self._found, self._ending = "", False
+    def find_all(self) -> None:
+        """Search from the current state on, each step on the way a state."""
+        self.beside, self._found, self._ending = None, "", False
         self.error.searching(True, "searching …")
 
         def follow(trail: Any) -> None:
@@ -254,29 +234,25 @@ class Workbench:
             self.error.searching(False, self._found)
             self.done()
 
-        self.work.begin(
-            "Finding all …",
-            lambda: self.session.find_all(follow),
-            ended,
-            failed=lambda: self.error.searching(False, ""),
-        )
+        search, failed = lambda: self.session.find_all(follow), lambda: self.error.searching(False)
+        self.work.begin("Finding all …", search, ended, failed=failed)
 
     def _searched(self, trail: Any) -> None:
         self._found = progress_in_words(trail)
         if not self._ending:
             self.error.searching(True, self._found)
         if len(self.session.states) > len(self.error.rows.rows):
-            self.error.show(self.session.states, self.session.current.number)
+            self.error.show(self.session.current)
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
+        """End the search with the best so far."""
         self.session.stop()
         self._ending = True
         self.error.searching(True, "stopping …")
 
-    def _busy(self, busy: bool) -> None:
-        self.model.busy(busy)
-        self.missing.busy(busy)
-        self.error.busy(busy)
+    def _set_busy(self, busy: bool) -> None:
+        for pane in self._panes:
+            pane.busy(busy)
 
     def _tell(self, told: str, refused: bool) -> None:
         self.status.object = told
@@ -294,10 +270,9 @@ class Workbench:
         seen = self.browser.seen or dark
         kept = [c for c in self.view.css_classes if c not in ("dark", "light", "unsaid")]
         self.view.css_classes = [*kept, ("dark" if dark else "light") if seen else "unsaid"]
-        palette = DARK if dark else LIGHT
-        self.fails.wear(palette)
-        self.error.wear(palette)
-        self.tabs.wear(palette)
+        self.palette = DARK if dark else LIGHT
+        for pane in self._panes:
+            pane.wear(self.palette)
 
 
 _DOING = {
@@ -320,14 +295,7 @@ def readings_in_words(session: Any) -> str:
 
 def progress_in_words(trail: Any) -> str:
     """How far a search is."""
-    search = trail.search
-    weighed = "" if search is None else f"{search.weighed:,} models weighed, "
-    last = trail.steps[-1]
-    unit, made = unit_label(last.calibration.unit), len(trail.steps) - 1
+    weighed = "" if trail.search is None else f"{trail.search.weighed:,} models weighed, "
+    last, made = trail.steps[-1], len(trail.steps) - 1
     steps = f"{made} step{'s' * (made != 1)}"
-    return f"{weighed}{steps}, error {last.rmse_fitted:.3g} {unit}"
-
-
-def page(session: Any, **settings: Any) -> Any:
-    """The page over a session, for `pn.serve` or a notebook."""
-    return Workbench(session, **settings).view
+    return f"{weighed}{steps}, error {last.rmse_fitted:.3g} {unit_label(last.calibration.unit)}"

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import re
+import tempfile
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
@@ -32,7 +33,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._report.whole_folder import AGAIN, MANIFEST, bring_back, refuse_mixed, whole_folder
 from bayescal._workbench import origin
 from bayescal._workbench.origin import Origin, Settings
-from bayescal._workbench.state import State
+from bayescal._workbench.state import FOLDER, State
 
 SESSION, STATE, CALIBRATION, SCRIPT = "session.json", "state.json", "calibration.nc", "script.py"
 SCHEMA = "bayescal.workbench/1"
@@ -52,13 +53,29 @@ _NUMBERED = re.compile(r"session_(\d+)")
 _STATE = re.compile(r"\.?state_(\d{3,})(\..*)?")
 
 
-def keep_state(folder: Path, name: str, state: State, script: str) -> None:
+def begun_folder(folder: str | Path | None) -> Path:
+    """The folder of a new session, made if need be; None: a temporary one.
+
+    Raises:
+        InputError: it cannot be made, or holds a session.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="bayescal-") if folder is None else folder)
+    if (folder / SESSION).is_file():
+        raise InputError(f"{folder} holds a session already: resume it, or give another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
+    return folder
+
+
+def keep_state(folder: Path, state: State, script: str) -> None:
     """Keep one state; when this returns, it is on the disk.
 
     Raises:
         InputError: it cannot be written.
     """
-    own = folder / name
+    own = folder / FOLDER.format(state.number)
     if (own / MANIFEST).is_file():
         raise InputError(
             f"{own} was made meanwhile: another workbench goes on in {folder}. End one"
@@ -129,7 +146,8 @@ def session_in(folder: Path) -> dict[str, Any]:
 def last_step(folder: Path) -> str:
     """What was done last in a session that is not open, in words; empty where its folder does not say."""
     try:
-        told = read_json(folder / f"state_{session_in(folder)['current']:03d}" / STATE, STATE_SHAPE)
+        own = folder / FOLDER.format(session_in(folder)["current"])
+        told = read_json(own / STATE, STATE_SHAPE)
         return f"step {told['number']}: {told['title']}"
     except (OSError, ValueError, InputError):
         return ""
@@ -146,7 +164,7 @@ def states_in(
     numbers = {int(m[1]) for path in folder.iterdir() if (m := _STATE.fullmatch(path.name))}
     seen: list[int] = []
     for number in sorted(numbers):
-        own = folder / f"state_{number:03d}"
+        own = folder / FOLDER.format(number)
         bring_back(own)
         if not (own / MANIFEST).is_file():  # killed before it was whole
             continue

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,8 @@ from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._search.calibrate import QUICK
-from bayescal._workbench.origin import Origin
-from bayescal._workbench.state import State
+from bayescal._workbench.origin import Origin, Settings
+from bayescal._workbench.state import FOLDER, State
 
 HEAD = '''"""What was done in the bayescal workbench, up to step {number}. It needs bayescal {version} or later."""
 
@@ -39,7 +40,6 @@ def fitted(title, model, method, **start):
     return calibration
 
 '''
-AS_IT_IS = "# the model as it is"
 LAST = """
 print(calibration)
 print(bc.check(calibration))
@@ -50,48 +50,39 @@ print(final)
 """
 
 
-def script(
-    path: Sequence[State],
-    origin: Origin,
-    method: Any,
-    seed: int,
-    reference: Any = None,
-    saved: Path | None = None,
-) -> str:
+def script(path: Sequence[State], origin: Origin, settings: Settings, folder: Path) -> str:
     """The script that leads from the first state of a path to its last.
 
     Args:
         path: states, each the parent of the next.
         origin: of readings and effects.
-        method: of the last fit; None for the usual one.
-        seed: of every fit.
-        reference: constants of the bases that were set.
-        saved: folder with the states' calibrations, for a model that no public function composes (departures of
+        settings: of the fits.
+        folder: that keeps the states' calibrations, for a model that no public function composes (departures of
             effects from their forms).
     """
-    settings = f"seed={seed}, strict=False"
-    settings += f", reference={dict(reference)!r}" if reference else ""
+    how = f"seed={settings.seed}, strict=False"
+    how += f", reference={dict(settings.reference)!r}" if settings.reference else ""
     runs = "runpy" if origin.effect_files or ".py:" in origin.instrument else ""
     imports = "\n".join([*(["import runpy", ""] if runs else []), "import bayescal as bc"])
     instrument = path[0].model.instrument
     lines = [
         HEAD.format(number=path[-1].number, version=__version__, imports=imports).rstrip("\n"),
         *origin.code(tailored=instrument.tailor is not None),
-        FITTED.format(settings=settings),
+        FITTED.format(settings=how),
     ]
     line, before = _beginning(path[0].model)
     lines.append(line)
     for state in path:
         lines += ["", f"# {state.number}: {one_line(state.title)}"] if state.number else []
-        changed = code_of(before, state.model) or [_loaded(state, origin, saved)]
-        lines += [line for line in changed if line != AS_IT_IS]
-        how = method_code(QUICK if state.model.noise.gaussian else method)
+        changed = code_of(before, state.model)
+        lines += [_loaded(state, origin, folder)] if changed is None else changed
+        quick = method_code(QUICK if state.model.noise.gaussian else settings.method)
         title = f"{state.number} {state.title}"
         start = state.calibration.start
         begun = f", start={start!r}" if start else ""
-        lines.append(f"calibration = fitted({title!r}, model, {how}{begun})")
+        lines.append(f"calibration = fitted({title!r}, model, {quick}{begun})")
         before = state.model
-    return "\n".join(lines) + "\n" + LAST.format(method=method_code(method), settings=settings)
+    return "\n".join([*lines, LAST.format(method=method_code(settings.method), settings=how)])
 
 
 def _beginning(model: Model) -> tuple[str, Model]:
@@ -100,40 +91,27 @@ def _beginning(model: Model) -> tuple[str, Model]:
     ways = [("model = instrument.baseline()", instrument.baseline())]
     for name, make in instrument.structures:
         ways.append((f"model = dict(instrument.structures)[{name!r}]()", make()))
-    able = [way for way in ways if code_of(way[1], model)]
-    return min(
-        able,
-        key=lambda way: len([c for c in code_of(way[1], model) if c != AS_IT_IS]),
-        default=ways[0],
-    )
+    able = [(way, edits) for way in ways if (edits := code_of(way[1], model)) is not None]
+    return min(able, key=lambda one: len(one[1]), default=(ways[0], []))[0]
 
 
 def method_code(method: Any) -> str:
-    """A method of fitting, as Python."""
-    if method is None:
-        return "bc.Marginal()"
-    return f"bc.{method!r}"
+    return "bc.Marginal()" if method is None else f"bc.{method!r}"
 
 
-def _loaded(state: State, origin: Origin, saved: Path | None) -> str:
+def _loaded(state: State, origin: Origin, folder: Path) -> str:
     own = ", effects=tuple(own.values())" if origin.effect_files else ""
-    path = str((saved or Path()) / folder_name(state.number) / "calibration.nc")
+    path = str(folder / FOLDER.format(state.number) / "calibration.nc")
     return f"model = bc.load({path!r}{own}).model  # with departures of effects from their forms"
 
 
-def folder_name(number: int) -> str:
-    """Of the folder that a state is kept in."""
-    return f"state_{number:03d}"
-
-
-def code_of(before: Model, after: Model) -> list[str]:
-    """Lines of Python that make one model of another; none where no public function does.
+def code_of(before: Model, after: Model) -> list[str] | None:
+    """Lines of Python that make one model of another; None where no public function does.
 
     Each line is tried on the model itself: what comes of them all must be the other model.
     """
-    edits = list(_edits(before, after))
-    lines, model = [line for line, _ in edits], edits[-1][1] if edits else before
-    return (lines or [AS_IT_IS]) if model == after else []
+    edits = [("", before), *_edits(before, after)]
+    return [line for line, _ in edits[1:]] if edits[-1][1] == after else None
 
 
 def _edits(model: Model, after: Model) -> Iterator[tuple[str, Model]]:
@@ -169,12 +147,12 @@ def _edits(model: Model, after: Model) -> Iterator[tuple[str, Model]]:
 
 def _shared(before: Model, after: Model) -> int:
     """How many effects at the beginning the two have in common; of other plausible sizes, they still are."""
-    count = 0
-    for one, other in zip(before.effects, after.effects, strict=False):
-        if one.name != other.name or (one.is_placeholder and one != other):
-            break
-        count += 1
-    return count
+
+    def alike(both: tuple[Effect, Effect]) -> bool:
+        one, other = both
+        return one == other or (one.name == other.name and not one.is_placeholder)
+
+    return len(list(takewhile(alike, zip(before.effects, after.effects, strict=False))))
 
 
 def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:

@@ -8,7 +8,6 @@ Nothing is fetched from anywhere else: Panel serves its own scripts.
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -21,12 +20,13 @@ from jinja2 import Template
 from panel.io.state import set_curdoc
 from tornado.web import ErrorHandler
 
-from bayescal._core.errors import BayescalError, InputError
+from bayescal._core.errors import InputError
 from bayescal._core.quoting import html_text
 from bayescal._workbench import kept
-from bayescal._workbench.app import page
+from bayescal._workbench.app import Workbench
 from bayescal._workbench.parts.pieces import words
 from bayescal._workbench.parts.style import INSIDE
+from bayescal._workbench.parts.work import in_words
 from bayescal._workbench.session import Session
 from bayescal._workbench.start import FIRST, Address, kept_sessions, skeleton
 
@@ -154,7 +154,7 @@ def application(channels: Mapping[str, Sessions]) -> Callable[[], Any]:
                 if location is not None:
                     query = {"session": name, **({"channel": channel} if channel else {})}
                     location.update_query(**query)  # pyright: ignore[reportArgumentType]
-                place[:] = [page(session, others=links)]
+                place[:] = [Workbench(session, others=links).view]
 
         if (session := sessions.there(asked)) is not None:
             show(session)
@@ -178,19 +178,16 @@ def _open(
 ) -> None:
     """Open a session beside the page, then show it there; or say why not."""
 
-    def refused(said: str) -> None:
-        with set_curdoc(document):
-            place[:] = [words(said, margin=20)]
-
     try:
         session = sessions.open(asked)
-    except BayescalError as error:
-        told = str(error)
-        document.add_next_tick_callback(lambda: refused(told))
-    except Exception as error:  # a thread's error would be lost: the page says it
-        logging.getLogger("bayescal").exception("in the workbench")
-        told = f"{type(error).__name__}: {error}"
-        document.add_next_tick_callback(lambda: refused(told))
+    except Exception as error:
+        told = in_words(error)
+
+        def refused() -> None:
+            with set_curdoc(document):
+                place[:] = [words(told, margin=20)]
+
+        document.add_next_tick_callback(refused)
     else:
         document.add_next_tick_callback(lambda: show(session))
 

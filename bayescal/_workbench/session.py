@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import textwrap
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from functools import partialmethod
+from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from bayescal._core import deadline
-from bayescal._core.errors import BayescalError
+from bayescal._core.errors import BayescalError, InputError, ModelError
 from bayescal._core.formatting import WIDTH
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import set_aside
@@ -21,48 +25,60 @@ from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._report.save_search import save_search
-from bayescal._search.calibrate import Loop
+from bayescal._search.calibrate import Loop, step_of
 from bayescal._search.describe import Draft, describe
-from bayescal._search.discover import Discovery, discover
+from bayescal._search.discover import Discovery, discover, discovery_at
+from bayescal._search.gate import judged
+from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
-from bayescal._search.own_files import user_effects
+from bayescal._search.own_files import refuse_unnamed, user_effects
 from bayescal._search.plan_readings import ReadingPlan, plan_readings
-from bayescal._search.posterior import ShownStructure
+from bayescal._search.posterior import Posterior, Search, ShownStructure
 from bayescal._search.preview import Preview, Previews
 from bayescal._search.search_path import SearchPath, Step
+from bayescal._search.structures import Structure
+from bayescal._search.walk import path
 from bayescal._use.budget import Budget, budget
 from bayescal._use.decide import decide
 from bayescal._use.decision import Decisions
 from bayescal._workbench import kept, take_away
 from bayescal._workbench.change import Change, changed
-from bayescal._workbench.origin import Origin, Settings
-from bayescal._workbench.search_thread import RunningSearch
-from bayescal._workbench.side_by_side import side_by_side
+from bayescal._workbench.origin import Origin, Settings, refuse_other
+from bayescal._workbench.script import script
 from bayescal._workbench.state import State
-from bayescal._workbench.tree import Tree
 
 
 @dataclass(eq=False)
 class Session:
-    """One person's work on one set of readings.
+    """One person's work on one set of readings: a tree of states in a folder, one of which is current.
 
     Its methods may be called from any thread. What makes a state takes one caller at a time; previews and looks go on
     beside it. Every state is on the disk before it is the current one.
 
     Attributes:
         readings, holdout: what is fitted, and the hold-out data; spikes set aside.
-        tree: the states, and the folder that keeps them.
+        folder: that keeps the states.
+        settings: as of `calibrate`.
+        origin: where readings and effects come from.
         own: effects of the user's own, by name.
+        on_change: called when a state is made or gone to, by whichever page, from whatever thread.
     """
 
     readings: Measurements
     holdout: Measurements | None
-    tree: Tree
-    own: dict[str, Effect] = field(default_factory=dict)
+    folder: Path
+    settings: Settings
+    origin: Origin
+    own: dict[str, Effect]
+    on_change: list[Callable[[], None]] = field(default_factory=list)
+    _states: dict[int, State] = field(default_factory=dict)
+    _at: int = 0
+    _been: list[int] = field(default_factory=list)  # current states before this one, the last last
     _previews: dict[int, Previews] = field(default_factory=dict)
     _seeds: dict[int, tuple[ShownStructure, ...]] = field(default_factory=dict)
     _finals: dict[int, Step] = field(default_factory=dict)
     _decisions: dict[int, Decisions] = field(default_factory=dict)
+    _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
     _fitting: threading.Lock = field(default_factory=threading.Lock)
     _beside: threading.RLock = field(default_factory=threading.RLock)
     _looking: threading.Lock = field(default_factory=threading.Lock)
@@ -93,16 +109,15 @@ class Session:
             InputError: the folder cannot be written to, or holds a session.
         """
         asked = Settings.of(**settings)
+        spikes, apart = asked.keep_spikes, None
         model.require(readings)
         if holdout is not None:
             model.require(holdout)
-        tree = Tree.begin(folder, asked)
-        tree.origin = origin or Origin.kept(
-            model.instrument, readings, holdout, tree.folder, asked.keep_spikes
-        )
-        apart = None if holdout is None else set_aside(holdout, asked.keep_spikes)
-        session = cls(set_aside(readings, asked.keep_spikes), apart, tree)
-        session.own = {e.name: e for e in effects}
+            apart = set_aside(holdout, spikes)
+        folder = kept.begun_folder(folder)
+        origin = origin or Origin.kept(model.instrument, readings, holdout, folder, spikes)
+        own = {e.name: e for e in effects}
+        session = cls(set_aside(readings, spikes), apart, folder, asked, origin, own)
         session._become(Change(model), None)
         return session
 
@@ -126,62 +141,92 @@ class Session:
             InputError: it holds no session, one of something else, something in it was changed, or it names a Python
                 file that is not to be trusted.
         """
-        own = {e.name: e for e in effects}
-        tree, own, holdout = Tree.resume(Path(folder), own, of, trust)
-        return cls(tree.states[0].calibration.readings, holdout, tree, own)
+        folder = Path(folder)
+        told = kept.session_in(folder)
+        origin, settings = told["origin"], told["settings"]
+        if of is not None:
+            refuse_other(origin, of, folder)
+        named = (*trust, *(of.python_files if of else ()))
+        refuse_unnamed(origin.python_files, named, folder / kept.SESSION)
+        instrument = origin.open_instrument()
+        own = {e.name: e for e in effects} | origin.open_effects()
+        found = list(kept.states_in(folder, own, instrument))
+        if not found or found[0][0]["number"]:
+            raise InputError(f"{folder} holds no first step that is whole: begin in another folder")
+        first = found[0][1]
+        holdout = origin.open_holdout(instrument or first.model.instrument)
+        holdout = None if holdout is None else set_aside(holdout, settings.keep_spikes)
+        session = cls(first.readings, holdout, folder, settings, origin, own)
+        for said, calibration in found:
+            step = step_of(calibration, holdout, settings.accept_conflicts)
+            step = replace(step, added=said["added"], changed=said["changed"])
+            state = State(said["number"], said["parent"], step, said["at"])
+            session._states[state.number] = state
+        at = told["current"]
+        session._at = at if at in session._states else max(session._states)
+        return session
 
-    def with_readings(self, readings: Measurements, model: Model | None = None) -> Session:
+    def with_readings(self, readings: Measurements) -> Session:
         """A new session on other readings of the same instrument, in a folder beside this one's; this one stays.
 
         Raises:
             ModelError: the readings lack what the model needs.
         """
-        first: Model = self.states[0].model if model is None else model
+        first = self.states[0].model
         if first.instrument.tailor is not None:
             first = first.instrument.for_readings(readings).baseline()
         first.require(readings)
-        folder, settings = kept.fresh_folder(self.folder.parent), self.tree.settings
-        origin = Origin.kept(first.instrument, readings, None, folder, settings.keep_spikes)
-        origin = replace(origin, effect_files=self.tree.origin.effect_files)
-        own = tuple(self.own.values())
-        return Session.begin(
-            first, readings, effects=own, folder=folder, origin=origin, **vars(settings)
-        )
-
-    @property
-    def folder(self) -> Path:
-        return self.tree.folder
+        folder, spikes = kept.fresh_folder(self.folder.parent), self.settings.keep_spikes
+        origin = Origin.kept(first.instrument, readings, None, folder, spikes)
+        given: dict[str, Any] = {"effects": tuple(self.own.values()), "folder": folder}
+        given["origin"] = replace(origin, effect_files=self.origin.effect_files)
+        return Session.begin(first, readings, **given, **vars(self.settings))
 
     @property
     def states(self) -> Mapping[int, State]:
         """All states, by number."""
-        return self.tree.states
+        with self._lock:
+            return MappingProxyType(dict(self._states))
 
     @property
     def current(self) -> State:
-        return self.tree.current
+        return self._states[self._at]
 
-    def path(self) -> list[State]:
-        """The states from the first to the current one."""
-        return self.tree.path()
+    def path(self, number: int | None = None) -> list[State]:
+        """The states from the first to one, the current one if none is named."""
+        found = [self._states[self._at if number is None else number]]
+        while found[0].parent is not None:
+            found.insert(0, self._states[found[0].parent])
+        return found
 
     def go_to(self, number: int) -> State:
-        """Make another state the current one; what is done next branches off there."""
-        return self.tree.go_to(number)
+        """Make another state the current one; what is done next branches off there.
+
+        Raises:
+            InputError: there is no such state.
+        """
+        with self._lock:
+            if number not in self._states:
+                raise InputError(f"there is no step {number}: there are 0 to {max(self._states)}")
+            self._been.append(self._at)
+            return self._be(number)
 
     @property
     def before(self) -> int | None:
-        """The state that `undo` goes back to; None where nothing was done."""
-        return self.tree.before
+        """The state that `undo` goes back to: the one current before, else the parent; None where nothing was done."""
+        return self._been[-1] if self._been else self.current.parent
 
     def undo(self) -> State:
-        """Go back to the state that was current before; what was done since stays, as a branch."""
-        return self.tree.undo()
+        """Go back to the state that was current before; what was done since stays, as a branch.
 
-    @property
-    def on_change(self) -> list[Callable[[], None]]:
-        """Called when a state is made or gone to, by whichever page."""
-        return self.tree.on_change
+        Raises:
+            InputError: nothing was done.
+        """
+        with self._lock:
+            if (before := self.before) is None:
+                raise InputError("nothing was done that could be undone")
+            del self._been[-1:]
+            return self._be(before)
 
     @property
     def laws(self) -> Mapping[str, Noise]:
@@ -224,7 +269,7 @@ class Session:
 
     def look(self) -> Discovery:
         """What is missing from the current state, with probabilities: `bc.discover`; kept in the state."""
-        number, asked = self.current.number, self.tree.settings
+        number, asked = self.current.number, self.settings
         with self._looking:  # another page may look for the same
             state = self.states[number]
             if state.discovery is not None:
@@ -236,7 +281,7 @@ class Session:
                 widen_noise=asked.widen_noise,
                 time_limit=asked.time_limit,
             )
-            self.tree.found(number, found)
+            self._keep_found(number, found)
         return found
 
     def find_all(self, follow: Callable[[SearchPath], None] = lambda _: None) -> None:
@@ -248,18 +293,37 @@ class Session:
             ModelError: nothing can be learnt from the current model.
         """
         self._ending.clear()
-        begin = self.current
-        search = RunningSearch(self._loop, begin.step, self._ending, follow)
-        search.open(tuple(self.own.values()), self.tree.settings.widen_noise)
-        with deadline.until(self.tree.settings.time_limit):
-            search.look(self._seeds.get(begin.number, ()))
-        self._seeds[begin.number] = search.seeds
-        number = begin.number
-        for step, discovery in search.steps():
-            if step is begin.step:
-                self.tree.found(number, discovery)
-            else:
-                number = self.tree.append(step, number, discovery).number
+        begin, loop = self.current, self._loop
+        first, freed = begin.step, loop.freed(begin.step)
+        if first.against and not freed:
+            raise ModelError(f"nothing is looked for: {' '.join(first.against)}")
+        more = (*self.own.values(), *freed)
+        loop = replace(loop, begun=time.monotonic())
+        loop, structures, shut = loop.open(first, more, self.settings.widen_noise)
+
+        def tell() -> None:
+            follow(loop.trail([first], structures, complete=False))
+            if self._ending.is_set():
+                raise KeyboardInterrupt  # ends the walk with the best so far, as Ctrl-C does
+
+        with deadline.until(self.settings.time_limit):
+            seeds = self._seeds.get(begin.number, ())
+            library, stopped = loop.look(Library(structures), seeds, tell)
+        weighed = library.structures
+        self._seeds[begin.number] = Search.of(weighed, complete=not stopped).structures
+
+        def missing(at: Structure) -> Discovery | None:
+            able = first.calibration.verdict.ok
+            return discovery_at(library, at, shut, stopped) if able else None
+
+        way, steps, number = path(library, Posterior.of(weighed).chosen), [first], begin.number
+        self._keep_found(number, missing(way[0]))
+        for before, at in pairwise(way):
+            one = weighed.weigh(at)
+            how = loop.quick(one.sized_model)
+            steps.append(loop.step(one.sized_model, before, at, method=how, start=one.phi))
+            number = self._append(steps[-1], number, missing(at)).number
+            follow(loop.trail(steps, weighed, complete=False))
 
     def stop(self) -> None:
         """End `find_all` with the best so far."""
@@ -278,25 +342,30 @@ class Session:
     def load_draft(self, code: str) -> tuple[str, ...]:
         """Run code that defines effects, as --effects does, and have them among the candidates; their names.
 
+        What is missing is to be looked for again.
+
         Raises:
             InputError, ModelError: it fails, or what it defines is of no use here; says where.
         """
-        path = kept.keep_draft(self.folder, code)
+        draft = kept.keep_draft(self.folder, code)
         try:
-            found = user_effects(path)
+            found = user_effects(draft)
             _ = [self.current.model + effect for effect in found]  # its slot and groups are there
         except BayescalError:
-            path.unlink()
+            draft.unlink()
             raise
         self.own |= {e.name: e for e in found}
         self._previews.clear()
         self._seeds.clear()
-        self.tree.with_effects(path)
+        with self._lock:
+            self.origin = self.origin.with_effects(draft)
+            self._states = {n: replace(s, discovery=None) for n, s in self._states.items()}
+            self._keep()
         return tuple(e.name for e in found)
 
     def script(self) -> str:
         """Python that does what was clicked on the way to the current state, with equal numbers."""
-        return self.tree.script(self.path())
+        return self._script(self.path())
 
     def final(self) -> Step:
         """The current model fitted by the method that was asked for, as `calibrate` leaves its last; kept."""
@@ -312,18 +381,13 @@ class Session:
     def verdict(self) -> str:
         """Whether the current model may be used as it is, and how its fit went."""
         trail = self._trail()
-        verdict = trail.final.calibration.verdict
         said = "This result may be used." if trail.ok else "Not to be used as it is."
-        return "\n\n".join(
-            [
-                *(textwrap.fill(t, WIDTH) for t in (said, trail.gate.reason, str(verdict)) if t),
-                str(trail),
-            ]
-        )
+        told = (said, trail.gate.reason, str(trail.final.calibration.verdict))
+        return "\n\n".join([*(textwrap.fill(t, WIDTH) for t in told if t), str(trail)])
 
     def compare(self, number: int) -> str:
         """The current model beside another step's: `bc.compare`, and their coefficients side by side."""
-        return side_by_side(self.current, self.states[number])
+        return take_away.side_by_side(self.current, self.states[number])
 
     def budget(self, at: Mapping[str, float]) -> Budget:
         """`bc.budget` of the current model."""
@@ -339,26 +403,25 @@ class Session:
         self._decisions[number] = found
         return found
 
-    def report(self, certificate: str | Path | None = None) -> Path:
+    def report(self) -> Path:
         """The report for sign-off, in the folder: what `bayescal report` writes of it, with what was decided."""
-        folder, _ = self._result()
-        decided = self._decisions.get(self.current.number)
-        return take_away.write_report(folder, self.tree.origin, self.own, certificate, decided)
+        folder, decided = self._result()[0], self._decisions.get(self.current.number)
+        return take_away.write_report(folder, self.origin, self.own, decided)
 
-    def export(self, what: str, certificate: str | Path | None = None) -> Path:
+    def export(self, what: str) -> Path:
         """An export of the current model, in the folder: what `bayescal export` writes; `what` is one of its formats.
 
         Raises:
             InputError, ModelError: there is no such format, or the model cannot be exported so.
         """
-        take_away.refuse_unknown(what)
+        if what not in take_away.FORMATS:
+            raise InputError(f"{what!r} is not one of {', '.join(take_away.FORMATS)}")
         folder, trail = self._result()
-        decided = self._decisions.get(self.current.number)
-        return take_away.write_export(folder, trail, what, certificate, decided)
+        return take_away.write_export(folder, trail, what)
 
     @property
     def _loop(self) -> Loop:
-        return self.tree.settings.loop(self.readings, self.holdout)
+        return self.settings.loop(self.readings, self.holdout)
 
     def _previews_of(self, state: State) -> Previews:
         """Of the effects over one state; the caller holds `_beside`."""
@@ -371,7 +434,50 @@ class Session:
         """Fit a model as a child of a state, and make it the current one."""
         loop = self._loop
         step = loop.step(wanted.model, method=loop.quick(wanted.model))
-        return self.tree.append(replace(step, added=wanted.added, changed=wanted.in_words), parent)
+        return self._append(replace(step, added=wanted.added, changed=wanted.in_words), parent)
+
+    def _append(self, step: Step, parent: int | None, discovery: Discovery | None = None) -> State:
+        """A step as a child of a state: kept, and then the current one.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        with self._lock:
+            number = max(self._states, default=-1) + 1
+            state = State(number, parent, step, datetime.now(UTC), discovery)
+            way = [] if parent is None else self.path(parent)
+            if not number:
+                self._keep()
+            kept.keep_state(self.folder, state, self._script([*way, state]))
+            self._states[number] = state
+            if number:
+                self._been.append(self._at)
+            return self._be(number)
+
+    def _be(self, number: int) -> State:
+        """Make a state the current one."""
+        self._at = number
+        self._keep()
+        for call in tuple(self.on_change):
+            call()
+        return self.current
+
+    def _keep_found(self, number: int, discovery: Discovery | None) -> None:
+        with self._lock:
+            self._states[number] = replace(self._states[number], discovery=discovery)
+
+    def _keep(self) -> None:
+        kept.keep_session(self.folder, self.origin, self.settings.data(), self._at)
+
+    def _script(self, way: list[State]) -> str:
+        return script(way, self.origin, self.settings, self.folder.resolve())
+
+    def _trail(self) -> SearchPath:
+        """The way to the current state as `calibrate` leaves one: its last model by the method asked for."""
+        way, final = self.path(), self.final()
+        steps = [*(s.step for s in way[:-1]), final]
+        found = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
+        return SearchPath(*judged(found), self.holdout)
 
     def _result(self) -> tuple[Path, SearchPath]:
         """The current state's folder of results as `bayescal calibrate --out` leaves it, made anew; the trail in it."""
@@ -380,6 +486,3 @@ class Session:
         folder.mkdir(exist_ok=True)
         save_search(trail, folder)
         return folder, trail
-
-    def _trail(self) -> SearchPath:
-        return take_away.trail_of(self.path(), self.final(), self.holdout)

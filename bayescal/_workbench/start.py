@@ -222,15 +222,15 @@ def workbench(
     import panel  # here and below, because all this is heavy
 
     from bayescal._model.model import Model
-    from bayescal._workbench.app import page
+    from bayescal._workbench.app import Workbench
     from bayescal._workbench.session import Session
 
     panel.extension(inline=True)
     given = instrument
     model = given if isinstance(given, Model) else given.for_readings(readings).baseline()
     if folder is not None and (Path(folder) / SESSION).is_file():
-        return page(Session.resume(folder, effects, trust=trust), framed=True)
-    session = Session.begin(
-        model, readings, holdout=holdout, effects=effects, folder=folder, **settings
-    )
-    return page(session, framed=True)
+        session = Session.resume(folder, effects, trust=trust)
+    else:
+        asked = {"holdout": holdout, "effects": effects, "folder": folder, **settings}
+        session = Session.begin(model, readings, **asked)
+    return Workbench(session, framed=True).view

@@ -11,6 +11,8 @@ from bayescal._model.model import Model
 from bayescal._search.discover import Discovery
 from bayescal._search.search_path import Step
 
+FOLDER = "state_{:03d}"  # that a state is kept in, by its number
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -19,7 +21,6 @@ class State:
     Attributes:
         number: of the state, from 0.
         parent: number of the state that it was made from; None for the first.
-        title: what was done, in a few words: "baseline", "+ bias.thermal_lag".
         step: its fit by least squares, where it fails, its errors.
         at: when it was made.
         discovery: what is missing from it; None until it was looked for.
@@ -27,10 +28,14 @@ class State:
 
     number: int
     parent: int | None
-    title: str
     step: Step
     at: datetime
     discovery: Discovery | None = None
+
+    @property
+    def title(self) -> str:
+        """What was done, in a few words: "baseline", "+ bias.thermal_lag"."""
+        return self.step.title
 
     @property
     def calibration(self) -> Calibration:
@@ -43,7 +48,7 @@ class State:
     @property
     def sized(self) -> dict[str, Effect]:
         """What a look would add of the instrument's effects, by name, at the sizes likeliest beside each other."""
-        if self.discovery is None:
-            return {}
         known = {e.name for e in self.model.instrument.candidates}
-        return {e.name: e for e in self.discovery.best if e.name in known}
+        return {
+            e.name: e for e in (self.discovery.best if self.discovery else ()) if e.name in known
+        }

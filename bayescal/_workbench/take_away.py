@@ -1,21 +1,19 @@
-"""What leaves a session: the report and exports, made of one folder as the command line makes them of it."""
+"""What a session says of its models and what leaves it: the report and exports, as the command line makes them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
-from bayescal._core.atomic_file import write_text
+from bayescal._calibration.compare import compare
+from bayescal._calibration.summary import summary
 from bayescal._core.errors import InputError
-from bayescal._data.measurements import Measurements
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._core.formatting import table, with_error
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
-from bayescal._report.dcc import dcc_text
 from bayescal._report.report import report
 from bayescal._report.section import of_folder
-from bayescal._search.gate import judged
-from bayescal._search.search_path import SearchPath, Step
+from bayescal._search.search_path import SearchPath
 from bayescal._use import code_writer
 from bayescal._use.autopilots import AUTOPILOTS
 from bayescal._use.compensator import compensator
@@ -25,64 +23,44 @@ from bayescal._workbench.origin import Origin
 from bayescal._workbench.state import State
 
 SUFFIXES = {format: suffix for suffix, format in code_writer.FORMATS.items()}
-FORMATS = (*SUFFIXES, *AUTOPILOTS, "dcc")
+FORMATS = (*SUFFIXES, *AUTOPILOTS)
 
 
-def trail_of(path: list[State], final: Step, holdout: Measurements | None) -> SearchPath:
-    """The way to a state as `calibrate` leaves one: `final` is its last model by the method asked for."""
-    steps = [replace(s.step, discovery=s.discovery) for s in path[:-1]]
-    steps.append(replace(final, discovery=path[-1].discovery))
-    return SearchPath(*judged(steps), holdout)
+def side_by_side(one: State, other: State) -> str:
+    """`bc.compare` of two states, then their coefficients, noise and shapes with standard uncertainties.
+
+    Raises:
+        InputError: they were fitted to other readings.
+    """
+    fits = {f"{s.number} {s.title}": s.calibration for s in (one, other)}
+    values = [
+        {t["name"]: with_error(t["mean"], t["sd"]) for told in summary(c) for t in told}
+        for c in fits.values()
+    ]
+    units = {t["name"]: t["unit"] for c in fits.values() for told in summary(c) for t in told}
+    rows = [[n, *(v.get(n, "–") for v in values), unit_label(unit)] for n, unit in units.items()]
+    return f"{compare(fits)}\n\n{table(['', *fits, 'unit'], rows)}"
 
 
 def write_report(
-    folder: Path,
-    origin: Origin,
-    own: Mapping[str, Effect],
-    certificate: str | Path | None = None,
-    decisions: Decisions | None = None,
+    folder: Path, origin: Origin, own: Mapping[str, Effect], decisions: Decisions | None
 ) -> Path:
     """The report of a folder that a trail was saved to: what `bayescal report FOLDER` writes."""
     instrument, effects = origin.open_instrument(), tuple(own.values())
     given = () if instrument is None else (instrument,)
     chapter = of_folder(folder, effects, given)
-    stated = {"certificate": certificate, "decisions": decisions}
-    return report([chapter], folder / "report.html", effects=effects, **stated)
+    return report([chapter], folder / "report.html", effects=effects, decisions=decisions)
 
 
-def refuse_unknown(what: str) -> None:
-    """Refuse a format that is none.
-
-    Raises:
-        InputError: it is so.
-    """
-    if what not in FORMATS:
-        raise InputError(f"{what!r} is not one of {', '.join(FORMATS)}")
-
-
-def write_export(
-    folder: Path,
-    trail: SearchPath,
-    what: str,
-    certificate: str | Path | None = None,
-    decisions: Decisions | None = None,
-) -> Path:
+def write_export(folder: Path, trail: SearchPath, what: str) -> Path:
     """One export of the trail's calibration: what `bayescal export FOLDER/calibration.nc --format WHAT` writes.
 
     Raises:
         InputError: what the export itself refuses.
     """
-    refuse_unknown(what)
     made = compensator(trail.calibration)
     if what in SUFFIXES:
         return made.export(folder / f"compensation{SUFFIXES[what]}", what)
-    if what == "dcc":
-        if certificate is None:
-            raise InputError(
-                "a digital calibration certificate needs the TOML file of what a certificate states"
-            )
-        text = dcc_text(trail.final.calibration, certificate, STANDARD_GRAVITY, decisions)
-        return write_text(text, folder / "certificate.xml")
     axis = axis_of(trail.final.calibration)
     if axis is None:
         raise InputError(

@@ -10,8 +10,9 @@ from bokeh.models import ColumnDataSource, Whisker
 
 from bayescal._calibration.noise_in_time import AllanCheck
 from bayescal._data.unit_conversion import unit_label
+from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.pieces import column, halves, plot, words
-from bayescal._workbench.parts.style import LIGHT, RED, Palette, dress, new_figure
+from bayescal._workbench.parts.style import RED, Palette, dress, new_figure
 
 NONE = (
     "No Allan deviation: it needs a column time, and runs of 30 readings or more, evenly spaced in time "
@@ -19,30 +20,21 @@ NONE = (
 )
 
 
-class AllanPane:
+class AllanPane(Pane):
     """The curve with its confidence intervals, the law's band, the terms of data sheets."""
 
-    def __init__(self) -> None:
-        self.palette: Palette = LIGHT
-        self._figure: Any = None
-        self.told = words("")
-        self.terms = words("", "table")
+    def __init__(self, bench: Any) -> None:
+        super().__init__(bench)
+        self.told, self.terms = words(""), words("", "table")
         self.plot = pn.Column(sizing_mode="stretch_both", margin=0)
         self.view = halves(self.plot, column(self.told, self.terms, kinds=("bare", "scrolls")))
 
     def show(self, state: Any) -> None:
-        """Show a state's residuals."""
         found: AllanCheck | None = state.step.check.allan
         self.told.object = NONE if found is None else found.sentence()
         self.terms.object = "" if found is None else found.table()
-        self._figure = None if found is None else allan_figure(found, self.palette)
-        self.plot[:] = [] if self._figure is None else [plot(self._figure)]
-
-    def wear(self, palette: Palette) -> None:
-        """Take the colours of a ground."""
-        self.palette = palette
-        if self._figure is not None:
-            dress(self._figure, palette)
+        self.figures = [] if found is None else [allan_figure(found, self.bench.palette)]
+        self.plot[:] = [plot(made) for made in self.figures]
 
 
 def allan_figure(found: AllanCheck, palette: Palette) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar, get_args
+from typing import Any, get_args
 
 import panel as pn
 
@@ -12,6 +12,7 @@ from bayescal._search.plan_readings import ReadingPlan
 from bayescal._use.budget import Budget
 from bayescal._use.decide import CONFORMITY, FALSE_ACCEPT, Rule
 from bayescal._workbench.panes.fails_panel import NOISE
+from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.pieces import (
     button,
     code_field,
@@ -22,66 +23,55 @@ from bayescal._workbench.parts.pieces import (
     row,
     words,
 )
-from bayescal._workbench.parts.style import LIGHT, Palette, dress, new_figure
+from bayescal._workbench.parts.style import dress, new_figure
 
 
-class AskPane:
+class AskPane(Pane):
     """A question with its fields, and the answer, which is marked when the model is no longer the one it is of.
 
-    Attributes:
-        fields: what Panel shows above the button.
-        answered: called on the page with what came.
-        view: what Panel shows.
+    A question has its words, the rows of its fields, and `question`, which reads them on the page and returns the job.
     """
 
-    KINDS: ClassVar[tuple[str, ...]] = ("bare",)  # classes of the style of the answer's room
+    LABEL = ""  # of the button
+    TOLD = ""  # what is asked, in words
+    BY_ITSELF = False  # whether it is asked when it is looked at
+    KINDS: tuple[str, ...] = ("bare",)  # classes of the style of the answer's room
 
-    def __init__(
-        self,
-        run: Callable[..., None],
-        label: str,
-        ask: Callable[[], Callable[[], Any]],
-        told: str,
-        *fields: Any,
-        by_itself: bool = False,
-    ) -> None:
-        """Args:
-        run: `run(words, job, then)` works beside the page.
-        label: of the button.
-        ask: reads the fields, on the page, and returns the job.
-        told: what is asked, in words.
-        fields: rows of widgets.
-        by_itself: whether it is asked when it is looked at.
-        """
-        self._run, self._ask, self._by_itself = run, ask, by_itself
+    def __init__(self, bench: Any, *fields: Any) -> None:
+        super().__init__(bench)
         self._now, self._of = -1, -1
-        self.answered: Callable[[Any], None] = lambda _: None
-        self.begin = button(label, lambda _: self.put(), color="primary")
+        self.begin = button(self.LABEL, lambda _: self.put(), color="primary")
         self.age = words("", "small")
-        self.fields = column(*fields, sizing_mode="stretch_width", styles={"flex": "0 0 auto"})
+        above = column(*fields, sizing_mode="stretch_width", styles={"flex": "0 0 auto"})
         self.answer = words("", "table", styles={"overflow": "auto"}, sizing_mode="stretch_both")
         self.right = column(self.answer, kinds=self.KINDS)
         buttons = row(self.begin, self.age)
-        left = column(words(told, "small"), self.fields, buttons, kinds=("bare", "scrolls"))
+        left = column(words(self.TOLD, "small"), above, buttons, kinds=("bare", "scrolls"))
         self.view = halves(left, self.right)
+
+    def question(self) -> Callable[[], Any]:
+        raise NotImplementedError
+
+    def answered(self, found: Any) -> None:
+        """Show more of an answer than its text."""
 
     def show(self, state: Any) -> None:
         """Another state: an answer that is of the one before stays, and says so."""
         self._now = state.number
         self._say_age()
-        if self._by_itself and self._of != self._now:
+        if self.BY_ITSELF and self._of != self._now:
             self.put()
 
     def put(self) -> None:
         """Ask."""
         of = self._now
-        self._run("Computing …", self._ask(), lambda found: self._came(of, found))
 
-    def _came(self, of: int, found: Any) -> None:
-        self._of = of
-        self.answer.object = str(found)
-        self.answered(found)
-        self._say_age()
+        def came(found: Any) -> None:
+            self._of, self.answer.object = of, str(found)
+            self.answered(found)
+            self._say_age()
+
+        self.bench.run("Computing …", self.question(), came)
 
     def _say_age(self) -> None:
         stale = self._of not in (-1, self._now)
@@ -93,38 +83,36 @@ class AskPane:
 class VerdictPane(AskPane):
     """Whether the result may be used, and why not."""
 
-    def __init__(self, run: Callable[..., None], session: Callable[[], Any]) -> None:
-        told = "Whether this model may be used as it is, fitted as bayescal calibrate fits it."
-        super().__init__(run, "Judge it", lambda: session().verdict, told, by_itself=True)
+    LABEL, BY_ITSELF = "Judge it", True
+    TOLD = "Whether this model may be used as it is, fitted as bayescal calibrate fits it."
+
+    def question(self) -> Callable[[], Any]:
+        return self.session.verdict
 
 
 class ComparePane(AskPane):
     """Two steps side by side."""
 
-    def __init__(
-        self, run: Callable[..., None], session: Callable[[], Any], beside: Callable[[int], None]
-    ) -> None:
-        self._session, self._other, self._showing = session, beside, False
+    LABEL, BY_ITSELF = "Compare", True
+    TOLD = "The step that is shown beside another one; its residuals stand in the panels, hollow."
+
+    def __init__(self, bench: Any) -> None:
+        self._showing = False
         self.which = field(pn.widgets.Select, "with step", options={}, width=200)
         self.which.param.watch(lambda _: self._chosen(), "value")
+        super().__init__(bench, row(self.which))
 
-        def ask() -> Callable[[], Any]:
-            other = self.which.value
-            return lambda: "" if other is None else session().compare(other)
-
-        told = (
-            "The step that is shown beside another one; its residuals stand in the panels, hollow."
-        )
-        super().__init__(run, "Compare", ask, told, row(self.which), by_itself=True)
+    def question(self) -> Callable[[], Any]:
+        other = self.which.value
+        return lambda: "" if other is None else self.session.compare(other)
 
     def beside(self, number: int | None) -> None:
         """Which step is the other."""
-        states, now = self._session().states, self._session().current.number
+        states, now = self.session.states, self.session.current.number
         options = {f"{n} {s.title}": n for n, s in states.items() if n != now}
+        value = number if number in options.values() else None
         self._showing = True
-        self.which.param.update(
-            options=options, value=number if number in options.values() else None
-        )
+        self.which.param.update(options=options, value=value)
         self._showing = False
 
     def show(self, state: Any) -> None:
@@ -134,113 +122,95 @@ class ComparePane(AskPane):
 
     def _chosen(self) -> None:
         if not self._showing and self.which.value is not None:
-            self._other(self.which.value)
+            self.bench.compare(self.which.value)
 
 
 class BudgetPane(AskPane):
     """The uncertainty budget at an operating point."""
 
-    def __init__(self, run: Callable[..., None], session: Callable[[], Any]) -> None:
+    LABEL, BY_ITSELF = "Make the budget", True
+    TOLD = "Uncertainty of a corrected reading by its sources, at an operating point."
+
+    def __init__(self, bench: Any) -> None:
         self._at: dict[str, Any] = {}
         self.room = row()
+        super().__init__(bench, self.room)
 
-        def ask() -> Callable[[], Any]:
-            at = {n: f.value for n, f in self._at.items() if f.value is not None}
-            return lambda: session().budget(at)
+    def question(self) -> Callable[[], Any]:
+        at = {n: f.value for n, f in self._at.items() if f.value is not None}
+        return lambda: self.session.budget(at)
 
-        told = "Uncertainty of a corrected reading by its sources, at an operating point."
-        super().__init__(run, "Make the budget", ask, told, self.room, by_itself=True)
-        self.answered = self._fill
-
-    def _fill(self, found: Budget) -> None:
+    def answered(self, found: Budget) -> None:
         """A field a quantity of the operating point."""
         if list(self._at) == list(found.at):
             return
-        self._at = {
-            n: field(
-                pn.widgets.FloatInput,
-                f"{n} [{found.at_units[n] or '1'}]",
-                value=float(f"{v:.6g}"),
-                width=120,
-            )
-            for n, v in found.at.items()
-        }
+        self._at = {}
+        for name, value in found.at.items():
+            label, shown = f"{name} [{found.at_units[name] or '1'}]", float(f"{value:.6g}")
+            self._at[name] = field(pn.widgets.FloatInput, label, value=shown, width=120)
         self.room[:] = list(self._at.values())
 
 
 class DecisionPane(AskPane):
     """Whether it conforms to limits."""
 
-    def __init__(self, run: Callable[..., None], session: Callable[[], Any]) -> None:
-        self.limits = code_field(
-            "Limits, one a line", max_length=10_000, height=74, sizing_mode="stretch_width"
-        )
+    LABEL = "Decide"
+    TOLD = (
+        "Does it meet its specification, and until when? Limits such as “bias: ±0.5 °/s”, “corrected reading: "
+        "±0.1 °/s over -20..60 °C”. What is decided stands first in the report."
+    )
+
+    def __init__(self, bench: Any) -> None:
+        w, room = pn.widgets, {"height": 74, "sizing_mode": "stretch_width"}
+        self.limits = code_field("Limits, one a line", max_length=10_000, **room)
         self.rule = field(
-            pn.widgets.Select, "rule", options=list(get_args(Rule)), value="guarded", width=110
+            w.Select, "rule", options=list(get_args(Rule)), value="guarded", width=110
         )
-        self.risk = field(pn.widgets.FloatInput, "false acceptance", value=FALSE_ACCEPT, width=100)
-        self.until = field(pn.widgets.FloatInput, "conformity until", value=CONFORMITY, width=100)
-        self.devices = field(
-            pn.widgets.TextInput, "devices, for global risks", placeholder="sd 0.2 °/s", width=150
-        )
+        self.risk = field(w.FloatInput, "false acceptance", value=FALSE_ACCEPT, width=100)
+        self.until = field(w.FloatInput, "conformity until", value=CONFORMITY, width=100)
+        how: dict[str, Any] = {"placeholder": "sd 0.2 °/s", "width": 150}
+        self.devices = field(w.TextInput, "devices, for global risks", **how)
+        super().__init__(bench, self.limits, row(self.rule, self.risk, self.until, self.devices))
 
-        def ask() -> Callable[[], Any]:
-            limits = [line.strip() for line in self.limits.value.splitlines() if line.strip()]
-            asked = {
-                "rule": self.rule.value,
-                "false_accept": self.risk.value or 0.0,
-                "conformity": self.until.value or 0.0,
-                "population": self.devices.value.strip() or None,
-            }
-            return lambda: session().decide(limits, **asked)
-
-        told = (
-            "Does it meet its specification, and until when? Limits such as “bias: ±0.5 °/s”, “corrected reading: "
-            "±0.1 °/s over -20..60 °C”. What is decided stands first in the report."
-        )
-        how = row(self.rule, self.risk, self.until, self.devices)
-        super().__init__(run, "Decide", ask, told, self.limits, how)
+    def question(self) -> Callable[[], Any]:
+        limits = [line.strip() for line in self.limits.value.splitlines() if line.strip()]
+        asked = {
+            "rule": self.rule.value,
+            "false_accept": self.risk.value or 0.0,
+            "conformity": self.until.value or 0.0,
+            "population": self.devices.value.strip() or None,
+        }
+        return lambda: self.session.decide(limits, **asked)
 
 
 class PlanPane(AskPane):
     """Where to measure next: the readings that make a stated uncertainty small."""
 
-    KINDS = ("bare", "drawn")
+    LABEL, KINDS = "Plan", ("bare", "drawn")
+    TOLD = "Campaigns by the uncertainty that they would leave, and the readings of the best that matter most."
 
-    def __init__(self, run: Callable[..., None], session: Callable[[], Any]) -> None:
-        self.limit = field(
-            pn.widgets.TextInput,
-            "what is to be known better",
-            placeholder="corrected reading: ±0.1 °/s over -20..60 °C",
-            width=320,
-        )
+    def __init__(self, bench: Any) -> None:
+        how: dict[str, Any] = {
+            "placeholder": "corrected reading: ±0.1 °/s over -20..60 °C",
+            "width": 320,
+        }
+        self.limit = field(pn.widgets.TextInput, "what is to be known better", **how)
         self.count = field(pn.widgets.IntInput, "readings to pick", value=12, start=0, width=100)
+        super().__init__(bench, row(self.limit, self.count))
 
-        def ask() -> Callable[[], Any]:
-            limit, count = self.limit.value.strip(), self.count.value or 0
-            return lambda: session().plan(limit, count)
+    def question(self) -> Callable[[], Any]:
+        limit, count = self.limit.value.strip(), self.count.value or 0
+        return lambda: self.session.plan(limit, count)
 
-        told = "Campaigns by the uncertainty that they would leave, and the readings of the best that matter most."
-        super().__init__(run, "Plan", ask, told, row(self.limit, self.count))
-        self.palette, self._drawn = LIGHT, None
-        self.answered = self._draw
-
-    def wear(self, palette: Palette) -> None:
-        """Take the colours of a ground."""
-        self.palette = palette
-        if self._drawn is not None:
-            dress(self._drawn, palette)
-
-    def _draw(self, found: ReadingPlan) -> None:
+    def answered(self, found: ReadingPlan) -> None:
         """What is left of the uncertainty with each reading of the best campaign."""
-        left = [found.u, *(p.u for p in found.picked)]
-        unit = unit_label(found.unit) or "1"
-        made = new_figure("readings picked", f"u [{unit}]", tools="")
+        palette, left = self.bench.palette, [found.u, *(p.u for p in found.picked)]
+        made = new_figure("readings picked", f"u [{unit_label(found.unit) or '1'}]", tools="")
         count = list(range(len(left)))
-        made.line(count, left, color=self.palette.blue, line_width=2)
-        made.scatter(count, left, color=self.palette.blue, size=6)
+        made.line(count, left, color=palette.blue, line_width=2)
+        made.scatter(count, left, color=palette.blue, size=6)
         made.line([0, len(left) - 1], [found.campaigns[0].u] * 2, color=NOISE, line_dash="dashed")
         made.y_range.start, made.y_range.end = 0.0, 1.05 * found.u
-        dress(made, self.palette)
-        self._drawn = made
+        dress(made, palette)
+        self.figures = [made]
         self.right[:] = [plot(made), self.answer]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import panel as pn
 
+from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.pieces import button, code_field, column, field, halves, row, words
 
 RUNS = (
@@ -15,20 +15,11 @@ RUNS = (
 )
 
 
-class DescribePane:
+class DescribePane(Pane):
     """An unexplained pattern, from a region to an effect of one's own."""
 
-    def __init__(
-        self,
-        run: Callable[..., None],
-        session: Callable[[], Any],
-        select: Callable[[np.ndarray], None],
-        numbers: Callable[[], dict[str, tuple[np.ndarray, str]]],
-        loaded: Callable[[Any], None],
-    ) -> None:
-        """`select(rows)` brushes rows; `numbers()` are columns to select by; `loaded` follows a load."""
-        self._run, self._session, self._select = run, session, select
-        self._numbers, self._loaded = numbers, loaded
+    def __init__(self, bench: Any) -> None:
+        super().__init__(bench)
         self._rows = np.array([], int)
         self.by = field(pn.widgets.Select, "column", options=[], width=110)
         self.low = field(pn.widgets.FloatInput, "from", width=110)
@@ -59,13 +50,12 @@ class DescribePane:
         right = column(self.code, row(words(RUNS, "small")), row(self.sure, self.load))
         self.view = halves(left, right, even=True)
 
-    def show(self, _: Any) -> None:
+    def show(self, state: Any) -> None:
         """Another state: the region stays, the draft does not."""
-        self._columns = self._numbers()
+        self._columns = self.bench.fails.shown.numbers
         names = list(self._columns)
-        self.by.param.update(
-            options=names, value=self.by.value if self.by.value in names else names[0]
-        )
+        value = self.by.value if self.by.value in names else names[0]
+        self.by.param.update(options=names, value=value)
         self._ends()
         self.told.object, self.code.value, self.sure.value = "", "", False
 
@@ -83,16 +73,17 @@ class DescribePane:
 
     def _select_region(self) -> None:
         values, _ = self._columns[self.by.value]
-        if self.low.value is not None and self.high.value is not None:
-            self._select(np.flatnonzero((values >= self.low.value) & (values <= self.high.value)))
+        low, high = self.low.value, self.high.value
+        if low is not None and high is not None:
+            self.bench.fails.select(np.flatnonzero((values >= low) & (values <= high)))
 
     def _describe(self) -> None:
         rows = self._rows
-        self._run("Describing the region …", lambda: self._session().describe(rows), self._drafted)
+        job = lambda: self.session.describe(rows)  # noqa: E731
+        self.bench.run("Describing the region …", job, self._drafted)
 
     def _drafted(self, draft: Any) -> None:
-        self.told.object = str(draft)
-        self.code.value = draft.code
+        self.told.object, self.code.value = str(draft), draft.code
 
     def _open(self) -> None:
         self.load.disabled = not (self.sure.value and self.code.value.strip())
@@ -100,5 +91,5 @@ class DescribePane:
     def _load(self) -> None:
         code = self.code.value
         if self.sure.value and code.strip():
-            load = lambda: self._session().load_draft(code)  # noqa: E731
-            self._run("Loading the effect …", load, self._loaded)
+            load = lambda: self.session.load_draft(code)  # noqa: E731
+            self.bench.run("Loading the effect …", load, self.bench.done)

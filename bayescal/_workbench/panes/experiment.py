@@ -2,36 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from bayescal._calibration.settings import searching
 from bayescal._search.next_experiment import NextExperiment, next_experiment
+from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.pieces import button, column, row, words
 from bayescal._workbench.parts.rows import Rows
 
 HEAD = ["experiment", "least expected log Bayes factor", "for", ""]
 
 
-class ExperimentPane:
+class ExperimentPane(Pane):
     """Feasible experiments, the most telling first."""
 
-    def __init__(self, run: Callable[..., None]) -> None:
-        """`run(words, job, then)` does work beside the page."""
-        self._run, self._state = run, None
+    def __init__(self, bench: Any) -> None:
+        super().__init__(bench)
+        self._state: Any = None
         self.rank = button("Rank the experiments", lambda _: self._begin(), color="primary")
         self.told = words("", "small")
-        self.rows = Rows(
-            table=True,
-            kind="table",
-            head=HEAD,
-            label="Experiments",
-            visible=False,
-        )
+        table: dict[str, Any] = {"table": True, "kind": "table", "head": HEAD}
+        self.rows = Rows(label="Experiments", visible=False, **table)
         self.view = column(row(self.rank, self.told), self.rows)
 
     def show(self, state: Any) -> None:
-        """Say what is to be told apart in a state."""
         self._state = state
         self.rows.visible, self.rows.rows = False, []
         found = state.discovery
@@ -46,13 +40,13 @@ class ExperimentPane:
 
     def _begin(self) -> None:
         state = self._state
-        assert state is not None
-        job = lambda: next_experiment(state.step.calibration, state.discovery.rivals)  # noqa: E731
-        self._run("Ranking experiments …", job, lambda found: self._shown(state, found))
 
-    def _shown(self, state: Any, found: NextExperiment) -> None:
-        if state is self._state:
-            self.rows.rows, self.rows.visible = experiment_rows(found), True
+        def shown(found: NextExperiment) -> None:
+            if state is self._state:
+                self.rows.rows, self.rows.visible = experiment_rows(found), True
+
+        job = lambda: next_experiment(state.calibration, state.discovery.rivals)  # noqa: E731
+        self.bench.run("Ranking experiments …", job, shown)
 
 
 def experiment_rows(found: NextExperiment) -> list[dict[str, Any]]:

@@ -6,7 +6,6 @@ import re
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from bayescal._tables.dates import ORDERS
 from bayescal._tables.mapping_file import save_mapping
 from bayescal._tables.open_table import TEXT, open_table
 from bayescal._tables.raw_table import bytes_text
+from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.pieces import button, column, download, field, halves, row, words
 from bayescal._workbench.parts.style import INSIDE
 
@@ -55,14 +55,12 @@ class Upload(pn.widgets.FileDropper):
         super()._process_event(event)
 
 
-class FilePane:
+class FilePane(Pane):
     """Readings from a file of the user's own."""
 
-    def __init__(
-        self, run: Callable[..., None], instrument: Any, begin: Callable[[Measurements], None]
-    ) -> None:
-        """`run(words, job, then)` works beside the page; `begin(readings)` goes on with what was read."""
-        self._run, self._instrument, self._begin = run, instrument, begin
+    def __init__(self, bench: Any) -> None:
+        super().__init__(bench)
+        self._instrument = instrument = bench.session.current.model.instrument
         self._folder = Path(tempfile.mkdtemp(prefix="bayescal-"))
         weakref.finalize(self, shutil.rmtree, self._folder, True)
         self._path: Path | None = None
@@ -129,7 +127,7 @@ class FilePane:
             except InputError as error:
                 return error, headers_of(path)
 
-        self._run(f"Reading {path.name} …", job, self._was_read)
+        self.bench.run(f"Reading {path.name} …", job, self._was_read)
 
     def _was_read(self, told: tuple[Any, tuple[str, ...]]) -> None:
         found, headers = told
@@ -181,7 +179,7 @@ class FilePane:
 
     def _go_on(self) -> None:
         if self._readings is not None:
-            self._begin(self._readings)
+            self.bench.begin_with(self._readings)
 
 
 def other_fields() -> dict[str, Any]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import Discovery
+from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.pieces import column, row, words
 from bayescal._workbench.parts.rows import Rows
 
@@ -17,46 +17,30 @@ NOT_TESTABLE = "Not testable with these readings"
 HINT = "Point at a candidate, with the pointer or with Tab and the arrows, to see its curve over the residuals."
 
 
-class Missing:
-    """The right of the page.
+class Missing(Pane):
+    """The right of the page."""
 
-    Attributes:
-        view: what Panel shows.
-    """
-
-    def __init__(
-        self, add: Callable[[str], None], point: Callable[[str], None], look: Callable[[], None]
-    ) -> None:
-        self._add, self._look = add, look
+    def __init__(self, bench: Any) -> None:
+        super().__init__(bench)
         self.complete = words("")
         self.told = words(HINT, "small", min_height=36)
-        self.rows = Rows(
-            self._press,
-            kind="pair",
-            pointing=True,
-            label="Candidates",
-        )
-        self.rows.param.watch(lambda event: point(event.new), "pointed")
-        self.view = column(
-            row(words("What is missing", "title")),
-            self.complete,
-            self.told,
-            self.rows,
-            kinds=("pane", "missing"),
-        )
+        add = lambda effect, _: bench.act("add", effect)  # noqa: E731
+        self.rows = Rows(add, kind="pair", pointing=True, label="Candidates")
+        self.rows.param.watch(lambda event: bench.point(event.new), "pointed")
+        title = row(words("What is missing", "title"))
+        kinds = ("pane", "missing")
+        self.view = column(title, self.complete, self.told, self.rows, kinds=kinds)
 
-    def show(self, found: Discovery | None, looking: bool = True, reason: str = "") -> None:
-        """Show what was found; None while it is looked for, or where it cannot be."""
+    def show(self, state: Any, reason: str = "Looking for what is missing …") -> None:
+        """Show what was found; where nothing was yet, or cannot be, the reason."""
+        found: Discovery | None = state.discovery
         self.rows.pointed = ""
         self.told.object = HINT if found is not None else ""
         if found is None:
-            self.complete.object = "Looking for what is missing …" if looking else reason
-            self.rows.rows = []
+            self.complete.object, self.rows.rows = reason, []
             return
-        self.complete.object = (
-            f"Probability that the model is complete: {found.complete_in_words}"
-            + (f"\n{found.stopped}" if found.stopped else "")
-        )
+        said = f"Probability that the model is complete: {found.complete_in_words}"
+        self.complete.object = f"{said}\n{found.stopped}" if found.stopped else said
         self.rows.rows = candidate_rows(found)
 
     def preview(self, told: str) -> None:
@@ -64,11 +48,7 @@ class Missing:
         self.told.object = told or HINT
 
     def busy(self, busy: bool) -> None:
-        """Shut or open *Add*."""
         self.rows.busy = busy
-
-    def _press(self, effect: str, _: str) -> None:
-        self._add(effect)
 
 
 def candidate_rows(found: Discovery) -> list[dict[str, Any]]:
@@ -76,60 +56,41 @@ def candidate_rows(found: Discovery) -> list[dict[str, Any]]:
     by_name = {c.effect: c for c in found.candidates}
     rows, placed = [], set()
     for i, one in enumerate(found.sets):
-        many = len(one.effects) > 1
-        which = (
-            "One of these; these readings cannot tell which"
-            if many
-            else "Missing"
-            if i == 0
-            else "Also missing"
-        )
+        which = "Missing" if i == 0 else "Also missing"
+        if len(one.effects) > 1:
+            which = "One of these; these readings cannot tell which"
         group = f"{which}: probability {probability(one.probability)}"
-        rows += [
-            _row(by_name[name], group, "found")
-            for name in one.effects
-            if name in by_name and name not in placed
-        ]
+        names = [n for n in one.effects if n in by_name and n not in placed]
+        rows += [_row(by_name[name], group, "found") for name in names]
         placed |= set(one.effects)
     rest = [c for c in found.candidates if c.effect not in placed]
-    leads = [c for c in rest if c.kind == "lead"]
-    rows += [_row(c, "Leads", "lead") for c in leads]
-    other = "The others" if rows else "Nothing is found; the candidates"
-    rows += [
-        _row(c, other, "") for c in rest if c.kind not in ("lead", "not visible", "not testable")
-    ]
-    rows += [_row(c, NOT_VISIBLE, "quiet") for c in rest if c.kind == "not visible"]
-    rows += [_row(c, NOT_TESTABLE, "quiet") for c in rest if c.kind == "not testable"]
+    any_found = rows or any(c.kind == "lead" for c in rest)
+    shown = {
+        "lead": ("Leads", "lead"),
+        None: ("The others" if any_found else "Nothing is found; the candidates", ""),
+        "not visible": (NOT_VISIBLE, "quiet"),
+        "not testable": (NOT_TESTABLE, "quiet"),
+    }
+    for kind, how in shown.items():
+        rows += [_row(c, *how) for c in rest if (c.kind if c.kind in shown else None) == kind]
     return rows
 
 
 def _row(c: Candidate, group: str, kind: str) -> dict[str, Any]:
     cells: list[dict[str, Any]] = [{"text": c.effect, "kind": "name"}]
     if c.probability is not None:
-        size = (
-            "" if c.size is None else f"{with_error(c.size, c.size_sd or 0.0)} {unit_label(c.unit)}"
-        )
-        cells.append(
-            {
-                "text": " · ".join(filter(None, (probability(c.probability), size))),
-                "bar": c.probability,
-                "kind": "value number",
-                "title": f"probability {probability(c.probability)}; log Bayes factor {number(c.log_bayes_factor)} "
-                f"by {c.source}",
-            }
-        )
-    testable = c.kind != "not testable"
+        said = probability(c.probability)
+        factor = f"log Bayes factor {number(c.log_bayes_factor)} by {c.source}"
+        told = {"bar": c.probability, "kind": "value number"}
+        if c.size is not None:
+            size = f"{with_error(c.size, c.size_sd or 0.0)} {unit_label(c.unit)}"
+            told["text"] = f"{said} · {size}"
+        cells.append({"text": said, "title": f"probability {said}; {factor}", **told})
     add = {"id": "add", "label": "Add", "title": f"fit the model with {c.effect}"}
-    note = c.reason
-    if c.kind in ("finding", "lead") and c.indistinguishable_from:
-        others = ", ".join(c.indistinguishable_from[:3])
-        more = len(c.indistinguishable_from) - 3
-        note = f"confounded with {others}" + (f" and {more} more" if more > 0 else "")
-    return {
-        "id": c.effect,
-        "group": group,
-        "cells": cells,
-        "note": note,
-        "kind": kind,
-        "actions": [add] if testable else [],
-    }
+    note, alike = c.reason, c.indistinguishable_from
+    if c.kind in ("finding", "lead") and alike:
+        more = f" and {len(alike) - 3} more" if len(alike) > 3 else ""
+        note = f"confounded with {', '.join(alike[:3])}{more}"
+    actions = [] if c.kind == "not testable" else [add]
+    shown = {"group": group, "cells": cells, "note": note, "kind": kind}
+    return {"id": c.effect, **shown, "actions": actions}

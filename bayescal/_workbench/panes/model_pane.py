@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import panel as pn
@@ -10,32 +9,50 @@ import panel as pn
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.formatting import probability, with_error
 from bayescal._data.unit_conversion import unit_label
+from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.pieces import button, column, field, row, words
 from bayescal._workbench.parts.rows import Rows
 
 MOST = 6  # coefficients of one effect that stand in its row
+LEAST = 0.005  # probability of a noise law that is shown
+NUMBER = {"kind": "value number"}
 
 
-class ModelPane:
+class ModelPane(Pane):
     """The left of the page: what is believed, and what may be done to it."""
 
-    def __init__(self, act: Callable[..., None], ask: Callable[..., None]) -> None:
-        """`act(name, *arguments)` does something; `ask(done, name, *arguments)` asks what it would do."""
-        self._act, self._ask = act, ask
+    def __init__(self, bench: Any) -> None:
+        super().__init__(bench)
         self._calibration: Any = None
         self._chosen, self._shut = "", False
-        self.equation = words("", "small")
-        high: dict[str, Any] = {"sizing_mode": "stretch_width", "styles": {}}  # as all their rows
-        self.effects = Rows(self._choose, kind="pair", label="Effects of the model", **high)
-        self.noise = Rows(self._take_law, kind="pair", label="Noise law", **high)
-        self.verdict = words("", "small")
-        self.title = words("", "title")
-        self.consequences = words("", "small")
         wide: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90}
+        high: dict[str, Any] = {"sizing_mode": "stretch_width", "styles": {}}  # as all their rows
+        choose = lambda effect, _: self._open(effect)  # noqa: E731
+        take = lambda law, _: bench.act("noise", law)  # noqa: E731
+        self.effects = Rows(choose, kind="pair", label="Effects of the model", **high)
+        self.noise = Rows(take, kind="pair", label="Noise law", **high)
+        self.equation, self.verdict = words("", "small"), words("", "small")
+        self.title, self.consequences = words("", "title"), words("", "small")
         self.coefficient = field(pn.widgets.Select, "unknown", **wide)
         self.value = field(pn.widgets.FloatInput, "held at", **wide)
         self.size = field(pn.widgets.FloatInput, "plausible size", start=0.0, **wide)
-        self.form = self._form()
+        self.buttons = out, fix, free, resize = (
+            button("Take out", lambda _: self._do("take_out", self._chosen)),
+            button("Fix", lambda _: self._do("fix", self.coefficient.value, self.value.value)),
+            button("Free", lambda _: self._do("free", self.coefficient.value)),
+            button("Resize", lambda _: self._do("resize", self._chosen, self.size.value)),
+        )
+        self.form = column(
+            self.title,
+            self.consequences,
+            row(out, button("Close", lambda _: self._open(""))),
+            row(self.coefficient),
+            row(self.value, fix, free),
+            row(self.size, resize),
+            kinds=("form",),
+            visible=False,
+            sizing_mode="stretch_width",
+        )
         self.view = column(
             words("The model", "title"),
             self.equation,
@@ -46,84 +63,53 @@ class ModelPane:
             self.verdict,
             kinds=("pane", "model", "scrolls"),
         )
-        self.coefficient.param.watch(self._other_coefficient, "value")
-
-    def _form(self) -> pn.Column:
-        self.buttons = [
-            button("Take out", lambda _: self._do("take_out", self._chosen)),
-            button("Fix", lambda _: self._do("fix", self.coefficient.value, self.value.value)),
-            button("Free", lambda _: self._do("free", self.coefficient.value)),
-            button("Resize", lambda _: self._do("resize", self._chosen, self.size.value)),
-            button("Close", lambda _: self._open("")),
-        ]
-        out, fix, free, resize, close = self.buttons
-        return column(
-            self.title,
-            self.consequences,
-            row(out, close),
-            row(self.coefficient),
-            row(self.value, fix, free),
-            row(self.size, resize),
-            kinds=("form",),
-            visible=False,
-            sizing_mode="stretch_width",
-        )
+        self.coefficient.param.watch(lambda _: self._other_coefficient(), "value")
 
     def show(self, state: Any) -> None:
-        """Show a state's model."""
-        self._calibration = calibration = state.step.calibration
+        self._calibration = calibration = state.calibration
         self.equation.object = equation_in_words(calibration.model)
         coefficients, others = summary(calibration)
         self.effects.rows = effect_rows(calibration.model, [*coefficients, *others])
         self.noise.rows = noise_rows(state)
         lines = [d["in_words"] for d in null_directions(calibration)]
         lines += [f"conflict: {w}" for w in calibration.conflicts]
-        self.verdict.object = "\n".join(
-            [*(f"not measured: {w}" for w in lines[:3]), str(calibration.verdict)]
-        )
+        said = [*(f"not measured: {w}" for w in lines[:3]), str(calibration.verdict)]
+        self.verdict.object = "\n".join(said)
         if self._chosen not in calibration.model.names:
             self._open("")
         self._open_buttons()
 
     def busy(self, busy: bool) -> None:
-        """Shut or open what changes the model."""
-        self.effects.busy = self.noise.busy = busy
-        self._shut = busy
+        self.effects.busy = self.noise.busy = self._shut = busy
         self._open_buttons()
 
     def _open_buttons(self) -> None:
         """*Free* is open where the chosen unknown is held."""
-        held = self._calibration is not None and self.coefficient.value in dict(
-            self._calibration.model.fixed
-        )
-        for one in self.buttons[:-1]:
+        model = self._calibration and self._calibration.model
+        held = model is not None and self.coefficient.value in dict(model.fixed)
+        for one in self.buttons:
             one.disabled = self._shut or (one.label == "Free" and not held)
-
-    def _choose(self, effect: str, _: str) -> None:
-        self._open(effect)
 
     def _open(self, effect: str) -> None:
         self._chosen, self.form.visible = effect, bool(effect)
         if not effect:
             return
-        model = self._calibration.model
-        own = model.effect(effect)
+        own = self._calibration.model.effect(effect)
         self.title.object = effect
         self.consequences.object = "What taking it out would do is being computed …"
         names = [own.coefficient_name(i) for i in range(len(own.coefficients))]
         names += [own.shape_name(s) for s in own.shapes]
-        self.coefficient.options = names
-        self.coefficient.value = names[0]
+        self.coefficient.options, self.coefficient.value = names, names[0]
         first = own.coefficients[0]
         self.size.label = f"plausible size [{unit_label(first.unit) or '1'}]"
         self.size.value = None if first.flat else float(first.size)
         self._other_coefficient()
-        self._ask(self._say_consequences, "take_out", effect)
+        self.bench.ask(self._say_consequences, "take_out", effect)
 
     def _say_consequences(self, said: Any) -> None:
         self.consequences.object = f"Without it: {said}"
 
-    def _other_coefficient(self, *_: Any) -> None:
+    def _other_coefficient(self) -> None:
         coefficients, others = summary(self._calibration)
         means = {r["name"]: (r["mean"], r["unit"]) for r in (*coefficients, *others)}
         mean, unit = means.get(self.coefficient.value, (None, ""))
@@ -134,10 +120,7 @@ class ModelPane:
 
     def _do(self, action: str, *arguments: Any) -> None:
         if None not in arguments:
-            self._act(action, *arguments)
-
-    def _take_law(self, law: str, _: str) -> None:
-        self._act("noise", law)
+            self.bench.act(action, *arguments)
 
 
 def equation_in_words(model: Any) -> str:
@@ -165,27 +148,20 @@ def effect_rows(model: Any, told: list[dict[str, Any]]) -> list[dict[str, Any]]:
             {"text": effect.name, "kind": "name", "title": effect.equation}
         ]
         for t in own[:MOST]:
-            short = (
-                t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
-                if len(own) > 1
-                else ""
-            )
-            value = f"{with_error(t['mean'], t['sd'])} {unit_label(t['unit'])}".rstrip()
-            cells.append(
-                {
-                    "text": f"{short} {value}".strip(),
-                    "kind": "value number",
-                    **_contraction(t["contraction"]),
-                }
-            )
+            short = t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
+            value = f"{short if len(own) > 1 else ''} {_value(t)}".strip()
+            cells.append({"text": value, **NUMBER, **_contraction(t["contraction"])})
         if len(own) > MOST:
             cells.append({"text": f"… and {len(own) - MOST} more", "kind": "value"})
         held = [f"{n} = {v:g}" for n, v in model.fixed if n.startswith(effect.name)]
-        if held:
-            cells.append({"text": f"held: {', '.join(held)}", "kind": "value number"})
+        cells += [{"text": f"held: {', '.join(held)}", **NUMBER}] if held else []
         change = {"id": "change", "label": "Change …", "title": "take out, fix or resize"}
         rows.append({"id": effect.name, "cells": cells, "actions": [change]})
     return rows
+
+
+def _value(told: dict[str, Any]) -> str:
+    return f"{with_error(told['mean'], told['sd'])} {unit_label(told['unit'])}".rstrip()
 
 
 def _contraction(share: float | None) -> dict[str, Any]:
@@ -198,31 +174,24 @@ def _contraction(share: float | None) -> dict[str, Any]:
 
 def noise_rows(state: Any) -> list[dict[str, Any]]:
     """The noise law in use with its parameters, and the probability of each law, where it was looked for."""
-    calibration, found = state.step.calibration, state.discovery
-    _, others = summary(calibration)
-    used = calibration.model.noise
-    values = [
-        f"{t['name'].removeprefix('noise.')} {with_error(t['mean'], t['sd'])} {unit_label(t['unit'])}".rstrip()
-        for t in others
-        if t["effect"] == "noise"
-    ]
-    laws = [] if found is None else list(found.noise)
-    known = {law.law: law for law in laws}
-    words = known[used.law].in_words if used.law in known else used.in_words
-    rows = [_law_row(used.law, words, known.get(used.law), values, True)]
-    rows += [
-        _law_row(w.law, w.in_words, w, [], False)
-        for w in laws
-        if w.law != used.law and w.probability >= 0.005
-    ]
+    calibration, found = state.calibration, state.discovery
+    used, (_, others) = calibration.model.noise, summary(calibration)
+    own = [t for t in others if t["effect"] == "noise"]
+    values = [f"{t['name'].removeprefix('noise.')} {_value(t)}" for t in own]
+    told = {} if found is None else {law.law: law for law in found.noise}
+    rows = []
+    for name in dict.fromkeys((used.law, *told)):
+        law, here = told.get(name), name == used.law
+        if law is not None and not here and law.probability < LEAST:
+            continue
+        cells: list[dict[str, Any]] = [
+            {"text": used.in_words if law is None else law.in_words, "kind": "name"}
+        ]
+        if law is not None:
+            said = f"probability {probability(law.probability)}"
+            cells.append({"text": said, "bar": law.probability, **NUMBER})
+        cells += [{"text": value, **NUMBER} for value in values if here]
+        use = {"id": "use", "label": "Use", "title": "fit with this noise law"}
+        actions = [] if here else [use]
+        rows.append({"id": name, "cells": cells, "actions": actions, "current": here})
     return rows
-
-
-def _law_row(law: str, text: str, told: Any, values: list[str], used: bool) -> dict[str, Any]:
-    cells: list[dict[str, Any]] = [{"text": text, "kind": "name"}]
-    if told is not None:
-        said = f"probability {probability(told.probability)}"
-        cells.append({"text": said, "bar": told.probability, "kind": "value number"})
-    cells += [{"text": value, "kind": "value number"} for value in values]
-    actions = [] if used else [{"id": "use", "label": "Use", "title": "fit with this noise law"}]
-    return {"id": law, "cells": cells, "actions": actions, "current": used}

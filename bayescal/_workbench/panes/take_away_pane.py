@@ -7,6 +7,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.pieces import button, code_field, column, download, row, words
 
 EXPORTS = {
@@ -21,77 +22,64 @@ EXPORTS = {
 class Written:
     """A button that writes a file beside the page, and then a link to it."""
 
-    def __init__(self, label: str, begin: Callable[["Written"], None]) -> None:
-        self.label = label
-        self.make = button(label, lambda _: begin(self))
+    def __init__(self, bench: Any, label: str, doing: str, write: Callable[[], Path]) -> None:
+        """`write` is called beside the page while `doing` is said."""
+        self.make = button(label, lambda _: bench.run(doing, write, self._done))
         self.link = download("", filename="none", file=BytesIO(), visible=False, color="primary")
 
-    def done(self, path: Path) -> None:
-        """Offer the file."""
+    def _done(self, path: Path) -> None:
         self.link.file, self.link.filename = str(path), path.name
-        self.link.label = f"Download {path.name}"
-        self.link.visible = True
+        self.link.label, self.link.visible = f"Download {path.name}", True
 
     def forget(self) -> None:
         """The state is another: the file is not its."""
         self.link.visible = False
 
 
-class ReportPane:
+class ReportPane(Pane):
     """The report for sign-off."""
 
-    def __init__(self, run: Callable[..., None], session: Callable[[], Any]) -> None:
-        def begin(one: Written) -> None:
-            run("Writing the report …", lambda: session().report(), one.done)
-
-        self.written = Written("Write the report", begin)
-        self.view = column(
-            words(
-                "One HTML file that needs nothing else: a one-page summary for sign-off, with appendices. The last "
-                "model is fitted as bayescal calibrate fits it, which takes a few seconds.",
-                "small",
-            ),
-            row(self.written.make, self.written.link),
+    def __init__(self, bench: Any) -> None:
+        super().__init__(bench)
+        write = lambda: self.session.report()  # noqa: E731
+        self.written = Written(bench, "Write the report", "Writing the report …", write)
+        told = words(
+            "One HTML file that needs nothing else: a one-page summary for sign-off, with appendices. The last "
+            "model is fitted as bayescal calibrate fits it, which takes a few seconds.",
+            "small",
         )
+        self.view = column(told, row(self.written.make, self.written.link))
 
-    def show(self, _: Any) -> None:
-        """Another state."""
+    def show(self, state: Any) -> None:
         self.written.forget()
 
 
-class ExportPane:
+class ExportPane(Pane):
     """The compensation for firmware and programs."""
 
-    def __init__(self, run: Callable[..., None], session: Callable[[], Any]) -> None:
-        self.written: list[Written] = []
-        lines = []
+    def __init__(self, bench: Any) -> None:
+        super().__init__(bench)
+        self.written, lines = [], []
         for label, (what, told) in EXPORTS.items():
-
-            def begin(one: Written, what: str = what, label: str = label) -> None:
-                run(f"Writing {label} …", lambda: session().export(what), one.done)
-
-            one = Written(label, begin)
+            write = lambda what=what: self.session.export(what)  # noqa: E731
+            one = Written(bench, label, f"Writing {label} …", write)
             one.make.min_width = 170
             self.written.append(one)
             lines.append(row(one.make, words(told, "small"), one.link))
         self.view = column(*lines, kinds=("bare", "scrolls"))
 
-    def show(self, _: Any) -> None:
-        """Another state."""
+    def show(self, state: Any) -> None:
         for one in self.written:
             one.forget()
 
 
-class PythonPane:
+class PythonPane(Pane):
     """The script that does what was clicked on the way to this state."""
 
-    def __init__(self, session: Callable[[], Any]) -> None:
-        self._session = session
-        self.code = code_field(
-            "What was clicked on the way to this step, as Python; it gives the same numbers",
-            disabled=True,
-            max_length=10**6,
-        )
+    def __init__(self, bench: Any) -> None:
+        super().__init__(bench)
+        said = "What was clicked on the way to this step, as Python; it gives the same numbers"
+        self.code = code_field(said, disabled=True, max_length=10**6)
         self.link = download(
             "Download workbench.py",
             callback=lambda: BytesIO(self.code.value.encode()),
@@ -101,6 +89,5 @@ class PythonPane:
         )
         self.view = column(self.code, row(self.link))
 
-    def show(self, _: Any) -> None:
-        """Another state, another script."""
-        self.code.value = self._session().script()
+    def show(self, state: Any) -> None:
+        self.code.value = self.session.script()

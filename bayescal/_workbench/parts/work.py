@@ -13,6 +13,20 @@ import panel as pn
 
 from bayescal._core.errors import BayescalError
 
+Then = Callable[[Any], None]
+
+
+def nothing() -> None:
+    """What follows where nothing does."""
+
+
+def in_words(error: Exception) -> str:
+    """An error of a thread, which would be lost: for the page, and in the log if it is none of a user's making."""
+    if isinstance(error, BayescalError):
+        return str(error)
+    logging.getLogger("bayescal").error("in the workbench", exc_info=error)
+    return f"{type(error).__name__}: {error}"
+
 
 class Work:
     """One page's work: jobs one after the other, beside them a look, and at most one preview, the one asked for last.
@@ -20,19 +34,18 @@ class Work:
     Results, and refusals in words, come back to the page's own thread.
     """
 
-    def __init__(self, tell: Callable[[str, bool], None]) -> None:
-        """`tell(words, refused)` says what is being done, "" when it is done, or why it could not be."""
-        self._tell = tell
+    def __init__(self, tell: Callable[[str, bool], None], busy: Callable[[bool], None]) -> None:
+        """Args:
+        tell: `tell(words, refused)` says what is being done, "" when it is done, or why it could not be.
+        busy: told when the first job begins and the last ends.
+        """
+        self._tell, self._busy = tell, busy
         self._document = pn.state.curdoc
-        self._context = (
-            copy_context()
-        )  # settings in force where the page was made hold for its work
-        self._jobs = ThreadPoolExecutor(1, thread_name_prefix="workbench job")
-        self._looks = ThreadPoolExecutor(1, thread_name_prefix="workbench look")
-        self._previews = ThreadPoolExecutor(1, thread_name_prefix="workbench preview")
-        self._lock, self._wanted = Lock(), 0
-        self.on_busy: list[Callable[[bool], None]] = []
-        self._under_way = 0
+        # Settings in force where the page was made hold for its work.
+        self._context = copy_context()
+        kinds = ("job", "look", "preview")
+        self._pools = {k: ThreadPoolExecutor(1, thread_name_prefix=f"workbench {k}") for k in kinds}
+        self._lock, self._wanted, self._under_way = Lock(), 0, 0
 
     @property
     def busy(self) -> bool:
@@ -51,88 +64,74 @@ class Work:
         self,
         words: str,
         job: Callable[[], Any],
-        then: Callable[[Any], None],
-        failed: Callable[[], None] = lambda: None,
+        then: Then,
+        failed: Callable[[], None] = nothing,
     ) -> None:
         """Begin a job, after those that are under way; `then(result)`, or `failed()`, follows on the page."""
+
+        def ended() -> None:
+            self._count(-1)
+            self._tell("", False)
+
         self._count(1)
         self._tell(words, False)
+        self._submit("job", job, then, failed=failed, ended=ended)
 
-        def done(result: Any, error: BaseException | None) -> None:
-            self._count(-1)
-            self._tell("" if error is None else _in_words(error), error is not None)
-            if error is None:
-                then(result)
-            else:
-                failed()
-
-        self._submit(self._jobs, job, done)
-
-    def look(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
+    def look(self, job: Callable[[], Any], then: Then) -> None:
         """Look for something beside everything else; what is pressed meanwhile is not refused."""
+        self._submit("look", job, then)
 
-        self._submit(self._looks, job, lambda *outcome: self._ended(then, *outcome))
-
-    def preview(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
+    def preview(self, job: Callable[[], Any], then: Then) -> None:
         """Compute a preview; one that another has overtaken is dropped."""
+        ticket = self.forget_preview()
+        self._submit("preview", job, then, wanted=lambda: ticket == self._wanted)
+
+    def forget_preview(self) -> int:
+        """Drop the preview that is under way; the number of the next."""
         with self._lock:
             self._wanted += 1
-            ticket = self._wanted
-
-        def wanted() -> bool:
-            return ticket == self._wanted
-
-        self._submit(self._previews, job, lambda *outcome: self._ended(then, *outcome), wanted)
-
-    def forget_preview(self) -> None:
-        """Drop the preview that is under way."""
-        with self._lock:
-            self._wanted += 1
+            return self._wanted
 
     def close(self, wait: bool = False) -> None:
         """Take no further work; what has not begun is dropped, unless it is waited for."""
-        for pool in (self._jobs, self._looks, self._previews):
+        for pool in self._pools.values():
             pool.shutdown(wait=wait, cancel_futures=not wait)
 
     def _submit(
         self,
-        pool: ThreadPoolExecutor,
+        kind: str,
         job: Callable[[], Any],
-        done: Callable[[Any, BaseException | None], None],
+        then: Then,
+        *,
+        failed: Callable[[], None] = nothing,
+        ended: Callable[[], None] = nothing,
         wanted: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Have a pool do a job; `done(result, error)` follows on the page, both only if it is still wanted."""
+        """Do a job in a thread; what follows on the page does so only if it is still wanted."""
 
         def run() -> None:
             if not wanted():
                 return
-            outcome = _outcome(job)
+            result, wrong = None, None
+            try:
+                result = job()
+            except Exception as error:
+                wrong = in_words(error)
+
+            def done() -> None:
+                ended()
+                if wrong is None:
+                    then(result)
+                else:
+                    self._tell(wrong, True)
+                    failed()
+
             if wanted():
-                self.on_page(lambda: done(*outcome))
+                self.on_page(done)
 
-        pool.submit(self._context.copy().run, run)
-
-    def _ended(self, then: Callable[[Any], None], result: Any, error: BaseException | None) -> None:
-        if error is None:
-            then(result)
-        else:
-            self._tell(_in_words(error), True)
+        self._pools[kind].submit(self._context.copy().run, run)
 
     def _count(self, more: int) -> None:
-        before, self._under_way = self._under_way, self._under_way + more
-        if bool(before) != bool(self._under_way):
-            for call in self.on_busy:
-                call(bool(self._under_way))
-
-
-def _outcome(job: Callable[[], Any]) -> tuple[Any, BaseException | None]:
-    try:
-        return job(), None
-    except Exception as error:  # a thread's error would be lost: the page says it
-        if not isinstance(error, BayescalError):
-            logging.getLogger("bayescal").exception("in the workbench")
-        return None, error
-
-
-def _in_words(error: BaseException) -> str:
-    return str(error) if isinstance(error, BayescalError) else f"{type(error).__name__}: {error}"
+        before, self._under_way = self.busy, self._under_way + more
+        if before != self.busy:
+            self._busy(self.busy)
